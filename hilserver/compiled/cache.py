@@ -1,0 +1,73 @@
+"""Where compiled kernels are cached, and the one decorator that all kernels use.
+
+numba's file cache looks at the modification time of the file a function stands in, not at the
+functions it calls. A changed callee would silently run in its old form. The cache directory is
+therefore keyed by a hash of the source of every kernel room (and of numba itself).
+"""
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core import config
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+_KERNEL_ROOMS = ("compiled", "plant", "scheduler", "image", "kernel")
+
+
+def kernel_sources() -> list[Path]:
+    """Return every source file of the package that may hold compiled code, sorted."""
+    files: list[Path] = []
+    for room in _KERNEL_ROOMS:
+        files += sorted((_PACKAGE / room).glob("*.py"))
+        files += sorted(_PACKAGE.glob(f"{room}.py"))
+    return files
+
+
+def hash_of(sources: Iterable[Path], *extra: str) -> str:
+    """Return a 16-digit hex hash over the contents of `sources` and the strings `extra`."""
+    digest = hashlib.sha256()
+    for text in (numba.__version__, llvmlite.__version__, np.__version__, *extra):
+        digest.update(text.encode() + b"\0")
+    for source in sources:
+        digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def kernel_hash() -> str:
+    """Return the hash of all kernel sources; recordings and snapshots carry it."""
+    return hash_of(kernel_sources())
+
+
+@cache
+def cache_dir() -> Path:
+    """Return (and make) the directory of this kernel hash.
+
+    Order: ``HILSERVER_CACHE_DIR``, systemd's ``CACHE_DIRECTORY``, ``XDG_CACHE_HOME``, ``~/.cache``.
+    """
+    base = os.environ.get("HILSERVER_CACHE_DIR") or os.environ.get("CACHE_DIRECTORY")
+    if base is None:
+        xdg = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+        base = str(Path(xdg) / "hilserver")
+    path = Path(base) / f"kernels-{kernel_hash()}"
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function without Python objects, without the interpreter lock, cached on disk.
+
+    No fast-math and no error model surprises: the same inputs give the same bits in every pacing
+    back end. Division follows IEEE 754 (``error_model="numpy"``): a kernel never raises.
+    """
+    config.CACHE_DIR = str(cache_dir())  # type: ignore[attr-defined]
+    settings = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False} | options
+    decorate: Callable[[Callable[..., Any]], Any] = numba.njit(*signature, **settings)
+    return decorate
