@@ -1,0 +1,59 @@
+"""UTC stamps for ticks: an anchor slewed to CLOCK_MONOTONIC.
+
+The loop counts on CLOCK_MONOTONIC alone. OPC UA wants UTC; reading it per value would let a step of
+the system clock (NTP) tear the series. The anchor therefore follows UTC slowly.
+"""
+
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class UtcClock:
+    """Maps CLOCK_MONOTONIC to UTC without steps.
+
+    Parameters
+    ----------
+    slew_ppm : float
+        How fast the anchor follows the system clock: 500 us per second by default, as NTP does.
+    simulated : bool
+        Virtual mode: the stamps are simulated time and are flagged as such.
+    """
+
+    def __init__(
+        self,
+        *,
+        slew_ppm: float = 500.0,
+        simulated: bool = False,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        utc_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.simulated = simulated
+        self._slew_ppm = slew_ppm
+        self._monotonic_ns = monotonic_ns
+        self._system_utc_ns = utc_ns
+        self._slewed_at_ns = monotonic_ns()
+        self._offset_ns = utc_ns() - self._slewed_at_ns
+
+    def slew(self) -> None:
+        """Move the anchor towards the system clock; called by the supervise slice."""
+        now_ns = self._monotonic_ns()
+        error_ns = self._system_utc_ns() - now_ns - self._offset_ns
+        limit_ns = int((now_ns - self._slewed_at_ns) * self._slew_ppm * 1e-6)
+        self._offset_ns += max(-limit_ns, min(limit_ns, error_ns))
+        self._slewed_at_ns = now_ns
+
+    @property
+    def error_ns(self) -> int:
+        """System UTC minus ours [ns]."""
+        return self._system_utc_ns() - self._monotonic_ns() - self._offset_ns
+
+    def utc_ns(self, monotonic_ns: int) -> int:
+        """Return UTC [ns since 1970] of a CLOCK_MONOTONIC reading."""
+        return monotonic_ns + self._offset_ns
+
+    def utc(self, monotonic_ns: int) -> datetime:
+        """Return UTC as a datetime (microseconds) of a CLOCK_MONOTONIC reading."""
+        return _EPOCH + timedelta(microseconds=self.utc_ns(monotonic_ns) // 1000)

@@ -1,0 +1,64 @@
+"""Events: what happened, told once to everyone who listens (log, OPC UA, tests)."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class EventKind(StrEnum):
+    """Kinds of events; the OPC UA server has one event type for each."""
+
+    OVERRUN = "overrun"
+    PEER_LOST = "peer_lost"
+    PEER_RESTORED = "peer_restored"
+    PEER_FAULT = "peer_fault"
+    SETPOINT_REFUSED = "setpoint_refused"
+    SAFE_STATE = "safe_state"
+    STATE = "state"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One event.
+
+    Attributes
+    ----------
+    severity : int
+        1 (information) .. 1000 (catastrophe), OPC UA's scale.
+    source : str
+        Who it is about: a slice, a peer, a signal.
+    monotonic_ns : int
+        CLOCK_MONOTONIC at which it was seen.
+    """
+
+    kind: EventKind
+    severity: int
+    source: str
+    message: str
+    monotonic_ns: int = field(default_factory=time.monotonic_ns)
+
+
+class EventBus:
+    """Hands every event to all subscribers and keeps the newest 256."""
+
+    def __init__(self) -> None:
+        self.recent: deque[Event] = deque(maxlen=256)
+        self._subscribers: list[Callable[[Event], None]] = []
+
+    def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
+        """Call `callback` for every later event; return the function that ends it."""
+        self._subscribers.append(callback)
+
+        def unsubscribe() -> None:
+            if callback in self._subscribers:
+                self._subscribers.remove(callback)
+
+        return unsubscribe
+
+    def publish(self, event: Event) -> None:
+        """Hand `event` to every subscriber, in the order of their subscription."""
+        self.recent.append(event)
+        for callback in tuple(self._subscribers):
+            callback(event)

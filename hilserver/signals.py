@@ -1,0 +1,296 @@
+"""The signal table: every signal named once.
+
+The OPC UA address space, the log columns, the process image and the reference documentation are
+made from it. Names end in their unit. Each signal knows the slots it occupies in the frame of the
+process image; an array is an alias of its scalars' slots, so that of two writes in one tick the
+later one wins whatever form it had.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+WHEELS = ("fl", "rl", "fr", "rr")
+"""Wheel names in the order of every array (spec "Frame and signs")."""
+
+RANGE_FINDERS = ("fl", "fr", "rl", "rr")
+"""Range finders in EduArt's order."""
+
+LIGHTS = (
+    "off",
+    "dim",
+    "high beam",
+    "flash all",
+    "flash left",
+    "flash right",
+    "pulsation",
+    "rotation",
+    "running",
+)
+
+
+class ValueType(StrEnum):
+    """OPC UA built-in types that signals use."""
+
+    DOUBLE = "Double"
+    BOOLEAN = "Boolean"
+    BYTE = "Byte"
+    UINT32 = "UInt32"
+    INT64 = "Int64"
+
+
+class Direction(StrEnum):
+    """Seen from the plant."""
+
+    IN = "in"
+    OUT = "out"
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One named quantity.
+
+    Attributes
+    ----------
+    name : str
+        Dotted name that ends in its unit.
+    unit : str
+        Unit symbol ("rpm", "m/s", ...), "1" without a unit.
+    low, high : float
+        Engineering range; writes outside are refused.
+    slots : tuple of int
+        Places in the frame; one for a scalar, the scalars' places for an array.
+    hidden : bool
+        Part of frame, log and snapshot, but of no user interface.
+    """
+
+    name: str
+    unit: str
+    type: ValueType
+    direction: Direction
+    low: float
+    high: float
+    description: str
+    slots: tuple[int, ...]
+    initial: float = 0.0
+    hidden: bool = False
+
+    @property
+    def is_array(self) -> bool:
+        """Whether the signal is an alias of several scalars."""
+        return len(self.slots) > 1
+
+    @property
+    def writable(self) -> bool:
+        """Whether a source may write it."""
+        return self.direction is Direction.IN
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether it is a value of the real robot beside the simulation."""
+        return self.name.startswith("measured.")
+
+
+class SignalTable:
+    """All signals of one robot by name and by slot; iteration leaves out hidden ones."""
+
+    def __init__(self, signals: Iterable[Signal]) -> None:
+        self._signals = tuple(signals)
+        self._by_name = {signal.name: signal for signal in self._signals}
+        self._by_slot = {s.slots[0]: s for s in self._signals if not s.is_array}
+        if len(self._by_name) != len(self._signals):
+            raise ValueError("two signals have the same name")
+        if sorted(self._by_slot) != list(range(len(self._by_slot))):
+            raise ValueError("the slots of the scalars are not 0 .. n-1")
+
+    def __iter__(self) -> Iterator[Signal]:
+        return (signal for signal in self._signals if not signal.hidden)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __getitem__(self, name: str) -> Signal:
+        return self._by_name[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._by_name
+
+    @property
+    def n_slots(self) -> int:
+        """Number of scalar places in a frame."""
+        return len(self._by_slot)
+
+    @property
+    def scalars(self) -> tuple[Signal, ...]:
+        """Every scalar, hidden ones included, in the order of the slots."""
+        return tuple(self._by_slot[slot] for slot in range(self.n_slots))
+
+    def by_slot(self, slot: int) -> Signal:
+        """Return the scalar that occupies `slot`."""
+        return self._by_slot[slot]
+
+    def slot(self, name: str) -> int:
+        """Return the slot of the scalar `name`."""
+        return self._by_name[name].slots[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """What the ranges of a robot's signals follow from."""
+
+    max_rpm: float
+    max_linear_m_s: float
+    max_angular_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class BlockOutput:
+    """An output of a user's own block, as the table needs it."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    description: str
+
+
+class _Builder:
+    """Hands out slots in the order of the calls."""
+
+    def __init__(self) -> None:
+        self.signals: list[Signal] = []
+        self.next_slot = 0
+
+    def add(
+        self,
+        name: str,
+        unit: str,
+        direction: Direction,
+        low: float,
+        high: float,
+        description: str,
+        *,
+        type_: ValueType = ValueType.DOUBLE,
+        initial: float = 0.0,
+        hidden: bool = False,
+    ) -> None:
+        slots = (self.next_slot,)
+        self.next_slot += 1
+        self.signals.append(
+            Signal(
+                name, unit, type_, direction, low, high, description, slots, initial, hidden=hidden
+            )
+        )
+
+    def alias(self, name: str, scalars: Iterable[str], description: str) -> None:
+        parts = [next(s for s in self.signals if s.name == scalar) for scalar in scalars]
+        first = parts[0]
+        slots = tuple(part.slots[0] for part in parts)
+        self.signals.append(
+            Signal(
+                name,
+                first.unit,
+                first.type,
+                first.direction,
+                first.low,
+                first.high,
+                description,
+                slots,
+            )
+        )
+
+
+def _add_inputs(b: _Builder, ranges: Ranges) -> None:
+    in_ = Direction.IN
+    for wheel in WHEELS:
+        b.add(
+            f"wheel.{wheel}.setpoint_rpm",
+            "rpm",
+            in_,
+            -ranges.max_rpm,
+            ranges.max_rpm,
+            f"Set-point of the {wheel} wheel; right wheels are mirrored: forward is negative",
+        )
+    linear, angular = ranges.max_linear_m_s, ranges.max_angular_rad_s
+    b.add("twist.linear_m_s", "m/s", in_, -linear, linear, "Commanded forward speed")
+    b.add("twist.angular_rad_s", "rad/s", in_, -angular, angular, "Commanded turn rate, left +")
+    byte, boolean = ValueType.BYTE, ValueType.BOOLEAN
+    b.add("control.mode", "1", in_, 0, 1, "0 wheel set-points, 1 twist", type_=byte)
+    b.add("drive.enable", "1", in_, 0, 1, "Drive enabled", type_=boolean, initial=1.0)
+    lights = ", ".join(f"{i} {name}" for i, name in enumerate(LIGHTS))
+    b.add("lights.command", "1", in_, 0, 8, f"Light pattern: {lights}", type_=byte)
+    for colour in ("red", "green", "blue"):
+        b.add(f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte)
+    b.add(
+        "input.sequence", "1", in_, 0, 2**32 - 1, "The controller's counter", type_=ValueType.UINT32
+    )
+
+
+def _add_hidden(b: _Builder) -> None:
+    in_ = Direction.IN
+    b.add("internal.command", "1", in_, 0, 2, "0 normal, 1 zero, 2 safe ramp", hidden=True)
+    b.add("internal.pose_request", "1", in_, 0, 2**53, "Counter of SetPose", hidden=True)
+    b.add("internal.pose_x_m", "m", in_, -1e6, 1e6, "SetPose x", hidden=True)
+    b.add("internal.pose_y_m", "m", in_, -1e6, 1e6, "SetPose y", hidden=True)
+    b.add("internal.pose_yaw_rad", "rad", in_, -math.pi, math.pi, "SetPose yaw", hidden=True)
+
+
+def _robot_outputs(ranges: Ranges) -> list[tuple[str, str, float, float, str]]:
+    rows: list[tuple[str, str, float, float, str]] = []
+    for wheel in WHEELS:
+        text = f"Measured speed of the {wheel} wheel as the controller sees it"
+        rows.append((f"wheel.{wheel}.speed_rpm", "rpm", -200.0, 200.0, text))
+    rows += [
+        (f"wheel.{w}.duty_pct", "%", -100.0, 100.0, f"Action value of the {w} wheel, PWM duty")
+        for w in WHEELS
+    ]
+    rows += [
+        (f"wheel.{w}.angle_rad", "rad", -1e9, 1e9, f"Angle of the {w} wheel since reset")
+        for w in WHEELS
+    ]
+    rows += [
+        ("pose.x_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
+        ("pose.y_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
+        ("pose.yaw_rad", "rad", -math.pi, math.pi, "Heading, counter-clockwise positive"),
+        ("velocity.linear_m_s", "m/s", -10.0, 10.0, "Forward velocity, body frame"),
+        ("velocity.lateral_m_s", "m/s", -10.0, 10.0, "Lateral velocity, body frame, left +"),
+        ("velocity.angular_rad_s", "rad/s", -50.0, 50.0, "Yaw rate, counter-clockwise +"),
+        ("imu.gyro_z_rad_s", "rad/s", -50.0, 50.0, "Gyroscope, z axis"),
+        ("imu.yaw_rad", "rad", -math.pi, math.pi, "Yaw of the inertial unit"),
+        ("imu.accel_x_m_s2", "m/s²", -500.0, 500.0, "Acceleration of the centre of mass, forward"),
+        ("imu.accel_y_m_s2", "m/s²", -500.0, 500.0, "Acceleration of the centre of mass, left"),
+        ("battery.voltage_v", "V", 0.0, 30.0, "Battery voltage"),
+    ]
+    rows += [
+        (f"tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place}; 5.0 and Uncertain: nothing seen")
+        for place in RANGE_FINDERS
+    ]
+    rows += [
+        ("nav.x_m", "m", -1e6, 1e6, "Navigation tag, position"),
+        ("nav.y_m", "m", -1e6, 1e6, "Navigation tag, position"),
+        ("nav.yaw_rad", "rad", -math.pi, math.pi, "Navigation tag, heading"),
+    ]
+    return rows
+
+
+def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTable:
+    """Return the table of the four-wheeled robot, followed by the outputs of own blocks."""
+    b = _Builder()
+    _add_inputs(b, ranges)
+    _add_hidden(b)
+    outputs = _robot_outputs(ranges)
+    for name, unit, low, high, text in outputs:
+        b.add(name, unit, Direction.OUT, low, high, text)
+    out = Direction.OUT
+    b.add("sim.tick", "1", out, 0, 2**53, "Tick that made these values", type_=ValueType.INT64)
+    b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
+    states = "0 starting, 1 running, 2 paused, 3 safe, 4 stopping"
+    b.add("sim.state", "1", out, 0, 4, f"State of the daemon: {states}", type_=ValueType.BYTE)
+    for name, unit, low, high, text in outputs:
+        b.add(f"measured.{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
+    for block in blocks:
+        b.add(block.name, block.unit, out, block.low, block.high, block.description)
+    b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")
+    b.alias("wheels.speeds_rpm", [f"wheel.{w}.speed_rpm" for w in WHEELS], "All wheel speeds")
+    return SignalTable(b.signals)
