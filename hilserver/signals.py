@@ -236,7 +236,7 @@ def _add_hidden(b: _Builder) -> None:
     b.add("internal.pose_yaw_rad", "rad", in_, -math.pi, math.pi, "SetPose yaw", hidden=True)
 
 
-def _robot_outputs(ranges: Ranges) -> list[tuple[str, str, float, float, str]]:
+def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
     rows: list[tuple[str, str, float, float, str]] = []
     for wheel in WHEELS:
         text = f"Measured speed of the {wheel} wheel as the controller sees it"
@@ -279,7 +279,7 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     b = _Builder()
     _add_inputs(b, ranges)
     _add_hidden(b)
-    outputs = _robot_outputs(ranges)
+    outputs = _robot_outputs()
     for name, unit, low, high, text in outputs:
         b.add(name, unit, Direction.OUT, low, high, text)
     out = Direction.OUT

@@ -1,0 +1,10 @@
+"""The process image: one shared-memory arena between the plant and everybody else, as in a PLC.
+
+Inputs are latched at the start of a tick, outputs are published at its end. Nobody waits for
+anybody: the plant writes complete frames into a ring, readers take the last complete one; sources
+push rows into queues that the plant drains at the next tick.
+"""
+
+from hilserver.image.process_image import Frame, ImageReader, ProcessImage, Row
+
+__all__ = ["Frame", "ImageReader", "ProcessImage", "Row"]

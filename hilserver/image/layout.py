@@ -1,0 +1,147 @@
+"""Where things lie in the arena.
+
+The arena is one file in shared memory, seen as float64 and as int64 at once. Its first words are
+the control words below; a JSON text that names every signal and region follows, then the regions.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from hilserver.signals import SignalTable
+
+MAGIC = 0x48494C5345525652  # "HILSERVR"
+VERSION = 1
+
+W_MAGIC = 0
+W_VERSION = 1
+W_JSON_BYTES = 2
+W_PID = 3
+W_N_SLOTS = 4
+W_RING_LENGTH = 5  # frames, a power of two
+W_RING_STRIDE = 6
+W_RING_BASE = 7
+W_RING_HEAD = 8  # frames published so far
+W_FRAME_BASE = 9  # working frame: values of this tick
+W_STATUS_BASE = 10
+W_NOW_BASE = 11  # rows for the next tick
+W_NOW_CAPACITY = 12
+W_NOW_HEAD = 13
+W_NOW_TAIL = 14
+W_TIMED_BASE = 15  # rows for given ticks, rising
+W_TIMED_CAPACITY = 16
+W_TIMED_HEAD = 17
+W_TIMED_TAIL = 18
+W_LIVE_BASE = 19  # what a snapshot holds, in one piece
+W_LIVE_LENGTH = 20
+W_SHADOW_BASE = 21
+W_REQUEST = 22  # number of the newest snapshot or restore request
+W_REQUEST_KIND = 23
+W_REQUEST_DONE = 24
+W_REQUEST_TICK = 25
+W_STATE = 26  # state of the daemon, copied into sim.state
+W_FAULT = 27  # first fault number since the last acknowledge
+W_HEARTBEAT = 28  # counted up by the communication side
+W_HEARTBEAT_SEEN = 29
+W_HEARTBEAT_AGE = 30  # ticks since it moved
+W_HEARTBEAT_LIMIT = 31  # ticks; 0: not watched
+W_BASE_PERIOD_NS = 32
+N_CONTROL_WORDS = 64
+JSON_WORDS = 8192
+
+REQUEST_SAVE = 1
+REQUEST_LOAD = 2
+
+ROW_WORDS = 4  # tick, slot, value, status
+FRAME_HEADER_WORDS = 4  # sequence, tick, planned_ns, rows of `now` latched so far
+
+
+@dataclass(frozen=True)
+class Region:
+    """A piece of the arena: offset and length in words of 8 bytes."""
+
+    base: int
+    length: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All regions of an arena by name, and the total number of words."""
+
+    regions: dict[str, Region]
+    ring_length: int
+    queue_rows: int
+    n_slots: int
+    total_words: int
+
+    @property
+    def stride(self) -> int:
+        """Words of one published frame."""
+        return FRAME_HEADER_WORDS + 2 * self.n_slots
+
+
+def make_layout(
+    n_slots: int,
+    *,
+    ring_length: int,
+    queue_rows: int,
+    live: dict[str, int],
+    fixed: dict[str, int],
+) -> Layout:
+    """Place every region.
+
+    Parameters
+    ----------
+    n_slots : int
+        Scalars in a frame.
+    ring_length : int
+        Published frames that are kept, a power of two.
+    queue_rows : int
+        Capacity of each input queue, a power of two.
+    live, fixed : dict of int
+        Words of further regions by name: those in `live` belong to the snapshot.
+    """
+    for name, number in (("ring_length", ring_length), ("queue_rows", queue_rows)):
+        if number < 1 or number & (number - 1):
+            raise ValueError(f"{name} is {number}; it has to be a power of two")
+    regions: dict[str, Region] = {}
+    position = N_CONTROL_WORDS + JSON_WORDS
+
+    def place(name: str, length: int) -> None:
+        nonlocal position
+        regions[name] = Region(position, length)
+        position += length + (-length) % 8
+
+    place("frame", n_slots)
+    place("status", n_slots)
+    for name, length in live.items():
+        place(name, length)
+    live_words = position - regions["frame"].base
+    place("shadow", live_words)
+    for name, length in fixed.items():
+        place(name, length)
+    place("now", queue_rows * ROW_WORDS)
+    place("timed", queue_rows * ROW_WORDS)
+    place("ring", ring_length * (FRAME_HEADER_WORDS + 2 * n_slots))
+    regions["live"] = Region(regions["frame"].base, live_words)
+    return Layout(regions, ring_length, queue_rows, n_slots, position)
+
+
+def describe(table: SignalTable, layout: Layout) -> bytes:
+    """Return the JSON text of the header: what another process needs to read the arena."""
+    signals: list[dict[str, Any]] = [
+        {
+            "name": s.name,
+            "unit": s.unit,
+            "type": s.type.value,
+            "direction": s.direction.value,
+            "slots": list(s.slots),
+            "hidden": s.hidden,
+        }
+        for s in (*table.scalars, *(s for s in table if s.is_array))
+    ]
+    regions = {name: [region.base, region.length] for name, region in layout.regions.items()}
+    text = json.dumps({"signals": signals, "regions": regions}).encode()
+    if len(text) > JSON_WORDS * 8:
+        raise ValueError(f"{len(table)} signals are too many for the header of the process image")
+    return text

@@ -1,0 +1,227 @@
+"""The process image as Python sees it: make it, read frames, push rows."""
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import FailedError
+from hilserver.image import layout as lay
+from hilserver.image.queues import push_rows
+from hilserver.image.ring import copy_frame, copy_latest
+from hilserver.image.shared_file import SharedFile, map_read_only
+from hilserver.signals import SignalTable
+from hilserver.status import GOOD
+
+
+class Row(NamedTuple):
+    """One write on its way to the plant."""
+
+    slot: int
+    value: float
+    status: int = GOOD
+    tick: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """All signals of one tick.
+
+    Attributes
+    ----------
+    number : int
+        How many frames were published before this one.
+    tick : int
+        The tick that made the values.
+    planned_ns : int
+        Planned start of that tick, CLOCK_MONOTONIC.
+    latched_rows : int
+        Input rows latched up to this frame, see `ProcessImage.pushed_rows`.
+    values : ndarray of float64, shape (n_slots,)
+    status : ndarray of int64, shape (n_slots,)
+        OPC UA status codes.
+    """
+
+    number: int
+    tick: int
+    planned_ns: int
+    latched_rows: int
+    values: NDArray[np.float64]
+    status: NDArray[np.int64]
+
+
+class ImageReader:
+    """Reads frames of an arena, in the daemon or, through `attach`, in any other process."""
+
+    def __init__(self, buffer: Any) -> None:
+        self.values: NDArray[np.float64] = np.frombuffer(buffer, dtype=np.float64)
+        self.words: NDArray[np.int64] = np.frombuffer(buffer, dtype=np.int64)
+        self.n_slots = int(self.words[lay.W_N_SLOTS])
+
+    @classmethod
+    def attach(cls, name: str) -> "ImageReader":
+        """Open the image of a running daemon for reading.
+
+        Raises
+        ------
+        FailedError
+            If there is none, or it has another version.
+        """
+        buffer = map_read_only(name)
+        words = np.frombuffer(buffer, dtype=np.int64, count=2)
+        if words[lay.W_MAGIC] != lay.MAGIC or words[lay.W_VERSION] != lay.VERSION:
+            raise FailedError(f"the process image '{name}' was made by another hilserver version")
+        return cls(buffer)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Signals and regions as the header names them."""
+        start, n_bytes = lay.N_CONTROL_WORDS * 8, int(self.words[lay.W_JSON_BYTES])
+        text = self.words.view(np.uint8)[start : start + n_bytes].tobytes()
+        description: dict[str, Any] = json.loads(text)
+        return description
+
+    @property
+    def head(self) -> int:
+        """Number of frames published so far."""
+        return int(self.words[lay.W_RING_HEAD])
+
+    def latest(self) -> Frame | None:
+        """Return a copy of the newest frame, None before the first."""
+        values, words = self._scratch()
+        number = copy_latest(self.values, self.words, values, words)
+        return None if number < 0 else self._frame(number, values, words)
+
+    def frame(self, number: int) -> Frame | None:
+        """Return frame `number` while it is in the ring, else None."""
+        values, words = self._scratch()
+        if not 0 <= number < self.head:
+            return None
+        if copy_frame(number, self.values, self.words, values, words) != 0:
+            return None
+        return self._frame(number, values, words)
+
+    def region(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return a region of the arena as float64 and as int64."""
+        base, length = self.description["regions"][name]
+        return self.values[base : base + length], self.words[base : base + length]
+
+    def _scratch(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        return np.empty(self.n_slots), np.empty(self.n_slots + 3, dtype=np.int64)
+
+    @staticmethod
+    def _frame(number: int, values: NDArray[np.float64], words: NDArray[np.int64]) -> Frame:
+        tick, planned_ns, latched = (int(word) for word in words[:3])
+        return Frame(number, tick, planned_ns, latched, values, words[3:])
+
+
+class ProcessImage(ImageReader):
+    """The daemon's own image: owner of the memory, producer of the input rows.
+
+    Parameters
+    ----------
+    name : str
+        Name in shared memory; one daemon each.
+    table : SignalTable
+    live, fixed : mapping of int
+        Words of the plant's regions: `live` ones belong to snapshots.
+    base_period_ns : int
+        Base period of the scheduler.
+    ring_length, queue_rows : int
+        Frames kept and rows that fit into each input queue; powers of two.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        table: SignalTable,
+        *,
+        live: Mapping[str, int],
+        fixed: Mapping[str, int],
+        base_period_ns: int,
+        ring_length: int = 2048,
+        queue_rows: int = 8192,
+    ) -> None:
+        self.name = name
+        self.layout = lay.make_layout(
+            table.n_slots,
+            ring_length=ring_length,
+            queue_rows=queue_rows,
+            live=dict(live),
+            fixed=dict(fixed),
+        )
+        self._file = SharedFile(name, self.layout.total_words * 8)
+        words = np.frombuffer(self._file.map, dtype=np.int64)
+        self._fill_header(words, table, base_period_ns)
+        super().__init__(self._file.map)
+        for signal in table.scalars:
+            self.frame_values[signal.slots[0]] = signal.initial
+
+    def _fill_header(self, words: NDArray[np.int64], table: SignalTable, period_ns: int) -> None:
+        layout, region = self.layout, self.layout.regions
+        text = lay.describe(table, layout)
+        start = lay.N_CONTROL_WORDS * 8
+        words.view(np.uint8)[start : start + len(text)] = np.frombuffer(text, dtype=np.uint8)
+        header = {
+            lay.W_VERSION: lay.VERSION,
+            lay.W_JSON_BYTES: len(text),
+            lay.W_PID: os.getpid(),
+            lay.W_N_SLOTS: layout.n_slots,
+            lay.W_RING_LENGTH: layout.ring_length,
+            lay.W_RING_STRIDE: layout.stride,
+            lay.W_RING_BASE: region["ring"].base,
+            lay.W_FRAME_BASE: region["frame"].base,
+            lay.W_STATUS_BASE: region["status"].base,
+            lay.W_NOW_BASE: region["now"].base,
+            lay.W_NOW_CAPACITY: layout.queue_rows,
+            lay.W_TIMED_BASE: region["timed"].base,
+            lay.W_TIMED_CAPACITY: layout.queue_rows,
+            lay.W_LIVE_BASE: region["live"].base,
+            lay.W_LIVE_LENGTH: region["live"].length,
+            lay.W_SHADOW_BASE: region["shadow"].base,
+            lay.W_BASE_PERIOD_NS: period_ns,
+            lay.W_MAGIC: lay.MAGIC,
+        }
+        for index, value in header.items():
+            words[index] = value
+
+    @property
+    def frame_values(self) -> NDArray[np.float64]:
+        """The working frame; the plant's own while it runs."""
+        region = self.layout.regions["frame"]
+        return self.values[region.base : region.base + region.length]
+
+    @property
+    def frame_status(self) -> NDArray[np.int64]:
+        """Status codes of the working frame; the plant's own while it runs."""
+        region = self.layout.regions["status"]
+        return self.words[region.base : region.base + region.length]
+
+    @property
+    def pushed_rows(self) -> int:
+        """Rows handed to the plant so far; a frame with as many `latched_rows` contains them."""
+        return int(self.words[lay.W_NOW_HEAD])
+
+    def push(self, rows: Iterable[Row]) -> bool:
+        """Hand rows to the next tick, all together; False if the queue has no room."""
+        return self._push(rows, lay.W_NOW_BASE)
+
+    def push_timed(self, rows: Iterable[Row]) -> bool:
+        """Hand rows to the ticks they name (rising); False if the queue has no room."""
+        return self._push(rows, lay.W_TIMED_BASE)
+
+    def _push(self, rows: Iterable[Row], word: int) -> bool:
+        table = np.array([(r.tick, r.slot, r.value, r.status) for r in rows], dtype=np.float64)
+        if table.size == 0:
+            return True
+        base, capacity = int(self.words[word]), int(self.words[word + 1])
+        pushed = push_rows(table, base, capacity, word + 2, word + 3, self.values, self.words)
+        return bool(pushed == len(table))
+
+    def close(self) -> None:
+        """Remove the image from shared memory."""
+        self._file.close()

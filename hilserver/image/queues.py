@@ -1,0 +1,74 @@
+"""The two input queues: rows of (tick, slot, value, status) from the sources to the plant.
+
+``now`` holds rows for the next tick, ``timed`` rows for given, rising ticks (scenario, replay).
+One producer (the daemon's event loop), one consumer (the plant's tick), no lock: a group of rows is
+written first and shown by one store of the head, so that a tick latches all of it or nothing.
+"""
+
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.compiled.atomics import load_acquire, store_release
+from hilserver.image.layout import (
+    ROW_WORDS,
+    W_FRAME_BASE,
+    W_NOW_BASE,
+    W_NOW_CAPACITY,
+    W_NOW_HEAD,
+    W_NOW_TAIL,
+    W_STATUS_BASE,
+    W_TIMED_BASE,
+    W_TIMED_CAPACITY,
+    W_TIMED_HEAD,
+    W_TIMED_TAIL,
+)
+
+
+@kernel()
+def push_rows(
+    rows: Any, base: int, capacity: int, head: int, tail: int, values: Any, words: Any
+) -> int:
+    """Append all rows or none; return the number appended.
+
+    Parameters
+    ----------
+    rows : ndarray of float64, shape (n, 4)
+        Tick, slot, value, status code.
+    base, capacity : int
+        The queue's region.
+    head, tail : int
+        Indices of its control words.
+    """
+    first = words[head]
+    if first + rows.shape[0] - load_acquire(words, tail) > capacity:
+        return 0
+    for i in range(rows.shape[0]):
+        place = base + ((first + i) & (capacity - 1)) * ROW_WORDS
+        for column in range(ROW_WORDS):
+            values[place + column] = rows[i, column]
+    store_release(words, head, first + rows.shape[0])
+    return int(rows.shape[0])
+
+
+@kernel()
+def _apply(place: int, values: Any, words: Any) -> None:
+    slot = int(values[place + 1])
+    values[words[W_FRAME_BASE] + slot] = values[place + 2]
+    words[words[W_STATUS_BASE] + slot] = int(values[place + 3])
+
+
+@kernel()
+def latch_rows(tick: int, values: Any, words: Any) -> None:
+    """Apply the rows due at `tick`: first the timed ones, then those for now, in their order."""
+    base, mask = words[W_TIMED_BASE], words[W_TIMED_CAPACITY] - 1
+    head, tail = load_acquire(words, W_TIMED_HEAD), words[W_TIMED_TAIL]
+    while tail < head and values[base + (tail & mask) * ROW_WORDS] <= tick:
+        _apply(base + (tail & mask) * ROW_WORDS, values, words)
+        tail += 1
+    store_release(words, W_TIMED_TAIL, tail)
+    base, mask = words[W_NOW_BASE], words[W_NOW_CAPACITY] - 1
+    head, tail = load_acquire(words, W_NOW_HEAD), words[W_NOW_TAIL]
+    while tail < head:
+        _apply(base + (tail & mask) * ROW_WORDS, values, words)
+        tail += 1
+    store_release(words, W_NOW_TAIL, tail)

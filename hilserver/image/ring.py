@@ -1,0 +1,86 @@
+"""The ring of published frames: one writer that never waits, readers that never see half a frame.
+
+Each frame starts with its sequence word: odd while it is being written, even when it is complete
+(``2 * number + 2`` for frame ``number``). A reader takes the newest complete frame, copies it and
+looks at the sequence word again: had the writer come round meanwhile, the copy is dropped.
+"""
+
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.compiled.atomics import fence, load_acquire, store_release
+from hilserver.image.layout import (
+    FRAME_HEADER_WORDS,
+    W_FRAME_BASE,
+    W_N_SLOTS,
+    W_NOW_TAIL,
+    W_RING_BASE,
+    W_RING_HEAD,
+    W_RING_LENGTH,
+    W_RING_STRIDE,
+    W_STATUS_BASE,
+)
+
+READ_TRIES = 8
+
+
+@kernel()
+def publish_frame(tick: int, planned_ns: int, values: Any, words: Any) -> None:
+    """Copy the working frame into the ring and announce it."""
+    number = words[W_RING_HEAD]
+    base = words[W_RING_BASE] + (number & (words[W_RING_LENGTH] - 1)) * words[W_RING_STRIDE]
+    n_slots = words[W_N_SLOTS]
+    frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
+    store_release(words, base, 2 * number + 1)
+    fence()
+    words[base + 1] = tick
+    words[base + 2] = planned_ns
+    words[base + 3] = words[W_NOW_TAIL]
+    data = base + FRAME_HEADER_WORDS
+    for slot in range(n_slots):
+        values[data + slot] = values[frame + slot]
+    for slot in range(n_slots):
+        words[data + n_slots + slot] = words[status + slot]
+    store_release(words, base, 2 * number + 2)
+    store_release(words, W_RING_HEAD, number + 1)
+
+
+@kernel()
+def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words: Any) -> int:
+    """Copy frame `number`; return 0, or -1 if the writer has been there since.
+
+    Parameters
+    ----------
+    out_values : ndarray of float64, shape (n_slots,)
+    out_words : ndarray of int64, shape (3 + n_slots,)
+        Tick, planned time [ns], rows latched so far, and the status codes.
+    """
+    base = words[W_RING_BASE] + (number & (words[W_RING_LENGTH] - 1)) * words[W_RING_STRIDE]
+    n_slots = words[W_N_SLOTS]
+    if load_acquire(words, base) != 2 * number + 2:
+        return -1
+    out_words[0] = words[base + 1]
+    out_words[1] = words[base + 2]
+    out_words[2] = words[base + 3]
+    data = base + FRAME_HEADER_WORDS
+    for slot in range(n_slots):
+        out_values[slot] = values[data + slot]
+    for slot in range(n_slots):
+        out_words[3 + slot] = words[data + n_slots + slot]
+    fence()
+    return 0 if load_acquire(words, base) == 2 * number + 2 else -1
+
+
+@kernel()
+def copy_latest(values: Any, words: Any, out_values: Any, out_words: Any) -> int:
+    """Copy the newest complete frame; return its number, -1 before the first, -2 if overrun.
+
+    -2 needs a writer that goes round the whole ring within one copy, `READ_TRIES` times.
+    """
+    for _ in range(READ_TRIES):
+        head = load_acquire(words, W_RING_HEAD)
+        if head == 0:
+            return -1
+        if copy_frame(head - 1, values, words, out_values, out_words) == 0:
+            return int(head - 1)
+    return -2

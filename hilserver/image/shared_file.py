@@ -1,0 +1,63 @@
+"""The file behind the arena: /dev/shm, mode 0600, locked by its owner."""
+
+import contextlib
+import fcntl
+import mmap
+import os
+import re
+from pathlib import Path
+
+from hilserver.errors import FailedError
+
+_FOLDER = Path("/dev/shm")  # noqa: S108 -- POSIX shared memory on Linux
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+
+
+def path_of(name: str) -> Path:
+    """Return the file of the image `name`."""
+    if not _NAME.fullmatch(name):
+        raise FailedError(f"the image name {name!r} may hold letters, digits, '-', '_', '.' only")
+    return _FOLDER / f"hilserver-{name}"
+
+
+class SharedFile:
+    """An owned, exclusively locked file in shared memory; removed by `close`.
+
+    A file that a killed daemon left behind has no lock and is replaced.
+    """
+
+    def __init__(self, name: str, n_bytes: int) -> None:
+        self.path = path_of(name)
+        self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._fd)
+            raise FailedError(
+                f"another hilserver uses the process image '{name}'; stop it or set image.name"
+            ) from None
+        os.fchmod(self._fd, 0o600)
+        os.ftruncate(self._fd, 0)
+        os.ftruncate(self._fd, n_bytes)
+        self.map = mmap.mmap(self._fd, n_bytes)
+
+    def close(self) -> None:
+        """Remove the file; views of the memory stay valid until they are dropped."""
+        self.path.unlink(missing_ok=True)
+        os.close(self._fd)
+        with contextlib.suppress(BufferError):
+            self.map.close()
+
+
+def map_read_only(name: str) -> mmap.mmap:
+    """Map the image of a running daemon for reading."""
+    try:
+        fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        raise FailedError(
+            f"there is no process image '{name}'; is the daemon running under that image.name?"
+        ) from None
+    try:
+        return mmap.mmap(fd, 0, prot=mmap.PROT_READ)
+    finally:
+        os.close(fd)
