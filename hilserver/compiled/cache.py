@@ -67,7 +67,7 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
     No fast-math and no error model surprises: the same inputs give the same bits in every pacing
     back end. Division follows IEEE 754 (``error_model="numpy"``): a kernel never raises.
     """
-    config.CACHE_DIR = str(cache_dir())  # type: ignore[attr-defined]
+    config.CACHE_DIR = str(cache_dir())
     settings = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False} | options
     decorate: Callable[[Callable[..., Any]], Any] = numba.njit(*signature, **settings)
     return decorate

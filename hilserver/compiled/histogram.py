@@ -23,7 +23,7 @@ def bucket_index(value_ns: int) -> int:
     for index in range(BOUNDS_NS.shape[0]):
         if value_ns <= BOUNDS_NS[index]:
             return index
-    return BOUNDS_NS.shape[0]
+    return int(BOUNDS_NS.shape[0])
 
 
 class Histogram125:

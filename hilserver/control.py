@@ -1,0 +1,254 @@
+"""The state machine of the daemon, and the commands that move it.
+
+::
+
+    starting -> running <-> paused
+                   |  ^        |
+                   v  | Reset  v
+                   safe <------+          any -> stopping
+
+In the safe state the set-points ramp to zero, the drive is then disabled, outputs keep being
+computed with quality Uncertain. It ends only by Reset, and only when its cause is gone.
+"""
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Protocol
+
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.image import ProcessImage, Row
+from hilserver.image.layout import W_FAULT, W_STATE
+from hilserver.inputs import ControlRefused, InputGate
+from hilserver.signals import SignalTable
+from hilserver.snapshot import SnapshotStore
+
+COMMAND_NORMAL, COMMAND_ZERO, COMMAND_SAFE = 0.0, 1.0, 2.0
+
+
+class State(IntEnum):
+    """States of the daemon; the numbers are those of ``sim.state``."""
+
+    STARTING = 0
+    RUNNING = 1
+    PAUSED = 2
+    SAFE = 3
+    STOPPING = 4
+
+
+class Pacing(Protocol):
+    """What the state machine needs of the scheduler."""
+
+    def pause(self) -> None:
+        """Stop before the next tick."""
+
+    def resume(self) -> None:
+        """Run on."""
+
+    def step(self, n: int) -> None:
+        """Run `n` ticks, then pause."""
+
+    def set_speed(self, factor: float) -> None:
+        """Pace at `factor` times real time."""
+
+    def reset_statistics(self) -> None:
+        """Start the figures anew."""
+
+    @property
+    def tick(self) -> int:
+        """Tick that comes next."""
+
+
+class Control:
+    """Commands of operators and faults of the system, turned into states.
+
+    Parameters
+    ----------
+    safe_ramp_ticks : int
+        Ticks after which the set-points have reached zero and the drive is disabled.
+    """
+
+    def __init__(
+        self,
+        table: SignalTable,
+        image: ProcessImage,
+        gate: InputGate,
+        events: EventBus,
+        pacing: Pacing,
+        snapshots: SnapshotStore,
+        *,
+        safe_ramp_ticks: int,
+    ) -> None:
+        self.state = State.STARTING
+        self.reason = "starting"
+        self.speed = 1.0
+        self.on_reset: list[Callable[[], None]] = []
+        self._table = table
+        self._image = image
+        self._gate = gate
+        self._events = events
+        self._pacing = pacing
+        self._snapshots = snapshots
+        self._safe_ramp_ticks = safe_ramp_ticks
+        self._causes: dict[str, str] = {}
+        self._disable_at = 0
+        self._pose_requests = 0.0
+
+    def _go(self, state: State, reason: str) -> None:
+        if state is self.state and reason == self.reason:
+            return
+        self.state, self.reason = state, reason
+        self._image.words[W_STATE] = int(state)
+        safe = state is State.SAFE
+        kind = EventKind.SAFE_STATE if safe else EventKind.STATE
+        self._events.publish(Event(kind, 800 if safe else 200, "daemon", reason))
+
+    def _refuse_in(self, what: str, *states: State) -> None:
+        if self.state in states:
+            name = self.state.name.lower()
+            raise ControlRefused(
+                f"{what} is not possible while the daemon is {name}: {self.reason}"
+            )
+
+    def started(self) -> None:
+        """First ticks are done: leave `STARTING`."""
+        if self.state is State.STARTING:
+            self._go(State.RUNNING, "running")
+
+    def start(self) -> None:
+        """Run on from a pause."""
+        self._refuse_in("Start", State.STARTING, State.SAFE, State.STOPPING)
+        self._pacing.resume()
+        self._go(State.RUNNING, "running")
+
+    def pause(self) -> None:
+        """Stop the plant at the next tick; inputs and outputs stay visible."""
+        self._refuse_in("Pause", State.STARTING, State.SAFE, State.STOPPING)
+        self._pacing.pause()
+        self._go(State.PAUSED, "paused")
+
+    def step(self, n: int) -> None:
+        """Run exactly `n` ticks, then pause again."""
+        if not 1 <= n <= 1_000_000:
+            raise ValueError(f"Step takes 1 to 1000000 ticks, not {n}")
+        if self.state is not State.PAUSED:
+            raise ControlRefused("Step works while the daemon is paused; call Pause first")
+        self._pacing.step(n)
+
+    def stop(self) -> None:
+        """Emergency stop: go to the safe state."""
+        self._refuse_in("Stop", State.STOPPING)
+        self.enter_safe("stopped by command", cause=None)
+
+    def enter_safe(self, reason: str, *, cause: str | None) -> None:
+        """Ramp the set-points to zero and disable the drive.
+
+        Parameters
+        ----------
+        cause : str or None
+            Name of a condition that has to end (`clear_cause`) before Reset works.
+        """
+        if cause is not None:
+            self._causes[cause] = reason
+        if self.state in (State.SAFE, State.STOPPING):
+            return
+        if self.state is State.PAUSED:
+            self._pacing.resume()
+        self._command(COMMAND_SAFE)
+        self._disable_at = self._pacing.tick + self._safe_ramp_ticks
+        self._go(State.SAFE, reason)
+
+    def clear_cause(self, cause: str) -> None:
+        """Note that a condition has ended: Reset may acknowledge the safe state now."""
+        self._causes.pop(cause, None)
+
+    def zero_setpoints(self) -> None:
+        """Set all set-points to zero at once, without leaving the running state."""
+        self._gate.stop()
+
+    def reset(self) -> None:
+        """Acknowledge the safe state; otherwise put the simulation back to its start."""
+        self._refuse_in("Reset", State.STARTING, State.STOPPING)
+        if self.state is State.SAFE:
+            self._acknowledge()
+            return
+        self._snapshots.reset()
+        for callback in self.on_reset:
+            callback()
+        self._events.publish(Event(EventKind.STATE, 200, "daemon", "simulation reset"))
+
+    def _acknowledge(self) -> None:
+        if self._causes:
+            raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
+        self._gate.stop()
+        self._image.words[W_FAULT] = 0
+        self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
+        self._command(COMMAND_NORMAL)
+        self._go(State.RUNNING, "running")
+
+    def _command(self, command: float) -> None:
+        self._image.push([Row(self._table.slot("internal.command"), command)])
+
+    def set_pose(self, x_m: float, y_m: float, yaw_rad: float) -> None:
+        """Put the robot at a pose at the next tick.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite or outside the range of the world.
+        """
+        values = {
+            "internal.pose_x_m": x_m,
+            "internal.pose_y_m": y_m,
+            "internal.pose_yaw_rad": yaw_rad,
+        }
+        for name, value in values.items():
+            signal = self._table[name]
+            if not signal.low <= value <= signal.high:
+                place = name.removeprefix("internal.")
+                raise ValueError(f"{place} = {value} is outside {signal.low:g} .. {signal.high:g}")
+        request = self._table.slot("internal.pose_request")
+        self._pose_requests = max(self._pose_requests, self._image.frame_values[request]) + 1
+        counter = Row(request, self._pose_requests)
+        rows = [Row(self._table.slot(name), value) for name, value in values.items()]
+        self._image.push([*rows, counter])
+
+    async def save_snapshot(self, name: str) -> None:
+        """Save the whole state under a plain file name."""
+        await self._snapshots.save(name)
+
+    async def load_snapshot(self, name: str) -> None:
+        """Continue from a saved state; version, kernels, signals and parameters have to match."""
+        self._refuse_in("LoadSnapshot", State.STARTING, State.SAFE, State.STOPPING)
+        await self._snapshots.load(name)
+        self._command(COMMAND_NORMAL)
+
+    def set_speed(self, factor: float) -> None:
+        """Run at `factor` times real time (0.01 .. 100)."""
+        if not 0.01 <= factor <= 100:
+            raise ValueError(f"the speed factor is 0.01 to 100, not {factor}")
+        self._pacing.set_speed(factor)
+        self.speed = factor
+
+    def reset_statistics(self) -> None:
+        """Start the timing figures anew."""
+        self._pacing.reset_statistics()
+
+    def stopping(self, reason: str) -> None:
+        """Leave for good."""
+        self._go(State.STOPPING, reason)
+
+    def supervise(self) -> None:
+        """Finish the safe state's ramp; take over a fault on which the plant has acted already."""
+        if self.state is State.SAFE and self._pacing.tick >= self._disable_at:
+            self._image.push([Row(self._table.slot("drive.enable"), 0.0)])
+        code = int(self._image.words[W_FAULT])
+        if code and self.state not in (State.SAFE, State.STOPPING):
+            self.enter_safe(FAULTS.get(code, f"fault {code} in the paced loop"), cause=None)
+
+
+FAULTS = {
+    1: "a single overrun was longer than scheduler.limits allow",
+    2: "more consecutive overruns than scheduler.limits allow",
+    3: "the communication side did not answer in time",
+}
+"""Fault numbers of the paced loop in words."""

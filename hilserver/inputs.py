@@ -1,0 +1,267 @@
+"""The only door for values into the plant.
+
+Every source (OPC UA client, peer, scenario, page, ROS 2) writes through the `InputGate`. It checks
+name, type, finiteness and range, asks who is in control, and pushes what is accepted as one group
+that one tick latches. What is refused is counted, published as an event, and never gets further.
+"""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import StrEnum
+
+from hilserver.errors import UserError
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.image import ProcessImage, Row
+from hilserver.signals import Signal, SignalTable, ValueType
+from hilserver.status import (
+    BAD_WAITING_FOR_INITIAL_DATA,
+    GOOD,
+    UNCERTAIN_LAST_USABLE_VALUE,
+)
+
+SOURCES = ("scenario", "page", "opcua", "ros2", "peer")
+"""Kinds of sources that may command, in the default order of priority (highest first)."""
+
+SETPOINTS = (
+    "wheel.fl.setpoint_rpm",
+    "wheel.rl.setpoint_rpm",
+    "wheel.fr.setpoint_rpm",
+    "wheel.rr.setpoint_rpm",
+    "twist.linear_m_s",
+    "twist.angular_rad_s",
+)
+"""What a stop sets to zero."""
+
+
+class Refusal(StrEnum):
+    """Why a value was not accepted."""
+
+    UNKNOWN_SIGNAL = "unknown_signal"
+    NOT_WRITABLE = "not_writable"
+    TYPE_MISMATCH = "type_mismatch"
+    NOT_FINITE = "not_finite"
+    OUT_OF_RANGE = "out_of_range"
+    NOT_IN_CONTROL = "not_in_control"
+    QUEUE_FULL = "queue_full"
+
+
+class ControlRefused(UserError):
+    """A command that is not possible now; the sentence says why and who has control."""
+
+
+def kind_of(source: str) -> str:
+    """Return the kind of a source: ``peer:iot2050`` is a ``peer``."""
+    return source.partition(":")[0]
+
+
+def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
+    """Return the value as one float per slot, or the reason why it is refused."""
+    if not signal.is_array:
+        parts: Sequence[object] = (value,)
+    elif isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        parts = value
+    else:
+        return Refusal.TYPE_MISMATCH
+    if len(parts) != len(signal.slots):
+        return Refusal.TYPE_MISMATCH
+    numbers: list[float] = []
+    for part in parts:
+        is_boolean = isinstance(part, bool)
+        if not isinstance(part, int | float) or is_boolean != (signal.type is ValueType.BOOLEAN):
+            return Refusal.TYPE_MISMATCH
+        if not math.isfinite(part):
+            return Refusal.NOT_FINITE
+        if signal.type is not ValueType.DOUBLE and part != int(part):
+            return Refusal.TYPE_MISMATCH
+        if not signal.low <= part <= signal.high:
+            return Refusal.OUT_OF_RANGE
+        numbers.append(float(part))
+    return tuple(numbers)
+
+
+class InputGate:
+    """Checks and hands over what sources write.
+
+    Parameters
+    ----------
+    owner : str
+        Kind of source that commands at the start, one of `SOURCES`.
+    priority : sequence of str
+        Kinds of sources, highest priority first; those left out may not command.
+    monotonic_ns : callable
+        Clock for the age of inputs.
+    """
+
+    def __init__(
+        self,
+        table: SignalTable,
+        image: ProcessImage,
+        events: EventBus,
+        *,
+        owner: str = "opcua",
+        priority: Sequence[str] = SOURCES,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.owner = owner
+        self.priority = tuple(priority)
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.accepted: Counter[str] = Counter()
+        self._table = table
+        self._image = image
+        self._events = events
+        self._now_ns = monotonic_ns
+        self._last_ns: dict[str, int] = {}
+        self._written: dict[str, dict[int, float]] = {}
+        self._change: tuple[int, int] | None = None
+
+    def write(
+        self, source: str, values: Mapping[str, object], *, received_ns: int | None = None
+    ) -> dict[str, Refusal]:
+        """Check `values` and hand the accepted ones, as one group, to the next tick.
+
+        Parameters
+        ----------
+        source : str
+            ``opcua``, ``page``, ``scenario``, ``ros2`` or ``peer:<name>``.
+        values : mapping
+            Signal name to number, Boolean, or four numbers for an array.
+        received_ns : int, optional
+            When they came in, CLOCK_MONOTONIC; now by default.
+
+        Returns
+        -------
+        dict of Refusal
+            The refused signals; empty when all were accepted.
+        """
+        now_ns = self._now_ns() if received_ns is None else received_ns
+        refused: dict[str, Refusal] = {}
+        rows: dict[str, list[Row]] = {}
+        for name, value in values.items():
+            checked = self._check(source, name, value)
+            if isinstance(checked, Refusal):
+                refused[name] = checked
+            else:
+                slots = self._table[name].slots
+                rows[name] = [Row(s, v) for s, v in zip(slots, checked, strict=True)]
+        if rows and not self._image.push([row for group in rows.values() for row in group]):
+            refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
+            rows = {}
+        if rows:
+            self._remember(source, rows.values(), now_ns)
+        for name, reason in refused.items():
+            self._report(source, name, values[name], reason)
+        return refused
+
+    def _check(self, source: str, name: str, value: object) -> tuple[float, ...] | Refusal:
+        if name not in self._table or self._table[name].hidden:
+            return Refusal.UNKNOWN_SIGNAL
+        signal = self._table[name]
+        if not signal.writable:
+            return Refusal.NOT_WRITABLE
+        checked = check_value(signal, value)
+        if isinstance(checked, Refusal):
+            return checked
+        if not signal.is_measured and kind_of(source) != self.owner:
+            return Refusal.NOT_IN_CONTROL
+        return checked
+
+    def _remember(self, source: str, groups: Iterable[list[Row]], now_ns: int) -> None:
+        written = self._written.setdefault(source, {})
+        changed = False
+        for row in (row for group in groups for row in group):
+            changed |= written.get(row.slot) != row.value
+            written[row.slot] = row.value
+        self._last_ns[source] = now_ns
+        self.accepted[source] += 1
+        if changed and self._change is None:
+            self._change = (now_ns, self._image.pushed_rows)
+
+    def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
+        self.rejected[(source, reason.value)] += 1
+        text = f"{source}: {name} = {value!r:.60} refused: {self._explain(name, reason)}"
+        self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
+
+    def _explain(self, name: str, reason: Refusal) -> str:
+        if reason is Refusal.NOT_IN_CONTROL:
+            return f"'{self.owner}' has control"
+        if reason is Refusal.OUT_OF_RANGE:
+            signal = self._table[name]
+            return f"outside {signal.low:g} .. {signal.high:g} {signal.unit}"
+        return reason.value.replace("_", " ")
+
+    def take(self, kind: str) -> None:
+        """Give control to the sources of `kind`.
+
+        Raises
+        ------
+        ControlRefused
+            If `kind` is unknown, or stands below the present owner in `priority`.
+        """
+        if kind not in self.priority:
+            known = ", ".join(self.priority)
+            raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
+        if kind != self.owner:
+            self._events.publish(
+                Event(EventKind.STATE, 300, kind, f"control goes from '{self.owner}' to '{kind}'")
+            )
+        self.owner = kind
+
+    def outranks(self, kind: str, other: str) -> bool:
+        """Whether `kind` stands at least as high as `other` in the priority."""
+        order = self.priority
+        return kind in order and (other not in order or order.index(kind) <= order.index(other))
+
+    def request(self, requester: str, kind: str) -> None:
+        """Let `requester` hand control to `kind`, if it may.
+
+        Raises
+        ------
+        ControlRefused
+            If the present owner outranks the requester.
+        """
+        if not self.outranks(requester, self.owner):
+            raise ControlRefused(f"'{self.owner}' has control and outranks '{requester}'")
+        self.take(kind)
+
+    def mark_stale(self, source: str) -> None:
+        """Keep the source's values, with status UncertainLastUsableValue."""
+        self._restamp(source, UNCERTAIN_LAST_USABLE_VALUE)
+
+    def expect(self, names: Iterable[str]) -> None:
+        """Mark signals that a configured source will write: BadWaitingForInitialData until then."""
+        rows = [
+            Row(slot, self._table.by_slot(slot).initial, BAD_WAITING_FOR_INITIAL_DATA)
+            for name in names
+            for slot in self._table[name].slots
+        ]
+        self._image.push(rows)
+
+    def stop(self) -> None:
+        """Set all set-points to zero: what remains of a lost source must not drive on."""
+        self._image.push([Row(self._table.slot(name), 0.0, GOOD) for name in SETPOINTS])
+        for written in self._written.values():
+            for name in SETPOINTS:
+                written.pop(self._table.slot(name), None)
+
+    def age_s(self, source: str) -> float | None:
+        """Return the time since the source's last accepted write [s], None before the first."""
+        last = self._last_ns.get(source)
+        return None if last is None else (self._now_ns() - last) * 1e-9
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Every source that has written so far."""
+        return tuple(self._last_ns)
+
+    def take_change(self, latched_rows: int) -> int | None:
+        """Return when the oldest unpublished change came in [ns], once a frame contains it."""
+        if self._change is None or latched_rows < self._change[1]:
+            return None
+        received_ns, self._change = self._change[0], None
+        return received_ns
+
+    def _restamp(self, source: str, status: int) -> None:
+        written = self._written.get(source, {})
+        self._image.push([Row(slot, value, status) for slot, value in written.items()])

@@ -1,0 +1,160 @@
+"""Snapshots: the whole state in a file, and back, to the bit.
+
+A snapshot holds every signal and every state of plant, sensors and own blocks. It carries version,
+kernel hash, signal names and parameters of the run; a restore where any of them differs is refused.
+"""
+
+import asyncio
+import hashlib
+import json
+import os
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver import __version__
+from hilserver.compiled import kernel_hash
+from hilserver.image import ProcessImage
+from hilserver.image.layout import (
+    REQUEST_LOAD,
+    REQUEST_SAVE,
+    W_LIVE_BASE,
+    W_LIVE_LENGTH,
+    W_REQUEST_TICK,
+    W_SHADOW_BASE,
+)
+from hilserver.image.requests import is_done, post_request
+from hilserver.inputs import ControlRefused
+
+SCHEMA = "hilserver.snapshot/1"
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+_SERVED_WITHIN_S = 2.0
+
+
+class SnapshotStore:
+    """Saves and restores the live regions of a process image.
+
+    Parameters
+    ----------
+    folder : Path
+        Where snapshots lie; made when the first one is saved.
+    parameters : mapping
+        What has to agree between the run that saved and the run that loads, by name.
+    """
+
+    def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
+        self._image = image
+        self._folder = folder
+        layout = json.dumps(image.description["signals"], sort_keys=True).encode()
+        self._identity = {
+            "version": __version__,
+            "kernels": kernel_hash(),
+            "signals": hashlib.sha256(layout).hexdigest(),
+            **parameters,
+        }
+        self._initial = self._live.copy()
+        self._lock = asyncio.Lock()
+
+    @property
+    def _live(self) -> NDArray[np.int64]:
+        return self._slice(W_LIVE_BASE)
+
+    @property
+    def _shadow(self) -> NDArray[np.int64]:
+        return self._slice(W_SHADOW_BASE)
+
+    def _slice(self, word: int) -> NDArray[np.int64]:
+        base, length = int(self._image.words[word]), int(self._image.words[W_LIVE_LENGTH])
+        return self._image.words[base : base + length]
+
+    def reset(self) -> None:
+        """Put everything back to the state before the first tick, at tick 0."""
+        self._shadow[:] = self._initial
+        post_request(REQUEST_LOAD, 0, self._image.words)
+
+    async def save(self, name: str) -> Path:
+        """Save the state between two ticks; return the file.
+
+        Raises
+        ------
+        ControlRefused
+            If the name is no plain file name, or the plant does not answer.
+        """
+        path = self._path(name)
+        async with self._lock:
+            await self._serve(REQUEST_SAVE, 0)
+            tick = int(self._image.words[W_REQUEST_TICK])
+            state = self._shadow.copy()
+        meta = {"schema": SCHEMA, "tick": tick, "identity": self._identity}
+        await asyncio.to_thread(_write, path, state, meta)
+        return path
+
+    async def load(self, name: str) -> int:
+        """Continue from a saved state; return its tick.
+
+        Raises
+        ------
+        ControlRefused
+            If the file is absent, damaged, or was made by a run that differs.
+        """
+        path = self._path(name)
+        state, meta = await asyncio.to_thread(_read, path)
+        for key, value in self._identity.items():
+            saved = meta["identity"].get(key)
+            if saved != value:
+                raise ControlRefused(
+                    f"snapshot '{name}' was made with {key} {_short(saved)}, this run has"
+                    f" {_short(value)}; use the configuration it was made with"
+                )
+        if state.shape != self._shadow.shape:
+            raise ControlRefused(f"snapshot '{name}' holds a state of another size")
+        async with self._lock:
+            self._shadow[:] = state
+            await self._serve(REQUEST_LOAD, int(meta["tick"]))
+        return int(meta["tick"])
+
+    def _path(self, name: str) -> Path:
+        if not _NAME.fullmatch(name):
+            raise ControlRefused(f"{name!r:.120} is no plain file name (letters, digits, _ . -)")
+        return self._folder / f"{name.removesuffix('.npz')}.npz"
+
+    async def _serve(self, kind: int, tick: int) -> None:
+        number = post_request(kind, tick, self._image.words)
+        deadline = asyncio.get_running_loop().time() + _SERVED_WITHIN_S
+        while not is_done(number, self._image.words):
+            if asyncio.get_running_loop().time() > deadline:
+                raise ControlRefused(f"the plant did not answer within {_SERVED_WITHIN_S:g} s")
+            await asyncio.sleep(0.001)
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".part")
+    with partial.open("wb") as file:
+        np.savez(file, state=state, meta=np.array(json.dumps(meta)))
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def _read(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            state: NDArray[np.int64] = archive["state"]
+            meta: dict[str, Any] = json.loads(str(archive["meta"]))
+    except FileNotFoundError:
+        raise ControlRefused(f"there is no snapshot '{path.stem}'") from None
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        raise ControlRefused(f"snapshot '{path.stem}' is damaged") from None
+    if meta.get("schema") != SCHEMA or state.dtype != np.int64:
+        raise ControlRefused(f"snapshot '{path.stem}' is not of schema {SCHEMA}")
+    return state, meta
