@@ -14,15 +14,12 @@ from enum import StrEnum
 from hilserver.errors import UserError
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import ProcessImage, Row
-from hilserver.signals import Signal, SignalTable, ValueType
+from hilserver.signals import SOURCES, Signal, SignalTable, ValueType
 from hilserver.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     GOOD,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
-
-SOURCES = ("scenario", "page", "opcua", "ros2", "peer")
-"""Kinds of sources that may command, in the default order of priority (highest first)."""
 
 SETPOINTS = (
     "wheel.fl.setpoint_rpm",

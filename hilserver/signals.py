@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal
 
 WHEELS = ("fl", "rl", "fr", "rr")
 """Wheel names in the order of every array (spec "Frame and signs")."""
@@ -28,6 +29,10 @@ LIGHTS = (
     "rotation",
     "running",
 )
+
+Source = Literal["scenario", "page", "opcua", "ros2", "peer"]
+SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "ros2", "peer")
+"""Kinds of sources that may command, in the default order of priority (highest first)."""
 
 
 class ValueType(StrEnum):

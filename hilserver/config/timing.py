@@ -1,0 +1,112 @@
+"""The sections ``scheduler``, ``control``, ``image``, ``snapshots`` and ``blocks``."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+from hilserver.signals import SOURCES, Source
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
+
+COMMUNICATION_SLICES = ("publish", "supervise")
+
+
+class Section(BaseModel):
+    """A section of config.yaml: unknown keys are errors, nothing changes after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class LimitsConfig(Section):
+    """When overruns end in the safe state; null: never."""
+
+    single_overrun_ms: float | None = Field(
+        100.0, gt=0, description="An overrun longer than this is unsafe [ms]"
+    )
+    consecutive_overruns: int | None = Field(
+        100, ge=1, description="More overruns in a row than this are unsafe"
+    )
+
+
+class RealtimeConfig(Section):
+    """What the pacing thread asks of the system; what it does not get, the audit names."""
+
+    priority: int = Field(80, ge=0, le=99, description="SCHED_FIFO priority; 0: ordinary thread")
+    cpu: int | None = Field(None, ge=0, description="Pin the pacing thread to this core")
+    lock_memory: bool = Field(True, description="Lock and prefault memory")
+    hold_latency_target: bool = Field(True, description="Hold /dev/cpu_dma_latency at 0")
+
+
+class SchedulerConfig(Section):
+    """Base period, time slices, pacing and what happens when time runs out."""
+
+    backend: Literal["thread", "timerfd", "virtual"] = Field(
+        "thread", description="Pacing: own thread, asyncio's timerfd, or as fast as possible"
+    )
+    base_period_ms: float = Field(1.0, gt=0, le=1000, description="Base period [ms]")
+    slices: dict[Name, float] = Field(
+        default={"plant": 1.0, "sensors": 10.0, "publish": 20.0, "supervise": 100.0},
+        description="Period of every slice [ms], a multiple of the base period",
+    )
+    policy: Literal["catch_up", "skip", "stretch", "fail"] = Field(
+        "catch_up", description="What happens to ticks whose time has passed"
+    )
+    catch_up_limit: int = Field(50, ge=1, le=10_000, description="Ticks caught up at most")
+    limits: LimitsConfig = LimitsConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
+    communication_timeout_ms: float = Field(
+        2000.0, ge=0, description="Safe state when asyncio is silent for this long; 0: not watched"
+    )
+
+    @model_validator(mode="after")
+    def _slices_complete(self) -> Self:
+        for name in ("plant", *COMMUNICATION_SLICES):
+            if name not in self.slices:
+                raise ValueError(f"slice '{name}' is missing in slices")
+        if len(self.slices) > 16:
+            raise ValueError("more than 16 slices")
+        return self
+
+
+class ControlConfig(Section):
+    """Who commands."""
+
+    source: Source | None = Field(
+        None, description="Who commands at the start; null: peer if there are peers, else opcua"
+    )
+    priority: tuple[Source, ...] = Field(
+        SOURCES, description="Who may take control from whom, highest first"
+    )
+
+    @model_validator(mode="after")
+    def _source_in_priority(self) -> Self:
+        if self.source is not None and self.source not in self.priority:
+            raise ValueError(f"source '{self.source}' does not stand in priority")
+        return self
+
+
+class ImageConfig(Section):
+    """The process image in shared memory."""
+
+    name: str = Field(
+        "robot",
+        pattern=r"^[A-Za-z0-9_.-]{1,60}$",
+        description="Name in shared memory; 'auto' adds the process number",
+    )
+    ring_frames: int = Field(2048, ge=16, le=65536, description="Frames kept, a power of two")
+
+
+class SnapshotConfig(Section):
+    """Where snapshots lie."""
+
+    folder: str = Field("snapshots", description="Folder, relative to the configuration file")
+
+
+class BlockConfig(Section):
+    """One of the user's own blocks."""
+
+    name: Name
+    function: str = Field(description="module:function or file.py:function")
+    slice: Name = Field("plant", description="Time slice it runs in")
+    inputs: dict[str, str] = Field(default={}, description="Input of the block: signal")
+    parameters: dict[str, float] = Field(default={}, description="Parameters by name")

@@ -1,0 +1,130 @@
+"""No tearing: a reader in another process never sees half a frame."""
+
+import multiprocessing
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilserver.compiled import kernel
+from hilserver.compiled.atomics import load_acquire
+from hilserver.image import ImageReader, ProcessImage
+from hilserver.image import layout as lay
+from hilserver.image.ring import copy_latest, publish_frame
+from hilserver.signals import Direction, Signal, SignalTable, ValueType
+
+N_DOUBLES = 64
+N_FRAMES = 1_000_000
+
+
+def table_of(n: int) -> SignalTable:
+    return SignalTable(
+        Signal(f"s{i}", "1", ValueType.DOUBLE, Direction.OUT, -1e18, 1e18, "", (i,))
+        for i in range(n)
+    )
+
+
+@pytest.fixture
+def image(request):
+    image = ProcessImage(
+        f"test-ring-{request.node.name[:20]}",
+        table_of(N_DOUBLES),
+        live={},
+        fixed={},
+        base_period_ns=1_000_000,
+        ring_length=1,  # the hardest case: the writer comes round with every frame
+        queue_rows=8,
+    )
+    yield image
+    image.close()
+
+
+@kernel()
+def write_frames(n: int, values: Any, words: Any) -> None:
+    """Publish frames whose values all equal the frame's number."""
+    frame = words[lay.W_FRAME_BASE]
+    for number in range(n):
+        for slot in range(words[lay.W_N_SLOTS]):
+            values[frame + slot] = number
+        publish_frame(number, number, values, words)
+
+
+@kernel()
+def copy_without_lock(values: Any, words: Any, out_values: Any, out_words: Any) -> int:
+    """Read the newest frame as `copy_latest` does, with the sequence lock taken out."""
+    head = load_acquire(words, lay.W_RING_HEAD)
+    if head == 0:
+        return -1
+    base = words[lay.W_RING_BASE]
+    out_words[0] = words[base + 1]
+    for slot in range(words[lay.W_N_SLOTS]):
+        out_values[slot] = values[base + lay.FRAME_HEADER_WORDS + slot]
+    return int(head - 1)
+
+
+def count_frames(copy: Any) -> Any:
+    @kernel(cache=False)
+    def loop(last: int, values: Any, words: Any, out_values: Any, out_words: Any) -> Any:
+        whole = torn = 0
+        for _ in range(1_000_000_000):
+            if load_acquire(words, lay.W_RING_HEAD) >= last:
+                break
+            if copy(values, words, out_values, out_words) < 0:
+                continue
+            is_torn = out_words[0] != out_values[0]
+            for slot in range(1, out_values.shape[0]):
+                is_torn |= out_values[slot] != out_values[0]
+            torn += is_torn
+            whole += not is_torn
+        return whole, torn
+
+    return loop
+
+
+def write_in_process(name: str) -> None:
+    import mmap
+
+    from hilserver.image.shared_file import path_of
+
+    with path_of(name).open("r+b") as file:
+        memory = mmap.mmap(file.fileno(), 0)
+    values, words = np.frombuffer(memory, np.float64), np.frombuffer(memory, np.int64)
+    write_frames(N_FRAMES, values, words)
+
+
+@pytest.mark.parametrize(("copy", "locked"), [(copy_latest, True), (copy_without_lock, False)])
+def test_million_frames_between_two_processes(image, copy, locked):
+    loop = count_frames(copy)
+    scratch = np.empty(N_DOUBLES), np.empty(N_DOUBLES + 3, dtype=np.int64)
+    loop(0, image.values, image.words, *scratch)  # compile before the race
+    write_frames(0, image.values, image.words)
+    writer = multiprocessing.get_context("spawn").Process(
+        target=write_in_process, args=(image.name,)
+    )
+    writer.start()
+    whole, torn = loop(N_FRAMES, image.values, image.words, *scratch)
+    writer.join(30)
+    assert writer.exitcode == 0
+    assert whole > 1000
+    if locked:
+        assert torn == 0
+    else:
+        assert torn > 0, "the test would not notice a missing lock"
+
+
+def test_reader_in_another_process_finds_names_and_values(image):
+    frame = image.frame_values
+    frame[:] = np.arange(N_DOUBLES)
+    publish_frame(7, 123, image.values, image.words)
+    reader = ImageReader.attach(image.name)
+    latest = reader.latest()
+    assert (latest.tick, latest.planned_ns, latest.number) == (7, 123, 0)
+    assert latest.values.tolist() == list(range(N_DOUBLES))
+    assert reader.description["signals"][3]["name"] == "s3"
+    assert reader.frame(5) is None
+    with pytest.raises(ValueError, match="read-only"):
+        reader.values[0] = 1.0
+
+
+def test_no_frame_before_the_first(image):
+    assert image.latest() is None
