@@ -1,0 +1,93 @@
+"""What surrounds the plant in every tick: latch the inputs, publish the outputs, fail safely."""
+
+import math
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.compiled.atomics import load_acquire
+from hilserver.image.layout import (
+    W_BASE_PERIOD_NS,
+    W_FAULT,
+    W_FRAME_BASE,
+    W_HEARTBEAT,
+    W_HEARTBEAT_AGE,
+    W_HEARTBEAT_LIMIT,
+    W_HEARTBEAT_SEEN,
+    W_STATE,
+    W_STATUS_BASE,
+)
+from hilserver.image.queues import latch_rows
+from hilserver.image.requests import serve_request
+from hilserver.image.ring import publish_frame
+from hilserver.status import GOOD, UNCERTAIN
+
+COMMAND_SAFE = 2
+FAULT_COMMUNICATION = 3
+
+
+@kernel()
+def enter_safe(code: int, command_slot: int, values: Any, words: Any) -> None:
+    """Go to the safe state from the plant's side; the first fault number is kept."""
+    if words[W_FAULT] == 0:
+        words[W_FAULT] = code
+    values[words[W_FRAME_BASE] + command_slot] = COMMAND_SAFE
+
+
+@kernel()
+def _watch_heartbeat(command_slot: int, values: Any, words: Any) -> None:
+    beat = load_acquire(words, W_HEARTBEAT)
+    if beat != words[W_HEARTBEAT_SEEN]:
+        words[W_HEARTBEAT_SEEN] = beat
+        words[W_HEARTBEAT_AGE] = 0
+        return
+    words[W_HEARTBEAT_AGE] += 1
+    if words[W_HEARTBEAT_AGE] == words[W_HEARTBEAT_LIMIT]:
+        enter_safe(FAULT_COMMUNICATION, command_slot, values, words)
+
+
+@kernel()
+def latch(tick: int, command_slot: int, values: Any, words: Any) -> int:
+    """Serve a snapshot request, take the inputs of this tick, return the tick to execute."""
+    tick = serve_request(tick, words)
+    latch_rows(tick, values, words)
+    if words[W_HEARTBEAT_LIMIT] > 0:
+        _watch_heartbeat(command_slot, values, words)
+    return int(tick)
+
+
+@kernel()
+def publish(
+    tick: int,
+    planned_ns: int,
+    command_slot: int,
+    first_output: int,
+    n_outputs: int,
+    sim_slot: int,
+    values: Any,
+    words: Any,
+) -> int:
+    """Stamp the working frame and publish it.
+
+    Parameters
+    ----------
+    first_output, n_outputs : int
+        Slots whose quality is Uncertain in the safe state.
+    sim_slot : int
+        Slot of ``sim.tick``; ``sim.time_s`` and ``sim.state`` follow it.
+    """
+    frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
+    values[frame + sim_slot] = tick
+    values[frame + sim_slot + 1] = tick * (words[W_BASE_PERIOD_NS] * 1e-9)
+    values[frame + sim_slot + 2] = words[W_STATE]
+    if values[frame + command_slot] == COMMAND_SAFE:
+        for slot in range(first_output, first_output + n_outputs):
+            if words[status + slot] == GOOD:
+                words[status + slot] = UNCERTAIN
+    publish_frame(tick, planned_ns, values, words)
+    return 0
+
+
+@kernel()
+def quality(value: float) -> int:
+    """Return the status of an own block's output: what is not finite is Uncertain."""
+    return GOOD if math.isfinite(value) else UNCERTAIN
