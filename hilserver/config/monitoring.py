@@ -1,0 +1,56 @@
+"""The sections ``metrics:`` and ``logging:`` of the configuration."""
+
+from enum import StrEnum
+from ipaddress import ip_address
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from hilserver.config.timing import Section
+
+
+def _is_address(text: str) -> str:
+    try:
+        return str(ip_address(text))
+    except ValueError:
+        raise ValueError("write an IP address of this computer, for example 127.0.0.1") from None
+
+
+class MetricsConfig(Section):
+    """Where metrics and health are served; without a password, so on loopback by default."""
+
+    enabled: bool = Field(True, description="serve /metrics, /healthz and /readyz")
+    host: Annotated[str, AfterValidator(_is_address)] = Field(
+        "127.0.0.1",
+        description="address to listen on; everyone who reaches it can read all figures",
+    )
+    port: int = Field(9464, ge=0, le=65535, description="TCP port; 0 takes a free one")
+
+
+class LogLevel(StrEnum):
+    """Lines below this level are left out."""
+
+    DEBUG = "DEBUG"
+    INFO = "INFO"
+    WARNING = "WARNING"
+    ERROR = "ERROR"
+
+
+class LogFormat(StrEnum):
+    """How a line looks."""
+
+    AUTO = "auto"
+    CONSOLE = "console"
+    JSON = "json"
+
+
+class LoggingConfig(Section):
+    """What is logged to stderr, and how."""
+
+    level: LogLevel = Field(LogLevel.INFO, description="DEBUG, INFO, WARNING or ERROR")
+    format: LogFormat = Field(
+        LogFormat.AUTO, description="console, json, or auto: console on a terminal, else json"
+    )
+    repeat_window_s: float = Field(
+        10.0, ge=0, le=3600, description="a line that repeats is printed once in so many seconds"
+    )

@@ -1,0 +1,213 @@
+"""The endpoint of metrics and health: ``/metrics``, ``/healthz``, ``/readyz`` on the event loop.
+
+The client library's own server brings a thread per request and listens on every address. This one
+shares the daemon's loop and bounds everything a client can make it spend: the size of a request,
+the time to send it and to take the answer, the number of connections, and the work of rendering
+(an answer serves all scrapes of the next `RENDER_EVERY_S`).
+"""
+
+import asyncio
+import errno
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from http import HTTPStatus
+
+import structlog
+
+from hilserver.errors import FailedError
+from hilserver.monitoring.health import HealthSources, Verdict, alive, ready
+from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
+
+REQUEST_BYTES_MAX = 8192
+CONNECTIONS_MAX = 32
+TIMEOUT_S = 2.0
+LINGER_S = 0.2
+RENDER_EVERY_S = 0.05
+
+_MENDS = {
+    errno.EADDRINUSE: "end the program that uses it or set metrics.port to another one",
+    errno.EADDRNOTAVAIL: "set metrics.host to an address of this computer",
+    errno.EACCES: "set metrics.port to 1024 or more",
+}
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """An answer; `headers` besides those that every answer has."""
+
+    status: HTTPStatus
+    body: bytes
+    content_type: str = "text/plain; charset=utf-8"
+    headers: tuple[tuple[str, str], ...] = ()
+
+    def encode(self, *, is_head: bool = False) -> bytes:
+        """Return the bytes on the wire; a HEAD request gets the head alone."""
+        fields = (
+            ("Content-Type", self.content_type),
+            ("Content-Length", str(len(self.body))),
+            ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Connection", "close"),
+            *self.headers,
+        )
+        lines = [f"HTTP/1.1 {self.status.value} {self.status.phrase}"]
+        lines += [f"{name}: {value}" for name, value in fields]
+        head = "\r\n".join(lines).encode("latin-1") + b"\r\n\r\n"
+        return head if is_head else head + self.body
+
+
+class HttpServer:
+    """Serves metrics and health on one address.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Where to listen; port 0 takes a free one (see `port` after `start`).
+    render : callable
+        ``Metrics.render``: whether OpenMetrics is wanted -> (body, content type).
+    health : HealthSources
+        What the two probes judge.
+    clock_ns : callable
+        CLOCK_MONOTONIC [ns].
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 9464,
+        render: Callable[[bool], tuple[bytes, str]],
+        health: HealthSources,
+        timeout_s: float = TIMEOUT_S,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.host, self.port = host, port
+        self._render = render
+        self._health = health
+        self._timeout_s = timeout_s
+        self._clock_ns = clock_ns
+        self._server: asyncio.Server | None = None
+        self._connections: set[asyncio.Task[None]] = set()
+        self._rendered: dict[bool, tuple[int, Response]] = {}
+        self._routes: dict[str, Callable[[Request], Response]] = {
+            "/metrics": self._metrics,
+            "/healthz": lambda _: self._probe(alive(self._health, self._clock_ns())),
+            "/readyz": lambda _: self._probe(ready(self._health, self._clock_ns())),
+        }
+
+    @property
+    def url(self) -> str:
+        """Address of the metrics, for people."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}/metrics"
+
+    async def start(self) -> None:
+        """Listen; raise `FailedError` when the address cannot be used."""
+        try:
+            self._server = await asyncio.start_server(
+                self._accept, self.host, self.port, limit=REQUEST_BYTES_MAX
+            )
+        except OSError as error:
+            what = os.strerror(error.errno) if error.errno else str(error)
+            raise FailedError(
+                f"metrics: cannot listen on {self.host} port {self.port} ({what.lower()}); "
+                f"{_MENDS.get(error.errno or 0, 'check metrics.host and metrics.port')}"
+            ) from None
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        """Stop listening and end all connections."""
+        if self._server is None:
+            return
+        self._server.close()
+        for connection in self._connections:
+            connection.cancel()
+        await asyncio.gather(*self._connections, return_exceptions=True)
+        await self._server.wait_closed()
+        self._server = None
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._connections) >= CONNECTIONS_MAX:
+            writer.transport.abort()
+            return
+        task = asyncio.get_running_loop().create_task(self._serve(reader, writer))
+        self._connections.add(task)
+        task.add_done_callback(self._connections.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.transport.set_write_buffer_limits(high=0)  # drain then waits for the last byte
+        try:
+            answer = await self._answer(reader)
+            async with asyncio.timeout(self._timeout_s):
+                writer.write(answer)
+                await writer.drain()
+                await _linger(reader, writer)
+        except (OSError, TimeoutError, asyncio.IncompleteReadError):
+            pass  # it went away or does not read: there is nobody to tell
+        finally:
+            writer.transport.abort()
+
+    async def _answer(self, reader: asyncio.StreamReader) -> bytes:
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                head = await reader.readuntil(b"\r\n\r\n")
+            request = parse_request(head)
+            return self._respond(request).encode(is_head=request.is_head)
+        except TimeoutError:
+            reason = f"no complete request came within {self._timeout_s:g} s"
+            return Response(HTTPStatus.REQUEST_TIMEOUT, _sentence(reason)).encode()
+        except asyncio.LimitOverrunError:
+            reason = f"the head of a request may have {REQUEST_BYTES_MAX} bytes"
+            status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
+            return Response(status, _sentence(reason)).encode()
+        except RefusedRequestError as refused:
+            is_method = refused.status is HTTPStatus.METHOD_NOT_ALLOWED
+            headers = (("Allow", "GET, HEAD"),) if is_method else ()
+            return Response(refused.status, _sentence(str(refused)), headers=headers).encode()
+
+    def _respond(self, request: Request) -> Response:
+        route = self._routes.get(request.path)
+        if route is None:
+            known = ", ".join(self._routes)
+            return Response(HTTPStatus.NOT_FOUND, _sentence(f"there are {known}"))
+        try:
+            return route(request)
+        except Exception as error:  # noqa: BLE001 (one bad source)
+            _log.error("cannot answer", path=request.path, error=repr(error))
+            return Response(HTTPStatus.INTERNAL_SERVER_ERROR, _sentence(f"{request.path} failed"))
+
+    def _metrics(self, request: Request) -> Response:
+        now_ns = self._clock_ns()
+        is_openmetrics = "application/openmetrics-text" in request.accept
+        rendered_ns, response = self._rendered.get(is_openmetrics, (0, None))
+        if response is None or now_ns - rendered_ns >= RENDER_EVERY_S * 1e9:
+            body, content_type = self._render(is_openmetrics)
+            response = Response(HTTPStatus.OK, body, content_type)
+            self._rendered[is_openmetrics] = now_ns, response
+        return response
+
+    def _probe(self, verdict: Verdict) -> Response:
+        status = HTTPStatus.OK if verdict.ok else HTTPStatus.SERVICE_UNAVAILABLE
+        fields = {"ok": verdict.ok, "state": self._health.state(), "reason": verdict.reason}
+        return Response(status, json.dumps(fields).encode() + b"\n", "application/json")
+
+
+def _sentence(reason: str) -> bytes:
+    return reason.encode() + b"\n"
+
+
+async def _linger(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Read on for a moment: closing over unread bytes would reset the answer away."""
+    writer.write_eof()
+    try:
+        async with asyncio.timeout(LINGER_S):
+            for _ in range(16):
+                if not await reader.read(REQUEST_BYTES_MAX):
+                    return
+    except TimeoutError:
+        pass

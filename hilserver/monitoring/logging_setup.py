@@ -1,0 +1,296 @@
+"""Logging: one chain for our own lines and those of libraries.
+
+Readable on a terminal, one JSON object per line otherwise. A line that repeats is printed once per
+window and counted; the next one that passes says how many were left out::
+
+    overrun  cause=preempted slice=plant ...
+    overrun  cause=preempted slice=plant suppressed=1843 ...
+
+What libraries log through the standard library (asyncua, asyncio) takes the same way. An expected
+error is one line; a traceback means a defect.
+"""
+
+import asyncio
+import logging
+import re
+import sys
+import time
+from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass
+from typing import Any, Protocol, TextIO
+
+import structlog
+
+from hilserver.errors import UserError
+from hilserver.events import Event, EventKind
+
+EventDict = MutableMapping[str, Any]
+
+KEY_FIELDS = ("logger", "slice", "kind", "cause", "peer", "source", "signal", "reason", "path")
+KEYS_MAX = 1024
+TEXT_LENGTH_MAX = 2000
+EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
+LIBRARIES = ("asyncua", "asyncio")  # their INFO lines tell nothing to somebody who runs a robot
+_NUMBERS = re.compile(r"[-+]?\d+(?:\.\d+)?")
+
+
+class Overrun(Protocol):
+    """What a log line tells of an overrun."""
+
+    @property
+    def slice(self) -> str:
+        """Which slice."""
+
+    @property
+    def kind(self) -> str:
+        """``late_wake`` or ``long_run``."""
+
+    @property
+    def tick(self) -> int:
+        """At which tick."""
+
+    @property
+    def latency_ns(self) -> int:
+        """By how much [ns]."""
+
+    @property
+    def cause(self) -> str:
+        """Preempted, stolen, garbage collector, page fault, which block."""
+
+
+@dataclass(slots=True)
+class _Repeats:
+    text: str
+    begin_s: float
+    passed: int = 1
+    suppressed: int = 0
+
+
+class RepeatLimiter:
+    """A structlog processor that drops a line seen less than `window_s` ago, and counts it.
+
+    Two lines are the same when their texts, numbers aside, and the values of `KEY_FIELDS` are. A
+    line may carry ``repeat_allow``: so many of it pass per window (default 1). At most `KEYS_MAX`
+    different lines are remembered; beyond that the one not seen for longest is forgotten.
+
+    Parameters
+    ----------
+    window_s : float
+        How long [s] a line silences its repetitions; 0 lets everything pass.
+    clock_s : callable
+        A monotonic clock [s].
+
+    Attributes
+    ----------
+    suppressed : int
+        Lines dropped so far.
+    """
+
+    def __init__(self, window_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self.suppressed = 0
+        self._window_s = window_s
+        self._clock_s = clock_s
+        self._seen: dict[tuple[str, ...], _Repeats] = {}
+
+    def __call__(self, _logger: object, _method: str, event: EventDict) -> EventDict:
+        """Return `event`, with ``suppressed`` where lines were left out; or raise DropEvent."""
+        allowed = event.pop("repeat_allow", 1)
+        text = _NUMBERS.sub("#", str(event.get("event")))
+        key = (text, *(str(event.get(name)) for name in KEY_FIELDS))
+        now_s = self._clock_s()
+        repeats = self._seen.pop(key, None)
+        if repeats is None or now_s - repeats.begin_s >= self._window_s:
+            if repeats is not None and repeats.suppressed:
+                event["suppressed"] = repeats.suppressed
+            self._remember(key, _Repeats(text, now_s))
+            return event
+        self._seen[key] = repeats
+        if repeats.passed < allowed:
+            repeats.passed += 1
+            return event
+        repeats.suppressed += 1
+        self.suppressed += 1
+        raise structlog.DropEvent
+
+    def _remember(self, key: tuple[str, ...], repeats: _Repeats) -> None:
+        while len(self._seen) >= KEYS_MAX:
+            del self._seen[next(iter(self._seen))]
+        self._seen[key] = repeats
+
+    def take_finished(self, *, all_windows: bool = False) -> list[tuple[str, int]]:
+        """Return and forget (text, lines left out) of the windows that are over.
+
+        Called from time to time, it tells the end of a burst that no later line would tell.
+        """
+        now_s = self._clock_s()
+        over = {
+            key: repeats
+            for key, repeats in self._seen.items()
+            if all_windows or now_s - repeats.begin_s >= self._window_s
+        }
+        for key in over:
+            del self._seen[key]
+        return [(r.text, r.suppressed) for r in over.values() if r.suppressed]
+
+
+def setup_logging(
+    level: str = "INFO",
+    line_format: str = "auto",
+    repeat_window_s: float = 10.0,
+    stream: TextIO | None = None,
+    expected_errors: tuple[type[BaseException], ...] = (),
+    clock_s: Callable[[], float] = time.monotonic,
+) -> RepeatLimiter:
+    """Set up structlog and the standard library's logging; may be called again.
+
+    Parameters
+    ----------
+    level : str
+        DEBUG, INFO, WARNING or ERROR.
+    line_format : str
+        ``console``, ``json`` or ``auto``: console on a terminal.
+    stream : TextIO
+        Where lines go; stderr by default.
+    expected_errors : tuple of exception types
+        Told in one line, besides `EXPECTED_ERRORS`.
+
+    Returns
+    -------
+    RepeatLimiter
+        Hand it to `report_repeats` now and then.
+    """
+    out = sys.stderr if stream is None else stream
+    is_terminal = out.isatty()
+    is_console = line_format == "console" or (line_format == "auto" and is_terminal)
+    limiter = RepeatLimiter(repeat_window_s, clock_s)
+    render: list[Any] = [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
+    if is_console:
+        plain = structlog.dev.plain_traceback
+        render = [structlog.dev.ConsoleRenderer(colors=is_terminal, exception_formatter=plain)]
+    number = logging.getLevelNamesMapping()[level]
+    structlog.configure(
+        processors=[
+            _add_logger_name,
+            structlog.processors.add_log_level,
+            limiter,
+            _ExpectedErrors((*EXPECTED_ERRORS, *expected_errors)),
+            _printable,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            *render,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(number),
+        logger_factory=lambda *names: _StreamLogger(out, str(names[0]) if names else ""),
+        cache_logger_on_first_use=False,
+    )
+    logging.basicConfig(handlers=[_ToStructlog()], level=number, force=True)
+    for library in LIBRARIES:
+        logging.getLogger(library).setLevel(max(number, logging.WARNING))
+    return limiter
+
+
+def report_repeats(limiter: RepeatLimiter, *, at_end: bool = False) -> None:
+    """Log what was left out in windows that are over; `at_end`: in all of them."""
+    log = structlog.get_logger(__name__)
+    for text, suppressed in limiter.take_finished(all_windows=at_end):
+        log.info("repeated lines left out", reason=text, suppressed=suppressed)
+
+
+def log_overrun(overrun: Overrun) -> None:
+    """Log an overrun with its cause."""
+    structlog.get_logger("hilserver.scheduler").warning(
+        "overrun",
+        slice=overrun.slice,
+        kind=str(overrun.kind),
+        cause=overrun.cause,
+        tick=overrun.tick,
+        latency_us=round(overrun.latency_ns / 1000, 1),
+    )
+
+
+_ALWAYS_TOLD = {EventKind.STATE, EventKind.SAFE_STATE, EventKind.PEER_LOST, EventKind.PEER_RESTORED}
+
+
+def log_event(event: Event) -> None:
+    """Log an event of the bus; overruns have their own line with more figures (`log_overrun`)."""
+    if event.kind is EventKind.OVERRUN:
+        return
+    log = structlog.get_logger("hilserver.events")
+    write = (
+        log.error if event.severity >= 700 else log.warning if event.severity >= 300 else log.info
+    )
+    allowed = 20 if event.kind in _ALWAYS_TOLD else 1
+    write(event.message, kind=str(event.kind), source=event.source, repeat_allow=allowed)
+
+
+class _StreamLogger:
+    """Writes finished lines; a stream that is gone must not stop the robot."""
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        self.name = name
+        self._stream = stream
+
+    def msg(self, line: str) -> None:
+        try:
+            self._write(line)
+        except (OSError, ValueError):
+            return
+
+    debug = info = warning = error = critical = exception = log = msg
+
+    def _write(self, line: str) -> None:
+        encoding = getattr(self._stream, "encoding", None) or "utf-8"
+        self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+        self._stream.flush()
+
+
+class _ToStructlog(logging.Handler):
+    """Hands records of the standard library to structlog."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            text = record.getMessage()
+        except Exception:  # noqa: BLE001 (wrong arguments of a library)
+            text = str(record.msg)
+        standard = min(max(record.levelno // 10 * 10, logging.DEBUG), logging.CRITICAL)
+        structlog.get_logger(record.name).log(standard, text, exc_info=record.exc_info or None)
+
+
+class _ExpectedErrors:
+    """Replaces the traceback of an expected error by its sentence."""
+
+    def __init__(self, kinds: tuple[type[BaseException], ...]) -> None:
+        self._kinds = kinds
+
+    def __call__(self, _logger: object, _method: str, event: EventDict) -> EventDict:
+        info = event.pop("exc_info", None)
+        if info is True:
+            info = sys.exc_info()
+        error = info[1] if isinstance(info, tuple) else info
+        if isinstance(error, self._kinds):
+            event["error"] = f"{type(error).__name__}: {error}".removesuffix(": ")
+        elif error:
+            event["exc_info"] = error
+        return event
+
+
+def _add_logger_name(logger: Any, _method: str, event: EventDict) -> EventDict:
+    name = getattr(logger, "name", "")
+    if name:
+        event["logger"] = name
+    return event
+
+
+def _printable(_logger: object, _method: str, event: EventDict) -> EventDict:
+    """Bound every text and escape what could forge lines or steer a terminal."""
+    for name, value in event.items():
+        if isinstance(value, str):
+            event[name] = _escape(value)
+    return event
+
+
+def _escape(text: str) -> str:
+    if len(text) > TEXT_LENGTH_MAX:
+        text = f"{text[:TEXT_LENGTH_MAX]}... ({len(text) - TEXT_LENGTH_MAX} characters more)"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

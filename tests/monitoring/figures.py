@@ -1,0 +1,90 @@
+"""Plain figures that stand in for a daemon: what the sources are, not what they do."""
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.histogram import N_BUCKETS, Histogram125
+from hilserver.monitoring.metrics_sources import MetricsSources
+from hilserver.scheduler.statistics import SliceFigures, Window
+
+SLICES = ("plant", "sensors", "publish", "supervise", "own")
+
+
+def zeros() -> NDArray[np.int64]:
+    return np.zeros(N_BUCKETS, dtype=np.int64)
+
+
+def slice_figures(name: str, **figures: object) -> SliceFigures:
+    """The scheduler's own record of a slice, all zero but for `figures`."""
+    numbers = dict.fromkeys(
+        (f for f in SliceFigures.__dataclass_fields__ if f not in {"name", "window"}), 0
+    )
+    histograms = {"latency_counts": zeros(), "execution_counts": zeros()}
+    window = Window(0, math.nan, math.nan, math.nan, math.nan)
+    unknown = {"margin_min_ns": None, "window": window}
+    return SliceFigures(**{"name": name, **numbers, **histograms, **unknown, **figures})
+
+
+@dataclass
+class Peer:
+    name: str
+    connected: bool = False
+    reconnects: int = 0
+    round_trip: Histogram125 = field(default_factory=Histogram125)
+    one_way: Histogram125 = field(default_factory=Histogram125)
+    interval: Histogram125 = field(default_factory=Histogram125)
+    clock_offset_s: float | None = None
+    fault_counts: Counter[str] = field(default_factory=Counter)
+
+
+class FakeDaemon:
+    """Everything a scrape reads, settable."""
+
+    def __init__(self) -> None:
+        self.slices = {name: slice_figures(name) for name in SLICES}
+        self.state = "starting"
+        self.realtime_factor = math.nan
+        self.peers = [Peer("iot2050")]
+        self.input_ages_s: dict[str, float] = {}
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.end_to_end = Histogram125()
+        self.gc_pause = Histogram125()
+        self.model_gap: dict[str, float] = {}
+        self.audit: dict[str, bool] = {}
+
+    def sources(self) -> MetricsSources:
+        return MetricsSources(
+            slices=lambda: self.slices,
+            state=lambda: self.state,
+            realtime_factor=lambda: self.realtime_factor,
+            peers=lambda: self.peers,
+            input_ages_s=lambda: self.input_ages_s,
+            rejected=lambda: self.rejected,
+            end_to_end=self.end_to_end,
+            gc_pause=self.gc_pause,
+            model_gap=lambda: self.model_gap,
+            audit=lambda: self.audit,
+            kernel_hash="0123456789abcdef",
+        )
+
+    def fill(self) -> None:
+        """Set everything that a daemon in its default configuration can ever show."""
+        window = Window(1000, 30e3, 9e3, 5e3, 80e3)
+        self.slices = {
+            name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES
+        }
+        self.state = "running"
+        self.realtime_factor = 1.0
+        peer = self.peers[0]
+        peer.connected, peer.clock_offset_s = True, 0.002
+        for kind in ("nan_with_good", "frozen_source_timestamp", "type_mismatch"):
+            peer.fault_counts[kind] = 1
+        for source in ("opcua", "peer:iot2050"):
+            self.input_ages_s[source] = 0.01
+            for reason in range(7):
+                self.rejected[source, f"reason_{reason}"] = 1
+        self.audit = {f"item_{number}": True for number in range(12)}
