@@ -1,4 +1,4 @@
-"""What is known about one OPC UA peer: filled by its link, read by page, metrics and OPC UA server."""
+"""What is known about one OPC UA peer: filled by its link, read by everyone who shows it."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -34,6 +34,8 @@ class PeerStatus:
         Why this mode, in words.
     stale : bool
         Inputs are older than `stale_after_ms`, or the peer was never heard.
+    last_connect_ns : int or None
+        CLOCK_MONOTONIC [ns] of the newest session.
     reconnects : int
         Sessions after the first one.
     failed_attempts : int
@@ -69,6 +71,7 @@ class PeerStatus:
     mode: str = ""
     mode_reason: str = ""
     stale: bool = True
+    last_connect_ns: int | None = None
     reconnects: int = 0
     failed_attempts: int = 0
     last_error: str = ""
@@ -87,7 +90,7 @@ class PeerStatus:
     fault_counts: Counter[str] = field(default_factory=Counter)
 
     def input_age_s(self, now_ns: int) -> float | None:
-        """Return the age [s] of the oldest input at `now_ns` [CLOCK_MONOTONIC ns]; None: no input."""
+        """Return the age [s] of the oldest input at `now_ns` (CLOCK_MONOTONIC); None: no input."""
         if not self.input_received_ns:
             return None
         return (now_ns - min(self.input_received_ns.values())) * 1e-9

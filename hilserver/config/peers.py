@@ -1,0 +1,263 @@
+"""The `peers:` section: OPC UA servers whose values we read and to which we write.
+
+A node is named ``nsu=<namespace URI>;s=<name>`` (looked up again at every connect, because a server
+may number its namespaces anew after a restart) or ``ns=<index>;s=<name>``.
+"""
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
+from urllib.parse import urlsplit
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+_NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
+
+
+@dataclass(frozen=True, slots=True)
+class NodeAddress:
+    """A node id whose namespace may still be a URI.
+
+    Attributes
+    ----------
+    namespace_uri : str or None
+        From ``nsu=``, with ``%3B`` and ``%25`` decoded; None when the index is given.
+    namespace_index : int or None
+        From ``ns=``.
+    identifier : str
+        The rest, ``s=name``, ``i=number``, ``g=guid`` or ``b=base64``.
+    """
+
+    namespace_uri: str | None
+    namespace_index: int | None
+    identifier: str
+
+    @classmethod
+    def parse(cls, text: str) -> "NodeAddress":
+        """Parse `text`; ValueError with one sentence when it names no node."""
+        match = _NODE.match(text)
+        if match is None:
+            raise ValueError(
+                f"'{text}' is no node id: write nsu=<namespace URI>;s=<name> or ns=<index>;s=<name>"
+            )
+        identifier = match["identifier"]
+        if identifier.startswith("i=") and not identifier[2:].isdecimal():
+            raise ValueError(f"'{text}' is no node id: i= needs a number")
+        uri = match["uri"]
+        return cls(
+            namespace_uri=uri.replace("%3B", ";").replace("%25", "%") if uri else None,
+            namespace_index=int(match["index"]) if match["index"] else None,
+            identifier=identifier,
+        )
+
+
+def _check_node(text: str) -> str:
+    NodeAddress.parse(text)
+    return text
+
+
+def _check_endpoint(text: str) -> str:
+    try:
+        parts = urlsplit(text)
+        complete = parts.scheme == "opc.tcp" and parts.hostname and parts.port
+    except ValueError:
+        complete = False
+    if not complete:
+        raise ValueError(f"'{text}' is no endpoint: write opc.tcp://<host>:<port>/<path>")
+    if "@" in parts.netloc:
+        raise ValueError("an endpoint carries no user name or password")
+    return text
+
+
+def _none_is_a_policy(value: object) -> object:
+    return "None" if value is None else value
+
+
+NodeId = Annotated[str, AfterValidator(_check_node)]
+Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PeerSecurity(_Section):
+    """How the link is protected.
+
+    Attributes
+    ----------
+    policy : str
+        OPC UA security policy; only ``None`` can be used by this version.
+    certificate, private_key : Path or None
+        Our own certificate and key; reserved.
+    peer_certificate : Path or None
+        The certificate that the peer must show; reserved.
+    """
+
+    policy: Annotated[
+        Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"],
+        BeforeValidator(_none_is_a_policy),
+    ] = "None"
+    certificate: Path | None = None
+    private_key: Path | None = None
+    peer_certificate: Path | None = None
+
+    @model_validator(mode="after")
+    def _only_what_works(self) -> "PeerSecurity":
+        if self.policy != "None":
+            raise ValueError(
+                f"policy {self.policy} is not available to clients in this version: use None"
+            )
+        if self.certificate or self.private_key or self.peer_certificate:
+            raise ValueError("certificates are without effect while policy is None: remove them")
+        return self
+
+
+class PeerConfig(_Section):
+    """One peer.
+
+    Attributes
+    ----------
+    mode : {"auto", "subscribe", "poll"}
+        ``auto`` subscribes first and polls when the peer grants or keeps too slow a rate.
+    publishing_ms, sampling_ms : float
+        Asked for; the peer decides, what it granted is read back.
+    poll_ms : float
+        Period of the multi-read when polling.
+    stale_after_ms : float
+        Inputs older than this are stale.
+    on_stale : {"hold", "zero", "ramp"}
+        What happens to the set-points then.
+    read : dict
+        Their node -> our input signal.
+    sequence_node : str or None
+        Their counter; tells a living controller from a server that merely answers.
+    write : dict
+        Our output signal -> their node.
+    write_every_ms : float
+        Period of the multi-write.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    endpoint: Endpoint
+    security: PeerSecurity = PeerSecurity()
+    mode: Literal["auto", "subscribe", "poll"] = "auto"
+    publishing_ms: Milliseconds = 50
+    sampling_ms: Annotated[float, Field(ge=0, le=3_600_000)] = 0
+    poll_ms: Annotated[float, Field(ge=1, le=3_600_000)] = 10
+    stale_after_ms: Milliseconds = 500
+    on_stale: Literal["hold", "zero", "ramp"] = "ramp"
+    read: Annotated[dict[NodeId, str], Field(max_length=1000)] = {}
+    sequence_node: NodeId | None = None
+    write: Annotated[dict[str, NodeId], Field(max_length=1000)] = {}
+    write_every_ms: Annotated[float, Field(ge=1, le=3_600_000)] = 20
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "PeerConfig":
+        if not self.read and not self.write:
+            raise ValueError(f"peer '{self.name}' reads and writes nothing: fill read or write")
+        for what, names in (("read", self.read.values()), ("write", self.write.values())):
+            twice = _first_duplicate(names)
+            if twice is not None:
+                raise ValueError(f"{what} of peer '{self.name}' names '{twice}' twice")
+        slowest_ms = self.poll_ms if self.mode == "poll" else self.publishing_ms
+        if self.read and self.stale_after_ms < 2 * slowest_ms:
+            raise ValueError(
+                f"stale_after_ms of peer '{self.name}' must be at least twice the interval at which"
+                f" values come ({slowest_ms:g} ms), so at least {2 * slowest_ms:g}"
+            )
+        return self
+
+
+class _SignalLike(Protocol):
+    @property
+    def writable(self) -> bool: ...
+
+
+class _TableLike(Protocol):
+    def __contains__(self, name: object) -> bool: ...
+    def __getitem__(self, name: str) -> _SignalLike: ...
+    def __iter__(self) -> Iterator[object]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SignalProblem:
+    """A signal of a peer that does not fit the table.
+
+    Attributes
+    ----------
+    location : tuple of str
+        Keys below the peer, e.g. ``("read", "ns=1;s=x")``.
+    message : str
+        One sentence.
+    """
+
+    location: tuple[str, ...]
+    message: str
+
+
+def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
+    """Compare the signal names of `peer` with the signal table.
+
+    Parameters
+    ----------
+    table : SignalTable
+        Anything with the signal names as keys and ``writable`` on its signals.
+
+    Returns
+    -------
+    list of SignalProblem
+        Empty when every name fits.
+    """
+    problems = []
+    for node, signal in peer.read.items():
+        if signal not in table:
+            problems.append(SignalProblem(("read", node), _unknown(signal, table)))
+        elif not table[signal].writable:
+            problems.append(
+                SignalProblem(("read", node), f"'{signal}' is an output, so no peer can set it")
+            )
+    for signal in peer.write:
+        if signal not in table:
+            problems.append(SignalProblem(("write", signal), _unknown(signal, table)))
+        elif table[signal].writable:
+            problems.append(
+                SignalProblem(("write", signal), f"'{signal}' is an input: write sends outputs")
+            )
+    return problems
+
+
+def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
+    """Return the names that two peers share, and inputs that two peers would set."""
+    problems = []
+    twice = _first_duplicate(peer.name for peer in peers)
+    if twice is not None:
+        problems.append(SignalProblem((twice, "name"), f"two peers have the name '{twice}'"))
+    owner: dict[str, str] = {}
+    for peer in peers:
+        for node, signal in peer.read.items():
+            other = owner.setdefault(signal, peer.name)
+            if other != peer.name:
+                message = f"'{signal}' is set by two peers, '{other}' and '{peer.name}'"
+                problems.append(SignalProblem((peer.name, "read", node), message))
+    return problems
+
+
+def _unknown(signal: str, table: _TableLike) -> str:
+    names = [str(getattr(item, "name", item)) for item in table]
+    close = difflib.get_close_matches(signal, names, n=1)
+    hint = f": did you mean '{close[0]}'?" if close else ": see 'hilserver signals'"
+    return f"there is no signal '{signal}'{hint}"
+
+
+def _first_duplicate(names: Iterable[str]) -> str | None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None

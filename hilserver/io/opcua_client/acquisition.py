@@ -1,0 +1,186 @@
+"""How values come in: subscribed, polled, or subscribed first and polled if that is too slow.
+
+``auto`` leaves the subscription when the peer samples or publishes slower than asked for, or when
+more than a twentieth of the sequence numbers do not arrive within two seconds. It then polls until
+the next connect.
+"""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+
+import structlog
+from asyncua import ua
+
+from hilserver.config.peers import PeerConfig
+from hilserver.io.opcua_client.intake import Intake
+from hilserver.io.opcua_client.session import LinkLostError, Session, read_request
+from hilserver.io.opcua_client.subscription import Grant, Subscription
+from hilserver.io.peer_status import PeerStatus
+
+WINDOW_S = 2.0
+MISSED_SHARE_MAX = 0.05
+SLOWER_THAN_ASKED = 1.5
+LOOK_AGAIN_S = 1.0
+
+_log = structlog.get_logger(__name__)
+
+
+def too_slow(grant: Grant, *, publishing_ms: float, poll_ms: float) -> str:
+    """Return in words why what was granted is too slow; empty when it is not.
+
+    Parameters
+    ----------
+    publishing_ms, poll_ms : float
+        The publishing interval asked for and the period polling would have.
+    """
+    limit_ms = max(publishing_ms, poll_ms)
+    if grant.sampling_ms > max(limit_ms, grant.publishing_ms):
+        return f"the peer samples every {grant.sampling_ms:g} ms"
+    if grant.publishing_ms > SLOWER_THAN_ASKED * limit_ms:
+        return f"the peer publishes every {grant.publishing_ms:g} ms instead of {publishing_ms:g}"
+    return ""
+
+
+def too_many_missed(received: int, missed: int) -> str:
+    """Return in words why the observed rate is too slow; empty when it is not."""
+    if missed <= MISSED_SHARE_MAX * (received + missed):
+        return ""
+    return f"{missed} of {received + missed} sequence numbers did not arrive"
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """Brings the samples of one session to the intake.
+
+    Attributes
+    ----------
+    report_slow : callable
+        Takes a sentence when the peer grants less than was asked for.
+    """
+
+    session: Session
+    config: PeerConfig
+    status: PeerStatus
+    intake: Intake
+    report_slow: Callable[[str], None]
+
+    @property
+    def nodes(self) -> list[str]:
+        """Every node that is read."""
+        extra = [self.config.sequence_node] if self.config.sequence_node else []
+        return list(dict.fromkeys([*self.config.read, *extra]))
+
+    async def run(self) -> None:
+        """Bring samples until the session ends."""
+        if not self.nodes:
+            return
+        reason = "as configured"
+        if self.config.mode != "poll":
+            reason = await self._subscribe()
+            self.report_slow(f"{reason}: polling every {self.config.poll_ms:g} ms instead")
+        await self._poll(reason)
+
+    async def _subscribe(self) -> str:
+        """Stay subscribed; return, in mode auto, why polling is better."""
+        config, intake = self.config, self.intake
+        subscription = Subscription(self.session, intake, poll_ms=config.poll_ms)
+        grant = await subscription.create(
+            publishing_ms=config.publishing_ms,
+            sampling_ms=config.sampling_ms,
+            keep_alive_ms=config.stale_after_ms / 3,
+        )
+        missing = await subscription.add(self.nodes)
+        grant = subscription.grant
+        self._enter("subscribe", "as configured" if config.mode == "subscribe" else "fast enough")
+        while True:
+            self.status.granted_publishing_ms = grant.publishing_ms
+            self.status.granted_sampling_ms = grant.sampling_ms
+            slow = too_slow(grant, publishing_ms=config.publishing_ms, poll_ms=config.poll_ms)
+            if slow and config.mode == "auto":
+                await subscription.delete()
+                return slow
+            if slow:
+                self.report_slow(f"{slow}, and mode is subscribe")
+            slow = await self._observe(subscription, WINDOW_S if not missing else LOOK_AGAIN_S)
+            if slow:
+                await subscription.delete()
+                return slow
+            if missing:
+                missing = await subscription.add(missing)
+                grant = subscription.grant
+
+    async def _observe(self, subscription: Subscription, duration_s: float) -> str:
+        """Watch the running subscription for a while; return why it is too slow, or nothing."""
+        received, missed = self.status.sequence_received, self.status.sequence_missed
+        await asyncio.sleep(duration_s)
+        if subscription.silent():
+            raise LinkLostError("the subscription fell silent")
+        slow = too_many_missed(
+            self.status.sequence_received - received, self.status.sequence_missed - missed
+        )
+        if slow and self.config.mode == "subscribe":
+            self.report_slow(f"{slow}, and mode is subscribe")
+            return ""
+        return slow
+
+    def _enter(self, mode: str, reason: str) -> None:
+        self.status.mode, self.status.mode_reason = mode, reason
+        _log.info("peer mode", peer=self.config.name, mode=mode, reason=reason)
+
+    async def _poll(self, reason: str) -> None:
+        self._enter("poll", reason)
+        names: list[str] = []
+        request = ua.ReadParameters()
+        look_again_at = 0.0
+
+        async def cycle() -> None:
+            nonlocal names, request, look_again_at
+            if time.monotonic() >= look_again_at:
+                names, nodes = await self._resolved()
+                request = read_request(nodes, ua.AttributeIds.Value)
+                complete = len(names) == len(self.nodes)
+                look_again_at = float("inf") if complete else time.monotonic() + LOOK_AGAIN_S
+            if names:
+                values = await self.session.read(request)
+                samples = zip(names, values, strict=True)
+                self.intake.receive(samples, time.monotonic_ns())
+
+        await every(self.config.poll_ms / 1000, cycle)
+
+    async def _resolved(self) -> tuple[list[str], list[ua.NodeId]]:
+        found = await self.session.resolve(self.nodes)
+        now_ns = time.monotonic_ns()
+        for name, node in found.items():
+            if node is None:
+                self.intake.missing(name, "the peer does not know its namespace", now_ns)
+        return _split([(name, node) for name, node in found.items() if node is not None])
+
+
+def _split(pairs: Sequence[tuple[str, ua.NodeId]]) -> tuple[list[str], list[ua.NodeId]]:
+    return [name for name, _ in pairs], [node for _, node in pairs]
+
+
+async def every(
+    period_s: float,
+    cycle: Callable[[], Awaitable[None]],
+    skipped: Callable[[int], None] = lambda _count: None,
+) -> None:
+    """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
+
+    Parameters
+    ----------
+    skipped : callable
+        Takes the number of deadlines left out.
+    """
+    loop = asyncio.get_running_loop()
+    deadline = loop.time()
+    while True:
+        await cycle()
+        deadline += period_s
+        late = int((loop.time() - deadline) / period_s)
+        if late > 0:
+            deadline += late * period_s
+            skipped(late)
+        await asyncio.sleep(max(0.0, deadline - loop.time()))

@@ -1,0 +1,54 @@
+"""What is wrong with a peer: told when it begins, kept while it lasts, told when it ends."""
+
+from collections.abc import Callable
+
+import structlog
+
+from hilserver.events import Event, EventKind
+from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.peer_status import PeerStatus
+
+HOLD_NS = 5_000_000_000
+"""A fault that was not seen again for so long has ended."""
+
+FAULTS_MAX = 64
+"""More different faults than this are counted but not listed."""
+
+_log = structlog.get_logger(__name__)
+
+
+class FaultBook:
+    """Keeps `PeerStatus.faults`; a fault that flickers is one fault.
+
+    Parameters
+    ----------
+    publish : callable
+        Takes every `Event`.
+    """
+
+    def __init__(self, status: PeerStatus, publish: Callable[[Event], None]) -> None:
+        self._status = status
+        self._publish = publish
+        self._seen_ns: dict[str, int] = {}
+
+    def report(self, kind: FaultKind, subject: str, sentence: str, now_ns: int) -> None:
+        """Note that `kind` was seen at `subject` (a node or signal)."""
+        self._status.fault_counts[kind] += 1
+        key = f"{kind}:{subject}"
+        known = key in self._seen_ns
+        if not known and len(self._seen_ns) >= FAULTS_MAX:
+            return
+        self._seen_ns[key] = now_ns
+        if known:
+            return
+        self._status.faults[key] = sentence
+        _log.warning("peer fault", peer=self._status.name, fault=str(kind), what=sentence)
+        message = f"peer {self._status.name}: {sentence}"
+        self._publish(Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns))
+
+    def expire(self, now_ns: int) -> None:
+        """End the faults that have not been seen for `HOLD_NS`."""
+        for key in [k for k, seen_ns in self._seen_ns.items() if now_ns - seen_ns > HOLD_NS]:
+            del self._seen_ns[key]
+            sentence = self._status.faults.pop(key)
+            _log.info("peer fault ended", peer=self._status.name, what=sentence)

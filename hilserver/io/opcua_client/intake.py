@@ -1,0 +1,211 @@
+"""From samples to one group for the input gate: judged, counted, named, handed over together.
+
+Every group is the complete picture of what the peer commands, not only what changed: after a
+hand-over of control or a reset a constant set-point is there again with the next cycle. Where the
+peer has a counter, a batch without a newer number brings nothing in.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
+
+from asyncua import ua
+
+from hilserver.config.peers import PeerConfig
+from hilserver.inputs import Refusal
+from hilserver.io.opcua_client.faults import FaultBook
+from hilserver.io.opcua_client.latency import ClockOffset, StampWatch, one_way_ns
+from hilserver.io.opcua_client.staleness import Staleness
+from hilserver.io.opcua_client.stamps import utc_ns_of
+from hilserver.io.opcua_client.validation import FaultKind, SequenceWatch, Verdict, judge
+from hilserver.io.peer_status import PeerStatus
+
+SEQUENCE_SIGNAL = "input.sequence"
+CONTROL_RETRY_NS = 500_000_000
+"""While another source commands, a peer asks no more often than this."""
+
+REPEATS_TOLERATED = 3
+"""So many batches may change values under one sequence number before it is called repeating."""
+
+
+class Gate(Protocol):
+    """The input gate, as the link sees it."""
+
+    def write(self, source: str, values: Mapping[str, object]) -> Mapping[str, Refusal]:
+        """Take one group; return signal -> reason for what was refused."""
+        ...
+
+
+class Intake:
+    """Takes the batches of one peer, whoever brought them.
+
+    Parameters
+    ----------
+    utc_ns : callable
+        CLOCK_MONOTONIC [ns] -> UTC [ns].
+    """
+
+    def __init__(
+        self,
+        config: PeerConfig,
+        status: PeerStatus,
+        gate: Gate,
+        staleness: Staleness,
+        faults: FaultBook,
+        utc_ns: Callable[[int], int],
+    ) -> None:
+        self._signals = config.read
+        self._sequence_node = config.sequence_node
+        self._stamped_node = config.sequence_node
+        self._sends_sequence = SEQUENCE_SIGNAL not in config.read.values()
+        self._source = f"peer:{config.name}"
+        self._status = status
+        self._gate = gate
+        self._staleness = staleness
+        self._faults = faults
+        self._utc_ns = utc_ns
+        self._pause_until_ns = 0
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Forget what only holds within one session: counters, stamps and values start anew."""
+        self.sequence = SequenceWatch()
+        self.offset = ClockOffset()
+        self._stamps = StampWatch()
+        self._picture: dict[str, object] = {}
+        self._refused: dict[str, object] = {}
+        self._last_values: dict[str, object] = {}
+        self._news_ns: int | None = None
+        self._repeats = 0
+
+    def expect(self, nodes: Iterable[str], now_ns: int) -> None:
+        """Hold every input as unusable until its first good sample."""
+        for node in nodes:
+            self._staleness.unusable(self._signals.get(node, node), now_ns)
+
+    def missing(self, node: str, why: str, now_ns: int) -> None:
+        """Name a node that the peer does not have (yet)."""
+        self._faults.report(FaultKind.MISSING_NODE, node, f"{node} is not there: {why}", now_ns)
+        self._drop(node, now_ns)
+
+    def receive(self, samples: Iterable[tuple[str, ua.DataValue]], now_ns: int) -> None:
+        """Take one batch that arrived at `now_ns` (CLOCK_MONOTONIC).
+
+        Parameters
+        ----------
+        samples : iterable of (node, DataValue)
+            Oldest first; empty for a keep-alive, which attests that nothing changed.
+        """
+        advanced = self._sequence_node is None
+        news = changed = False
+        for node, sample in samples:
+            verdict = judge(sample)
+            is_new, has_changed = self._compare(node, sample, verdict.value)
+            self._judge_stamp(node, sample, verdict, now_ns)
+            news |= is_new
+            if verdict.fault is not None:
+                sentence = f"{node}: {verdict.detail}"
+                self._faults.report(verdict.fault, node, sentence, now_ns)
+                self._drop(node, now_ns)
+                continue
+            self._staleness.usable(self._signals.get(node, node))
+            if node == self._sequence_node:
+                advanced |= self._count(verdict, now_ns)
+            else:
+                changed |= has_changed
+            if node in self._signals:
+                self._keep(node, verdict.value)
+        if news:
+            self._observe_interval(now_ns)
+        if advanced:
+            self._repeats = 0
+            self._hand_over(now_ns)
+        elif changed:
+            self._watch_repeats(now_ns)
+
+    def _compare(self, node: str, sample: ua.DataValue, value: object) -> tuple[bool, bool]:
+        """Return (value or stamp is new, value has changed) and remember both."""
+        before = self._last_values.get(node)
+        now = (sample.SourceTimestamp, value)
+        self._last_values[node] = now
+        if not isinstance(before, tuple):
+            return True, False
+        return now != before, value is not None and value != before[1]
+
+    def _keep(self, node: str, value: object) -> None:
+        signal = self._signals[node]
+        if signal in self._refused and self._refused[signal] == value:
+            return
+        self._refused.pop(signal, None)
+        self._picture[signal] = value
+
+    def _drop(self, node: str, now_ns: int) -> None:
+        signal = self._signals.get(node, node)
+        self._picture.pop(signal, None)
+        self._staleness.unusable(signal, now_ns)
+
+    def _count(self, verdict: Verdict, now_ns: int) -> bool:
+        value = verdict.value
+        if not isinstance(value, int | float) or value != int(value):
+            sentence = f"{self._sequence_node}: {value!r} is no counter"
+            self._faults.report(FaultKind.SEQUENCE_JUMP, str(self._sequence_node), sentence, now_ns)
+            return False
+        before = self.sequence.last
+        step = self.sequence.observe(int(value) % 2**32)
+        if step.fault is not None:
+            sentence = f"the sequence counter jumped from {before} to {int(value)}"
+            self._faults.report(step.fault, str(self._sequence_node), sentence, now_ns)
+        if step.advanced:
+            self._status.sequence_received += 1
+            self._status.sequence_missed += step.missed
+            if self._sends_sequence:
+                self._picture[SEQUENCE_SIGNAL] = int(value) % 2**32
+        return step.advanced
+
+    def _judge_stamp(self, node: str, sample: ua.DataValue, verdict: Verdict, now_ns: int) -> None:
+        stamp_ns = utc_ns_of(sample.SourceTimestamp)
+        stamp = self._stamps.observe(node, stamp_ns, verdict.value)
+        if stamp.fault is not None:
+            sentence = {
+                "frozen_stamp": f"the SourceTimestamp of {node} stands still while values change",
+                "stamp_backwards": f"the SourceTimestamp of {node} went backwards",
+            }[stamp.fault]
+            self._faults.report(FaultKind(stamp.fault), node, sentence, now_ns)
+        counts = self._stamped_node in (None, node)
+        offset_ns = self.offset.offset_ns
+        if not (stamp.advanced and counts) or stamp_ns is None or offset_ns is None:
+            return
+        latency_ns = one_way_ns(stamp_ns, self._utc_ns(now_ns), offset_ns)
+        tolerance_ns = 1_000_000 + (self.offset.uncertainty_ns or 0)
+        if latency_ns < -tolerance_ns:
+            sentence = f"the SourceTimestamp of {node} is {-latency_ns / 1e6:.0f} ms ahead"
+            self._faults.report(FaultKind.STAMP_AHEAD, node, sentence, now_ns)
+            return
+        self._status.one_way.observe(max(latency_ns, 0))
+
+    def _observe_interval(self, now_ns: int) -> None:
+        if self._news_ns is not None:
+            self._status.interval.observe(now_ns - self._news_ns)
+        self._news_ns = now_ns
+
+    def _hand_over(self, now_ns: int) -> None:
+        self._staleness.heard(now_ns)
+        self._status.input_received_ns.update(dict.fromkeys(self._picture, now_ns))
+        if not self._picture or now_ns < self._pause_until_ns:
+            return
+        refusals = self._gate.write(self._source, self._picture)
+        for signal, reason in refusals.items():
+            if reason == Refusal.NOT_IN_CONTROL:
+                self._pause_until_ns = now_ns + CONTROL_RETRY_NS
+            if reason in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL):
+                continue
+            value = self._picture.pop(signal)
+            self._refused[signal] = value
+            sentence = f"{signal} = {value!r} was refused: {reason}"
+            self._faults.report(FaultKind.REFUSED_VALUE, signal, sentence, now_ns)
+
+    def _watch_repeats(self, now_ns: int) -> None:
+        self._repeats += 1
+        if self._repeats > REPEATS_TOLERATED:
+            sentence = f"values change while {self._sequence_node} repeats {self.sequence.last}"
+            node = str(self._sequence_node)
+            self._faults.report(FaultKind.SEQUENCE_REPEATS, node, sentence, now_ns)

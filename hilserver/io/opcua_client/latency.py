@@ -1,0 +1,136 @@
+"""Clock offset and one-way latency from what a peer tells about its time: pure, on nanoseconds.
+
+The offset comes from pairs of reads of ServerStatus.CurrentTime, NTP's way: the read with the
+smallest uncertainty counts. Some servers keep CurrentTime in steps (asyncua: one second), and a
+value that is up to a step old says nothing. Two reads in a row tell the two kinds apart::
+
+    fresh clock:    |--read--|  |--read--|      advance of the clock = time between the reads
+                        t1          t2          offset = t2 - middle of the second read
+
+    stepped clock:  |--read--|  |--read--|      unchanged: the caller reads on until it steps
+                        t1          t1
+                    |--read--|  |--read--|      the step lies between the two:
+                        t1          t1 + step   offset = new value - middle of both reads
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+PAIR_NS = 50_000_000
+"""Two reads further apart than this are not a pair."""
+
+FRESH_NS = 2_000_000
+"""By how much the advance of a fresh clock may differ from ours between two reads."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    sent_ns: int
+    received_ns: int
+    peer_ns: int
+
+
+class ClockOffset:
+    """Peer's clock minus ours, from reads of its clock.
+
+    Parameters
+    ----------
+    window : int
+        Number of estimates of which the most certain one counts.
+    """
+
+    def __init__(self, window: int = 32) -> None:
+        self._estimates: deque[tuple[int, int]] = deque(maxlen=window)
+        self._last: _Read | None = None
+        self.stepped = False
+
+    def read(self, sent_ns: int, received_ns: int, peer_ns: int) -> bool:
+        """Add one read; all three on UTC [ns]. Return whether it gave an estimate."""
+        last, self._last = self._last, _Read(sent_ns, received_ns, peer_ns)
+        if last is None or received_ns - last.sent_ns > PAIR_NS:
+            return False
+        advance_ns, elapsed_ns = peer_ns - last.peer_ns, received_ns - last.received_ns
+        if advance_ns == 0:
+            self.stepped = True
+            return False
+        if abs(advance_ns - elapsed_ns) <= FRESH_NS:
+            self._add(sent_ns, received_ns, peer_ns)
+        else:
+            self._add(last.sent_ns, received_ns, peer_ns)
+        return True
+
+    def _add(self, earliest_ns: int, latest_ns: int, peer_ns: int) -> None:
+        middle_ns = (earliest_ns + latest_ns) // 2
+        self._estimates.append(((latest_ns - earliest_ns) // 2, peer_ns - middle_ns))
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Peer minus ours [ns]; None before the first estimate."""
+        return min(self._estimates)[1] if self._estimates else None
+
+    @property
+    def uncertainty_ns(self) -> int | None:
+        """Half width [ns] of the interval that holds the offset."""
+        return min(self._estimates)[0] if self._estimates else None
+
+
+@dataclass(slots=True)
+class _Stamp:
+    stamp_ns: int
+    value: object
+    changes_without_advance: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class StampVerdict:
+    """What a SourceTimestamp is good for.
+
+    Attributes
+    ----------
+    advanced : bool
+        It is newer than the node's last one: a latency can be taken from it.
+    fault : str or None
+        ``frozen_stamp`` or ``stamp_backwards``.
+    """
+
+    advanced: bool
+    fault: str | None = None
+
+
+class StampWatch:
+    """Follows the SourceTimestamps of every node of a peer.
+
+    Parameters
+    ----------
+    tolerated_changes : int
+        So many values may change under one stamp before the stamp counts as frozen.
+    """
+
+    def __init__(self, tolerated_changes: int = 2) -> None:
+        self._tolerated = tolerated_changes
+        self._nodes: dict[str, _Stamp] = {}
+
+    def observe(self, node: str, stamp_ns: int | None, value: object) -> StampVerdict:
+        """Judge the stamp [UTC ns] of one sample; the first one of a node proves nothing."""
+        if stamp_ns is None:
+            return StampVerdict(advanced=False)
+        seen = self._nodes.get(node)
+        if seen is None:
+            self._nodes[node] = _Stamp(stamp_ns, value)
+            return StampVerdict(advanced=False)
+        changed = value != seen.value and not (value is None or seen.value is None)
+        seen.value = value
+        if stamp_ns > seen.stamp_ns:
+            seen.stamp_ns, seen.changes_without_advance = stamp_ns, 0
+            return StampVerdict(advanced=True)
+        if stamp_ns < seen.stamp_ns:
+            seen.stamp_ns = stamp_ns
+            return StampVerdict(advanced=False, fault="stamp_backwards")
+        seen.changes_without_advance += changed
+        frozen = seen.changes_without_advance > self._tolerated
+        return StampVerdict(advanced=False, fault="frozen_stamp" if frozen else None)
+
+
+def one_way_ns(stamp_ns: int, arrival_ns: int, offset_ns: int) -> int:
+    """Return SourceTimestamp to arrival [ns], the peer's stamp moved onto our clock."""
+    return arrival_ns - (stamp_ns - offset_ns)

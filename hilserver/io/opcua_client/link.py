@@ -1,0 +1,247 @@
+"""The link to one peer: a loop that connects, works and waits, for as long as the daemon runs."""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+
+import structlog
+from asyncua import ua
+
+from hilserver.clock import UtcClock
+from hilserver.config.peers import PeerConfig
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.io.opcua_client.acquisition import Acquisition
+from hilserver.io.opcua_client.faults import FaultBook
+from hilserver.io.opcua_client.intake import Gate, Intake
+from hilserver.io.opcua_client.session import LinkLostError, Session
+from hilserver.io.opcua_client.staleness import Staleness, Transition
+from hilserver.io.opcua_client.stamps import utc_ns_of
+from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.opcua_client.writer import Output, Writer
+from hilserver.io.peer_status import LinkState, PeerStatus
+
+HEARTBEAT_S = 1.0
+WATCH_S = 0.02
+HUNT_EVERY_S = 30.0
+HUNT_STEP_S = 0.005
+HUNT_READS_MAX = 300
+SETTLED_S = 2.0
+"""A session that lived so long resets the back-off."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Backoff:
+    """Pauses between attempts, measured from start to start, doubling up to a limit [s]."""
+
+    def __init__(self, first_s: float = 0.1, limit_s: float = 1.0) -> None:
+        self._first_s = first_s
+        self._limit_s = limit_s
+        self._next_s = first_s
+
+    def settled(self) -> None:
+        """Begin anew: the last session worked."""
+        self._next_s = self._first_s
+
+    def next_s(self) -> float:
+        """Return the time from the start of this attempt to the start of the next one."""
+        pause_s = self._next_s
+        self._next_s = min(2 * pause_s, self._limit_s)
+        return pause_s
+
+
+class PeerLink:
+    """Reads set-points from one peer and writes outputs back, whatever the peer does.
+
+    Parameters
+    ----------
+    config : PeerConfig
+    gate : Gate
+        Takes the groups of inputs; ``write(source, values) -> refused``.
+    on_stale : callable
+        ``on_stale(peer, action)``: the inputs have become too old.
+    on_restored : callable
+        ``on_restored(peer)``: they are fresh again; only ever after `on_stale`.
+    events : EventBus
+    read_output : callable
+        ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
+    clock : UtcClock
+        Turns ticks into SourceTimestamps and arrivals into UTC.
+
+    Attributes
+    ----------
+    status : PeerStatus
+        Always up to date.
+    """
+
+    def __init__(
+        self,
+        config: PeerConfig,
+        *,
+        gate: Gate,
+        on_stale: Callable[[str, str], None],
+        on_restored: Callable[[str], None],
+        events: EventBus,
+        read_output: Callable[[str], Output],
+        clock: UtcClock,
+    ) -> None:
+        self.config = config
+        self.status = PeerStatus(config.name, config.endpoint)
+        self._on_stale = on_stale
+        self._on_restored = on_restored
+        self._events = events
+        self._read_output = read_output
+        self._clock = clock
+        self._staleness = Staleness(int(config.stale_after_ms * 1e6))
+        self._faults = FaultBook(self.status, events.publish)
+        self._intake = Intake(
+            config, self.status, gate, self._staleness, self._faults, clock.utc_ns
+        )
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def start(self) -> None:
+        """Start connecting; returns at once, the peer may come later."""
+        if self._tasks:
+            return
+        self.status.state = LinkState.CONNECTING
+        self._tasks = [
+            asyncio.create_task(self._run(), name=f"peer-{self.config.name}"),
+            asyncio.create_task(self._watch(), name=f"peer-{self.config.name}-watch"),
+        ]
+
+    async def stop(self) -> None:
+        """Close the session and end; limited by the session's close time."""
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            task.cancel()
+        for task in tasks:
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+        self.status.state = LinkState.STOPPED
+
+    async def _watch(self) -> None:
+        while True:
+            now_ns = time.monotonic_ns()
+            transition = self._staleness.check(now_ns) if self.config.read else None
+            self.status.stale = self._staleness.stale
+            if transition is not None:
+                self._tell(transition, now_ns)
+            self._faults.expire(now_ns)
+            await asyncio.sleep(WATCH_S)
+
+    def _tell(self, transition: Transition, now_ns: int) -> None:
+        name = self.config.name
+        if transition is Transition.LOST:
+            message = f"peer {name}: {self._staleness.reason}; on_stale is {self.config.on_stale}"
+            _log.warning("peer lost", peer=name, why=self._staleness.reason)
+            self._events.publish(Event(EventKind.PEER_LOST, 800, name, message, now_ns))
+            self._on_stale(name, self.config.on_stale)
+            return
+        _log.info("peer delivers", peer=name)
+        message = f"peer {name} delivers fresh values"
+        self._events.publish(Event(EventKind.PEER_RESTORED, 200, name, message, now_ns))
+        if transition is Transition.RESTORED:
+            self._on_restored(name)
+
+    async def _run(self) -> None:
+        backoff = Backoff()
+        loop = asyncio.get_running_loop()
+        while True:
+            started_s = loop.time()
+            self.status.state = LinkState.CONNECTING
+            try:
+                async with Session(self.config.endpoint) as session:
+                    await self._work(session)
+            except Exception as error:  # noqa: BLE001 - a broken peer can make the library raise anything
+                self._note_end(error)
+            if self.status.connected and loop.time() - started_s > SETTLED_S:
+                backoff.settled()
+            self._leave_session()
+            pause_s = started_s + backoff.next_s() - loop.time()
+            await asyncio.sleep(max(0.02, pause_s))
+
+    async def _work(self, session: Session) -> None:
+        status, now_ns = self.status, time.monotonic_ns()
+        self._intake.begin_session()
+        await session.read_clock()
+        self._enter_session()
+        acquisition = Acquisition(session, self.config, status, self._intake, self._report_slow)
+        self._intake.expect(acquisition.nodes, now_ns)
+        writer = Writer(
+            session, self.config, status, self._faults, self._read_output, self._clock.utc
+        )
+        async with asyncio.TaskGroup() as group:
+            group.create_task(session.wait_lost())
+            group.create_task(self._heartbeat(session))
+            group.create_task(writer.run())
+            group.create_task(acquisition.run())
+
+    def _enter_session(self) -> None:
+        status = self.status
+        if status.last_connect_ns is not None:
+            status.reconnects += 1
+        status.last_connect_ns = time.monotonic_ns()
+        status.connected, status.state = True, LinkState.CONNECTED
+        _log.info("peer connected", peer=self.config.name, endpoint=self.config.endpoint)
+
+    def _leave_session(self) -> None:
+        status = self.status
+        if not status.connected:
+            status.failed_attempts += 1
+        status.connected, status.state = False, LinkState.HELD_OFF
+        status.mode = status.mode_reason = ""
+
+    def _note_end(self, error: Exception) -> None:
+        why = describe(error)
+        if self.status.connected or why != self.status.last_error:
+            _log.warning("peer link ended", peer=self.config.name, why=why)
+        self.status.last_error = why
+
+    def _report_slow(self, sentence: str) -> None:
+        now_ns = time.monotonic_ns()
+        self._faults.report(FaultKind.SLOW_RATE, self.config.name, sentence, now_ns)
+
+    async def _heartbeat(self, session: Session) -> None:
+        """Measure round trip and clock offset; a heart that stops ends the session by timeout."""
+        offset = self._intake.offset
+        hunt_at_s = 0.0
+        while True:
+            await self._read_clock(session)
+            found = await self._read_clock(session)
+            if not found and time.monotonic() >= hunt_at_s:
+                hunt_at_s = time.monotonic() + HUNT_EVERY_S
+                for _ in range(HUNT_READS_MAX):
+                    await asyncio.sleep(HUNT_STEP_S)
+                    if await self._read_clock(session):
+                        break
+            if offset.offset_ns is not None:
+                self.status.clock_offset_s = offset.offset_ns * 1e-9
+            await asyncio.sleep(HEARTBEAT_S)
+
+    async def _read_clock(self, session: Session) -> bool:
+        sent_ns = time.monotonic_ns()
+        peer_ns = utc_ns_of(await session.read_clock())
+        received_ns = time.monotonic_ns()
+        self.status.round_trip.observe(received_ns - sent_ns)
+        if peer_ns is None:
+            return False
+        utc_ns = self._clock.utc_ns
+        return self._intake.offset.read(utc_ns(sent_ns), utc_ns(received_ns), peer_ns)
+
+
+def describe(error: BaseException) -> str:
+    """Return in words why a session or an attempt ended."""
+    if isinstance(error, BaseExceptionGroup):
+        return describe(error.exceptions[0])
+    if isinstance(error, LinkLostError):
+        return str(error)
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    if isinstance(error, ConnectionRefusedError):
+        return "nobody listens there"
+    if isinstance(error, ua.UaStatusCodeError):
+        return f"the peer answered {error.__class__.__name__}"
+    if isinstance(error, OSError):
+        return error.strerror or str(error) or "the connection broke"
+    return f"{error.__class__.__name__}: {error}"

@@ -1,0 +1,140 @@
+"""One connection to a peer: open, find the nodes, read and write; good until its first error.
+
+Every attempt gets a fresh asyncua client, because a client object whose link went dead can hang in
+its own reconnect; and every wait has a limit, because a dead link answers nothing.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Any
+
+from asyncua import Client, ua
+
+from hilserver.config.peers import NodeAddress
+
+CONNECT_TIMEOUT_S = 2.0
+"""For the TCP connection and for each request."""
+
+OPEN_TIMEOUT_S = 6.0
+"""For connection, channel and session together."""
+
+CLOSE_TIMEOUT_S = 1.0
+SESSION_TIMEOUT_MS = 30_000
+"""How long the peer keeps a session that we could not close."""
+
+_NAMESPACE_ARRAY = ua.NodeId(ua.ObjectIds.Server_NamespaceArray)
+_CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
+
+
+class LinkLostError(Exception):
+    """The session ended; the message says why in words."""
+
+
+def quieten_asyncua() -> None:
+    """Silence the client library: it logs tracebacks for every lost link, the link logs a line."""
+    for name in ("asyncua.client", "asyncua.common"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+def read_request(nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds) -> ua.ReadParameters:
+    """Build a multi-read that can be sent again and again."""
+    parameters = ua.ReadParameters()
+    parameters.TimestampsToReturn = ua.TimestampsToReturn.Source
+    parameters.NodesToRead = [ua.ReadValueId(NodeId=n, AttributeId=attribute) for n in nodes]
+    return parameters
+
+
+class Session:
+    """An open session; use it as an async context manager.
+
+    Attributes
+    ----------
+    services : asyncua UaSession
+        The raw services (read, write, create_subscription, ...).
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        quieten_asyncua()
+        self._client = Client(endpoint, timeout=CONNECT_TIMEOUT_S, watchdog_intervall=3600)
+        self._client.name = "hilserver"
+        self._client.application_uri = "urn:hilserver:client"
+        self._client.session_timeout = SESSION_TIMEOUT_MS
+        self._client.connection_lost_callback = self._on_lost
+        self._lost = asyncio.Event()
+        self.services: Any = self._client.uaclient.session
+
+    async def __aenter__(self) -> "Session":
+        try:
+            async with asyncio.timeout(OPEN_TIMEOUT_S):
+                await self._client.connect()
+        except BaseException:
+            await self._close(graceful=False)
+            raise
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # On a cancelled task the link is fine and the peer deserves a proper good-bye.
+        graceful = error is None or isinstance(error, asyncio.CancelledError)
+        await self._close(graceful=graceful and not self._lost.is_set())
+
+    async def _on_lost(self, _error: Exception) -> None:
+        self._lost.set()
+
+    async def wait_lost(self) -> None:
+        """Return never; raise LinkLostError as soon as the transport is gone."""
+        await self._lost.wait()
+        raise LinkLostError("the peer closed the connection")
+
+    async def _close(self, *, graceful: bool) -> None:
+        protocol = self._client.uaclient.protocol
+        transport = protocol.transport if protocol is not None else None
+        if not graceful and transport is not None:
+            transport.abort()
+            await asyncio.sleep(0)  # lets the protocol see that its transport is gone
+        with contextlib.suppress(Exception):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await self._client.disconnect()
+        if transport is not None:
+            transport.abort()
+
+    async def read(self, request: ua.ReadParameters) -> list[ua.DataValue]:
+        """Send one multi-read; one DataValue per node, in order."""
+        values: list[ua.DataValue] = await self.services.read(request)
+        if len(values) != len(request.NodesToRead):
+            raise LinkLostError("the peer answered a read with another number of values")
+        return values
+
+    async def read_attributes(
+        self, nodes: list[ua.NodeId], attribute: ua.AttributeIds
+    ) -> list[Any]:
+        """Read one attribute of several nodes; None where there is none."""
+        if not nodes:
+            return []
+        values = await self.read(read_request(nodes, attribute))
+        return [v.Value.Value if v.StatusCode.is_good() and v.Value else None for v in values]
+
+    async def read_clock(self) -> Any:
+        """Read the peer's ServerStatus.CurrentTime (datetime, or None)."""
+        return (await self.read_attributes([_CURRENT_TIME], ua.AttributeIds.Value))[0]
+
+    async def resolve(self, nodes: Iterable[str]) -> dict[str, ua.NodeId | None]:
+        """Look the namespaces up and return the node ids; None where the URI is unknown."""
+        uris = (await self.read_attributes([_NAMESPACE_ARRAY], ua.AttributeIds.Value))[0] or []
+        resolved: dict[str, ua.NodeId | None] = {}
+        for text in nodes:
+            address = NodeAddress.parse(text)
+            index = address.namespace_index
+            if address.namespace_uri in uris:
+                index = uris.index(address.namespace_uri)
+            resolved[text] = None
+            if index is not None:
+                resolved[text] = ua.NodeId.from_string(f"ns={index};{address.identifier}")
+        return resolved

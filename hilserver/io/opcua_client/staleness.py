@@ -1,0 +1,70 @@
+"""When a peer's inputs are too old to drive by: a pure state machine on integer nanoseconds.
+
+A peer is stale while nothing new was heard for longer than the limit, or while one input has been
+unusable (NaN, text, bad status, missing) for longer than the limit: a robot must not go on with
+three of its four set-points. A peer that was never heard is stale but is not lost, so that the two
+sides can be started in any order.
+"""
+
+from enum import Enum
+
+
+class Transition(Enum):
+    """A change that the rest of the program must hear of."""
+
+    FIRST = "first"
+    LOST = "lost"
+    RESTORED = "restored"
+
+
+class Staleness:
+    """Judges the age of one peer's inputs.
+
+    Parameters
+    ----------
+    limit_ns : int
+        Age [ns] above which inputs are stale.
+    """
+
+    def __init__(self, limit_ns: int) -> None:
+        self.limit_ns = limit_ns
+        self.stale = True
+        self.reason = "never heard"
+        self._known = False
+        self._heard_ns: int | None = None
+        self._unusable_since_ns: dict[str, int] = {}
+
+    def heard(self, now_ns: int) -> None:
+        """Note that something new arrived: a newer number, or a value where nothing counts."""
+        self._heard_ns = now_ns
+
+    def unusable(self, name: str, now_ns: int) -> None:
+        """Note that the newest sample of the input `name` cannot be used."""
+        self._unusable_since_ns.setdefault(name, now_ns)
+
+    def usable(self, name: str) -> None:
+        """Note that the newest sample of the input `name` is good."""
+        self._unusable_since_ns.pop(name, None)
+
+    def check(self, now_ns: int) -> Transition | None:
+        """Return what changed since the last check; `stale` and `reason` are then up to date."""
+        reason = self._why_stale(now_ns)
+        was_stale, self.stale = self.stale, bool(reason)
+        if reason:
+            self.reason = reason
+        if self.stale == was_stale:
+            return None
+        if self.stale:
+            return Transition.LOST
+        first, self._known = not self._known, True
+        return Transition.FIRST if first else Transition.RESTORED
+
+    def _why_stale(self, now_ns: int) -> str:
+        if self._heard_ns is None:
+            return "never heard"
+        if now_ns - self._heard_ns > self.limit_ns:
+            return f"nothing new for more than {self.limit_ns / 1e6:g} ms"
+        for name, since_ns in self._unusable_since_ns.items():
+            if now_ns - since_ns > self.limit_ns:
+                return f"{name} has had no usable value for more than {self.limit_ns / 1e6:g} ms"
+        return ""
