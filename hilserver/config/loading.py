@@ -61,18 +61,21 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
             seen: dict[str, int] = {}
             for key, _ in node.value:
                 line = key.start_mark.line + 1
-                if key.value in seen:
-                    first = seen[key.value]
+                name = str(key.value)
+                if name in seen:
+                    first = seen[name]
                     raise ConfigError(
-                        f"{path}:{line}: key '{key.value}' stands in line {first} already;"
+                        f"{path}:{line}: key '{name}' stands in line {first} already;"
                         " remove one of them"
                     )
-                seen[key.value] = line
+                seen[name] = line
     try:
         return yaml.constructor.SafeConstructor().construct_document(root)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{path}:{line}: {error.problem}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: a value cannot be read: {error}") from None
 
 
 def _walk(node: yaml.Node, depth: int = 0) -> Iterator[yaml.Node]:

@@ -1,5 +1,6 @@
 """No tearing: a reader in another process never sees half a frame."""
 
+import mmap
 import multiprocessing
 from typing import Any
 
@@ -11,6 +12,7 @@ from hilserver.compiled.atomics import load_acquire
 from hilserver.image import ImageReader, ProcessImage
 from hilserver.image import layout as lay
 from hilserver.image.ring import copy_latest, publish_frame
+from hilserver.image.shared_file import path_of
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
 
 N_DOUBLES = 64
@@ -82,10 +84,6 @@ def count_frames(copy: Any) -> Any:
 
 
 def write_in_process(name: str) -> None:
-    import mmap
-
-    from hilserver.image.shared_file import path_of
-
     with path_of(name).open("r+b") as file:
         memory = mmap.mmap(file.fileno(), 0)
     values, words = np.frombuffer(memory, np.float64), np.frombuffer(memory, np.int64)

@@ -1,0 +1,70 @@
+"""The command line: one thin file per command.
+
+Each command module has ``EXAMPLE``, ``add_arguments(parser)`` and ``run(args) -> exit code``. Only
+the module of the command that was asked for is imported, so that ``--help`` answers at once.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from hilserver import __version__
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, UserError
+
+COMMANDS = {
+    "run": "run the daemon",
+    "check": "validate a configuration and say what it means",
+    "signals": "print the signal table",
+    "latency-test": "what this computer can do, before the model is blamed",
+    "bench": "measure every figure that the README quotes",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; return its exit code.
+
+    Errors that a user can mend are printed as sentences, never as tracebacks.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        args = _parse(words)
+        code: int = args.run(args)
+        sys.stdout.flush()
+    except UserError as error:
+        for line in str(error).splitlines():
+            print(f"hilserver: {line}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        return EXIT_DONE
+    return code
+
+
+def _parse(words: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="hilserver",
+        description="Real-time hardware-in-the-loop simulation of wheeled robots.",
+        epilog="example: hilserver run --demo",
+    )
+    parser.add_argument("--version", action="version", version=f"hilserver {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    asked = next((word for word in words if not word.startswith("-")), None)
+    for name, text in COMMANDS.items():
+        if name != asked:
+            commands.add_parser(name, help=text)
+            continue
+        module = importlib.import_module(f"hilserver.commands.{name.replace('-', '_')}")
+        sub = commands.add_parser(
+            name,
+            help=text,
+            description=module.__doc__,
+            epilog=f"example: {module.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(sub)
+        sub.set_defaults(run=module.run)
+    return parser.parse_args(words)

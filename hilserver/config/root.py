@@ -1,0 +1,62 @@
+"""The whole of config.yaml."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from hilserver.config.loading import load
+from hilserver.config.monitoring import LoggingConfig, MetricsConfig
+from hilserver.config.peers import PeerConfig
+from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
+from hilserver.config.server import OpcUaConfig
+from hilserver.config.timing import (
+    BlockConfig,
+    ControlConfig,
+    ImageConfig,
+    SchedulerConfig,
+    Section,
+    SnapshotConfig,
+)
+
+
+class Config(Section):
+    """Everything a run depends on; every section has working defaults."""
+
+    plant: PlantConfig = Field(default_factory=PlantConfig)
+    kinematics: KinematicsConfig = Field(default_factory=KinematicsConfig)
+    sensors: SensorsConfig = Field(default_factory=SensorsConfig)
+    scheduler: SchedulerConfig = Field(default_factory=SchedulerConfig)
+    control: ControlConfig = Field(default_factory=ControlConfig)
+    image: ImageConfig = Field(default_factory=ImageConfig)
+    opcua: OpcUaConfig = Field(default_factory=OpcUaConfig)
+    peers: tuple[PeerConfig, ...] = ()
+    blocks: tuple[BlockConfig, ...] = ()
+    snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
+    metrics: MetricsConfig = Field(default_factory=MetricsConfig)
+    logging: LoggingConfig = Field(default_factory=LoggingConfig)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the validated configuration; recordings and snapshots carry it."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_config(path: Path | None) -> Config:
+    """Return the configuration of a file, or the defaults without one.
+
+    Raises
+    ------
+    ConfigError
+        One line per complaint: file, line, key and mend.
+    """
+    return Config() if path is None else load(path, Config)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of config.yaml for editors."""
+    schema = Config.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

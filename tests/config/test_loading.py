@@ -1,0 +1,75 @@
+"""Every complaint about a configuration names file, line and key."""
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from hilserver.config.loading import load
+from hilserver.errors import ConfigError
+
+
+class Peer(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    publishing_ms: float = Field(50.0, gt=0)
+
+
+class Root(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    peers: list[Peer] = []
+    backend: str = "thread"
+
+
+def complaint(tmp_path, text):
+    path = tmp_path / "config.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ConfigError) as caught:
+        load(path, Root)
+    return str(caught.value).replace(str(path), "config.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "peers:\n  - name: a\n    publishing_s: 0.05\n",
+            "config.yaml:3: unknown key 'peers[0].publishing_s'; did you mean 'publishing_ms'?",
+        ),
+        ("\n\nbackendd: x\n", "config.yaml:3: unknown key 'backendd'; did you mean 'backend'?"),
+        ("peers:\n  - publishing_ms: 5\n", "config.yaml:2: key 'peers[0].name' is missing"),
+        (
+            "peers:\n  - name: a\n    publishing_ms: 50 ms\n",
+            "config.yaml:3: peers[0].publishing_ms: '50 ms' does not fit; it should be a valid"
+            " number, unable to parse string as a number",
+        ),
+        (
+            "peers:\n  - name: a\n    publishing_ms: -1\n",
+            "config.yaml:3: peers[0].publishing_ms: -1 does not fit; it should be greater than 0",
+        ),
+        ("backend: a\nbackend: b\n", "config.yaml:2: key 'backend' stands in line 1 already;"),
+        ("peers: [\n", "config.yaml:2: not YAML"),
+        ("a: b: c\n", "config.yaml:1: not YAML"),
+        (b"backend: \xff\n", "config.yaml: byte 9 is not UTF-8"),
+        ("- 1\n", "config.yaml:1: "),
+        ("backend: !!python/object:os.system x\n", "config.yaml:1: "),
+        ("backend: 2024-13-45\n", "config.yaml: a value cannot be read: month"),
+        ("? [a]\n: 1\n", "config.yaml:1: "),
+    ],
+)
+def test_one_sentence_with_file_line_and_key(tmp_path, text, expected):
+    assert complaint(tmp_path, text).startswith(expected)
+
+
+def test_every_complaint_is_told_at_once(tmp_path):
+    text = complaint(tmp_path, "x: 1\ny: 2\n")
+    assert [line.split(":")[1] for line in text.splitlines()] == ["1", "2"]
+
+
+def test_absent_file(tmp_path):
+    with pytest.raises(ConfigError, match="no such file"):
+        load(tmp_path / "absent.yaml", Root)
+
+
+def test_an_empty_file_means_the_defaults(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("# nothing\n")
+    assert load(path, Root).backend == "thread"

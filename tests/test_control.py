@@ -1,0 +1,188 @@
+"""The state machine: states, safe state, acknowledgement."""
+
+import asyncio
+
+import pytest
+
+from hilserver.control import Control, State
+from hilserver.events import EventBus, EventKind
+from hilserver.image.layout import W_FAULT, W_STATE
+from hilserver.image.queues import latch_rows
+from hilserver.image.requests import serve_request
+from hilserver.inputs import ControlRefused, InputGate
+from hilserver.kernel.phases import enter_safe
+from hilserver.snapshot import SnapshotStore
+from tests.fakes import make_image, make_table
+
+
+class Pacing:
+    """Counts commands and ticks; the real scheduler has tests of its own."""
+
+    def __init__(self):
+        self.tick = 0
+        self.log = []
+
+    def pause(self):
+        self.log.append("pause")
+
+    def resume(self):
+        self.log.append("resume")
+
+    def step(self, n):
+        self.log.append(f"step {n}")
+
+    def set_speed(self, factor):
+        self.log.append(f"speed {factor}")
+
+    def reset_statistics(self):
+        self.log.append("reset_statistics")
+
+
+class World:
+    def __init__(self, tmp_path):
+        self.table = make_table()
+        self.image = make_image(self.table, live={"x": 8})
+        self.events = EventBus()
+        self.pacing = Pacing()
+        self.gate = InputGate(self.table, self.image, self.events, owner="opcua")
+        snapshots = SnapshotStore(self.image, tmp_path / "snapshots", {"parameters": "abc"})
+        self.control = Control(
+            self.table,
+            self.image,
+            self.gate,
+            self.events,
+            self.pacing,
+            snapshots,
+            safe_ramp_ticks=500,
+        )
+        self.control.started()
+
+    def latch(self):
+        self.pacing.tick = serve_request(self.pacing.tick, self.image.words)
+        latch_rows(self.pacing.tick, self.image.values, self.image.words)
+
+    def value(self, name):
+        return self.image.frame_values[self.table.slot(name)]
+
+
+@pytest.fixture
+def world(tmp_path):
+    world = World(tmp_path)
+    yield world
+    world.image.close()
+
+
+def test_run_pause_step_run(world):
+    control = world.control
+    assert control.state is State.RUNNING
+    with pytest.raises(ControlRefused, match="call Pause first"):
+        control.step(3)
+    control.pause()
+    control.step(3)
+    assert control.state is State.PAUSED
+    assert world.image.words[W_STATE] == 2
+    control.start()
+    assert world.pacing.log == ["pause", "step 3", "resume"]
+
+
+def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world):
+    control = world.control
+    world.gate.write("opcua", {"wheel.fl.setpoint_rpm": 50.0})
+    control.enter_safe("peer 'a' is silent", cause="peer:a")
+    world.latch()
+    assert control.state is State.SAFE
+    assert world.value("internal.command") == 2.0
+    control.supervise()
+    world.latch()
+    assert world.value("drive.enable") == 1.0, "still ramping"
+    world.pacing.tick = 500
+    control.supervise()
+    world.latch()
+    assert world.value("drive.enable") == 0.0
+    assert world.events.recent[-1].kind is EventKind.SAFE_STATE
+    with pytest.raises(ControlRefused, match="peer 'a' is silent"):
+        control.reset()
+    for forbidden in (control.start, control.pause):
+        with pytest.raises(ControlRefused, match="safe"):
+            forbidden()
+    control.clear_cause("peer:a")
+    control.reset()
+    world.latch()
+    assert control.state is State.RUNNING
+    assert world.value("internal.command") == 0.0
+    assert world.value("drive.enable") == 1.0
+    assert world.value("wheel.fl.setpoint_rpm") == 0.0, "an old set-point must not come back"
+
+
+def test_a_fault_of_the_paced_loop_is_taken_over(world):
+    slot = world.table.slot("internal.command")
+    enter_safe(2, slot, world.image.values, world.image.words)
+    assert world.value("internal.command") == 2.0
+    world.control.supervise()
+    assert world.control.state is State.SAFE
+    assert "consecutive overruns" in world.control.reason
+    world.control.reset()
+    assert world.image.words[W_FAULT] == 0
+
+
+def test_reset_outside_the_safe_state_starts_the_simulation_anew(world):
+    world.image.frame_values[20] = 7.0
+    world.pacing.tick = 1234
+    world.control.reset()
+    world.latch()
+    assert world.image.frame_values[20] == 0.0
+    assert world.pacing.tick == 0
+
+
+def test_pose_requests_are_numbered_even_after_a_restore(world):
+    world.control.set_pose(1.0, 2.0, 0.5)
+    world.latch()
+    assert world.value("internal.pose_request") == 1.0
+    world.image.frame_values[world.table.slot("internal.pose_request")] = 9.0
+    world.control.set_pose(1.0, 2.0, 0.5)
+    world.latch()
+    assert world.value("internal.pose_request") == 10.0
+    with pytest.raises(ValueError, match="pose_yaw_rad"):
+        world.control.set_pose(0.0, 0.0, float("nan"))
+
+
+async def latching(world):
+    while True:
+        world.latch()
+        await asyncio.sleep(0)
+
+
+async def test_snapshot_holds_values_and_tick_and_comes_back(world):
+    task = asyncio.create_task(latching(world))
+    world.image.frame_values[20], world.pacing.tick = 3.5, 77
+    await world.control.save_snapshot("first")
+    world.image.frame_values[20], world.pacing.tick = 9.0, 99
+    await world.control.load_snapshot("first")
+    task.cancel()
+    assert (world.image.frame_values[20], world.pacing.tick) == (3.5, 77)
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/passwd", "", "a/b", ".hidden", "x" * 200])
+async def test_snapshot_names_are_no_paths(world, name):
+    with pytest.raises(ControlRefused, match="plain file name"):
+        await world.control.save_snapshot(name)
+
+
+async def test_snapshots_that_do_not_fit_are_refused(world, tmp_path):
+    task = asyncio.create_task(latching(world))
+    await world.control.save_snapshot("good")
+    other = SnapshotStore(world.image, tmp_path / "snapshots", {"parameters": "def"})
+    with pytest.raises(ControlRefused, match="parameters"):
+        await other.load("good")
+    (tmp_path / "snapshots" / "bad.npz").write_bytes(b"PK\x03\x04 half a file")
+    with pytest.raises(ControlRefused, match="damaged"):
+        await world.control.load_snapshot("bad")
+    with pytest.raises(ControlRefused, match="there is no snapshot"):
+        await world.control.load_snapshot("absent")
+    task.cancel()
+
+
+async def test_a_plant_that_does_not_answer_is_named(world, monkeypatch):
+    monkeypatch.setattr("hilserver.snapshot._SERVED_WITHIN_S", 0.01)
+    with pytest.raises(ControlRefused, match="did not answer"):
+        await world.control.save_snapshot("never")

@@ -1,0 +1,149 @@
+"""The gate: nothing unchecked gets to the plant."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilserver.events import EventBus, EventKind
+from hilserver.image.queues import latch_rows
+from hilserver.inputs import ControlRefused, InputGate, Refusal, check_value
+from tests.fakes import ManualClock, make_image, make_table
+
+
+@pytest.fixture
+def world():
+    table, clock, events = make_table(), ManualClock(), EventBus()
+    image = make_image(table, queue_rows=16)
+    gate = InputGate(table, image, events, owner="peer", monotonic_ns=clock)
+    yield gate, image, events, clock
+    image.close()
+
+
+def latched(image, name, tick=0):
+    latch_rows(tick, image.values, image.words)
+    return image.frame_values[make_table().slot(name)]
+
+
+def test_accepted_values_reach_the_frame_at_the_next_latch(world):
+    gate, image, _, _ = world
+    assert gate.write("peer:iot2050", {"wheel.fl.setpoint_rpm": 12.5}) == {}
+    slot = make_table().slot("wheel.fl.setpoint_rpm")
+    assert image.frame_values[slot] == 0.0
+    assert latched(image, "wheel.fl.setpoint_rpm") == 12.5
+
+
+def test_of_scalar_and_array_the_later_write_wins(world):
+    gate, image, _, _ = world
+    gate.write("peer:a", {"wheels.setpoints_rpm": [1.0, 2.0, 3.0, 4.0]})
+    gate.write("peer:a", {"wheel.rl.setpoint_rpm": 20.0})
+    assert latched(image, "wheel.rl.setpoint_rpm") == 20.0
+    gate.write("peer:a", {"wheel.rl.setpoint_rpm": 20.0})
+    gate.write("peer:a", {"wheels.setpoints_rpm": [1.0, 2.0, 3.0, 4.0]})
+    assert latched(image, "wheel.rl.setpoint_rpm") == 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "refusal"),
+    [
+        ("wheel.fl.setpoint_rpm", math.nan, Refusal.NOT_FINITE),
+        ("wheel.fl.setpoint_rpm", -math.inf, Refusal.NOT_FINITE),
+        ("wheel.fl.setpoint_rpm", 90.1, Refusal.OUT_OF_RANGE),
+        ("wheel.fl.setpoint_rpm", "12", Refusal.TYPE_MISMATCH),
+        ("wheel.fl.setpoint_rpm", True, Refusal.TYPE_MISMATCH),
+        ("wheel.fl.setpoint_rpm", None, Refusal.TYPE_MISMATCH),
+        ("wheels.setpoints_rpm", [1.0, 2.0, 3.0], Refusal.TYPE_MISMATCH),
+        ("wheels.setpoints_rpm", 1.0, Refusal.TYPE_MISMATCH),
+        ("wheels.setpoints_rpm", [1.0, 2.0, 3.0, math.nan], Refusal.NOT_FINITE),
+        ("drive.enable", 1, Refusal.TYPE_MISMATCH),
+        ("control.mode", 2, Refusal.OUT_OF_RANGE),
+        ("control.mode", 0.5, Refusal.TYPE_MISMATCH),
+        ("pose.x_m", 1.0, Refusal.NOT_WRITABLE),
+        ("internal.command", 1.0, Refusal.UNKNOWN_SIGNAL),
+        ("no.such_signal", 1.0, Refusal.UNKNOWN_SIGNAL),
+    ],
+)
+def test_refused_values_change_nothing_and_are_told(world, name, value, refusal):
+    gate, image, events, _ = world
+    before = image.frame_values.copy()
+    assert gate.write("peer:a", {name: value}) == {name: refusal}
+    latch_rows(0, image.values, image.words)
+    assert (image.frame_values == before).all()
+    assert gate.rejected[("peer:a", refusal.value)] == 1
+    assert events.recent[-1].kind is EventKind.SETPOINT_REFUSED
+    assert name in events.recent[-1].message
+
+
+def test_one_bad_value_of_a_group_does_not_hold_back_the_others(world):
+    gate, image, _, _ = world
+    refused = gate.write(
+        "peer:a", {"wheel.fl.setpoint_rpm": math.nan, "wheel.fr.setpoint_rpm": -30.0}
+    )
+    assert refused == {"wheel.fl.setpoint_rpm": Refusal.NOT_FINITE}
+    assert latched(image, "wheel.fr.setpoint_rpm") == -30.0
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True) | st.integers() | st.booleans() | st.text())
+def test_only_finite_numbers_in_range_pass(value):
+    signal = make_table()["wheel.fl.setpoint_rpm"]
+    checked = check_value(signal, value)
+    passes = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 90
+    assert isinstance(checked, tuple) == passes
+    assert not passes or checked == (float(value),)
+
+
+def test_control_is_with_one_source_and_the_refusal_says_whose(world):
+    gate, _, events, _ = world
+    assert gate.write("opcua", {"twist.linear_m_s": 0.1}) == {
+        "twist.linear_m_s": Refusal.NOT_IN_CONTROL
+    }
+    assert "'peer' has control" in events.recent[-1].message
+    gate.request("opcua", "opcua")
+    assert gate.write("opcua", {"twist.linear_m_s": 0.1}) == {}
+    with pytest.raises(ControlRefused, match="outranks"):
+        gate.request("peer", "peer")
+    with pytest.raises(ControlRefused, match="sources are"):
+        gate.request("scenario", "nobody")
+
+
+def test_measured_values_need_no_control(world):
+    gate, image, _, _ = world
+    assert gate.write("opcua", {"measured.pose.x_m": 1.5}) == {}
+    assert latched(image, "measured.pose.x_m") == 1.5
+
+
+def test_a_full_queue_refuses_the_group_and_counts_it(world):
+    gate, _, _, _ = world
+    for _ in range(16):
+        assert gate.write("peer:a", {"wheel.fl.setpoint_rpm": 1.0}) == {}
+    refused = gate.write("peer:a", {"wheel.fl.setpoint_rpm": 2.0})
+    assert refused == {"wheel.fl.setpoint_rpm": Refusal.QUEUE_FULL}
+
+
+def test_age_counts_from_the_last_accepted_write(world):
+    gate, _, _, clock = world
+    assert gate.age_s("peer:a") is None
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 1.0})
+    clock.pass_s(0.25)
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": math.nan})
+    assert gate.age_s("peer:a") == pytest.approx(0.25)
+
+
+def test_a_change_is_measured_to_the_first_frame_that_contains_it(world):
+    gate, image, _, clock = world
+    received = clock()
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 5.0})
+    assert gate.take_change(0) is None
+    clock.pass_s(0.01)
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 5.0})  # no change
+    assert gate.take_change(image.pushed_rows) == received
+    assert gate.take_change(image.pushed_rows) is None
+
+
+def test_stop_zeroes_every_setpoint(world):
+    gate, image, _, _ = world
+    gate.write("peer:a", {"wheels.setpoints_rpm": [5.0, 5.0, -5.0, -5.0], "twist.linear_m_s": 0.1})
+    gate.stop()
+    assert latched(image, "wheel.rr.setpoint_rpm") == 0.0
+    assert latched(image, "twist.linear_m_s") == 0.0
