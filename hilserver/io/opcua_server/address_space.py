@@ -1,0 +1,286 @@
+"""Puts the rows of `model` and `method_table` into an asyncua server."""
+
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.io.opcua_server import model
+from hilserver.io.opcua_server.method_table import Method
+from hilserver.units import NAMESPACE_URI as UNITS_URI
+from hilserver.units import Unit
+
+_READ_WRITE = ua.AccessLevel.CurrentRead.mask | ua.AccessLevel.CurrentWrite.mask
+_WAITING = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)
+OBJECTS = ua.NodeId(ua.ObjectIds.ObjectsFolder)
+SERVER = ua.NodeId(ua.ObjectIds.Server)
+
+
+class AddressSpaceBuilder:
+    """Adds nodes of our namespace.
+
+    Parameters
+    ----------
+    node_service : asyncua NodeManagementService
+    robot_index, di_index : int
+        Indices of our namespace and of DI's.
+    """
+
+    def __init__(self, node_service: Any, robot_index: int, di_index: int) -> None:
+        self._service = node_service
+        self._index = robot_index
+        self._di_index = di_index
+        self.device_set = ua.NodeId(model.DI_DEVICE_SET, di_index)
+        self.robot = self.node_id(model.ROBOT)
+
+    def node_id(self, path: str) -> ua.NodeId:
+        """Return the node id of a dotted name."""
+        return ua.NodeId(path, self._index)
+
+    def name(self, text: str) -> ua.QualifiedName:
+        """Return a browse name in our namespace."""
+        return ua.QualifiedName(text, self._index)
+
+    def roots(self) -> None:
+        """Add DI's DeviceSet below Objects, and the robot below it."""
+        kinds = ua.ObjectIds
+        self._object(
+            self.device_set,
+            ua.QualifiedName("DeviceSet", self._di_index),
+            OBJECTS,
+            kinds.Organizes,
+            kinds.BaseObjectType,
+            "Contains all instances of devices",
+        )
+        self._object(
+            self.robot,
+            self.name("Robot"),
+            self.device_set,
+            kinds.HasComponent,
+            kinds.BaseObjectType,
+            "The simulated robot",
+            event_notifier=ua.EventNotifier.SubscribeToEvents.mask,
+        )
+        self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
+
+    def folders(self, folders: Iterable[model.Folder]) -> None:
+        """Add folders; each after the one that holds it."""
+        for folder in folders:
+            self._object(
+                self.node_id(folder.path),
+                self.name(folder.name),
+                self.node_id(folder.parent),
+                ua.ObjectIds.Organizes,
+                ua.ObjectIds.FolderType,
+                folder.description,
+            )
+
+    def variable(self, row: model.Variable) -> None:
+        """Add a variable without a value yet (BadWaitingForInitialData) and its properties."""
+        attributes = ua.VariableAttributes()
+        attributes.DisplayName = ua.LocalizedText(row.name)
+        attributes.Description = ua.LocalizedText(row.description)
+        attributes.DataType = ua.NodeId(row.data_type)
+        attributes.ValueRank = -1 if row.length is None else 1
+        attributes.ArrayDimensions = None if row.length is None else [row.length]
+        attributes.AccessLevel = _READ_WRITE if row.writable else ua.AccessLevel.CurrentRead.mask
+        attributes.UserAccessLevel = attributes.AccessLevel
+        # 0: every change is noticed, there is no sampling between plant and subscriber.
+        attributes.MinimumSamplingInterval = 0.0
+        node_id = self.node_id(row.path)
+        self._add(
+            node_id,
+            self.name(row.name),
+            self.node_id(row.parent),
+            ua.ObjectIds.HasComponent,
+            ua.NodeClass.Variable,
+            attributes,
+            row.type_definition,
+        )
+        self.value_of(node_id).value = ua.DataValue(
+            ua.Variant(), _WAITING, ServerTimestamp=datetime.now(UTC)
+        )
+        self._properties(row)
+
+    def _properties(self, row: model.Variable) -> None:
+        kinds = ua.ObjectIds
+        if row.eu_range is not None:
+            low, high = row.eu_range
+            self.property(row.path, "EURange", ua.Range(float(low), float(high)), kinds.Range)
+        if row.unit is not None:
+            unit = eu_information(row.unit)
+            self.property(row.path, "EngineeringUnits", unit, kinds.EUInformation)
+        if row.enum_strings:
+            texts = [ua.LocalizedText(text) for text in row.enum_strings]
+            self.property(row.path, "EnumStrings", texts, kinds.LocalizedText)
+        if row.two_states is not None:
+            for name, text in zip(("FalseState", "TrueState"), row.two_states, strict=True):
+                self.property(row.path, name, ua.LocalizedText(text), kinds.LocalizedText)
+
+    def property(self, owner: str, name: str, value: Any, data_type: int) -> ua.NodeId:
+        """Add a property with a constant value; standard names are in namespace 0."""
+        attributes = ua.VariableAttributes()
+        attributes.DisplayName = ua.LocalizedText(name)
+        attributes.DataType = ua.NodeId(data_type)
+        attributes.ValueRank = 1 if isinstance(value, list) else -1
+        attributes.ArrayDimensions = [0] if isinstance(value, list) else None
+        attributes.Value = ua.Variant(value)
+        return self._add(
+            self.node_id(f"{owner}.{name}"),
+            ua.QualifiedName(name, 0),
+            self.node_id(owner),
+            ua.ObjectIds.HasProperty,
+            ua.NodeClass.Variable,
+            attributes,
+            ua.ObjectIds.PropertyType,
+        )
+
+    def method(self, method: Method) -> ua.NodeId:
+        """Add a method with the description of its arguments."""
+        attributes = ua.MethodAttributes()
+        attributes.DisplayName = ua.LocalizedText(method.name)
+        attributes.Description = ua.LocalizedText(method.description)
+        attributes.Executable = attributes.UserExecutable = True
+        node_id = self._add(
+            self.node_id(method.node_id),
+            self.name(method.name),
+            self.node_id("methods"),
+            ua.ObjectIds.HasComponent,
+            ua.NodeClass.Method,
+            attributes,
+            None,
+        )
+        if method.arguments:
+            arguments = [
+                ua.Argument(
+                    Name=argument.name,
+                    DataType=ua.NodeId(model.DATA_TYPES[argument.type]),
+                    ValueRank=-1,
+                    Description=ua.LocalizedText(argument.description),
+                )
+                for argument in method.arguments
+            ]
+            self.property(method.node_id, "InputArguments", arguments, ua.ObjectIds.Argument)
+        return node_id
+
+    def event_type(
+        self, path: str, name: str, base: ua.NodeId, properties: Sequence[tuple[str, int, Any]]
+    ) -> ua.NodeId:
+        """Add an event type; `properties` are rows of name, data type, initial value."""
+        attributes = ua.ObjectTypeAttributes()
+        attributes.DisplayName = ua.LocalizedText(name)
+        attributes.IsAbstract = False
+        node_id = self._add(
+            self.node_id(path),
+            self.name(name),
+            base,
+            ua.ObjectIds.HasSubtype,
+            ua.NodeClass.ObjectType,
+            attributes,
+            None,
+        )
+        for property_name, data_type, value in properties:
+            self._type_property(path, property_name, data_type, value)
+        return node_id
+
+    def _type_property(self, owner: str, name: str, data_type: int, value: Any) -> None:
+        attributes = ua.VariableAttributes()
+        attributes.DisplayName = ua.LocalizedText(name)
+        attributes.DataType = ua.NodeId(data_type)
+        attributes.Value = ua.Variant(value, ua.VariantType(data_type))
+        node_id = self._add(
+            self.node_id(f"{owner}.{name}"),
+            self.name(name),
+            self.node_id(owner),
+            ua.ObjectIds.HasProperty,
+            ua.NodeClass.Variable,
+            attributes,
+            ua.ObjectIds.PropertyType,
+        )
+        mandatory = ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
+        kinds = ua.ObjectIds
+        self._reference(node_id, mandatory, kinds.HasModellingRule, ua.NodeClass.Object)
+
+    def value_of(self, node_id: ua.NodeId) -> Any:
+        """Return the place where asyncua keeps a node's value and its subscribers."""
+        return self._service._aspace[node_id].attributes[ua.AttributeIds.Value]
+
+    def reference(
+        self, source: ua.NodeId, target: ua.NodeId, kind: int, target_class: ua.NodeClass
+    ) -> None:
+        """Add a reference and its inverse."""
+        self._reference(source, target, kind, target_class)
+        self._reference(target, source, kind, ua.NodeClass.Object, is_forward=False)
+
+    def _reference(
+        self,
+        source: ua.NodeId,
+        target: ua.NodeId,
+        kind: int,
+        target_class: ua.NodeClass,
+        *,
+        is_forward: bool = True,
+    ) -> None:
+        item = ua.AddReferencesItem()
+        item.SourceNodeId, item.TargetNodeId = source, target
+        item.ReferenceTypeId = ua.NodeId(kind)
+        item.IsForward = is_forward
+        item.TargetNodeClass = target_class
+        self._service.add_references([item])[0].check()
+
+    def _object(
+        self,
+        node_id: ua.NodeId,
+        browse_name: ua.QualifiedName,
+        parent: ua.NodeId,
+        reference: int,
+        type_definition: int,
+        description: str,
+        event_notifier: int = 0,
+    ) -> None:
+        attributes = ua.ObjectAttributes()
+        attributes.DisplayName = ua.LocalizedText(browse_name.Name)
+        attributes.Description = ua.LocalizedText(description)
+        attributes.EventNotifier = event_notifier
+        self._add(
+            node_id,
+            browse_name,
+            parent,
+            reference,
+            ua.NodeClass.Object,
+            attributes,
+            type_definition,
+        )
+
+    def _add(
+        self,
+        node_id: ua.NodeId,
+        browse_name: ua.QualifiedName,
+        parent: ua.NodeId,
+        reference: int,
+        node_class: ua.NodeClass,
+        attributes: Any,
+        type_definition: int | None,
+    ) -> ua.NodeId:
+        item = ua.AddNodesItem()
+        item.RequestedNewNodeId = node_id
+        item.BrowseName = browse_name
+        item.ParentNodeId = parent
+        item.ReferenceTypeId = ua.NodeId(reference)
+        item.NodeClass = node_class
+        if type_definition is not None:
+            item.TypeDefinition = ua.NodeId(type_definition)
+        item.NodeAttributes = attributes
+        self._service.add_nodes([item])[0].StatusCode.check()
+        return node_id
+
+
+def eu_information(unit: Unit) -> ua.EUInformation:
+    """Return a unit as OPC UA's EUInformation."""
+    return ua.EUInformation(
+        NamespaceUri=UNITS_URI,
+        UnitId=unit.unit_id,
+        DisplayName=ua.LocalizedText(unit.symbol),
+        Description=ua.LocalizedText(unit.description),
+    )

@@ -1,0 +1,128 @@
+"""Figures about the daemon itself: slices, peers, audit; variables made when first seen.
+
+A provider returns one plain table, ``{"plant": {"overruns": 0, ...}, ...}``; its entry becomes the
+variable ``slices.plant.overruns``. A figure that is None has no value yet
+(BadWaitingForInitialData).
+"""
+
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.io.opcua_server import model
+from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
+from hilserver.io.opcua_server.logs import log
+from hilserver.io.opcua_server.values import FixedDataValue, write_value
+
+Figure = float | str | bool | int | None
+Table = Mapping[str, Mapping[str, Figure]]
+Provider = Callable[[], Table]
+
+_MAX_VARIABLES = 2000
+_GOOD = ua.StatusCode(ua.StatusCodes.Good)
+_WAITING = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)
+_NO_VALUE = ua.Variant()
+_TYPES: dict[type, ua.VariantType] = {
+    bool: ua.VariantType.Boolean,
+    int: ua.VariantType.Int64,
+    float: ua.VariantType.Double,
+    str: ua.VariantType.String,
+}
+_NEVER = object()
+
+
+class Diagnostics:
+    """Variables of one group, written when their figure changes.
+
+    Parameters
+    ----------
+    group : str
+        Folder, one of `model.GROUPS`.
+    flat : str or None
+        Figure that stands for its entry: ``audit.<item>`` shows the figure "ok", the other figures
+        are below it.
+    """
+
+    def __init__(
+        self, builder: AddressSpaceBuilder, group: str, provider: Provider, flat: str | None = None
+    ) -> None:
+        self._builder = builder
+        self._group = group
+        self._provider = provider
+        self._flat = flat
+        self._folders: set[str] = {group}
+        self._places: dict[str, Any] = {}
+        self._types: dict[str, ua.VariantType] = {}
+        self._last: dict[str, object] = {}
+        self._is_full = False
+
+    def publish(self) -> Table:
+        """Ask the provider, write what changed, and return the table."""
+        table = self._provider()
+        for entry, figures in table.items():
+            name = entry.replace(".", "_")
+            for figure, value in sorted(figures.items(), key=lambda row: row[0] != self._flat):
+                path = f"{self._group}.{name}"
+                self._show(path if figure == self._flat else f"{path}.{figure}", value)
+        return table
+
+    def _show(self, path: str, value: Figure) -> None:
+        if self._last.get(path, _NEVER) == value and type(self._last[path]) is type(value):
+            return
+        if path not in self._places and not self._add(path, value):
+            return
+        self._last[path] = value
+        now = datetime.now(UTC)
+        kind = self._types[path]
+        converted = _converted(kind, value)
+        if converted is None:
+            data_value = FixedDataValue(_NO_VALUE, _WAITING, now, now)
+        else:
+            data_value = FixedDataValue(ua.Variant(converted, kind, None, False), _GOOD, now, now)
+        write_value(self._places[path], data_value)
+
+    def _add(self, path: str, value: Figure) -> bool:
+        if len(self._places) >= _MAX_VARIABLES:
+            if not self._is_full:
+                log.warning("too many figures for OPC UA", group=self._group, shown=_MAX_VARIABLES)
+            self._is_full = True
+            return False
+        kind = _kind_of(value)
+        parent, name = model.split(path)
+        if parent not in self._places and parent not in self._folders:
+            grandparent, folder = model.split(parent)
+            self._builder.folders([model.Folder(parent, grandparent, folder)])
+            self._folders.add(parent)
+        self._builder.variable(
+            model.Variable(
+                path, parent, name, "", model.BASE_DATA_VARIABLE, kind.value, writable=False
+            )
+        )
+        self._places[path] = self._builder.value_of(self._builder.node_id(path))
+        self._types[path] = kind
+        return True
+
+
+def _kind_of(value: Figure) -> ua.VariantType:
+    """Return the type for a figure's variable; what has no value yet will be a number."""
+    for python_type, kind in _TYPES.items():
+        if isinstance(value, python_type):
+            return kind
+    return ua.VariantType.Double
+
+
+def _converted(kind: ua.VariantType, value: Figure) -> object | None:
+    """Return the figure in the type its variable has, None where it has no value in that type."""
+    if value is None:
+        return None
+    if kind is ua.VariantType.String:
+        return str(value)
+    if isinstance(value, str):
+        return None
+    if kind is ua.VariantType.Double:
+        return float(value)
+    if kind is ua.VariantType.Boolean:
+        return bool(value)
+    return int(value) if abs(value) < 2**63 else None  # not for NaN either

@@ -1,0 +1,175 @@
+"""What clients write: checked before it enters, so that the status code is the gate's answer.
+
+=====================  =========================================================================
+BadTypeMismatch        another data type, scalar for array, wrong length (no widening: an Int64 is
+                       no Double)
+BadOutOfRange          outside EURange, NaN, infinity
+BadUserAccessDenied    another source has control, or the user's role does not allow it; the
+                       diagnostic text and an event say who has control
+BadNotWritable         an output, or another attribute than Value
+BadWriteNotSupported   with an index range or with a status code that is not Good
+BadResourceUnavailable the queue of the plant is full
+=====================  =========================================================================
+
+A time stamp that comes with a value is ignored: the stamp is that of the tick that latched it.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from asyncua import ua
+from asyncua.crypto.permission_rules import User
+
+from hilserver.image import ProcessImage
+from hilserver.inputs import ControlRefused, InputGate, Refusal, check_value
+from hilserver.io.opcua_server.access import Access
+from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES
+from hilserver.io.opcua_server.values import SignalVariables
+from hilserver.signals import Signal, SignalTable
+
+SOURCE = "opcua"
+"""Name under which all clients of this server write."""
+
+_Codes = ua.StatusCodes
+STATUS_OF: dict[Refusal, int] = {
+    Refusal.UNKNOWN_SIGNAL: _Codes.BadNodeIdUnknown,
+    Refusal.NOT_WRITABLE: _Codes.BadNotWritable,
+    Refusal.TYPE_MISMATCH: _Codes.BadTypeMismatch,
+    Refusal.NOT_FINITE: _Codes.BadOutOfRange,
+    Refusal.OUT_OF_RANGE: _Codes.BadOutOfRange,
+    Refusal.NOT_IN_CONTROL: _Codes.BadUserAccessDenied,
+    Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
+}
+
+
+class Answer(NamedTuple):
+    """Result of one write: status code, and a sentence where it is refused."""
+
+    code: int
+    text: str = ""
+
+
+_ACCEPTED = Answer(_Codes.Good)
+
+
+class WriteDoor:
+    """Answers the Write service.
+
+    Parameters
+    ----------
+    address_space : asyncua AddressSpace
+        Asked which nodes and attributes exist.
+    variables : SignalVariables
+        Shows what was accepted.
+    """
+
+    def __init__(
+        self,
+        address_space: Any,
+        namespace_index: int,
+        table: SignalTable,
+        image: ProcessImage,
+        gate: InputGate,
+        variables: SignalVariables,
+        access: Access,
+    ) -> None:
+        self._address_space = address_space
+        self._index = namespace_index
+        self._table = table
+        self._image = image
+        self._gate = gate
+        self._variables = variables
+        self._access = access
+
+    def write(self, items: Iterable[ua.WriteValue], user: User) -> list[Answer]:
+        """Return one answer per item; what is accepted is latched together by one tick."""
+        items = list(items)
+        answers: list[Answer] = []
+        group: dict[str, tuple[int, object]] = {}
+        for position, item in enumerate(items):
+            answer = self._refuse(item, user)
+            answers.append(answer or _ACCEPTED)
+            if answer is not None:
+                continue
+            name = item.NodeId.Identifier
+            if name == CONTROL_SOURCE or name in group:
+                # The order of a request holds: taking control acts on the writes behind it, and
+                # of two writes to one signal the later wins.
+                self._hand_over(group, answers)
+                group = {}
+            if name == CONTROL_SOURCE:
+                answers[position] = self._take_control(item.Value.Value)
+            else:
+                group[name] = (position, self._value(self._table[name], item.Value.Value))
+        self._hand_over(group, answers)
+        return answers
+
+    def _refuse(self, item: ua.WriteValue, user: User) -> Answer | None:
+        node = self._address_space.get(item.NodeId)
+        if node is None:
+            return Answer(_Codes.BadNodeIdUnknown)
+        if item.AttributeId not in node.attributes:
+            return Answer(_Codes.BadAttributeIdInvalid)
+        name = item.NodeId.Identifier
+        is_ours = item.NodeId.NamespaceIndex == self._index and isinstance(name, str)
+        if item.AttributeId != ua.AttributeIds.Value or not is_ours:
+            return Answer(_Codes.BadNotWritable, "only the values of inputs can be written")
+        if name != CONTROL_SOURCE and name not in self._table:
+            return Answer(_Codes.BadNotWritable, "only the values of inputs can be written")
+        if not self._access.may_write(user, name):
+            return Answer(_Codes.BadUserAccessDenied, "your role does not allow to write this")
+        if item.IndexRange:
+            return Answer(_Codes.BadWriteNotSupported, "write the whole array")
+        if item.Value.StatusCode is not None and item.Value.StatusCode.value != _Codes.Good:
+            return Answer(
+                _Codes.BadWriteNotSupported, "only values with status Good can be written"
+            )
+        return None
+
+    @staticmethod
+    def _value(signal: Signal, variant: ua.Variant) -> object:
+        """Return the plain value, or the variant itself where its type is another one.
+
+        The gate refuses a variant as what it is, and so counts it and names its type.
+        """
+        if variant is None or variant.VariantType.value != DATA_TYPES[signal.type]:
+            return variant
+        return variant.Value
+
+    def _hand_over(self, group: dict[str, tuple[int, object]], answers: list[Answer]) -> None:
+        if not group:
+            return
+        values = {name: value for name, (_, value) in group.items()}
+        refused = self._gate.write(SOURCE, values)
+        for name, reason in refused.items():
+            answers[group[name][0]] = Answer(STATUS_OF[reason], self._explain(name, reason))
+        accepted: dict[str, tuple[float, ...]] = {}
+        for name, value in values.items():
+            numbers = check_value(self._table[name], value)
+            if name not in refused and not isinstance(numbers, Refusal):
+                accepted[name] = numbers
+        if accepted:
+            self._variables.show_written(accepted, self._image.pushed_rows)
+
+    def _take_control(self, variant: ua.Variant) -> Answer:
+        if variant is None or variant.VariantType != ua.VariantType.String or variant.is_array:
+            return Answer(_Codes.BadTypeMismatch, "control.source is a String")
+        if variant.Value not in self._gate.priority:
+            known = ", ".join(self._gate.priority)
+            return Answer(_Codes.BadOutOfRange, f"sources are {known}")
+        try:
+            self._gate.request(SOURCE, variant.Value)
+        except ControlRefused as error:
+            return Answer(_Codes.BadUserAccessDenied, str(error))
+        return _ACCEPTED
+
+    def _explain(self, name: str, reason: Refusal) -> str:
+        signal = self._table[name]
+        if reason is Refusal.NOT_IN_CONTROL:
+            return f"'{self._gate.owner}' has control; write '{SOURCE}' to {CONTROL_SOURCE} first"
+        if reason is Refusal.OUT_OF_RANGE:
+            return f"the range is {signal.low:g} .. {signal.high:g} {signal.unit}"
+        if reason is Refusal.TYPE_MISMATCH:
+            length = f"[{len(signal.slots)}]" if signal.is_array else ""
+            return f"the type is {signal.type.value}{length}"
+        return reason.value.replace("_", " ")

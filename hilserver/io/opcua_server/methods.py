@@ -1,0 +1,151 @@
+"""What the methods do, and the status code of every answer.
+
+==================  ==========================================================================
+BadArgumentsMissing  fewer arguments than described
+BadTooManyArguments  more
+BadInvalidArgument   another type or a value out of range; the argument's result says which
+BadInvalidState      not possible now; the diagnostic text says why
+BadNotImplemented    Force, Unforce, InjectFault, ClearFaults: not in this version
+BadUserAccessDenied  the user's role does not allow it
+==================  ==========================================================================
+"""
+
+import inspect
+import re
+from collections.abc import Awaitable, Callable
+from typing import Any, NamedTuple
+
+from asyncua import ua
+from asyncua.crypto.permission_rules import User
+
+from hilserver.control import Control
+from hilserver.errors import UserError
+from hilserver.io.opcua_server.access import Access
+from hilserver.io.opcua_server.logs import log
+from hilserver.io.opcua_server.method_table import METHODS, Method
+from hilserver.io.opcua_server.model import DATA_TYPES
+
+_Codes = ua.StatusCodes
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+
+Handler = Callable[..., Awaitable[Any] | None]
+
+
+class CallAnswer(NamedTuple):
+    """Result of one call: what goes to the client, and a sentence where it is refused."""
+
+    result: ua.CallMethodResult
+    text: str = ""
+
+
+def _not_implemented(*_arguments: object) -> None:
+    raise NotImplementedError("forcing and faults are not in this version")
+
+
+class Methods:
+    """Checks the arguments of a call and does what it asks for.
+
+    Parameters
+    ----------
+    control : Control
+        The daemon's state machine.
+    node_id : callable
+        Node id of a dotted name.
+    """
+
+    def __init__(
+        self, control: Control, access: Access, node_id: Callable[[str], ua.NodeId]
+    ) -> None:
+        self._access = access
+        self._object = node_id("methods")
+        self._by_id = {node_id(method.node_id): method for method in METHODS}
+
+        def save(name: str) -> Awaitable[None]:
+            return control.save_snapshot(_plain_name(name))
+
+        def load(name: str) -> Awaitable[None]:
+            return control.load_snapshot(_plain_name(name))
+
+        self._handlers: dict[str, Handler] = {
+            "Start": control.start,
+            "Stop": control.stop,
+            "Pause": control.pause,
+            "Step": control.step,
+            "Reset": control.reset,
+            "SaveSnapshot": save,
+            "LoadSnapshot": load,
+            "Force": _not_implemented,
+            "Unforce": _not_implemented,
+            "InjectFault": _not_implemented,
+            "ClearFaults": _not_implemented,
+            "ResetStatistics": control.reset_statistics,
+            "SetPose": control.set_pose,
+        }
+
+    def __contains__(self, method_id: object) -> bool:
+        return method_id in self._by_id
+
+    async def call(self, request: ua.CallMethodRequest, user: User) -> CallAnswer:
+        """Answer one call of a method of ours."""
+        method = self._by_id[request.MethodId]
+        if request.ObjectId != self._object:
+            return _refuse(_Codes.BadMethodInvalid, "the methods belong to the object s=methods")
+        if not self._access.may_call(user, method.name):
+            return _refuse(_Codes.BadUserAccessDenied, "your role does not allow this call")
+        arguments = list(request.InputArguments or [])
+        wrong = _check_arguments(method, arguments)
+        if wrong is not None:
+            return wrong
+        answer = await self._run(method, [argument.Value for argument in arguments])
+        log.info("opcua method", method=method.name, refused=answer.text or None)
+        return answer
+
+    async def _run(self, method: Method, values: list[Any]) -> CallAnswer:
+        try:
+            outcome = self._handlers[method.name](*values)
+            if inspect.isawaitable(outcome):
+                await outcome
+        except NotImplementedError as error:
+            return _refuse(_Codes.BadNotImplemented, str(error))
+        except UserError as error:
+            return _refuse(_Codes.BadInvalidState, str(error))
+        except ValueError as error:
+            results = [ua.StatusCode(_Codes.BadOutOfRange) for _ in values]
+            return _refuse(_Codes.BadInvalidArgument, str(error), results)
+        except OSError as error:
+            return _refuse(_Codes.BadResourceUnavailable, str(error))
+        except Exception as error:  # noqa: BLE001 - a client must get an answer, and no traceback
+            log.error("opcua method failed", method=method.name, error=repr(error))
+            return _refuse(_Codes.BadInternalError, "internal error, see the log")
+        return CallAnswer(ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.Good)))
+
+
+def _refuse(code: int, text: str, results: list[ua.StatusCode] | None = None) -> CallAnswer:
+    result = ua.CallMethodResult(StatusCode=ua.StatusCode(code), InputArgumentResults=results or [])
+    return CallAnswer(result, text)
+
+
+def _check_arguments(method: Method, arguments: list[ua.Variant]) -> CallAnswer | None:
+    signature = ", ".join(f"{a.type} {a.name}" for a in method.arguments) or "no arguments"
+    if len(arguments) < len(method.arguments):
+        return _refuse(_Codes.BadArgumentsMissing, f"{method.name} takes {signature}")
+    if len(arguments) > len(method.arguments):
+        return _refuse(_Codes.BadTooManyArguments, f"{method.name} takes {signature}")
+    results = [
+        ua.StatusCode(_Codes.Good if _fits(argument.type, given) else _Codes.BadTypeMismatch)
+        for argument, given in zip(method.arguments, arguments, strict=True)
+    ]
+    if any(result.value != _Codes.Good for result in results):
+        return _refuse(_Codes.BadInvalidArgument, f"{method.name} takes {signature}", results)
+    return None
+
+
+def _fits(type_name: str, given: ua.Variant) -> bool:
+    is_type = given.VariantType.value == DATA_TYPES[type_name]
+    return is_type and not given.is_array and given.Value is not None
+
+
+def _plain_name(name: str) -> str:
+    if not _PLAIN_NAME.fullmatch(name):
+        raise ValueError(f"{name!r:.120} is no plain file name (letters, digits, _ . -)")
+    return name

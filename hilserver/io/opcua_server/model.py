@@ -1,0 +1,170 @@
+"""The address space of a signal table as plain data, before any OPC UA library.
+
+The running server and the NodeSet2 file are both made from these rows, so they cannot differ.
+A dotted name is a place: ``wheel.fl.speed_rpm`` is variable ``speed_rpm`` in folder ``wheel.fl``,
+and its node id is the whole name, whatever the folder.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from hilserver.io.opcua_server.method_table import STRING
+from hilserver.signals import LIGHTS, Direction, Signal, SignalTable, ValueType
+from hilserver.units import UNECE, Unit
+
+NAMESPACE_URI = "urn:hilserver:robot"
+DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
+DI_DEVICE_SET = 5001
+"""Numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)."""
+
+ROBOT = "robot"
+"""Node id of the object that holds everything of ours."""
+GROUPS = {
+    "methods": "Commands to the daemon",
+    "slices": "Timing of every time slice",
+    "peers": "Links to OPC UA peers",
+    "audit": "What this computer lacks for real time, and what is set open",
+}
+"""Folders that are no signals."""
+CONTROL_SOURCE = "control.source"
+
+ANALOG_ITEM, ANALOG_UNIT, ANALOG_UNIT_RANGE = 2368, 17497, 17570
+BASE_DATA_VARIABLE, TWO_STATE, MULTI_STATE = 63, 2373, 2376
+DATA_TYPES = {
+    ValueType.BOOLEAN: 1,
+    ValueType.BYTE: 3,
+    ValueType.UINT32: 7,
+    ValueType.INT64: 8,
+    ValueType.DOUBLE: 11,
+    STRING: 12,
+}
+"""OPC UA built-in types by name (OPC 10000-6, table 1)."""
+
+ENUMERATIONS: dict[str, tuple[str, ...]] = {
+    "control.mode": ("wheels", "twist"),
+    "lights.command": LIGHTS,
+    "sim.state": ("starting", "running", "paused", "safe", "stopping"),
+}
+"""Signals whose numbers have names: MultiStateDiscrete with EnumStrings."""
+TWO_STATES = {"drive.enable": ("disabled", "enabled")}
+"""Booleans whose values have names, for false and true."""
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """A folder; `path` is its node id, `parent` that of the folder it is in."""
+
+    path: str
+    parent: str
+    name: str
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable with the properties its type definition asks for.
+
+    Attributes
+    ----------
+    path : str
+        Node id and, for signals, name in the signal table.
+    type_definition, data_type : int
+        Numeric node ids in namespace 0.
+    length : int or None
+        Number of elements of an array, None for a scalar.
+    eu_range : tuple of float or None
+        Lowest and highest value.
+    """
+
+    path: str
+    parent: str
+    name: str
+    description: str
+    type_definition: int
+    data_type: int
+    writable: bool
+    length: int | None = None
+    eu_range: tuple[float, float] | None = None
+    unit: Unit | None = None
+    enum_strings: tuple[str, ...] = ()
+    two_states: tuple[str, str] | None = None
+
+
+def split(path: str) -> tuple[str, str]:
+    """Return the folder and the last part of a dotted name."""
+    parent, _, name = path.rpartition(".")
+    return parent or ROBOT, name
+
+
+def folders_of(paths: Iterable[str]) -> Iterator[Folder]:
+    """Yield every folder that `paths` are in, each after the one that holds it."""
+    seen: set[str] = set()
+    for path in paths:
+        parts = path.split(".")[:-1]
+        for depth in range(1, len(parts) + 1):
+            folder = ".".join(parts[:depth])
+            if folder not in seen:
+                seen.add(folder)
+                parent, name = split(folder)
+                yield Folder(folder, parent, name, GROUPS.get(folder, ""))
+
+
+def variable_of(signal: Signal) -> Variable:
+    """Return the variable that shows `signal`."""
+    parent, name = split(signal.name)
+    has_unit = signal.unit != "1"
+    is_ranged = math.isfinite(signal.low) and math.isfinite(signal.high)
+    type_definition = BASE_DATA_VARIABLE
+    if signal.name in ENUMERATIONS:
+        type_definition = MULTI_STATE
+    elif signal.type is ValueType.BOOLEAN:
+        type_definition = TWO_STATE if signal.name in TWO_STATES else BASE_DATA_VARIABLE
+    elif has_unit:
+        type_definition = ANALOG_UNIT_RANGE if is_ranged else ANALOG_UNIT
+    elif is_ranged:
+        type_definition = ANALOG_ITEM
+    is_analog = type_definition in (ANALOG_ITEM, ANALOG_UNIT, ANALOG_UNIT_RANGE)
+    return Variable(
+        path=signal.name,
+        parent=parent,
+        name=name,
+        description=signal.description,
+        type_definition=type_definition,
+        data_type=DATA_TYPES[signal.type],
+        writable=signal.direction is Direction.IN,
+        length=len(signal.slots) if signal.is_array else None,
+        eu_range=(signal.low, signal.high) if is_analog and is_ranged else None,
+        unit=UNECE[signal.unit] if has_unit else None,
+        enum_strings=ENUMERATIONS.get(signal.name, ()),
+        two_states=TWO_STATES.get(signal.name),
+    )
+
+
+def describe(table: SignalTable) -> tuple[list[Folder], list[Variable]]:
+    """Return all folders and variables of a signal table.
+
+    Raises
+    ------
+    ValueError
+        If a signal's name takes the place of a folder.
+    """
+    variables = [variable_of(signal) for signal in table]
+    variables.append(
+        Variable(
+            path=CONTROL_SOURCE,
+            parent="control",
+            name="source",
+            description="Kind of source that has control: writing 'opcua' takes it",
+            type_definition=BASE_DATA_VARIABLE,
+            data_type=DATA_TYPES[STRING],
+            writable=True,
+        )
+    )
+    paths = [variable.path for variable in variables]
+    folders = list(folders_of([*(f"{group}.x" for group in GROUPS), *paths]))
+    taken = {folder.path for folder in folders} | {ROBOT}
+    for path in paths:
+        if path in taken or path.split(".")[0] in {ROBOT, *GROUPS}:
+            raise ValueError(f"a signal cannot be called '{path}': the address space uses the name")
+    return folders, variables
