@@ -1,0 +1,217 @@
+"""The words through which the event loop and the pacing loop talk: nobody waits for anybody.
+
+Every word has one writer. The event loop writes what it wants, the pacing loop what it has done;
+loads and stores are atomic, and no word needs a second one to be understood:
+
+command
+    ``FREE_RUN``, or ``(generation << 32) | n``: paused, after exactly n more ticks. One word, so
+    that a step request can neither be lost nor run twice, whatever the loop is doing meanwhile.
+acknowledged
+    The last command that has been carried out to its end (for n steps: all n are done).
+
+Communication slices have one row each; its sequence number is odd while the loop writes it.
+Overruns go into a bounded ring; what does not fit is counted, not waited for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba.core import types
+from numpy.typing import NDArray
+
+from hilserver.compiled import kernel
+from hilserver.compiled.atomics import fence, load_acquire, store_release
+
+# Written by the event loop
+COMMAND, PACED_PERIOD, STOP_REQUEST, RECORDS_TAKEN = range(4)
+# Written by the pacing loop
+ACKNOWLEDGED, HEARTBEAT, NEXT_TICK, TICKS_DONE, STOPPED, RECORDS_MADE, RECORDS_LOST = range(8, 15)
+N_CONTROL = 16
+
+FREE_RUN = -1
+MAX_STEPS = 2**32 - 1
+
+# One row per communication slice
+COMM_SEQUENCE, COMM_TICK, COMM_PLANNED, COMM_PERIOD_TICKS = range(4)
+N_COMM = 4
+
+# One row per overrun or fault
+(
+    R_TICK,
+    R_KIND,
+    R_SLICE,
+    R_PLANNED,
+    R_LATENCY,
+    R_EXECUTION,
+    R_CPU,
+    R_MINOR_FAULTS,
+    R_MAJOR_FAULTS,
+    R_PREEMPTED,
+    R_MISSED,
+    R_CODE,
+) = range(12)
+N_RECORD = 12
+RING_LENGTH = 256
+
+_WORDS = types.int64[::1]
+
+
+@kernel()
+def announce(comm: NDArray[np.int64], row: int, tick: int, planned_ns: int) -> None:
+    """Tell the event loop that communication slice `row` is due."""
+    base = row * N_COMM
+    sequence = comm[base + COMM_SEQUENCE]
+    store_release(comm, base + COMM_SEQUENCE, sequence + 1)
+    fence()
+    comm[base + COMM_TICK] = tick
+    comm[base + COMM_PLANNED] = planned_ns
+    store_release(comm, base + COMM_SEQUENCE, sequence + 2)
+
+
+@kernel(types.int64(_WORDS, types.int64, _WORDS))
+def heard(comm: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> int:
+    """Read what was last announced for slice `row`.
+
+    Parameters
+    ----------
+    comm, row
+        All rows and the index of one.
+    out : ndarray of int64, shape (2,)
+        Receives tick and planned start [ns].
+
+    Returns
+    -------
+    int
+        Number of announcements so far; -1 if the writer was always in the way.
+    """
+    base = row * N_COMM
+    for _ in range(64):
+        before = load_acquire(comm, base + COMM_SEQUENCE)
+        if before % 2 == 0:
+            out[0] = comm[base + COMM_TICK]
+            out[1] = comm[base + COMM_PLANNED]
+            fence()
+            if load_acquire(comm, base + COMM_SEQUENCE) == before:
+                return int(before // 2)
+    return -1
+
+
+@kernel()
+def next_record(control: NDArray[np.int64], ring: NDArray[np.int64]) -> int:
+    """Return the ring's row for a new record, or -1 (counted as lost) if it is full."""
+    made = control[RECORDS_MADE]
+    if made - load_acquire(control, RECORDS_TAKEN) >= ring.shape[0]:
+        control[RECORDS_LOST] += 1
+        return -1
+    return int(made % ring.shape[0])
+
+
+@kernel(types.int64(_WORDS, types.int64))
+def read_word(control: NDArray[np.int64], index: int) -> int:
+    """Load one control word (acquire)."""
+    return int(load_acquire(control, index))
+
+
+@kernel(types.void(_WORDS, types.int64, types.int64))
+def write_word(control: NDArray[np.int64], index: int, value: int) -> None:
+    """Store one control word (release)."""
+    store_release(control, index, value)
+
+
+@dataclass(frozen=True, slots=True)
+class OverrunRecord:
+    """One overrun or fault as the pacing loop saw it; times in ns.
+
+    Attributes
+    ----------
+    kind : int
+        ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault that was no overrun.
+    slice_index : int
+        The row of the slice that is blamed: the first for a late wake, the longest otherwise.
+    cpu_ns, minor_faults, major_faults, preempted
+        What the thread used and suffered since the end of the previous tick.
+    missed : int
+        Planned starts that the policy gave up.
+    code : int
+        The ``FAULT_*`` code handed to the step; -1: the scheduler stopped; 0: none.
+    """
+
+    tick: int
+    kind: int
+    slice_index: int
+    planned_ns: int
+    latency_ns: int
+    execution_ns: int
+    cpu_ns: int
+    minor_faults: int
+    major_faults: int
+    preempted: int
+    missed: int
+    code: int
+
+
+class Exchange:
+    """The event loop's side of the words."""
+
+    def __init__(self, base_period_ns: int, comm_period_ticks: list[int]) -> None:
+        self.control = np.zeros(N_CONTROL, dtype=np.int64)
+        self.comm = np.zeros(len(comm_period_ticks) * N_COMM, dtype=np.int64)
+        self.comm[COMM_PERIOD_TICKS::N_COMM] = comm_period_ticks
+        self.ring = np.zeros((RING_LENGTH, N_RECORD), dtype=np.int64)
+        self._generation = 0
+        self.control[COMMAND] = FREE_RUN
+        self.control[PACED_PERIOD] = base_period_ns
+
+    def get(self, word: int) -> int:
+        """Load one control word."""
+        return int(read_word(self.control, word))
+
+    def pause(self) -> None:
+        """Stand still before the next tick."""
+        self._generation += 1
+        write_word(self.control, COMMAND, self._generation << 32)
+
+    def resume(self) -> None:
+        """Run freely."""
+        write_word(self.control, COMMAND, FREE_RUN)
+
+    def step(self, n_ticks: int) -> None:
+        """Run exactly `n_ticks` more and pause; adds to what an unfinished step still owes."""
+        if not 1 <= n_ticks <= MAX_STEPS:
+            raise ValueError(f"a step runs 1 to {MAX_STEPS} ticks, not {n_ticks}")
+        command = self.get(COMMAND)
+        if command == FREE_RUN or (command & MAX_STEPS) + n_ticks > MAX_STEPS:
+            self._generation += 1
+            command = self._generation << 32
+        write_word(self.control, COMMAND, command + n_ticks)
+
+    def set_paced_period(self, period_ns: int) -> None:
+        """Change the real duration of a tick, from the next one on."""
+        write_word(self.control, PACED_PERIOD, period_ns)
+
+    def request_stop(self) -> None:
+        """Ask the loop to end."""
+        write_word(self.control, STOP_REQUEST, 1)
+
+    @property
+    def command(self) -> int:
+        """The command given last."""
+        return self.get(COMMAND)
+
+    @property
+    def standing(self) -> bool:
+        """True when a pause, or all ticks of a step, have been carried out."""
+        command = self.get(COMMAND)
+        return command != FREE_RUN and self.get(ACKNOWLEDGED) == command
+
+    def take_record(self, ended_before_ns: int) -> OverrunRecord | None:
+        """Take the oldest record if its tick ended before `ended_before_ns`."""
+        taken = self.get(RECORDS_TAKEN)
+        if taken == self.get(RECORDS_MADE):
+            return None
+        row = self.ring[taken % RING_LENGTH]
+        if row[R_PLANNED] + row[R_LATENCY] + row[R_EXECUTION] > ended_before_ns:
+            return None
+        record = OverrunRecord(*(int(word) for word in row))
+        write_word(self.control, RECORDS_TAKEN, taken + 1)
+        return record

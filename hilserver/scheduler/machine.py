@@ -1,0 +1,85 @@
+"""Everything one scheduler's loop works on, in one place: the compiled step and its arrays."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.scheduler import turn as tn
+from hilserver.scheduler.exchange import Exchange
+from hilserver.scheduler.law import WARM_UP_LEFT, law_array
+from hilserver.scheduler.policies import OverrunLimits, OverrunPolicy
+from hilserver.scheduler.slices import Slice, check_slices
+from hilserver.scheduler.statistics import Statistics
+from hilserver.scheduler.step import StepFunction
+
+
+class Machine:
+    """The loop's arrays; the pacing back ends only differ in when they call `turn`.
+
+    Attributes
+    ----------
+    compiled, communication : list of Slice
+        The slices by kind; the statistics' rows are in this order.
+    exchange : Exchange
+        The words shared with the event loop.
+    statistics : Statistics
+        What the loop counts.
+    """
+
+    def __init__(
+        self,
+        *,
+        base_period_ns: int,
+        slices: Sequence[Slice],
+        step: StepFunction,
+        values: NDArray[np.float64],
+        words: NDArray[np.int64],
+        policy: OverrunPolicy,
+        limits: OverrunLimits,
+        warm_up_ticks: int,
+        first_tick: int,
+        statistics_array: NDArray[np.int64] | None,
+        linear_bins: int,
+    ) -> None:
+        self.base_period_ns = base_period_ns
+        self.compiled, self.communication = check_slices(slices)
+        self.law = law_array(base_period_ns, policy, limits, warm_up_ticks, first_tick)
+        self.exchange = Exchange(base_period_ns, [part.period_ticks for part in self.communication])
+        self.statistics = Statistics(
+            [*self.compiled, *self.communication], base_period_ns, statistics_array, linear_bins
+        )
+        table = np.zeros((len(self.compiled), tn.N_SLICE), dtype=np.int64)
+        table[:, tn.S_PERIOD_TICKS] = [part.period_ticks for part in self.compiled]
+        self.arguments: tuple[Any, ...] = (
+            step,
+            self.law,
+            self.exchange.control,
+            table,
+            self.statistics.array,
+            self.exchange.comm,
+            self.exchange.ring,
+            values,
+            words,
+            np.zeros(tn.N_SCRATCH, dtype=np.int64),
+        )
+
+    def turn(self, *, virtual: bool) -> int:
+        """Do what is due now; return the flags of `turn.turn`."""
+        return int(tn.turn(*self.arguments, virtual))
+
+    @property
+    def slice_names(self) -> list[str]:
+        """Names in the order of the statistics' rows."""
+        return self.statistics.names
+
+    @property
+    def warming_up(self) -> bool:
+        """True while ticks are not counted yet."""
+        return bool(self.law[WARM_UP_LEFT] > 0)
+
+    def prefault(self) -> None:
+        """Touch every page of every array once, without changing a bit."""
+        for array in self.arguments[1:]:
+            array.reshape(-1).view(np.int64)[::512] += 0

@@ -1,0 +1,166 @@
+"""Overruns on the event loop: taken from the ring, explained, handed to whoever asked."""
+
+import asyncio
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hilserver.scheduler.causes import Cause, CauseFinder
+from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, NO_OVERRUN
+from hilserver.scheduler.machine import Machine
+from hilserver.scheduler.step import (
+    FAULT_CONSECUTIVE_OVERRUNS,
+    FAULT_SINGLE_OVERRUN,
+    FAULT_SLICE,
+)
+
+PERIOD_S = 0.1
+_SETTLE_NS = 20_000_000
+"""A record is explained no sooner than this after its tick: a SIGCONT needs time to arrive."""
+
+
+@dataclass(frozen=True, slots=True)
+class OverrunReport:
+    """One overrun, explained.
+
+    Attributes
+    ----------
+    slice : str
+        The slice that is blamed: the first of the tick for a late wake, the longest otherwise.
+    kind : str
+        ``late_wake``, ``long_run`` or ``fault`` (a slice reported a fault in time).
+    latency_ns, execution_ns : int
+        Of the tick (compiled slices) or of the slice (communication).
+    missed : int
+        Planned starts that were given up.
+    cause : Cause
+        As far as the system tells.
+    consequence : str
+        "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
+        ``fault 3`` (the slice's own number).
+    """
+
+    slice: str
+    kind: str
+    tick: int
+    latency_ns: int
+    execution_ns: int
+    missed: int
+    cause: Cause
+    consequence: str = ""
+
+    def __str__(self) -> str:
+        """One line for a log."""
+        duration = "started" if self.kind == KIND_NAMES[LATE_WAKE] else "ran"
+        span_ns = self.latency_ns if duration == "started" else self.execution_ns
+        late = " late" if duration == "started" else ""
+        text = f"{self.slice} {duration} {span_ns / 1e6:.3f} ms{late} in tick {self.tick}"
+        text += f": {self.cause}"
+        if self.missed:
+            text += f", {self.missed} ticks missed"
+        return text + (f", {self.consequence}" if self.consequence else "")
+
+
+OverrunCallback = Callable[[OverrunReport], None]
+
+
+class Overruns:
+    """Takes records every 100 ms and calls the callbacks.
+
+    Parameters
+    ----------
+    machine
+        The loop's arrays.
+    finder
+        Knows the causes; None in virtual time.
+    """
+
+    def __init__(self, machine: Machine, callbacks: list[OverrunCallback]) -> None:
+        self._machine = machine
+        self._callbacks = callbacks
+        self._finder: CauseFinder | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._watches_signal = False
+
+    def start(self, finder: CauseFinder) -> None:
+        """Begin to take records."""
+        self._finder = finder
+        self._loop = asyncio.get_running_loop()
+        self._watch_sigcont(finder)
+        self._timer = self._loop.call_later(PERIOD_S, self._again)
+
+    def stop(self) -> None:
+        """Report what is left and end; may be called twice."""
+        if self._timer is None:
+            return
+        self._timer.cancel()
+        self._timer = None
+        self._report(time.monotonic_ns() + 1)
+        if self._watches_signal:
+            self._loop.remove_signal_handler(signal.SIGCONT)
+
+    def communication(
+        self, name: str, kind: int, tick: int, latency_ns: int, execution_ns: int, missed: int
+    ) -> None:
+        """Report an overrun of a communication slice that has just ended."""
+        if self._finder is None:
+            return
+        end_ns = time.monotonic_ns()
+        late = kind == LATE_WAKE
+        began_ns = end_ns - execution_ns - (latency_ns if late else 0)
+        cause = self._finder.explain_communication(began_ns, end_ns, late=late)
+        self._call(
+            OverrunReport(name, KIND_NAMES[kind], tick, latency_ns, execution_ns, missed, cause)
+        )
+
+    def _again(self) -> None:
+        self._timer = self._loop.call_later(PERIOD_S, self._again)
+        self._report(time.monotonic_ns() - _SETTLE_NS)
+
+    def _report(self, ended_before_ns: int) -> None:
+        if self._finder is None:
+            return
+        names = self._machine.slice_names
+        while record := self._machine.exchange.take_record(ended_before_ns):
+            self._call(
+                OverrunReport(
+                    slice=names[record.slice_index],
+                    kind="fault" if record.kind == NO_OVERRUN else KIND_NAMES[record.kind],
+                    tick=record.tick,
+                    latency_ns=record.latency_ns,
+                    execution_ns=record.execution_ns,
+                    missed=record.missed,
+                    cause=self._finder.explain(record) if record.kind else Cause.SLICE,
+                    consequence=_consequence(record.code),
+                )
+            )
+        self._finder.look_around()
+
+    def _call(self, report: OverrunReport) -> None:
+        for callback in self._callbacks:
+            try:
+                callback(report)
+            except Exception as error:  # noqa: BLE001 - the others are still to be told
+                self._loop.call_exception_handler(
+                    {"message": "an overrun callback failed", "exception": error}
+                )
+
+    def _watch_sigcont(self, finder: CauseFinder) -> None:
+        main = threading.current_thread() is threading.main_thread()
+        if main and signal.getsignal(signal.SIGCONT) == signal.SIG_DFL:
+            with contextlib.suppress(NotImplementedError, RuntimeError, ValueError):
+                self._loop.add_signal_handler(signal.SIGCONT, finder.continued)
+                self._watches_signal = True
+
+
+def _consequence(code: int) -> str:
+    if code >= FAULT_SLICE:
+        return f"fault {code - FAULT_SLICE}"
+    return {
+        FAULT_SINGLE_OVERRUN: "single_overrun_limit",
+        FAULT_CONSECUTIVE_OVERRUNS: "consecutive_overrun_limit",
+        -1: "stopped",
+    }.get(code, "")

@@ -1,0 +1,74 @@
+"""Virtual time: as fast as possible, in bounded batches that yield to the event loop.
+
+Every communication slice runs at its own tick, so a run in virtual time is the same every time.
+"""
+
+import asyncio
+import time
+
+from hilserver.scheduler.law import begin
+from hilserver.scheduler.machine import Machine
+from hilserver.scheduler.pacing import Ended, Rung, StopReason
+from hilserver.scheduler.pacing_batch import run_batch
+from hilserver.scheduler.realtime import Grant
+from hilserver.scheduler.turn import ENDED, RING, STANDING
+
+_BATCH_TICKS = 1000
+_PAUSED_POLL_S = 0.01
+"""While paused, inputs are latched at least this often."""
+
+
+class VirtualPacing:
+    """Runs the machine in virtual time; `thread_id` is 0: there is nothing to attribute."""
+
+    def __init__(self, machine: Machine, rung: Rung, ended: Ended) -> None:
+        self._machine = machine
+        self._rung = rung
+        self._ended = ended
+        self._wake = asyncio.Event()
+        self._stopping = False
+        self.thread_id = 0
+
+    async def start(self) -> list[Grant]:
+        """Start the task that runs the batches."""
+        self._machine.prefault()
+        begin(self._machine.law, time.monotonic_ns())
+        self._task = asyncio.create_task(self._run(), name="virtual pacing")
+        return []
+
+    async def stop(self) -> None:
+        """End the task."""
+        self._stopping = True
+        self._wake.set()
+        if self._task is not asyncio.current_task():
+            await self._task
+
+    def wake(self) -> None:
+        """Look at once: a command has been given."""
+        self._wake.set()
+
+    async def _run(self) -> None:
+        reason = StopReason.CRASHED
+        try:
+            while not self._stopping:
+                flags = run_batch(*self._machine.arguments, _BATCH_TICKS)
+                if flags & RING:
+                    self._rung()
+                if flags & ENDED:
+                    reason = StopReason.OVERRUN
+                    return
+                if flags & STANDING:
+                    await self._wait_for_command()
+                else:
+                    await asyncio.sleep(0)
+            reason = StopReason.STOPPED
+        finally:
+            self._ended(reason)
+
+    async def _wait_for_command(self) -> None:
+        try:
+            async with asyncio.timeout(_PAUSED_POLL_S):
+                await self._wake.wait()
+        except TimeoutError:
+            return
+        self._wake.clear()

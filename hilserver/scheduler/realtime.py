@@ -1,0 +1,150 @@
+"""What the pacing thread asks of the operating system, and what it was granted.
+
+Nothing here is silent: every request ends in a `Grant` that the audit shows. Only the pacing thread
+gets a real-time priority, never the process: children would inherit it.
+"""
+
+import contextlib
+import ctypes
+import os
+import resource
+import signal
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_TIMERSLACK = 29
+_LATENCY_TARGET = Path("/dev/cpu_dma_latency")
+_CAP_IPC_LOCK = 14
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeSettings:
+    """What to ask for.
+
+    Attributes
+    ----------
+    priority : int
+        SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask.
+    cpu : int or None
+        Pin the pacing thread to this core.
+    lock_memory : bool
+        Lock and prefault the memory of the process.
+    hold_latency_target : bool
+        Hold /dev/cpu_dma_latency open with 0, so that no core sleeps deeply.
+    """
+
+    priority: int = 80
+    cpu: int | None = None
+    lock_memory: bool = True
+    hold_latency_target: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.priority <= 99:
+            raise ValueError(f"the real-time priority is 0 (off) to 99, not {self.priority}")
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """The answer to one request: what was wanted, what the system said, how to mend it."""
+
+    name: str
+    ok: bool
+    wanted: str
+    found: str
+    mend: str = ""
+
+
+class ProcessGrants:
+    """Requests that concern the whole process; `release` gives them back."""
+
+    def __init__(self, settings: RealtimeSettings) -> None:
+        self._settings = settings
+        self._latency_target: int | None = None
+        self._locked = False
+
+    def request(self) -> list[Grant]:
+        """Ask for what the settings want."""
+        grants = []
+        if self._settings.lock_memory:
+            grants.append(self._lock_memory())
+        if self._settings.hold_latency_target:
+            grants.append(self._hold_latency_target())
+        return grants
+
+    def release(self) -> None:
+        """Give everything back; may be called twice."""
+        if self._latency_target is not None:
+            os.close(self._latency_target)
+            self._latency_target = None
+        if self._locked:
+            ctypes.CDLL(None).munlockall()
+            self._locked = False
+
+    def _lock_memory(self) -> Grant:
+        limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+        mend = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
+        # With a finite limit and MCL_FUTURE a later allocation would fail in the middle of the run.
+        if limit != resource.RLIM_INFINITY and not _has_capability(_CAP_IPC_LOCK):
+            return Grant("memory_lock", False, "locked", f"limit {limit // 1024} KiB", mend)
+        libc = ctypes.CDLL(None, use_errno=True)
+        if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+            return Grant("memory_lock", False, "locked", os.strerror(ctypes.get_errno()), mend)
+        self._locked = True
+        return Grant("memory_lock", True, "locked", "locked")
+
+    def _hold_latency_target(self) -> Grant:
+        try:
+            self._latency_target = os.open(_LATENCY_TARGET, os.O_WRONLY | os.O_CLOEXEC)
+            os.write(self._latency_target, b"\0\0\0\0")
+        except OSError as error:
+            mend = f"give the user write access to {_LATENCY_TARGET} (a udev rule)"
+            found = error.strerror or "error"
+            return Grant("latency_target", False, "0 us, held", found, mend)
+        return Grant("latency_target", True, "0 us, held", "0 us, held")
+
+
+def request_for_this_thread(settings: RealtimeSettings) -> list[Grant]:
+    """Ask for what concerns the calling thread: priority, core, timer slack; block all signals."""
+    with contextlib.suppress(ValueError, OSError):
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    grants = [_timer_slack()]
+    if settings.cpu is not None:
+        grants.append(_pin(settings.cpu))
+    if settings.priority > 0:
+        grants.append(_real_time_priority(settings.priority))
+    return grants
+
+
+def _timer_slack() -> Grant:
+    if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0) != 0:
+        return Grant("thread_timer_slack", False, "1 ns", os.strerror(ctypes.get_errno()))
+    return Grant("thread_timer_slack", True, "1 ns", "1 ns")
+
+
+def _pin(cpu: int) -> Grant:
+    try:
+        os.sched_setaffinity(threading.get_native_id(), {cpu})
+    except (OSError, ValueError, OverflowError) as error:
+        mend = f"choose one of {sorted(os.sched_getaffinity(0))}"
+        return Grant("thread_core", False, f"core {cpu}", str(error), mend)
+    return Grant("thread_core", True, f"core {cpu}", f"core {cpu}")
+
+
+def _real_time_priority(priority: int) -> Grant:
+    wanted = f"SCHED_FIFO {priority}"
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
+        os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(priority))
+    except OSError as error:
+        mend = f"LimitRTPRIO={priority} in the unit, or ulimit -r {priority}"
+        return Grant("thread_priority", False, wanted, error.strerror or "error", mend)
+    return Grant("thread_priority", True, wanted, wanted)
+
+
+def _has_capability(number: int) -> bool:
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("CapEff:"):
+            return bool(int(line.split()[1], 16) >> number & 1)
+    return False

@@ -1,0 +1,285 @@
+"""The scheduler: a fixed step, several time slices, one of three pacing back ends.
+
+Usage::
+
+    scheduler = Scheduler(
+        base_period_ns=1_000_000,
+        slices=[Slice("plant", 1, compiled=True), Slice("publish", 20, compiled=False)],
+        step=step, values=values, words=words,
+    )
+    scheduler.on_slice("publish", publish)
+    await scheduler.start()
+    reason = await scheduler.finished
+
+All methods belong to the thread of the event loop on which `start` was called.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.scheduler import exchange as ex
+from hilserver.scheduler.causes import CauseFinder
+from hilserver.scheduler.communication import Communication, SliceCallback
+from hilserver.scheduler.gc_pauses import GcPauses
+from hilserver.scheduler.lockstep import wait_for_peer
+from hilserver.scheduler.machine import Machine
+from hilserver.scheduler.overruns import OverrunCallback, Overruns
+from hilserver.scheduler.pacing import Pacing, StopReason
+from hilserver.scheduler.pacing_thread import ThreadPacing
+from hilserver.scheduler.pacing_timerfd import TimerfdPacing
+from hilserver.scheduler.pacing_virtual import VirtualPacing
+from hilserver.scheduler.policies import OverrunLimits, OverrunPolicy
+from hilserver.scheduler.realtime import Grant, RealtimeSettings
+from hilserver.scheduler.slices import Slice
+from hilserver.scheduler.statistics import Statistics
+from hilserver.scheduler.step import StepFunction
+
+BACKENDS = ("thread", "timerfd", "virtual")
+SPEED_LOW, SPEED_HIGH = 0.01, 100.0
+
+
+class Scheduler:
+    """Runs the compiled step by tick count; see the module for usage.
+
+    Parameters
+    ----------
+    base_period_ns
+        Duration of a tick [ns], simulated and (at speed 1) real.
+    slices
+        Compiled slices, in the order of the step's phases, and communication slices.
+    step
+        Compiled with ``kernel(STEP_SIGNATURE)``; see `hilserver.scheduler.step`.
+    values, words
+        Handed through to the step: float64 and int64, flat, contiguous.
+    backend
+        ``thread``, ``timerfd`` or ``virtual``.
+    policy, limits
+        What happens when a tick is a whole period late, and what is borne.
+    realtime
+        What to ask of the operating system; `grants` holds the answers.
+    warm_up_ticks
+        The first ticks that are executed but neither counted nor judged.
+    first_tick
+        Number of the first tick.
+    paused
+        True: stand still until `resume` or `step`.
+    freeze_gc
+        Collect once at the start and freeze what is alive.
+    statistics_array, linear_bins
+        See `Statistics`: an array in shared memory lets other processes read along.
+    """
+
+    def __init__(
+        self,
+        *,
+        base_period_ns: int,
+        slices: Sequence[Slice],
+        step: StepFunction,
+        values: NDArray[np.float64],
+        words: NDArray[np.int64],
+        backend: str = "thread",
+        policy: OverrunPolicy | None = None,
+        limits: OverrunLimits | None = None,
+        realtime: RealtimeSettings | None = None,
+        warm_up_ticks: int = 100,
+        first_tick: int = 0,
+        paused: bool = False,
+        freeze_gc: bool = True,
+        statistics_array: NDArray[np.int64] | None = None,
+        linear_bins: int = 0,
+    ) -> None:
+        if backend not in BACKENDS:
+            raise ValueError(f"pacing {backend!r} is unknown; one of {', '.join(BACKENDS)}")
+        self.backend = backend
+        self.base_period_ns = base_period_ns
+        self.grants: list[Grant] = []
+        self.gc_pauses = GcPauses()
+        self._freeze_gc = freeze_gc
+        self._machine = Machine(
+            base_period_ns=base_period_ns,
+            slices=slices,
+            step=step,
+            values=values,
+            words=words,
+            policy=policy or OverrunPolicy(),
+            limits=limits or OverrunLimits(),
+            warm_up_ticks=0 if backend == "virtual" else warm_up_ticks,
+            first_tick=first_tick,
+            statistics_array=statistics_array,
+            linear_bins=linear_bins,
+        )
+        self._exchange = self._machine.exchange
+        ex.write_word(self._exchange.control, ex.NEXT_TICK, first_tick)
+        if paused:
+            self._exchange.pause()
+        self._overrun_callbacks: list[OverrunCallback] = []
+        self._overruns = Overruns(self._machine, self._overrun_callbacks)
+        self._communication = Communication(
+            self._machine,
+            simulated=backend == "virtual",
+            on_overrun=self._overruns.communication,
+        )
+        self._pacing = self._make_pacing(realtime or RealtimeSettings())
+        self._waiters: list[asyncio.Future[None]] = []
+        self._started = False
+
+    def _make_pacing(self, realtime: RealtimeSettings) -> Pacing:
+        if self.backend == "thread":
+            return ThreadPacing(self._machine, realtime, self._rung, self._ended)
+        if self.backend == "timerfd":
+            return TimerfdPacing(self._machine, realtime, self._rung, self._ended)
+        return VirtualPacing(self._machine, self._rung, self._ended)
+
+    @property
+    def statistics(self) -> Statistics:
+        """What has been counted since the last reset."""
+        return self._machine.statistics
+
+    @property
+    def tick(self) -> int:
+        """Number of the next tick; simulated time is `tick` times the base period."""
+        return self._exchange.get(ex.NEXT_TICK)
+
+    @property
+    def ticks_done(self) -> int:
+        """How many ticks have been executed; a restore does not change it."""
+        return self._exchange.get(ex.TICKS_DONE)
+
+    @property
+    def paused(self) -> bool:
+        """True when the loop stands still (a pause or all ticks of a step are carried out)."""
+        return self._exchange.standing
+
+    @property
+    def speed(self) -> float:
+        """Simulated over real time that is aimed at."""
+        return self.base_period_ns / self._exchange.get(ex.PACED_PERIOD)
+
+    @property
+    def heartbeat_ns(self) -> int:
+        """When the loop last woke [ns, CLOCK_MONOTONIC]; for a watchdog."""
+        return self._exchange.get(ex.HEARTBEAT)
+
+    @property
+    def thread_id(self) -> int:
+        """The operating system's number of the pacing thread; 0 in virtual time."""
+        return self._pacing.thread_id
+
+    @property
+    def overrun_reports_lost(self) -> int:
+        """Overruns that were counted but not reported, because too many came at once."""
+        return self._exchange.get(ex.RECORDS_LOST)
+
+    def on_slice(self, name: str, callback: SliceCallback) -> None:
+        """Call `callback(tick, planned_ns)` in each run of a communication slice."""
+        self._communication.add(name, callback)
+
+    def on_overrun(self, callback: OverrunCallback) -> None:
+        """Call `callback(report)` on the event loop for every overrun, within about 0.1 s."""
+        self._overrun_callbacks.append(callback)
+
+    async def start(self) -> None:
+        """Begin to run."""
+        if self._started:
+            raise RuntimeError("a scheduler starts once; make a new one")
+        self._started = True
+        self.finished: asyncio.Future[StopReason] = asyncio.get_running_loop().create_future()
+        self.gc_pauses.start(freeze=self._freeze_gc)
+        self.grants = await self._pacing.start()
+        if self.backend != "virtual":
+            gc_stops_ticks = self.backend == "timerfd"
+            self._overruns.start(
+                CauseFinder(self._pacing.thread_id, self.gc_pauses, gc_stops_ticks=gc_stops_ticks)
+            )
+
+    async def stop(self) -> None:
+        """End the loop and give everything back; may be called twice."""
+        if not self._started:
+            return
+        self._started = False
+        self._exchange.request_stop()
+        try:
+            await self._pacing.stop()
+        finally:
+            self._overruns.stop()
+            self.gc_pauses.stop()
+
+    def pause(self) -> None:
+        """Stand still before the next tick; inputs are still latched."""
+        self._exchange.pause()
+        self._pacing.wake()
+
+    def resume(self) -> None:
+        """Run freely; what a step still owes is void."""
+        self._exchange.resume()
+        self._pacing.wake()
+
+    def step(self, n_ticks: int) -> None:
+        """Run exactly `n_ticks` and stand still; adds to what an unfinished step still owes."""
+        self._exchange.step(n_ticks)
+        self._pacing.wake()
+
+    def set_speed(self, factor: float) -> None:
+        """Pace simulated time at `factor` times real time, from the next tick on.
+
+        Virtual time always runs as fast as possible.
+        """
+        if not SPEED_LOW <= factor <= SPEED_HIGH:
+            raise ValueError(f"the speed factor is {SPEED_LOW:g} to {SPEED_HIGH:g}, not {factor:g}")
+        self._exchange.set_paced_period(max(1, round(self.base_period_ns / factor)))
+
+    async def wait_paused(self) -> None:
+        """Wait until the last `pause` or `step` has been carried out (or the run has ended)."""
+        if self.paused or self.finished.done():
+            return
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiters.append(waiter)
+        await waiter
+
+    async def advance(self, n_ticks: int) -> None:
+        """Run exactly `n_ticks`, in any back end, and return when they are done."""
+        self.step(n_ticks)
+        await self.wait_paused()
+
+    async def lockstep(
+        self,
+        exchange: Callable[[int], Awaitable[bool]],
+        *,
+        n_ticks: int,
+        peer: str,
+        timeout_s: float,
+    ) -> None:
+        """Alternate `n_ticks` of simulation with one `exchange(tick)` with an external controller.
+
+        Ends when `exchange` returns False or the scheduler ends.
+
+        Raises
+        ------
+        PeerSilentError
+            If an exchange takes longer than `timeout_s` [s].
+        """
+        while not self.finished.done():
+            await self.advance(n_ticks)
+            tick = self.tick
+            goes_on = wait_for_peer(exchange(tick), peer=peer, timeout_s=timeout_s, tick=tick)
+            if not await goes_on:
+                return
+
+    def _rung(self) -> None:
+        self._communication.dispatch()
+        if self._waiters and self.paused:
+            self._release_waiters()
+
+    def _ended(self, reason: StopReason) -> None:
+        if not self.finished.done():
+            self.finished.set_result(reason)
+        self._release_waiters()
+
+    def _release_waiters(self) -> None:
+        waiters, self._waiters = self._waiters, []
+        for waiter in waiters:
+            if not waiter.done():
+                waiter.set_result(None)

@@ -1,0 +1,255 @@
+"""One wake-up of the pacing loop, the same in all back ends: command, law, phases, statistics.
+
+Nothing here allocates, waits or needs the interpreter lock.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba.core import types
+from numba.core.types import ExternalFunction, int32, voidptr
+from numpy.typing import NDArray
+
+from hilserver.compiled import kernel
+from hilserver.compiled.atomics import load_acquire, store_release
+from hilserver.compiled.libc import monotonic_ns
+from hilserver.scheduler import exchange as ex
+from hilserver.scheduler import law as lw
+from hilserver.scheduler import statistics_rows as rows
+from hilserver.scheduler.step import FAULT, FAULT_SLICE, LATCH, PUBLISH, STEP_TYPE
+
+# Flags returned by `turn`
+RAN, RING, ENDED, STANDING = 1, 2, 4, 8
+
+# Compiled slices: one row each
+S_PERIOD_TICKS, S_START, S_END, S_DUE = range(4)
+N_SLICE = 4
+
+# Scratch: timespec, the doorbell's 1, struct rusage, and its values at the end of the last tick
+TIMESPEC, ONE, RUSAGE, PREVIOUS = 0, 2, 4, 24
+N_SCRATCH = 32
+_RUSAGE_THREAD = 1
+_MINOR_FAULTS, _MAJOR_FAULTS, _INVOLUNTARY = 8, 9, 17  # words of struct rusage
+_P_CPU, _P_MINOR, _P_MAJOR, _P_INVOLUNTARY = range(4)
+
+getrusage: Any = ExternalFunction("getrusage", int32(int32, voidptr))
+
+I8 = types.int64[::1]
+F8 = types.float64[::1]
+TURN_ARGUMENTS: Any = (STEP_TYPE, I8, I8, types.int64[:, ::1], I8, I8, types.int64[:, ::1], F8, I8)
+
+
+@kernel()
+def may_run(law: NDArray[np.int64], command: int) -> bool:
+    """Say whether `command` allows a tick now."""
+    if command == ex.FREE_RUN:
+        return True
+    if law[lw.COMMAND_SEEN] != command >> 32:
+        law[lw.COMMAND_SEEN] = command >> 32
+        law[lw.STEPS_DONE] = 0
+    return bool(law[lw.STEPS_DONE] < (command & ex.MAX_STEPS))
+
+
+@kernel()
+def usage_since_last(scratch: NDArray[np.int64]) -> None:
+    """Read the thread's rusage and turn it into differences to the previous call."""
+    usage = scratch[RUSAGE:PREVIOUS]
+    before = scratch[PREVIOUS:]
+    getrusage(_RUSAGE_THREAD, usage.ctypes)
+    cpu_ns = (usage[0] + usage[2]) * 1_000_000_000 + (usage[1] + usage[3]) * 1000
+    now = (cpu_ns, usage[_MINOR_FAULTS], usage[_MAJOR_FAULTS], usage[_INVOLUNTARY])
+    for index in range(4):
+        usage[index] = now[index] - before[index]
+        before[index] = now[index]
+
+
+@kernel()
+def write_record(
+    law: NDArray[np.int64],
+    control: NDArray[np.int64],
+    ring: NDArray[np.int64],
+    scratch: NDArray[np.int64],
+    blamed: int,
+    code: int,
+) -> None:
+    """Put the tick that just ended into the ring of overruns and faults."""
+    row = ex.next_record(control, ring)
+    if row < 0:
+        return
+    ring[row, ex.R_TICK] = law[lw.TICK] - 1
+    ring[row, ex.R_KIND] = law[lw.KIND]
+    ring[row, ex.R_SLICE] = blamed
+    ring[row, ex.R_PLANNED] = law[lw.START] - law[lw.LATENCY]
+    ring[row, ex.R_LATENCY] = law[lw.LATENCY]
+    ring[row, ex.R_EXECUTION] = law[lw.EXECUTION]
+    ring[row, ex.R_CPU] = scratch[RUSAGE + _P_CPU]
+    ring[row, ex.R_MINOR_FAULTS] = scratch[RUSAGE + _P_MINOR]
+    ring[row, ex.R_MAJOR_FAULTS] = scratch[RUSAGE + _P_MAJOR]
+    ring[row, ex.R_PREEMPTED] = scratch[RUSAGE + _P_INVOLUNTARY]
+    ring[row, ex.R_MISSED] = law[lw.MISSED]
+    ring[row, ex.R_CODE] = code
+    store_release(control, ex.RECORDS_MADE, control[ex.RECORDS_MADE] + 1)
+
+
+@kernel()
+def run_phases(
+    step: Any,
+    law: NDArray[np.int64],
+    slices: NDArray[np.int64],
+    values: NDArray[np.float64],
+    words: NDArray[np.int64],
+    scratch: NDArray[np.int64],
+    now_ns: int,
+) -> int:
+    """Run LATCH, the due slices and PUBLISH; return the first fault number, 0 if none.
+
+    The first due slice carries the time of LATCH, the last one that of PUBLISH: the slices'
+    executions add up to the tick's.
+    """
+    planned = law[lw.CURRENT]
+    law[lw.TICK] = step(LATCH, law[lw.TICK], planned, values, words)
+    tick = law[lw.TICK]
+    fault, start, last = 0, now_ns, -1
+    for index in range(slices.shape[0]):
+        due = lw.is_due(tick, slices[index, S_PERIOD_TICKS])
+        slices[index, S_DUE] = due
+        if due:
+            answer = step(index, tick, planned, values, words)
+            if fault == 0:
+                fault = answer
+            slices[index, S_START] = start
+            start = monotonic_ns(scratch)
+            slices[index, S_END] = start
+            last = index
+    step(PUBLISH, tick, planned, values, words)
+    if last >= 0:
+        slices[last, S_END] = monotonic_ns(scratch)
+    return fault
+
+
+@kernel()
+def blame(kind: int, slices: NDArray[np.int64]) -> int:
+    """Return which due slice an overrun counts for: the first, or the longest of a long run."""
+    blamed, longest = 0, -1
+    for index in range(slices.shape[0]):
+        if slices[index, S_DUE] == 1:
+            execution = slices[index, S_END] - slices[index, S_START]
+            if longest < 0 or (kind == lw.LONG_RUN and execution > longest):
+                blamed, longest = index, execution
+    return blamed
+
+
+@kernel()
+def count(
+    law: NDArray[np.int64],
+    slices: NDArray[np.int64],
+    stats: NDArray[np.int64],
+    now_ns: int,
+    blamed: int,
+) -> None:
+    """Enter the tick that began at the real time `now_ns` into the statistics."""
+    since_last = now_ns - law[lw.LAST_START] if law[lw.LAST_START] > 0 else 0
+    law[lw.LAST_START] = now_ns
+    latency = law[lw.LATENCY]
+    rows.record_tick(stats, latency, since_last, law[lw.MISSED])
+    for index in range(slices.shape[0]):
+        row = rows.N_HEADER + index * rows.N_ROW
+        stats[row + rows.MISSED_CARRY] += law[lw.MISSED]
+        if slices[index, S_DUE] == 0:
+            continue
+        missed = stats[row + rows.MISSED_CARRY] // slices[index, S_PERIOD_TICKS]
+        stats[row + rows.MISSED_CARRY] -= missed * slices[index, S_PERIOD_TICKS]
+        start, end = slices[index, S_START], slices[index, S_END]
+        rows.record_run(
+            stats,
+            row,
+            law[lw.TICK] - 1,
+            start,
+            latency + start - now_ns,
+            end - start,
+            law[lw.DEADLINE] - law[lw.START] - (end - now_ns),
+            law[lw.KIND] if index == blamed else lw.NO_OVERRUN,
+            missed,
+        )
+
+
+@kernel(types.int64(*TURN_ARGUMENTS, I8, types.boolean))
+def turn(
+    step: Any,
+    law: NDArray[np.int64],
+    control: NDArray[np.int64],
+    slices: NDArray[np.int64],
+    stats: NDArray[np.int64],
+    comm: NDArray[np.int64],
+    ring: NDArray[np.int64],
+    values: NDArray[np.float64],
+    words: NDArray[np.int64],
+    scratch: NDArray[np.int64],
+    virtual: bool,
+) -> int:
+    """Do what is due now.
+
+    Parameters
+    ----------
+    step : STEP_TYPE
+        The compiled step.
+    law, control, slices, stats, comm, ring
+        See `law`, `exchange`, this module, `statistics_rows`, `exchange`, `exchange`.
+    values, words
+        Handed through to the step.
+    scratch : ndarray of int64, shape (N_SCRATCH,)
+        Owned by the caller.
+    virtual : bool
+        True: every tick starts at its planned time and takes none of it.
+
+    Returns
+    -------
+    int
+        ``RAN | RING | ENDED | STANDING``.
+    """
+    real_ns = monotonic_ns(scratch)
+    now_ns = law[lw.PLANNED] if virtual else real_ns
+    store_release(control, ex.HEARTBEAT, real_ns)
+    law[lw.PERIOD] = load_acquire(control, ex.PACED_PERIOD)
+    command = load_acquire(control, ex.COMMAND)
+    if not may_run(law, command):
+        law[lw.TICK] = step(LATCH, law[lw.TICK], law[lw.PLANNED], values, words)
+        store_release(control, ex.NEXT_TICK, law[lw.TICK])
+        lw.hold(law, now_ns)
+        news = load_acquire(control, ex.ACKNOWLEDGED) != command
+        store_release(control, ex.ACKNOWLEDGED, command)
+        return STANDING | (RING if news else 0)
+    if lw.advance(law, now_ns) == lw.WAIT:
+        return 0
+
+    counted = law[lw.WARM_UP_LEFT] == 0
+    fault = run_phases(step, law, slices, values, words, scratch, real_ns)
+    tick = law[lw.TICK]
+    verdict = lw.conclude(law, now_ns if virtual else monotonic_ns(scratch))
+    law[lw.STEPS_DONE] += 1
+    blamed = blame(law[lw.KIND], slices)
+    if counted:
+        count(law, slices, stats, real_ns, blamed)
+    usage_since_last(scratch)
+
+    flags = RAN
+    code = verdict
+    if fault > 0 and verdict == lw.OK:
+        code = FAULT_SLICE + fault
+    if code > 0:
+        step(FAULT, code, law[lw.CURRENT], values, words)
+    if law[lw.KIND] != lw.NO_OVERRUN or code not in (0, law[lw.LAST_FAULT]):
+        write_record(law, control, ring, scratch, blamed, code)
+    law[lw.LAST_FAULT] = code if code >= FAULT_SLICE else 0
+    for row in range(comm.shape[0] // ex.N_COMM):
+        if lw.is_due(tick, comm[row * ex.N_COMM + ex.COMM_PERIOD_TICKS]):
+            ex.announce(comm, row, tick, law[lw.CURRENT])
+            flags |= RING
+    store_release(control, ex.NEXT_TICK, law[lw.TICK])
+    store_release(control, ex.TICKS_DONE, law[lw.EXECUTED])
+    if command != ex.FREE_RUN and not may_run(law, command):
+        store_release(control, ex.ACKNOWLEDGED, command)
+        flags |= RING
+    if verdict == lw.STOP:
+        flags |= ENDED | RING
+    return flags
