@@ -1,0 +1,58 @@
+"""The battery: state of charge and inner resistance of a NiMH pack of 16 cells (19.2 V nominal).
+
+``V = E(charge) - R I``, ``I = idle + per-duty current of the four wheels``, clipped to the range of
+the pack (4.2: 17.5 .. 23.5 V). E is flat in the middle and falls at the end, as NiMH does. The
+currents and the resistance are assumptions. In the base model it does not act on the drive.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    BAD_OUT_OF_SERVICE,
+    GOOD,
+    N_WHEELS,
+    P_BATTERY_ENABLED,
+    P_CHARGE_PER_A,
+    P_DUTY_CURRENT,
+    P_IDLE_CURRENT,
+    P_RESISTANCE,
+    X_BATTERY_V,
+    X_CHARGE,
+    Y_BATTERY,
+    Y_DUTY,
+)
+
+LOWEST_V: Final = 17.5
+HIGHEST_V: Final = 23.5
+DUTY_FULL_PCT: Final = 100.0
+_CHARGE: Final = np.array([0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0])
+_EMF_V: Final = np.array([17.5, 18.6, 19.4, 20.2, 21.0, 22.2, 23.5])
+
+
+@kernel()
+def open_circuit_voltage(charge: float) -> float:
+    """Return the voltage [V] without load for a charge of 0 .. 1, linear between the points."""
+    for k in range(1, _CHARGE.shape[0]):
+        if charge <= _CHARGE[k]:
+            share = max(charge - _CHARGE[k - 1], 0.0) / (_CHARGE[k] - _CHARGE[k - 1])
+            return float(_EMF_V[k - 1] + share * (_EMF_V[k] - _EMF_V[k - 1]))
+    return HIGHEST_V
+
+
+@kernel()
+def battery_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+    """Publish the voltage under the load of this tick and take the charge of one run."""
+    if p[P_BATTERY_ENABLED] == 0.0:
+        q[Y_BATTERY] = BAD_OUT_OF_SERVICE
+        return
+    current = p[P_IDLE_CURRENT]
+    for i in range(N_WHEELS):
+        current += p[P_DUTY_CURRENT] * abs(y[Y_DUTY + i])
+    voltage = open_circuit_voltage(x[X_CHARGE]) - p[P_RESISTANCE] * current
+    x[X_BATTERY_V] = min(max(voltage, LOWEST_V), HIGHEST_V)
+    y[Y_BATTERY] = x[X_BATTERY_V]
+    q[Y_BATTERY] = GOOD
+    x[X_CHARGE] = max(x[X_CHARGE] - p[P_CHARGE_PER_A] * current, 0.0)

@@ -1,0 +1,243 @@
+"""Steps 2 to 6 of the tick: wheel speed loops and their process, in the order of the contract.
+
+Both functions publish speed and duty of t_k, move the state to t_(k+1) and return six sums over the
+two wheels of a side, in rpm and rpm/s: speed at t_k (left, right), mean speed over the tick, and
+acceleration at t_k.
+"""
+
+import math
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    N_WHEELS,
+    P_A00,
+    P_A01,
+    P_A10,
+    P_A11,
+    P_ANTI_WINDUP_STEP,
+    P_B0,
+    P_B1,
+    P_BACKLASH,
+    P_CONTROL_TICKS,
+    P_COULOMB,
+    P_DEAD_ZONE,
+    P_DERIVATIVE_GAIN,
+    P_DERIVATIVE_KEEP,
+    P_DT,
+    P_ENCODER_SHARE,
+    P_EULER,
+    P_GAIN,
+    P_INVERSE_T2,
+    P_KI_STEP,
+    P_KP,
+    P_LIMIT,
+    P_LOAD,
+    P_QUANTUM,
+    P_SAG,
+    P_STRIBECK,
+    P_STRIBECK_SPEED,
+    P_T1,
+    P_T2,
+    P_VISCOUS,
+    X_ANGLE,
+    X_BATTERY_V,
+    X_CONTROL_PHASE,
+    X_DERIVATIVE,
+    X_DUTY,
+    X_ENCODER,
+    X_GAP,
+    X_INTEGRAL,
+    X_LAST_ERROR,
+    X_MOTOR,
+    X_SETPOINT,
+    X_SPEED,
+    Y_ANGLE,
+    Y_DUTY,
+    Y_SPEED,
+)
+
+RAD_PER_RPM_S = 2.0 * math.pi / 60.0
+REST_RPM = 0.05
+NOMINAL_VOLTAGE_V = 19.2
+
+Sums = tuple[float, float, float, float, float, float]
+
+
+@kernel()
+def drive_base(p: Any, x: Any, y: Any) -> Sums:
+    """All drive terms at null: the controller at the plant slice, the exact joint solution."""
+    kp, ki_step, anti_windup, limit = p[P_KP], p[P_KI_STEP], p[P_ANTI_WINDUP_STEP], p[P_LIMIT]
+    a00, a01, a10, a11, b0, b1 = p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0], p[P_B1]
+    half_turn = p[P_DT] * (0.5 * RAD_PER_RPM_S)
+    left, right = x[X_SPEED] + x[X_SPEED + 1], x[X_SPEED + 2] + x[X_SPEED + 3]
+    accel_left = (x[X_MOTOR] + x[X_MOTOR + 1] - left) * p[P_INVERSE_T2]
+    accel_right = (x[X_MOTOR + 2] + x[X_MOTOR + 3] - right) * p[P_INVERSE_T2]
+    for i in range(N_WHEELS):
+        speed, motor, integral = x[X_SPEED + i], x[X_MOTOR + i], x[X_INTEGRAL + i]
+        error = x[X_SETPOINT + i] - speed
+        wanted = kp * error + integral
+        duty = min(max(wanted, -limit), limit)
+        speed_next = a10 * motor + a11 * speed + b1 * duty
+        y[Y_SPEED + i] = speed
+        y[Y_DUTY + i] = duty
+        y[Y_ANGLE + i] = x[X_ANGLE + i]
+        x[X_INTEGRAL + i] = integral + (ki_step * error + anti_windup * (duty - wanted))
+        x[X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
+        x[X_SPEED + i] = speed_next
+        x[X_ANGLE + i] += half_turn * (speed + speed_next)
+    mean_left = 0.5 * (left + (x[X_SPEED] + x[X_SPEED + 1]))
+    mean_right = 0.5 * (right + (x[X_SPEED + 2] + x[X_SPEED + 3]))
+    return left, right, mean_left, mean_right, accel_left, accel_right
+
+
+@kernel()
+def encoder(p: Any, x: Any, i: int) -> float:
+    """Step 2: return the speed of wheel `i` [rpm] as the loop sees it, quantised(filtered(n))."""
+    seen = float(x[X_SPEED + i])
+    if p[P_ENCODER_SHARE] != 1.0:
+        x[X_ENCODER + i] += p[P_ENCODER_SHARE] * (seen - x[X_ENCODER + i])
+        seen = float(x[X_ENCODER + i])
+    if p[P_QUANTUM] != 0.0:
+        seen = p[P_QUANTUM] * math.floor(seen / p[P_QUANTUM] + 0.5)
+    return seen
+
+
+@kernel()
+def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
+    """Step 3: one run of the PI(D) loop of wheel `i` with back-calculation; sets the held duty."""
+    error = x[X_SETPOINT + i] - seen_rpm
+    wanted = p[P_KP] * error + x[X_INTEGRAL + i]
+    if p[P_DERIVATIVE_GAIN] != 0.0:
+        x[X_DERIVATIVE + i] = p[P_DERIVATIVE_KEEP] * x[X_DERIVATIVE + i] + p[P_DERIVATIVE_GAIN] * (
+            error - x[X_LAST_ERROR + i]
+        )
+        x[X_LAST_ERROR + i] = error
+        wanted += x[X_DERIVATIVE + i]
+    limit = p[P_LIMIT]
+    duty = min(max(wanted, -limit), limit)
+    x[X_INTEGRAL + i] += p[P_KI_STEP] * error + p[P_ANTI_WINDUP_STEP] * (duty - wanted)
+    x[X_DUTY + i] = duty
+
+
+@kernel()
+def load(p: Any, i: int, duty_pct: float, speed_rpm: float) -> float:
+    """Steps 4 and 5: return the duty [%] that dead zone and friction leave to the process."""
+    if p[P_DEAD_ZONE] != 0.0:
+        duty_pct = math.copysign(max(abs(duty_pct) - p[P_DEAD_ZONE], 0.0), duty_pct)
+    friction = p[P_COULOMB] + p[P_LOAD + i]
+    if p[P_STRIBECK] != 0.0:
+        ratio = speed_rpm / p[P_STRIBECK_SPEED]
+        friction += p[P_STRIBECK] * math.exp(-ratio * ratio)
+    if friction == 0.0:
+        return duty_pct
+    if abs(speed_rpm) >= REST_RPM:
+        return float(duty_pct - math.copysign(friction, speed_rpm))
+    if abs(duty_pct) <= friction:
+        return 0.0
+    return float(duty_pct - math.copysign(friction, duty_pct))
+
+
+@kernel()
+def process_matrices(
+    gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float
+) -> tuple[float, float, float, float, float, float]:
+    """Return ``a00, a01, a10, a11, b0, b1`` of step 6 over one tick, exactly.
+
+    The continuous process is ``T1 x' = G (u - b n) - x``, ``T2 n' = x - n`` with u held. Its joint
+    solution needs only ``exp(mean T) cosh(d T)`` and ``exp(mean T) sinh(d T) / d`` with the mean and
+    the half difference d of the poles; d may be 0 (T1 = T2) or imaginary (viscous load).
+    """
+    mean = -0.5 * (1.0 / t1_s + 1.0 / t2_s)
+    half = 0.5 * (1.0 / t2_s - 1.0 / t1_s)
+    square = half * half - gain * viscous / (t1_s * t2_s)
+    if abs(square) * dt_s * dt_s < 1e-16:
+        cosh = math.exp(mean * dt_s)
+        sinh = cosh * dt_s
+    elif square > 0.0:
+        d = math.sqrt(square)
+        low = math.exp((mean - d) * dt_s)
+        high = math.exp((mean + d) * dt_s)
+        cosh = 0.5 * (high + low)
+        sinh = (
+            low * math.expm1(2.0 * d * dt_s) / (2.0 * d)
+            if d * dt_s < 1.0
+            else (high - low) / (2.0 * d)
+        )
+    else:
+        d = math.sqrt(-square)
+        cosh = math.exp(mean * dt_s) * math.cos(d * dt_s)
+        sinh = math.exp(mean * dt_s) * math.sin(d * dt_s) / d
+    a00 = cosh + half * sinh
+    a01 = -gain * viscous / t1_s * sinh
+    a10 = sinh / t2_s
+    a11 = cosh - half * sinh
+    steady = gain / (1.0 + gain * viscous)
+    return a00, a01, a10, a11, (1.0 - a00 - a01) * steady, (1.0 - a10 - a11) * steady
+
+
+@kernel()
+def process_of_tick(p: Any, voltage_v: float) -> tuple[float, float, float, float, float, float]:
+    """Return the process of this tick: battery_sag scales the gain, and with it the coupling."""
+    sag = 1.0
+    if p[P_SAG] != 0.0:
+        sag = max(1.0 + p[P_SAG] * (voltage_v / NOMINAL_VOLTAGE_V - 1.0), 0.0)
+    if sag == 1.0 or p[P_VISCOUS] == 0.0:
+        return p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0] * sag, p[P_B1] * sag
+    if p[P_EULER] != 0.0:
+        return p[P_A00], p[P_A01] * sag, p[P_A10], p[P_A11], p[P_B0] * sag, p[P_B1]
+    return process_matrices(  # type: ignore[no-any-return]
+        p[P_GAIN] * sag, p[P_VISCOUS], p[P_T1], p[P_T2], p[P_DT]
+    )
+
+
+@kernel()
+def through_backlash(
+    p: Any, x: Any, i: int, speed_rpm: float, mean_rpm: float
+) -> tuple[float, float]:
+    """Return the speeds [rpm] behind the play: at t_k and the mean over the tick.
+
+    The motor moves freely inside the play; the wheel follows while a flank is in contact.
+    """
+    half = p[P_BACKLASH]
+    gap = x[X_GAP + i]
+    engaged = (gap >= half and speed_rpm > 0.0) or (gap <= -half and speed_rpm < 0.0)
+    turned = mean_rpm * RAD_PER_RPM_S * p[P_DT]
+    x[X_GAP + i] = min(max(gap + turned, -half), half)
+    moved = turned - (x[X_GAP + i] - gap)
+    return speed_rpm if engaged else 0.0, moved / (RAD_PER_RPM_S * p[P_DT])
+
+
+@kernel()
+def drive_terms(p: Any, x: Any, y: Any) -> Sums:
+    """Run the drive with its terms, in the order of the contract; a term at null adds nothing."""
+    runs = x[X_CONTROL_PHASE] <= 1e-9
+    if runs:
+        x[X_CONTROL_PHASE] += p[P_CONTROL_TICKS]
+    x[X_CONTROL_PHASE] -= 1.0
+    a00, a01, a10, a11, b0, b1 = process_of_tick(p, x[X_BATTERY_V])
+    half_turn = p[P_DT] * (0.5 * RAD_PER_RPM_S)
+    left, right, mean_left, mean_right, accel_left, accel_right = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(N_WHEELS):
+        speed, motor = x[X_SPEED + i], x[X_MOTOR + i]
+        seen = encoder(p, x, i)
+        if runs:
+            controller(p, x, i, seen)
+        y[Y_SPEED + i] = seen
+        y[Y_DUTY + i] = x[X_DUTY + i]
+        y[Y_ANGLE + i] = x[X_ANGLE + i]
+        duty = load(p, i, x[X_DUTY + i], speed)
+        x[X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
+        x[X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
+        x[X_ANGLE + i] += half_turn * (speed + x[X_SPEED + i])
+        mean = 0.5 * (speed + x[X_SPEED + i])
+        accel = (motor - speed) * p[P_INVERSE_T2]
+        if p[P_BACKLASH] != 0.0:
+            speed, mean = through_backlash(p, x, i, speed, mean)
+            if speed == 0.0:
+                accel = 0.0
+        if i < 2:
+            left, mean_left, accel_left = left + speed, mean_left + mean, accel_left + accel
+        else:
+            right, mean_right, accel_right = right + speed, mean_right + mean, accel_right + accel
+    return left, right, mean_left, mean_right, accel_left, accel_right

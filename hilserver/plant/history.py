@@ -1,0 +1,47 @@
+"""Rings of past samples, read at any age between two of them."""
+
+import math
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import RING
+from hilserver.plant.pose import wrap
+
+
+@kernel()
+def weights(head: int, count: float, delay_runs: float) -> tuple[int, int, float]:
+    """Return the rows of the ring just after and before the asked age, and the older one's share.
+
+    Before the ring has filled, the oldest sample stands for what lies before it.
+    """
+    age = min(delay_runs, count - 1.0)
+    whole = int(math.floor(age))
+    newer = (head - whole + RING) % RING
+    share = age - whole
+    older = (newer - 1 + RING) % RING if share > 0.0 else newer
+    return newer, older, share
+
+
+@kernel()
+def between(newer: float, older: float, share: float) -> float:
+    """Return the linear mean of two samples; with no share of the older one, the newer bit by bit."""
+    if share == 0.0:
+        return newer
+    return newer + share * (older - newer)
+
+
+@kernel()
+def between_angles(newer: float, older: float, share: float) -> float:
+    """Return the mean of two angles along the shorter way, in (-pi, pi]."""
+    if share == 0.0:
+        return newer
+    return float(wrap(newer + share * wrap(older - newer)))
+
+
+@kernel()
+def push(x: Any, ring: int, width: int, head_slot: int, count_slot: int) -> int:
+    """Advance the head of a ring and return the first slot of its new row."""
+    head = (int(x[head_slot]) + 1) % RING
+    x[head_slot] = head
+    x[count_slot] = min(x[count_slot] + 1.0, RING)
+    return ring + width * head

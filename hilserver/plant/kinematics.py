@@ -1,0 +1,115 @@
+"""Steps 7 to 10 of the tick: from the side speeds to the velocity of the centre of mass.
+
+Signs are those of the frame page: driving forward is left > 0, right < 0, and
+``om = yaw_sign K_om (r_L w_L + r_R w_R)``. Every function returns the velocity and its exact time
+derivative ``(v, vy, om, dv, dvy, dom)`` in m/s, rad/s and their rates.
+"""
+
+import math
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    P_ACCELERATION_SLIP,
+    P_BASE_TURN,
+    P_GAIN_RADIUS,
+    P_GAIN_SPEED,
+    P_HALF_TRACK,
+    P_ICR,
+    P_LONGITUDINAL_SLIP,
+    P_MISALIGNMENT,
+    P_RADIUS_LEFT,
+    P_RADIUS_RIGHT,
+    P_REGION_X_MAX,
+    P_REGION_X_MIN,
+    P_REGION_Y_MAX,
+    P_REGION_Y_MIN,
+    P_RUNOUT,
+    P_RUNOUT_PHASE,
+    P_SIDE_SLIP,
+    P_SURFACE_GAIN,
+    P_SURFACE_SPEED,
+    P_YAW_GAIN,
+    X_POSE,
+)
+
+Velocity = tuple[float, float, float, float, float, float]
+
+
+@kernel()
+def velocity_base(p: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> Velocity:
+    """Return the velocity of the base model for side speeds [rad/s] and their rates [rad/s2]."""
+    left, right = p[P_RADIUS_LEFT] * w_l, p[P_RADIUS_RIGHT] * w_r
+    dleft, dright = p[P_RADIUS_LEFT] * dw_l, p[P_RADIUS_RIGHT] * dw_r
+    om = p[P_YAW_GAIN] * (left + right)
+    dom = p[P_YAW_GAIN] * (dleft + dright)
+    return 0.5 * (left - right), -p[P_ICR] * om, om, 0.5 * (dleft - dright), -p[P_ICR] * dom, dom
+
+
+@kernel()
+def in_region(p: Any, x: Any) -> bool:
+    """Return whether the centre of mass stands on the patch of `surface_change`."""
+    return bool(
+        p[P_REGION_X_MIN] <= x[X_POSE] <= p[P_REGION_X_MAX]
+        and p[P_REGION_Y_MIN] <= x[X_POSE + 1] <= p[P_REGION_Y_MAX]
+    )
+
+
+@kernel()
+def turning_gain(
+    p: Any, v0: float, dv0: float, w_l: float, w_r: float, dw_l: float, dw_r: float
+) -> tuple[float, float]:
+    """Return the factor on K_om that speed and path radius make, and its rate (step 9)."""
+    speed, dspeed = abs(v0), dv0 if v0 >= 0.0 else -dv0
+    gain = 1.0 + p[P_GAIN_SPEED] * speed
+    dgain = p[P_GAIN_SPEED] * dspeed
+    turn = p[P_BASE_TURN] * abs(w_l + w_r) * p[P_HALF_TRACK]
+    whole = speed + turn
+    if p[P_GAIN_RADIUS] != 0.0 and whole > 0.0:
+        dsum = dw_l + dw_r
+        dturn = p[P_BASE_TURN] * p[P_HALF_TRACK] * (dsum if w_l + w_r >= 0.0 else -dsum)
+        share = 1.0 + p[P_GAIN_RADIUS] * speed / whole
+        dshare = p[P_GAIN_RADIUS] * (dspeed * turn - speed * dturn) / (whole * whole)
+        return gain * share, dgain * share + gain * dshare
+    return gain, dgain
+
+
+@kernel()
+def velocity_terms(
+    p: Any,
+    inside: bool,
+    angle_left: float,
+    w_l: float,
+    w_r: float,
+    dw_l: float,
+    dw_r: float,
+) -> Velocity:
+    """Return the velocity with the kinematic terms.
+
+    `angle_left` [rad] is the mean angle of the left wheels (`wheel_runout`). The rate of the
+    acceleration_slip factor itself, which would need the wheels' jerk, is left out of `dv`.
+    """
+    wave = 1.0 + p[P_RUNOUT] * math.sin(angle_left + p[P_RUNOUT_PHASE])
+    dwave = p[P_RUNOUT] * math.cos(angle_left + p[P_RUNOUT_PHASE]) * w_l
+    left, right = p[P_RADIUS_LEFT] * wave * w_l, p[P_RADIUS_RIGHT] * w_r
+    dleft = p[P_RADIUS_LEFT] * (dwave * w_l + wave * dw_l)
+    dright = p[P_RADIUS_RIGHT] * dw_r
+    v0, dv0 = 0.5 * (left - right), 0.5 * (dleft - dright)
+    gain, dgain = turning_gain(p, v0, dv0, w_l, w_r, dw_l, dw_r)
+    gain = gain * p[P_SURFACE_GAIN] if inside else gain
+    dgain = dgain * p[P_SURFACE_GAIN] if inside else dgain
+    om = p[P_YAW_GAIN] * gain * (left + right)
+    dom = p[P_YAW_GAIN] * (dgain * (left + right) + gain * (dleft + dright))
+    keep = 1.0 - p[P_LONGITUDINAL_SLIP] * abs(om)
+    dkeep = -p[P_LONGITUDINAL_SLIP] * (dom if om >= 0.0 else -dom)
+    grip = max(0.0, 1.0 - p[P_ACCELERATION_SLIP] * abs(dv0))
+    grip = grip * p[P_SURFACE_SPEED] if inside else grip
+    v, dv = v0 * keep * grip, (dv0 * keep + v0 * dkeep) * grip
+    vy, dvy = -p[P_ICR] * om, -p[P_ICR] * dom
+    if p[P_SIDE_SLIP] != 0.0:
+        vy += p[P_SIDE_SLIP] * v * om
+        dvy += p[P_SIDE_SLIP] * (dv * om + v * dom)
+    if p[P_MISALIGNMENT] != 0.0:
+        vy += p[P_MISALIGNMENT] * v
+        dvy += p[P_MISALIGNMENT] * dv
+    return v, vy, om, dv, dvy, dom

@@ -1,0 +1,222 @@
+"""The robot's parameters: physical values, checked; `pack` makes the array the kernels read."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.plant.errors import PlantError
+from hilserver.plant.packing import initial_state, pack
+from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
+from hilserver.plant.stability import Loop
+from hilserver.plant.terms import complete
+
+__all__ = [
+    "GEOMETRIC_GAINS",
+    "ROTATION_GAINS",
+    "Battery",
+    "Controller",
+    "Imu",
+    "Navigation",
+    "Process",
+    "RangeFinders",
+    "RobotParameters",
+    "initial_state",
+]
+
+ROTATION_GAINS: Final[Mapping[str, float]] = {
+    "printed_5_21": 3.229,
+    "printed_5_22": 1.995,
+    "tile": 1.052,
+    "floating_floor": 1.019,
+    "carpet_hard": 1.036,
+    "carpet_soft": 1.030,
+    "steady": 1.12,
+}
+"""K_om [1/m] by name: printed values, table 5.1, section 5.2.2."""
+
+GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")
+RPM_PER_RAD_S: Final = 60.0 / (2.0 * math.pi)
+
+_POSITIVE = frozenset(
+    ["period_s", "wheel_radius_m", "wheelbase_m", "track_m", "max_rpm", "limit_pct", "gain", "t1_s", "t2_s", "derivative_n", "capacity_ah", "mount_x_m", "mount_y_m", "field_of_view_rad", "rate_hz", "correlation_s", "yaw_correlation_s"]
+)
+_NOT_NEGATIVE = frozenset(
+    ["safe_ramp_s", "seed", "k_p", "k_i", "k_d", "gyro_noise_rad_s", "accel_noise_m_s2", "initial_charge", "resistance_ohm", "idle_current_a", "full_duty_current_a", "latency_s", "yaw_latency_s", "white_noise_m", "correlated_noise_m", "yaw_noise_rad"]
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotParameters:
+    """Everything that `robot_step` and the sensor kernels need to know.
+
+    Attributes
+    ----------
+    period_s : float
+        Plant slice T.
+    slice_name : str
+        Its name, for messages.
+    wheelbase_m : float or None
+        l_x; None for a robot with two wheels.
+    rotation_gain : str or float
+        K_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``.
+    terms : mapping of str to float or None
+        Values of `terms.TERMS`; missing ones are null.
+
+    Raises
+    ------
+    PlantError
+        When a value is not finite, out of range, or the wheel loop would be unstable.
+    """
+
+    period_s: float = 0.001
+    slice_name: str = "plant"
+    wheel_radius_m: float = 0.085
+    wheelbase_m: float | None = 0.25
+    track_m: float = 0.31
+    icr_offset_m: float = 0.02
+    max_rpm: float = 90.0
+    safe_ramp_s: float = 0.5
+    discretization: Literal["exact", "euler"] = "exact"
+    exclusive_twist: bool = False
+    yaw_sign: int = -1
+    rotation_gain: str | float = "geometric_skid"
+    seed: int = 0
+    controller: Controller = field(default_factory=Controller)
+    process: Process = field(default_factory=Process)
+    imu: Imu = field(default_factory=Imu)
+    battery: Battery = field(default_factory=Battery)
+    tof: RangeFinders = field(default_factory=RangeFinders)
+    nav: Navigation = field(default_factory=Navigation)
+    terms: Mapping[str, float | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_numbers(self)
+        _check_geometry(self)
+        complete(self.terms)
+        _check_loop(self)
+
+    @property
+    def loop(self) -> Loop:
+        """The nominal wheel speed loop."""
+        c, process = self.controller, self.process
+        return Loop(
+            gain=process.gain,
+            t1_s=process.t1_s,
+            t2_s=process.t2_s,
+            k_p=c.k_p,
+            k_i=c.k_i,
+            k_d=c.k_d,
+            derivative_n=c.derivative_n,
+            euler=self.discretization == "euler",
+        )
+
+    @property
+    def k_om(self) -> float:
+        """Nominal K_om [1/m] as a number: (5.8), (5.9) or the value of the name."""
+        gain = self.rotation_gain
+        if not isinstance(gain, str):
+            return float(gain)
+        if gain in ROTATION_GAINS:
+            return ROTATION_GAINS[gain]
+        if gain == "geometric_diff" or self.wheelbase_m is None:
+            return 1.0 / self.track_m
+        return self.track_m / (self.wheelbase_m**2 + self.track_m**2)
+
+    @property
+    def max_linear_m_s(self) -> float:
+        """Speed straight ahead at max_rpm."""
+        return self.wheel_radius_m * self.max_rpm / RPM_PER_RAD_S
+
+    @property
+    def max_angular_rad_s(self) -> float:
+        """Turn rate on the spot at max_rpm."""
+        return 2.0 * self.k_om * self.max_linear_m_s
+
+    def pack(self) -> NDArray[np.float64]:
+        """Return the parameters as the kernels read them, shape (N_P,)."""
+        return pack(self)
+
+
+def _numbers(part: object, path: str) -> Iterator[tuple[str, str, float]]:
+    """Yield path, key and value of every number in a parameter class and its parts."""
+    for item in fields(part):  # type: ignore[arg-type]
+        value = getattr(part, item.name)
+        if isinstance(value, Controller | Process):
+            yield from _numbers(value, f"{path}{item.name}.")
+        elif isinstance(value, Imu | Battery | RangeFinders | Navigation):
+            yield from _numbers(value, f"sensors.{item.name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield path + item.name, item.name, float(value)
+
+
+def _check_numbers(robot: RobotParameters) -> None:
+    for path, key, value in _numbers(robot, "plant."):
+        if not math.isfinite(value):
+            wanted = "must be a finite number"
+        elif key in _POSITIVE and value <= 0.0:
+            wanted = "must be above 0"
+        elif key in _NOT_NEGATIVE and value < 0.0:
+            wanted = "must not be negative"
+        else:
+            continue
+        msg = f"{path}: {wanted}, not {value:g}."
+        raise PlantError(msg)
+
+
+def _check_geometry(robot: RobotParameters) -> None:
+    gain = robot.rotation_gain
+    if isinstance(gain, str) and gain not in (*GEOMETRIC_GAINS, *ROTATION_GAINS):
+        names = ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS))
+        msg = f"kinematics.rotation_gain: {gain!r} is no known name; give a number or {names}."
+        raise PlantError(msg)
+    if robot.k_om <= 0.0:
+        msg = (
+            f"kinematics.rotation_gain: K_om must be above 0, not {robot.k_om:g}; "
+            "the direction is kinematics.yaw_sign."
+        )
+        raise PlantError(msg)
+    if robot.yaw_sign not in (-1, 1):
+        msg = f"kinematics.yaw_sign: must be -1 or 1, not {robot.yaw_sign}."
+        raise PlantError(msg)
+    if robot.discretization not in ("exact", "euler"):
+        msg = f"plant.discretization: must be exact or euler, not {robot.discretization!r}."
+        raise PlantError(msg)
+    if robot.wheelbase_m is not None and abs(robot.icr_offset_m) >= robot.wheelbase_m / 2.0:
+        msg = (
+            f"plant.icr_offset_m: {robot.icr_offset_m:g} m must be below half the wheelbase, "
+            f"{robot.wheelbase_m / 2.0:g} m."
+        )
+        raise PlantError(msg)
+    if not robot.tof.field_of_view_rad < math.pi:
+        msg = "sensors.tof.field_of_view_rad: must be below pi."
+        raise PlantError(msg)
+    if robot.battery.initial_charge > 1.0:
+        msg = "sensors.battery.initial_charge: must lie between 0 (empty) and 1 (full)."
+        raise PlantError(msg)
+
+
+def _check_loop(robot: RobotParameters) -> None:
+    loop, period_s = robot.loop, robot.period_s
+    where = f"plant.slice: slice {robot.slice_name!r} has {period_s * 1e3:g} ms"
+    if loop.k_d > 0.0 and loop.k_p == 0.0:
+        msg = "plant.controller.k_p: must be above 0 when k_d is, for the derivative's filter."
+        raise PlantError(msg)
+    if loop.euler and period_s >= 2.0 * loop.t2_s:
+        msg = (
+            f"{where}, but discretization euler needs less than 2 T2 = {loop.t2_s * 2e3:g} ms: "
+            "choose a shorter period or discretization exact."
+        )
+        raise PlantError(msg)
+    if loop.spectral_radius(period_s) >= 1.0:
+        limit_s = loop.largest_period_s(period_s)
+        mend = "choose a shorter period or smaller controller gains"
+        if limit_s < 1e-6:
+            mend = "no period is stable with these controller gains; choose smaller ones"
+        msg = (
+            f"{where}, but the wheel speed loop is unstable from {limit_s * 1e3:.1f} ms on: {mend}."
+        )
+        raise PlantError(msg)

@@ -1,0 +1,69 @@
+"""Step 11 of the tick: the pose, moved along an exact arc, and the wrap of yaw (5.24)."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    U_POSE,
+    U_POSE_REQUEST,
+    X_POSE,
+    X_POSE_REQUEST,
+)
+
+TURN = 2.0 * math.pi
+SERIES_LIMIT_RAD = 0.05  # below, the next term of the series is under half a unit in the last place
+
+
+@kernel()
+def wrap(angle_rad: float) -> float:
+    """Return the angle in (-pi, pi]; one that lies there keeps every bit.
+
+    ``fmod`` and the one subtraction that follows are exact, so the result is the true remainder by
+    the double nearest to 2 pi and wrapping twice changes nothing.
+    """
+    if -math.pi < angle_rad <= math.pi:
+        return angle_rad
+    rest = np.fmod(angle_rad, TURN)
+    if rest > math.pi:
+        return rest - TURN
+    if rest <= -math.pi:
+        return rest + TURN
+    return rest
+
+
+@kernel()
+def sinc(half_rad: float) -> float:
+    """Return sin(h)/h: the ratio of chord to arc when the heading turns by 2 h."""
+    if abs(half_rad) < SERIES_LIMIT_RAD:
+        square = half_rad * half_rad
+        return 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0)))
+    return math.sin(half_rad) / half_rad
+
+
+@kernel()
+def move(x: Any, v: float, vy: float, om: float, dt_s: float) -> None:
+    """Move the pose over `dt_s` with constant body velocity [m/s, m/s, rad/s].
+
+    The chord of the arc lies at the mean heading and is sin(h)/h of the arc long, so one sine and
+    one cosine give the exact end point.
+    """
+    half = 0.5 * om * dt_s
+    chord = dt_s * sinc(half)
+    heading = x[X_POSE + 2] + half
+    cos, sin = math.cos(heading), math.sin(heading)
+    x[X_POSE] += chord * (v * cos - vy * sin)
+    x[X_POSE + 1] += chord * (v * sin + vy * cos)
+    x[X_POSE + 2] = wrap(heading + half)
+
+
+@kernel()
+def set_pose(x: Any, u: Any) -> None:
+    """Place the robot where the hidden pose request asks, once per change of its counter."""
+    if u[U_POSE_REQUEST] != x[X_POSE_REQUEST]:
+        x[X_POSE_REQUEST] = u[U_POSE_REQUEST]
+        x[X_POSE] = u[U_POSE]
+        x[X_POSE + 1] = u[U_POSE + 1]
+        x[X_POSE + 2] = wrap(u[U_POSE + 2])

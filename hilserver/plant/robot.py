@@ -1,0 +1,90 @@
+"""The robot: one tick of command, four wheel drives, kinematics and pose, compiled.
+
+The order of the steps is the contract ("One tick" of the plant reference). At t_k the inputs are
+latched and every output of t_k is written; then the state moves to t_(k+1).
+"""
+
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.plant.command import command
+from hilserver.plant.drive import RAD_PER_RPM_S, drive_base, drive_terms
+from hilserver.plant.kinematics import in_region, velocity_base, velocity_terms
+from hilserver.plant.layout import (
+    GOOD,
+    N_Y_ROBOT,
+    P_DRIVE_TERMS,
+    P_DT,
+    P_KINEMATIC_TERMS,
+    P_SLOPE_X,
+    P_SLOPE_Y,
+    X_ACCEL,
+    X_ANGLE,
+    X_POSE,
+    Y_ANGLE,
+    Y_POSE,
+    Y_VELOCITY,
+)
+from hilserver.plant.pose import move, set_pose
+
+SIDE = 0.5 * RAD_PER_RPM_S  # sum of two wheels in rpm to their mean in rad/s
+SLOPE_REST_RAD_S = 0.05
+
+
+@kernel()
+def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: float) -> None:
+    """Write the velocity of t_k, and the acceleration of the centre of mass for the IMU."""
+    y[Y_VELOCITY] = v
+    y[Y_VELOCITY + 1] = vy
+    y[Y_VELOCITY + 2] = om
+    x[X_ACCEL] = dv - om * vy
+    x[X_ACCEL + 1] = dvy + om * v
+
+
+@kernel()
+def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
+    """Write the outputs of t_k and move the state to t_(k+1).
+
+    Parameters
+    ----------
+    p : ndarray of float64, shape (N_P,)
+        Packed parameters, see `RobotParameters.pack`.
+    x : ndarray of float64, shape (N_X,)
+        State, changed in place.
+    u : ndarray of float64, shape (N_U,)
+        Inputs latched for this tick; finite.
+    y : ndarray of float64, shape (N_Y,)
+        Outputs; the first N_Y_ROBOT are written.
+    q : ndarray of int64, shape (N_Y,)
+        OPC UA status codes; the first N_Y_ROBOT become Good.
+    """
+    set_pose(x, u)
+    command(p, x, u)
+    for i in range(N_Y_ROBOT):
+        q[i] = GOOD
+    for i in range(3):
+        y[Y_POSE + i] = x[X_POSE + i]
+    dt = p[P_DT]
+    if p[P_DRIVE_TERMS] != 0.0:
+        left, right, mean_left, mean_right, dleft, dright = drive_terms(p, x, y)
+    else:
+        left, right, mean_left, mean_right, dleft, dright = drive_base(p, x, y)
+    w_l, w_r, dw_l, dw_r = left * SIDE, right * SIDE, dleft * SIDE, dright * SIDE
+    mean_l, mean_r = mean_left * SIDE, mean_right * SIDE
+    if p[P_KINEMATIC_TERMS] == 0.0:
+        v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
+        publish(x, y, v, vy, om, dv, dvy)
+        v, vy, om, _, _, _ = velocity_base(p, mean_l, mean_r, 0.0, 0.0)
+        move(x, v, vy, om, dt)
+        return
+    inside = in_region(p, x)
+    angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
+    v, vy, om, dv, dvy, _ = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
+    publish(x, y, v, vy, om, dv, dvy)
+    angle = 0.5 * (angle + 0.5 * (x[X_ANGLE] + x[X_ANGLE + 1]))
+    dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
+    v, vy, om, _, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
+    move(x, v, vy, om, dt)
+    if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
+        x[X_POSE] += p[P_SLOPE_X] * dt
+        x[X_POSE + 1] += p[P_SLOPE_Y] * dt

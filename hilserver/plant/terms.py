@@ -1,0 +1,132 @@
+"""The terms: every physical cause of a deviation, as a parameter of the plant.
+
+The table is `terms.csv`. A term at its null value changes no output bit. The name is the cause, or
+``cause.part`` where a cause has several parameters; the bare cause then stands for its first part.
+Shape parameters (a phase, a region) act only while another part of their cause is not null.
+"""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from math import inf, isfinite
+from types import MappingProxyType
+from typing import Final
+
+from hilserver.plant.errors import PlantError
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One parameter of a cause.
+
+    Attributes
+    ----------
+    name : str
+        Cause, or ``cause.part``.
+    block : str
+        Part of the plant it acts in: drive, kinematics, navigation or inertial.
+    unit : str
+        Symbol of the unit, "1" for a relative value.
+    null : float or None
+        Value at which it changes nothing; None: what `description` says.
+    reference : float or None
+        Size at which a diagnosis must name it.
+    low, high : float
+        Range of values, ends included.
+    shape : bool
+        True: it only shapes the effect of another part of its cause.
+    description : str
+        What it does.
+    """
+
+    name: str
+    block: str
+    unit: str
+    null: float | None
+    reference: float | None
+    low: float
+    high: float
+    shape: bool
+    description: str
+
+    @property
+    def cause(self) -> str:
+        """The name without its part."""
+        return self.name.partition(".")[0]
+
+
+def _number(text: str, default: float) -> float:
+    return float(text) if text else default
+
+
+def _read() -> dict[str, Term]:
+    text = files("hilserver.plant").joinpath("terms.csv").read_text(encoding="utf-8")
+    return {
+        row["name"]: Term(
+            name=row["name"],
+            block=row["block"],
+            unit=row["unit"],
+            null=None if row["null"] == "none" else float(row["null"]),
+            reference=float(row["reference"]) if row["reference"] else None,
+            low=_number(row["low"], -inf),
+            high=_number(row["high"], inf),
+            shape=bool(row["shape"]),
+            description=row["description"],
+        )
+        for row in csv.DictReader(text.splitlines())
+    }
+
+
+TERMS: Final[Mapping[str, Term]] = MappingProxyType(_read())
+
+
+def main_part(name: str) -> str:
+    """Return the full name of a term: the bare cause of several parts means its first part.
+
+    Raises
+    ------
+    PlantError
+        When there is no such term.
+    """
+    if name in TERMS:
+        return name
+    for term in TERMS.values():
+        if term.cause == name:
+            return term.name
+    causes = ", ".join(dict.fromkeys(term.cause for term in TERMS.values()))
+    msg = f"plant.terms.{name}: there is no such term; the causes are {causes}."
+    raise PlantError(msg)
+
+
+def complete(values: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Return a value for every term: those given, checked, and the null of all others.
+
+    Parameters
+    ----------
+    values : mapping of str to float or None
+        Terms by name or bare cause; None is the null value.
+
+    Raises
+    ------
+    PlantError
+        When a name is unknown or given twice, or a value is not finite or out of range.
+    """
+    result: dict[str, float | None] = {name: term.null for name, term in TERMS.items()}
+    seen: set[str] = set()
+    for name, value in values.items():
+        term = TERMS[main_part(name)]
+        if term.name in seen:
+            msg = f"plant.terms.{name}: {term.name} is given twice; keep one."
+            raise PlantError(msg)
+        seen.add(term.name)
+        if value is None:
+            continue
+        if not isfinite(value) or not term.low <= value <= term.high:
+            msg = (
+                f"plant.terms.{name}: {value:g} {term.unit} is outside "
+                f"{term.low:g} .. {term.high:g} {term.unit}."
+            )
+            raise PlantError(msg)
+        result[term.name] = float(value)
+    return result

@@ -1,0 +1,96 @@
+"""Four range finders at the corners, looking along x into a hall made of line segments.
+
+A sensor shows the nearest point of the hall inside its cone. That point is found exactly: each
+segment is cut to the cone and its nearest point taken, so no thin wall slips between two rays.
+"""
+
+import math
+from typing import Any, Final
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    BAD_OUT_OF_SERVICE,
+    GOOD,
+    P_TOF_COS,
+    P_TOF_ENABLED,
+    P_TOF_SIN,
+    P_TOF_X,
+    P_TOF_Y,
+    UNCERTAIN,
+    Y_POSE,
+    Y_TOF,
+)
+
+NEAREST_M: Final = 0.01
+FARTHEST_M: Final = 5.0
+
+
+@kernel()
+def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos: float) -> float:
+    """Return the distance from the origin to the part of a segment inside the cone along +x.
+
+    The cone is where ``x sin - y cos >= 0`` and ``x sin + y cos >= 0``; inf if nothing is left.
+    """
+    first, last = 0.0, 1.0
+    for side in (-1.0, 1.0):
+        at_a = ax * sin + side * ay * cos
+        at_b = bx * sin + side * by * cos
+        if at_a < 0.0 and at_b < 0.0:
+            return math.inf
+        if at_a < 0.0:
+            first = max(first, at_a / (at_a - at_b))
+        elif at_b < 0.0:
+            last = min(last, at_a / (at_a - at_b))
+    if first > last:
+        return math.inf
+    dx, dy = bx - ax, by - ay
+    square = dx * dx + dy * dy
+    nearest = -(ax * dx + ay * dy) / square if square > 0.0 else 0.0
+    share = min(max(nearest, first), last)
+    return math.hypot(ax + share * dx, ay + share * dy)
+
+
+@kernel()
+def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
+    """Return the distance [m] seen from a point along the unit vector (cos, sin)."""
+    found = math.inf
+    for k in range(hall.shape[0]):
+        ax, ay = hall[k, 0] - px, hall[k, 1] - py
+        bx, by = hall[k, 2] - px, hall[k, 3] - py
+        distance = _nearest_in_cone(
+            ax * cos + ay * sin,
+            ay * cos - ax * sin,
+            bx * cos + by * sin,
+            by * cos - bx * sin,
+            p[P_TOF_SIN],
+            p[P_TOF_COS],
+        )
+        found = min(found, distance)
+    return found
+
+
+@kernel()
+def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa: ARG001
+    """Publish the four ranges in the order fl, fr, rl, rr.
+
+    Parameters
+    ----------
+    p, x, u, y, q : ndarray
+        As for `robot_step`, which must have run in this tick.
+    hall : ndarray of float64, shape (n, 4)
+        Walls: x1, y1, x2, y2 [m] in the world frame.
+    """
+    if p[P_TOF_ENABLED] == 0.0:
+        for k in range(4):
+            q[Y_TOF + k] = BAD_OUT_OF_SERVICE
+        return
+    cos, sin = math.cos(y[Y_POSE + 2]), math.sin(y[Y_POSE + 2])
+    for k in range(4):
+        along = p[P_TOF_X] if k < 2 else -p[P_TOF_X]
+        aside = p[P_TOF_Y] if k % 2 == 0 else -p[P_TOF_Y]
+        px = y[Y_POSE] + along * cos - aside * sin
+        py = y[Y_POSE + 1] + along * sin + aside * cos
+        ahead = 1.0 if k < 2 else -1.0
+        distance = _range(p, hall, px, py, ahead * cos, ahead * sin)
+        y[Y_TOF + k] = min(max(distance, NEAREST_M), FARTHEST_M)
+        q[Y_TOF + k] = GOOD if distance <= FARTHEST_M else UNCERTAIN
