@@ -50,9 +50,6 @@ class Pacing(Protocol):
     def set_speed(self, factor: float) -> None:
         """Pace at `factor` times real time."""
 
-    def reset_statistics(self) -> None:
-        """Start the figures anew."""
-
     @property
     def tick(self) -> int:
         """Tick that comes next."""
@@ -65,6 +62,8 @@ class Control:
     ----------
     safe_ramp_ticks : int
         Ticks after which the set-points have reached zero and the drive is disabled.
+    reset_statistics : callable
+        Starts every timing figure anew.
     """
 
     def __init__(
@@ -77,10 +76,12 @@ class Control:
         snapshots: SnapshotStore,
         *,
         safe_ramp_ticks: int,
+        reset_statistics: Callable[[], None] = lambda: None,
     ) -> None:
         self.state = State.STARTING
         self.reason = "starting"
         self.speed = 1.0
+        self.reset_statistics = reset_statistics
         self.on_reset: list[Callable[[], None]] = []
         self._table = table
         self._image = image
@@ -228,10 +229,6 @@ class Control:
             raise ValueError(f"the speed factor is 0.01 to 100, not {factor}")
         self._pacing.set_speed(factor)
         self.speed = factor
-
-    def reset_statistics(self) -> None:
-        """Start the timing figures anew."""
-        self._pacing.reset_statistics()
 
     def stopping(self, reason: str) -> None:
         """Leave for good."""

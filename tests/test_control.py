@@ -34,9 +34,6 @@ class Pacing:
     def set_speed(self, factor):
         self.log.append(f"speed {factor}")
 
-    def reset_statistics(self):
-        self.log.append("reset_statistics")
-
 
 class World:
     def __init__(self, tmp_path):

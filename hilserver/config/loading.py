@@ -36,6 +36,14 @@ def load(path: Path, model: type[Model]) -> Model:
         raise ConfigError("\n".join(lines)) from None
 
 
+def place(path: Path | None, location: Path_) -> str:
+    """Return ``file:line: key: `` for a complaint found after loading, however much is known."""
+    key = f"{_key(location)}: " if location else ""
+    if path is None or not path.exists():
+        return key
+    return f"{path}:{_line(_parse(path), location)}: {key}"
+
+
 def _parse(path: Path) -> yaml.Node | None:
     try:
         if path.stat().st_size > MAX_BYTES:

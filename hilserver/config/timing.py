@@ -77,6 +77,11 @@ class ControlConfig(Section):
     priority: tuple[Source, ...] = Field(
         SOURCES, description="Who may take control from whom, highest first"
     )
+    opcua_stale_after_ms: float | None = Field(
+        None,
+        gt=0,
+        description="Safe state when the OPC UA client in control is silent so long; null: never",
+    )
 
     @model_validator(mode="after")
     def _source_in_priority(self) -> Self:

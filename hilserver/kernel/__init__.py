@@ -3,6 +3,6 @@
 This is the only room that knows both the plant's arrays and where they lie in the process image.
 """
 
-from hilserver.kernel.compose import BlockUse, Composition, Part, compose
+from hilserver.kernel.compose import BlockUse, Composition, Part, compose, watch_communication
 
-__all__ = ["BlockUse", "Composition", "Part", "compose"]
+__all__ = ["BlockUse", "Composition", "Part", "compose", "watch_communication"]

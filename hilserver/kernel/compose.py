@@ -138,7 +138,7 @@ def compose(composition: Composition, image: ProcessImage) -> StepFunction:
     """
     _fill(composition, image)
     source = _source(composition, image)
-    return cast(StepFunction, _module(source, composition.blocks).step)
+    return cast("StepFunction", _module(source, composition.blocks).step)
 
 
 def watch_communication(image: ProcessImage, limit_ticks: int) -> None:

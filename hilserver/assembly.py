@@ -1,0 +1,192 @@
+"""From a configuration to everything that is fixed before the first tick.
+
+Signal table, slices, packed parameters, own blocks. `hilserver check` and the daemon both come
+through here, so that what `check` accepts, `run` can start.
+"""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from hilserver.config.loading import place
+from hilserver.config.peers import check_peers, check_signals
+from hilserver.config.plant import to_parameters
+from hilserver.config.root import Config, load_config
+from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
+from hilserver.errors import ConfigError
+from hilserver.kernel import BlockUse, Composition, Part
+from hilserver.plant.blocks import BlockError, load_block
+from hilserver.plant.parameters import RobotParameters
+from hilserver.scheduler.slices import Slice, period_in_ticks
+from hilserver.signals import BlockOutput, SignalTable, robot_table
+
+T = TypeVar("T")
+NS_PER_MS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """What a daemon is built from.
+
+    Attributes
+    ----------
+    path : Path or None
+        The configuration file; relative paths in it are relative to its folder.
+    base_period_ns : int
+    slices : sequence of Slice
+        Compiled ones first, in the order in which they run in a tick.
+    """
+
+    config: Config
+    path: Path | None
+    robot: RobotParameters
+    table: SignalTable
+    base_period_ns: int
+    slices: Sequence[Slice]
+    composition: Composition
+
+    @property
+    def folder(self) -> Path:
+        """Folder that relative paths of the configuration start from."""
+        return Path.cwd() if self.path is None else self.path.resolve().parent
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What two runs must share for one to continue the other."""
+        packed = self.composition.parameters.tobytes() + self.composition.hall.tobytes()
+        return {
+            "parameters": hashlib.sha256(packed).hexdigest(),
+            "base_period_ns": str(self.base_period_ns),
+        }
+
+
+def assemble(path: Path | None) -> Assembly:
+    """Load and check a configuration, down to the last signal name.
+
+    Raises
+    ------
+    ConfigError
+        One sentence per complaint with file, line and key.
+    """
+    return _Builder(load_config(path), path).build()
+
+
+def assemble_config(config: Config, folder: Path | None = None) -> Assembly:
+    """Like `assemble`, for a configuration made in Python (tests, test kit)."""
+    return _Builder(config, None if folder is None else folder / "config.yaml").build()
+
+
+class _Builder:
+    """Builds an `Assembly`; knows where in the file a complaint belongs."""
+
+    def __init__(self, config: Config, path: Path | None) -> None:
+        self._config = config
+        self._path = path
+
+    def _fail(self, location: Sequence[str | int], message: str) -> ConfigError:
+        return ConfigError(place(self._path, location) + message)
+
+    def _checked(self, location: Sequence[str | int], make: Callable[[], T]) -> T:
+        try:
+            return make()
+        except ValueError as error:
+            raise self._fail(location, str(error)) from None
+
+    def build(self) -> Assembly:
+        config = self._config
+        base_ns = round(config.scheduler.base_period_ms * NS_PER_MS)
+        slices = self._slices(base_ns)
+        periods_s = {s.name: s.period_ticks * base_ns * 1e-9 for s in slices}
+        parts = self._parts(slices)
+        robot = self._checked(
+            ("plant",),
+            lambda: to_parameters(config.plant, config.kinematics, config.sensors, periods_s),
+        )
+        blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
+        table = robot_table(robot.ranges, [o for block in blocks for o in _outputs(block)])
+        self._check_wiring(table, blocks)
+        composition = Composition(
+            table=table,
+            slices=[s.name for s in slices if s.compiled],
+            periods_s=periods_s,
+            parts=parts,
+            blocks=blocks,
+            parameters=robot.pack(),
+            state=robot.initial_state(),
+            hall=robot.hall,
+        )
+        return Assembly(config, self._path, robot, table, base_ns, slices, composition)
+
+    def _slices(self, base_ns: int) -> list[Slice]:
+        slices: list[Slice] = []
+        for name, period_ms in self._config.scheduler.slices.items():
+            period_ns = round(period_ms * NS_PER_MS)
+            make = partial(period_in_ticks, name, period_ns, base_ns)
+            ticks = self._checked(("scheduler", "slices", name), make)
+            slices.append(Slice(name, ticks, name not in COMMUNICATION_SLICES))
+        return sorted(slices, key=lambda s: (not s.compiled, s.name != "plant"))
+
+    def _parts(self, slices: Sequence[Slice]) -> list[Part]:
+        sensors = self._config.sensors
+        parts = [Part("robot", "plant")]
+        for name in ("imu", "battery", "tof", "nav"):
+            slice_name = getattr(sensors, name).slice
+            self._need_compiled(("sensors", name, "slice"), slice_name, slices)
+            parts.append(Part(name, slice_name))
+        return parts
+
+    def _need_compiled(
+        self, location: Sequence[str | int], name: str, slices: Sequence[Slice]
+    ) -> None:
+        known = [s.name for s in slices if s.compiled]
+        if name not in known:
+            raise self._fail(
+                location, f"there is no plant-side slice '{name}'; slices are {', '.join(known)}"
+            )
+
+    def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
+        here = ("blocks", index)
+        self._need_compiled((*here, "slice"), block.slice, slices)
+        folder = Path.cwd() if self._path is None else self._path.resolve().parent
+        try:
+            declared = load_block(block.function, folder)
+        except BlockError as error:
+            raise self._fail((*here, "function"), str(error)) from None
+        missing = [name for name in declared.inputs if name not in block.inputs]
+        if missing:
+            raise self._fail((*here, "inputs"), f"input '{missing[0]}' of the block is not wired")
+        for kind, given, known in (
+            ("inputs", block.inputs, declared.inputs),
+            ("parameters", block.parameters, declared.parameters),
+        ):
+            for name in given:
+                if name not in known:
+                    raise self._fail(
+                        (*here, kind, name),
+                        f"the block has no {kind[:-1]} '{name}'; known are {', '.join(known)}",
+                    )
+        return BlockUse(block.name, declared, block.slice, block.inputs, block.parameters)
+
+    def _check_wiring(self, table: SignalTable, blocks: Sequence[BlockUse]) -> None:
+        for index, block in enumerate(blocks):
+            for name, signal in block.inputs.items():
+                if signal not in table or table[signal].is_array:
+                    raise self._fail(
+                        ("blocks", index, "inputs", name),
+                        f"there is no scalar signal '{signal}'; see 'hilserver signals'",
+                    )
+        for index, peer in enumerate(self._config.peers):
+            for problem in check_signals(peer, table):
+                raise self._fail(("peers", index, *problem.location), problem.message)
+        for problem in check_peers(list(self._config.peers)):
+            raise self._fail(("peers",), problem.message)
+
+
+def _outputs(block: BlockUse) -> list[BlockOutput]:
+    return [
+        BlockOutput(block.output_signal(o.name), o.unit, o.low, o.high, o.description)
+        for o in block.declaration.outputs
+    ]

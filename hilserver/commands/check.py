@@ -1,0 +1,67 @@
+"""Validate a configuration, say what it means and what the daemon will do with it."""
+
+import argparse
+import json
+from pathlib import Path
+
+from hilserver.assembly import Assembly, assemble
+from hilserver.commands.options import add_config, config_path
+from hilserver.config.root import json_schema
+from hilserver.errors import EXIT_DONE
+
+EXAMPLE = "hilserver check -c config.yaml"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``-c`` and ``--schema``."""
+    add_config(parser)
+    parser.add_argument(
+        "--schema",
+        type=Path,
+        metavar="FILE",
+        help="write the JSON Schema of config.yaml for editors and stop",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check; every complaint is one line with file, line and key (exit code 78)."""
+    if args.schema is not None:
+        args.schema.write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
+        return EXIT_DONE
+    assembly = assemble(config_path(args))
+    print("\n".join(describe(assembly)))
+    return EXIT_DONE
+
+
+def describe(assembly: Assembly) -> list[str]:
+    """Return what a configuration means, in sentences."""
+    config, robot = assembly.config, assembly.robot
+    scheduler = config.scheduler
+    lines = [
+        f"configuration: {assembly.path or 'built-in defaults'} (sha256 {config.sha256[:12]})",
+        f"robot: wheel radius {robot.wheel_radius_m:g} m, track {robot.track_m:g} m,"
+        f" K_om {robot.k_om:.4g} 1/m, yaw_sign {robot.yaw_sign:+d}",
+        f"limits: {robot.max_rpm:g} rpm = {robot.max_linear_m_s:.3g} m/s straight ahead,"
+        f" {robot.max_angular_rad_s:.3g} rad/s on the spot",
+        f"pacing: {scheduler.backend}, base period {scheduler.base_period_ms:g} ms,"
+        f" overrun policy {scheduler.policy}",
+    ]
+    for part in assembly.slices:
+        kind = "compiled, paced" if part.compiled else "communication, asyncio"
+        period_ms = part.period_ticks * scheduler.base_period_ms
+        lines.append(f"slice {part.name}: every {period_ms:g} ms ({kind})")
+    terms = {name: value for name, value in config.plant.terms.items() if value is not None}
+    lines.append(f"terms: {', '.join(f'{n} = {v:g}' for n, v in terms.items()) or 'none'}")
+    lines += [f"own block {b.name}: {b.function} in slice {b.slice}" for b in config.blocks]
+    lines += [
+        f"peer {peer.name}: {peer.endpoint}, reads {len(peer.read)} and writes {len(peer.write)}"
+        f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}"
+        for peer in config.peers
+    ]
+    owner = config.control.source or ("peer" if config.peers else "opcua")
+    lines.append(f"control: '{owner}' commands at the start")
+    lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
+    metrics = config.metrics
+    address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
+    lines.append(f"metrics: {address}")
+    return lines

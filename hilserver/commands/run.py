@@ -1,0 +1,77 @@
+"""Run the daemon until Ctrl-C, SIGTERM, ``--duration`` or a safety limit."""
+
+import argparse
+import asyncio
+import signal
+import sys
+
+import uvloop
+
+from hilserver.assembly import Assembly, assemble
+from hilserver.commands.options import add_config, config_path
+from hilserver.daemon import Daemon
+from hilserver.demo import demo_assembly, running_controller
+from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
+
+EXAMPLE = "hilserver run --demo"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``-c``, ``--duration`` and ``--demo``."""
+    add_config(parser)
+    parser.add_argument(
+        "--duration", type=_positive, metavar="S", help="stop after so many seconds"
+    )
+    parser.add_argument(
+        "--demo",
+        action="store_true",
+        help="start an embedded controller beside it that drives a figure of eight",
+    )
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no duration in seconds")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run; return 0 after a clean end, 3 when policy ``fail`` ended it."""
+    assembly = assemble(config_path(args))
+    logging = assembly.config.logging
+    limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
+    main = (
+        _demo(assembly, limiter, args.duration)
+        if args.demo
+        else _run(assembly, limiter, args.duration)
+    )
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        return runner.run(main)
+
+
+async def _demo(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None) -> int:
+    async with running_controller() as endpoint:
+        return await _run(demo_assembly(assembly, endpoint), limiter, duration_s)
+
+
+async def _run(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None) -> int:
+    asked = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, asked.set)
+    async with Daemon(assembly, limiter) as daemon:
+        _print_addresses(daemon)
+        code = await daemon.wait(duration_s, asked)
+    report_repeats(limiter, at_end=True)
+    return code
+
+
+def _print_addresses(daemon: Daemon) -> None:
+    lines = ["hilserver is running; stop it with Ctrl-C"]
+    if daemon.server is not None:
+        lines.append(f"  OPC UA   {daemon.server.url}")
+    if daemon.http is not None:
+        lines.append(f"  metrics  {daemon.http.url}")
+    lines += [f"  peer     {peer.config.name} at {peer.config.endpoint}" for peer in daemon.peers]
+    print("\n".join(lines), file=sys.stderr, flush=True)

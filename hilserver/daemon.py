@@ -1,0 +1,352 @@
+"""The daemon: wires the parts, starts them in order, stops them in reverse. Nothing else does.
+
+One set-point on its way: `io.opcua_client` or `io.opcua_server` hears it, `inputs` checks it and
+pushes it into the process image, the paced step latches it and moves the plant, the step publishes
+a frame, the publish slice hands the frame to OPC UA and the peers.
+"""
+
+import asyncio
+import os
+import time
+from contextlib import AsyncExitStack
+from typing import Self
+
+import structlog
+
+from hilserver import figures
+from hilserver.assembly import Assembly
+from hilserver.clock import UtcClock
+from hilserver.compiled import kernel_hash
+from hilserver.compiled.histogram import Histogram125
+from hilserver.config.peers import PeerConfig
+from hilserver.control import Control, State
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.image import Frame, ProcessImage
+from hilserver.image.layout import W_HEARTBEAT
+from hilserver.inputs import InputGate
+from hilserver.io.opcua_client import PeerLink
+from hilserver.io.opcua_server import OpcUaServer
+from hilserver.kernel import compose, watch_communication
+from hilserver.monitoring.audit import AuditItem, audit
+from hilserver.monitoring.health import HealthSources
+from hilserver.monitoring.health_http import HttpServer
+from hilserver.monitoring.logging_setup import (
+    RepeatLimiter,
+    log_event,
+    log_overrun,
+    report_repeats,
+)
+from hilserver.monitoring.metrics import Metrics
+from hilserver.monitoring.metrics_sources import MetricsSources
+from hilserver.scheduler import (
+    OverrunLimits,
+    OverrunPolicy,
+    OverrunReport,
+    RealtimeSettings,
+    Scheduler,
+    StepFunction,
+    StopReason,
+    words_needed,
+)
+from hilserver.snapshot import SnapshotStore
+
+_log = structlog.get_logger(__name__)
+IDLE_PERIOD_S = 0.1
+LINEAR_BINS = 10_000
+
+
+class Daemon:
+    """Everything that runs, from shared memory to the last socket.
+
+    Use it as an asynchronous context manager; inside, the robot is running.
+
+    Attributes
+    ----------
+    table, image, gate, control, events, scheduler
+        The parts, for those who build on the daemon (commands, test kit).
+    server : OpcUaServer or None
+    peers : list of PeerLink
+    end_to_end : Histogram125
+        Set-point change to the first published output that contains it.
+    """
+
+    def __init__(self, assembly: Assembly, limiter: RepeatLimiter | None = None) -> None:
+        config = assembly.config
+        self.assembly, self.config, self.table = assembly, config, assembly.table
+        self.end_to_end = Histogram125()
+        self.audit: list[AuditItem] = []
+        self._limiter = limiter
+        self._resources = AsyncExitStack()
+        is_virtual = config.scheduler.backend == "virtual"
+        self.clock = UtcClock(simulated=is_virtual)
+        self.events = EventBus()
+        self.image = ProcessImage(
+            _image_name(config.image.name),
+            self.table,
+            live=assembly.composition.live_regions,
+            fixed=assembly.composition.fixed_regions
+            | {"statistics": words_needed(len(assembly.slices), LINEAR_BINS)},
+            base_period_ns=assembly.base_period_ns,
+            ring_length=config.image.ring_frames,
+        )
+        self._resources.callback(self.image.close)
+        step = compose(assembly.composition, self.image)
+        if not is_virtual:
+            timeout_ns = round(config.scheduler.communication_timeout_ms * 1e6)
+            watch_communication(self.image, -(-timeout_ns // assembly.base_period_ns))
+        self.scheduler = _make_scheduler(assembly, self.image, step)
+        self.gate = InputGate(
+            self.table,
+            self.image,
+            self.events,
+            owner=config.control.source or ("peer" if config.peers else "opcua"),
+            priority=config.control.priority,
+        )
+        self.control = self._make_control()
+        self.peers = [self._make_peer(peer) for peer in config.peers]
+        self.server = self._make_server() if config.opcua.enabled else None
+        self.metrics = Metrics(self._metrics_sources())
+        self.http = self._make_http() if config.metrics.enabled else None
+        self._frame: Frame | None = None
+
+    # --- start and stop ---------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self._start()
+        except BaseException:
+            await self._resources.aclose()
+            raise
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.control.stopping("stopping")
+        await self._resources.aclose()
+
+    async def _start(self) -> None:
+        self._resources.callback(self.events.subscribe(log_event))
+        self._resources.callback(self.events.subscribe(self._on_event))
+        if self.http is not None:
+            await self.http.start()
+            self._resources.push_async_callback(self.http.stop)
+        if self.server is not None:
+            await self.server.start()
+            self._resources.push_async_callback(self.server.stop)
+        self.scheduler.on_slice("publish", self._publish)
+        self.scheduler.on_slice("supervise", self._supervise)
+        self.scheduler.on_overrun(self._on_overrun)
+        self._resources.push_async_callback(self.scheduler.stop)
+        await self.scheduler.start()
+        self.audit = audit(self.scheduler)
+        self._tell_audit()
+        for peer in self.peers:
+            self.gate.expect(peer.config.read.values())
+            await peer.start()
+            self._resources.push_async_callback(peer.stop)
+        idle = asyncio.create_task(self._idle(), name="idle")
+        self._resources.callback(idle.cancel)
+        self.control.started()
+
+    async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
+        """Run until `asked` is set, time is over or the scheduler ends; return the exit code."""
+        until = asyncio.create_task(asked.wait())
+        try:
+            await asyncio.wait(
+                (until, self.scheduler.finished),
+                timeout=duration_s,
+                return_when=asyncio.FIRST_COMPLETED,
+            )
+        finally:
+            until.cancel()
+        if not self.scheduler.finished.done():
+            return EXIT_DONE
+        reason = self.scheduler.finished.result()
+        if reason is StopReason.OVERRUN:
+            _log.error("stopped by policy 'fail': a tick did not meet its deadline")
+            return EXIT_SAFETY_LIMIT
+        return EXIT_DONE if reason is StopReason.STOPPED else EXIT_FAILED
+
+    # --- communication slices ---------------------------------------------------------------------
+
+    def _publish(self, _tick: int, _planned_ns: int) -> None:
+        self.image.words[W_HEARTBEAT] += 1
+        frame = self.image.latest()
+        if frame is None:
+            return
+        frame.values[self.table.slot("sim.state")] = self.control.state
+        self._frame = frame
+        if self.server is not None:
+            self.server.publish(frame)
+        received_ns = self.gate.take_change(frame.latched_rows)
+        if received_ns is not None:
+            self.end_to_end.observe(time.monotonic_ns() - received_ns)
+
+    def _supervise(self, _tick: int, _planned_ns: int) -> None:
+        self.clock.slew()
+        self.control.supervise()
+        self._watch_operator()
+        if self.server is not None:
+            self.server.publish_diagnostics()
+        if self._limiter is not None:
+            report_repeats(self._limiter)
+
+    async def _idle(self) -> None:
+        """Keep publishing while the plant stands still: no tick makes a slice due then."""
+        while True:
+            await asyncio.sleep(IDLE_PERIOD_S)
+            if self.scheduler.paused:
+                self._publish(self.scheduler.tick, 0)
+                self._supervise(self.scheduler.tick, 0)
+
+    def _watch_operator(self) -> None:
+        limit_ms = self.config.control.opcua_stale_after_ms
+        age_s = self.gate.age_s("opcua")
+        if limit_ms is None or age_s is None or self.gate.owner != "opcua":
+            return
+        if age_s * 1e3 > limit_ms and self.control.state is State.RUNNING:
+            self.gate.mark_stale("opcua")
+            self.control.enter_safe("the OPC UA client in control is silent", cause=None)
+
+    # --- what the parts tell each other -----------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
+            asyncio.get_running_loop().call_soon(self._publish, 0, 0)
+
+    def _on_overrun(self, report: OverrunReport) -> None:
+        log_overrun(report)
+        text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
+        self.events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
+
+    def _on_stale(self, peer: str, action: str) -> None:
+        source = f"peer:{peer}"
+        self.gate.mark_stale(source)
+        if self.gate.owner != "peer":
+            return
+        if action == "zero":
+            self.gate.stop()
+        elif action == "ramp":
+            self.control.enter_safe(f"peer '{peer}' is silent", cause=source)
+
+    def _on_restored(self, peer: str) -> None:
+        self.control.clear_cause(f"peer:{peer}")
+
+    def _read_output(self, name: str) -> tuple[float, int, int]:
+        frame, slot = self._frame, self.table.slot(name)
+        if frame is None:
+            raise LookupError("no frame yet")
+        return float(frame.values[slot]), int(frame.status[slot]), frame.planned_ns
+
+    def _tell_audit(self) -> None:
+        for item in self.audit:
+            if not item.ok:
+                _log.warning(
+                    "degraded", item=item.name, found=item.found, wanted=item.wanted, mend=item.mend
+                )
+
+    # --- construction -----------------------------------------------------------------------------
+
+    def _make_control(self) -> Control:
+        config, assembly = self.config, self.assembly
+        folder = assembly.folder / config.snapshots.folder
+        return Control(
+            self.table,
+            self.image,
+            self.gate,
+            self.events,
+            self.scheduler,
+            SnapshotStore(self.image, folder, dict(assembly.identity)),
+            safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
+            reset_statistics=self._reset_statistics,
+        )
+
+    def _reset_statistics(self) -> None:
+        with self.metrics.statistics_reset():
+            self.scheduler.statistics.reset()
+            self.end_to_end.clear()
+
+    def _state_name(self) -> str:
+        return self.control.state.name.lower()
+
+    def _make_peer(self, config: PeerConfig) -> PeerLink:
+        return PeerLink(
+            config,
+            gate=self.gate,
+            on_stale=self._on_stale,
+            on_restored=self._on_restored,
+            events=self.events,
+            read_output=self._read_output,
+            clock=self.clock,
+        )
+
+    def _make_server(self) -> OpcUaServer:
+        return OpcUaServer(
+            self.config.opcua,
+            self.table,
+            self.image,
+            self.gate,
+            self.control,
+            self.events,
+            self.clock,
+            statistics=lambda: figures.slice_table(self.scheduler),
+            peers=lambda: figures.peer_table(peer.status for peer in self.peers),
+            audit=lambda: figures.audit_table(self.audit),
+        )
+
+    def _metrics_sources(self) -> MetricsSources:
+        return MetricsSources(
+            slices=lambda: figures.slices_by_name(self.scheduler),
+            state=self._state_name,
+            realtime_factor=lambda: self.scheduler.statistics.tick.real_time_factor,
+            peers=lambda: [peer.status for peer in self.peers],
+            input_ages_s=lambda: figures.input_ages_s(self.gate),
+            rejected=lambda: self.gate.rejected,
+            end_to_end=self.end_to_end,
+            gc_pause=self.scheduler.gc_pauses.pauses,
+            audit=lambda: {item.name: item.ok for item in self.audit},
+            kernel_hash=kernel_hash(),
+            config_sha256=self.config.sha256,
+        )
+
+    def _make_http(self) -> HttpServer:
+        health = HealthSources(
+            state=self._state_name,
+            heartbeat_ns=lambda: self.scheduler.heartbeat_ns,
+            first_ticks_met=lambda: self.control.state is not State.STARTING,
+        )
+        config = self.config.metrics
+        return HttpServer(
+            host=config.host, port=config.port, render=self.metrics.render, health=health
+        )
+
+
+def _image_name(name: str) -> str:
+    return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
+
+
+def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction) -> Scheduler:
+    config = assembly.config.scheduler
+    limits, realtime = config.limits, config.realtime
+    _, statistics = image.region("statistics")
+    return Scheduler(
+        base_period_ns=assembly.base_period_ns,
+        slices=assembly.slices,
+        step=step,
+        values=image.values,
+        words=image.words,
+        backend=config.backend,
+        policy=OverrunPolicy(config.policy, config.catch_up_limit),
+        limits=OverrunLimits(
+            single_ns=round((limits.single_overrun_ms or 0) * 1e6),
+            consecutive=limits.consecutive_overruns or 0,
+        ),
+        realtime=RealtimeSettings(
+            priority=realtime.priority,
+            cpu=realtime.cpu,
+            lock_memory=realtime.lock_memory,
+            hold_latency_target=realtime.hold_latency_target,
+        ),
+        statistics_array=statistics,
+        linear_bins=LINEAR_BINS,
+    )

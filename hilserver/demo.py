@@ -1,0 +1,79 @@
+"""`hilserver run --demo`: an embedded controller in a process of its own, over the real path.
+
+The controller is an OPC UA server as on the IOT2050; the daemon is its client. Nothing is
+short-circuited: what the demo shows is what a real controller gets.
+"""
+
+import asyncio
+import contextlib
+import re
+import signal
+import sys
+from collections.abc import AsyncIterator
+
+from hilserver.assembly import Assembly, assemble_config
+from hilserver.controller.nodes import demo_peer
+from hilserver.errors import FailedError
+
+READY = re.compile(rb"listening on (opc\.tcp://\S+)")
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 5.0
+
+
+@contextlib.asynccontextmanager
+async def running_controller() -> AsyncIterator[str]:
+    """Run the controller while the context lasts; give its endpoint.
+
+    Raises
+    ------
+    FailedError
+        If it does not come up.
+    """
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "hilserver.controller",
+        "--endpoint",
+        "opc.tcp://127.0.0.1:0/UA/NodeRedAgv",
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the controller
+    )
+    try:
+        yield await _endpoint_of(process)
+    finally:
+        await _stop(process)
+
+
+async def _endpoint_of(process: asyncio.subprocess.Process) -> str:
+    stdout = process.stdout
+    if stdout is None:
+        raise FailedError("the embedded controller has no output")
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(START_LIMIT_S):
+            while line := await stdout.readline():
+                if match := READY.search(line):
+                    return match.group(1).decode()
+    raise FailedError("the embedded controller did not start; see its messages above")
+
+
+async def _stop(process: asyncio.subprocess.Process) -> None:
+    if process.returncode is not None:
+        return
+    with contextlib.suppress(ProcessLookupError):
+        process.send_signal(signal.SIGTERM)
+    try:
+        async with asyncio.timeout(STOP_LIMIT_S):
+            await process.wait()
+    except TimeoutError:
+        process.kill()
+        await process.wait()
+
+
+def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
+    """Return the same robot with the embedded controller as its only peer."""
+    control = assembly.config.control.model_copy(update={"source": "peer"})
+    config = assembly.config.model_copy(
+        update={"peers": (demo_peer(endpoint),), "control": control}
+    )
+    return assemble_config(config, assembly.folder)

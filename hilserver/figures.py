@@ -1,0 +1,97 @@
+"""The daemon's figures as plain tables: what OPC UA shows and metrics export."""
+
+import math
+import time
+from collections.abc import Iterable, Mapping
+
+from hilserver.inputs import InputGate
+from hilserver.io.peer_status import PeerStatus
+from hilserver.monitoring.audit import AuditItem
+from hilserver.scheduler import Scheduler, SliceFigures
+
+Figure = float | str | bool | int | None
+Table = dict[str, dict[str, Figure]]
+MAX_SOURCES = 16
+
+
+def _us(nanoseconds: float | None) -> float | None:
+    if nanoseconds is None or math.isnan(nanoseconds):
+        return None
+    return nanoseconds * 1e-3
+
+
+def slices_by_name(scheduler: Scheduler) -> dict[str, SliceFigures]:
+    """Return the figures of every slice, in the order of the scheduler."""
+    return {name: scheduler.statistics.slice(name) for name in scheduler.statistics.names}
+
+
+def slice_table(scheduler: Scheduler) -> Table:
+    """Return latency, execution, margin and overruns of every slice [us]."""
+    table: Table = {}
+    for name, f in slices_by_name(scheduler).items():
+        table[name] = {
+            "period_ms": f.period_ns * 1e-6,
+            "count": f.count,
+            "latency_mean_us": _us(f.latency_sum_ns / f.count) if f.count else None,
+            "latency_max_us": _us(f.latency_max_ns),
+            "latency_max_tick": f.latency_max_tick,
+            "jitter_us": _us(f.window.deviation_ns),
+            "execution_mean_us": _us(f.execution_sum_ns / f.count) if f.count else None,
+            "execution_max_us": _us(f.execution_max_ns),
+            "margin_min_us": _us(f.margin_min_ns),
+            "late_wakes": f.late_wakes,
+            "long_runs": f.long_runs,
+            "missed_ticks": f.missed_ticks,
+        }
+    return table
+
+
+def peer_table(peers: Iterable[PeerStatus]) -> Table:
+    """Return what is known about every peer; what is unknown so far is None."""
+    now_ns = time.monotonic_ns()
+    table: Table = {}
+    for p in peers:
+        table[p.name] = {
+            "connected": p.connected,
+            "state": str(p.state),
+            "mode": p.mode,
+            "mode_reason": p.mode_reason,
+            "stale": p.stale,
+            "reconnects": p.reconnects,
+            "last_error": p.last_error,
+            "round_trip_ms": _ms(p.round_trip.last_ns),
+            "one_way_ms": _ms(p.one_way.last_ns),
+            "interval_ms": _ms(p.interval.last_ns),
+            "clock_offset_ms": None if p.clock_offset_s is None else p.clock_offset_s * 1e3,
+            "granted_publishing_ms": p.granted_publishing_ms,
+            "granted_sampling_ms": p.granted_sampling_ms,
+            "input_age_s": p.input_age_s(now_ns),
+            "sequence_received": p.sequence_received,
+            "sequence_missed": p.sequence_missed,
+            "writes": p.writes,
+            "faults": "; ".join(p.faults.values()),
+        }
+    return table
+
+
+def _ms(nanoseconds: int | None) -> float | None:
+    return None if nanoseconds is None else nanoseconds * 1e-6
+
+
+def audit_table(items: Iterable[AuditItem]) -> Table:
+    """Return the real-time audit: what is fulfilled, and the mend for what is not."""
+    return {
+        item.name: {
+            "ok": item.ok,
+            "found": item.found,
+            "wanted": item.wanted,
+            "mend": item.mend,
+        }
+        for item in items
+    }
+
+
+def input_ages_s(gate: InputGate) -> Mapping[str, float]:
+    """Return the age of every source that has written [s], at most `MAX_SOURCES` of them."""
+    ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
+    return {source: age for source, age in ages.items() if age is not None}
