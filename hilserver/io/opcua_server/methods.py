@@ -78,7 +78,7 @@ class Methods:
             "Unforce": _not_implemented,
             "InjectFault": _not_implemented,
             "ClearFaults": _not_implemented,
-            "ResetStatistics": control.reset_statistics,
+            "ResetStatistics": lambda: control.reset_statistics(),
             "SetPose": control.set_pose,
         }
 

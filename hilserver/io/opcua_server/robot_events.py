@@ -8,6 +8,7 @@ when the flood is over.
 import time
 import uuid
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -48,6 +49,65 @@ class RobotEvent:
         return [self._fields.get(name, _NULL) for name in names]
 
 
+class FloodGate:
+    """Lets a limited number of events of each kind through in a second, and counts the others.
+
+    Parameters
+    ----------
+    emit : callable
+        Gets an event and the number of events of its kind left out since the last one.
+    """
+
+    def __init__(
+        self,
+        limit_per_s: int,
+        emit: Callable[[Event, int], None],
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._limit = limit_per_s
+        self._emit = emit
+        self._monotonic_s = monotonic_s
+        self._kinds = {kind: _Window() for kind in EventKind}
+
+    def send(self, event: Event) -> None:
+        """Send one event, or count it if there were too many of its kind."""
+        window = self._kinds[event.kind]
+        if self._has_room(window):
+            self._emit(event, window.take_left_out())
+        else:
+            window.left_out += 1
+            window.last = event
+
+    def flush(self) -> None:
+        """Send a summary of what was left out, once its kind has become quiet."""
+        for window in self._kinds.values():
+            if window.left_out and window.last is not None and self._has_room(window):
+                # The summary repeats an event that is itself one of those left out.
+                self._emit(window.last, window.take_left_out() - 1)
+
+    def _has_room(self, window: "_Window") -> bool:
+        """Whether one more event may be sent now; if so, it counts as sent."""
+        now_s = self._monotonic_s()
+        if now_s - window.started_s >= _WINDOW_S:
+            window.started_s, window.sent = now_s, 0
+        window.sent += 1
+        return window.sent <= self._limit
+
+
+@dataclass(slots=True)
+class _Window:
+    """What happened to the events of one kind in this second."""
+
+    started_s: float = float("-inf")
+    sent: int = 0
+    left_out: int = 0
+    last: Event | None = None
+
+    def take_left_out(self) -> int:
+        left_out, self.left_out = self.left_out, 0
+        return left_out
+
+
 class RobotEvents:
     """Sends the events of the bus to OPC UA clients.
 
@@ -65,19 +125,17 @@ class RobotEvents:
         clock: UtcClock,
         *,
         limit_per_s: int,
-        monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._subscriptions = subscriptions
         self._clock = clock
-        self._monotonic_s = monotonic_s
         self._robot = builder.robot
         self._types = _add_types(builder)
-        self._limits = {kind: _Limit(limit_per_s) for kind in EventKind}
+        self._gate = FloodGate(limit_per_s, self._emit)
         self._unsubscribe: Callable[[], None] | None = None
 
     def attach(self, bus: EventBus) -> None:
         """Send every later event of `bus`."""
-        self._unsubscribe = bus.subscribe(self.send)
+        self._unsubscribe = bus.subscribe(self._gate.send)
 
     def detach(self) -> None:
         """Send no more."""
@@ -85,19 +143,9 @@ class RobotEvents:
             self._unsubscribe()
             self._unsubscribe = None
 
-    def send(self, event: Event) -> None:
-        """Send one event, or count it if there were too many of its kind."""
-        limit = self._limits[event.kind]
-        if limit.admits(self._monotonic_s(), event):
-            self._emit(event, limit.take_suppressed())
-
     def flush(self) -> None:
-        """Send a summary of what was left out, once its kind has become quiet."""
-        for limit in self._limits.values():
-            event = limit.last
-            if limit.suppressed and event and limit.admits(self._monotonic_s(), event):
-                # The summary repeats an event that is itself one of those left out.
-                self._emit(event, limit.take_suppressed() - 1)
+        """Send what the end of a flood owes; called now and then."""
+        self._gate.flush()
 
     def _emit(self, event: Event, suppressed: int) -> None:
         fields = self._fields(event, suppressed)
@@ -122,31 +170,6 @@ class RobotEvents:
             "MonotonicTime_ns": ua.Variant(event.monotonic_ns, _Type.Int64),
             "Suppressed": ua.Variant(suppressed, _Type.UInt32),
         }
-
-
-class _Limit:
-    """How many events of one kind this second has seen."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
-        self._window_s = float("-inf")
-        self._sent = 0
-        self.suppressed = 0
-        self.last: Event | None = None
-
-    def admits(self, now_s: float, event: Event) -> bool:
-        if now_s - self._window_s >= _WINDOW_S:
-            self._window_s, self._sent = now_s, 0
-        if self._sent < self._limit:
-            self._sent += 1
-            return True
-        self.suppressed += 1
-        self.last = event
-        return False
-
-    def take_suppressed(self) -> int:
-        suppressed, self.suppressed = self.suppressed, 0
-        return suppressed
 
 
 def _add_types(builder: AddressSpaceBuilder) -> dict[EventKind, ua.NodeId]:

@@ -1,0 +1,201 @@
+"""Inputs: what is accepted, what is refused, with which code, and what reaches the plant."""
+
+import math
+
+import pytest
+from asyncua import ua
+
+from hilserver.events import EventKind
+from tests.io.opcua_server.rig import Rig, RobotClient
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+T = ua.VariantType
+FL, ARRAY = "wheel.fl.setpoint_rpm", "wheels.setpoints_rpm"
+
+
+@pytest.fixture(autouse=True)
+def in_control(rig: Rig) -> None:
+    rig.gate.take("opcua")
+    rig.tick()
+
+
+def latched(rig: Rig, name: str) -> float:
+    rig.tick()
+    return float(rig.image.latest().values[rig.table.slot(name)])
+
+
+async def test_accepted_write_reaches_the_plant_and_is_read_back(
+    rig: Rig, client: RobotClient
+) -> None:
+    assert await client.write((FL, 33.5, T.Double)) == ["Good"]
+    assert await client.read(FL) == 33.5
+    assert (await client.read(ARRAY))[0] == 33.5
+    assert latched(rig, FL) == 33.5
+    assert await client.read("wheel.fl.speed_rpm") == 33.5
+
+
+async def test_all_types(rig: Rig, client: RobotClient) -> None:
+    answers = await client.write(
+        ("control.mode", 1, T.Byte),
+        ("drive.enable", False, T.Boolean),
+        ("input.sequence", 4_000_000_000, T.UInt32),
+        ("twist.linear_m_s", -0.25, T.Double),
+    )
+    assert answers == ["Good"] * 4
+    assert latched(rig, "input.sequence") == 4e9
+    assert (await client.read("drive.enable"), await client.read("control.mode")) == (False, 1)
+
+
+async def test_array_write_maps_to_four_slots_and_later_wins(rig: Rig, client: RobotClient) -> None:
+    four = [1.0, 2.0, -3.0, -4.0]
+    assert await client.write((ARRAY, four, T.Double), (FL, 9.0, T.Double)) == ["Good", "Good"]
+    assert await client.read(ARRAY) == [9.0, 2.0, -3.0, -4.0]
+    assert latched(rig, FL) == 9.0
+    assert await client.write((FL, 8.0, T.Double), (ARRAY, four, T.Double)) == ["Good", "Good"]
+    assert latched(rig, FL) == 1.0
+    assert await client.write((FL, 5.0, T.Double), (FL, 6.0, T.Double)) == ["Good", "Good"]
+    assert latched(rig, FL) == 6.0
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "kind", "code"),
+    [
+        (FL, 90.1, T.Double, "BadOutOfRange"),
+        (FL, math.nan, T.Double, "BadOutOfRange"),
+        (FL, math.inf, T.Double, "BadOutOfRange"),
+        (FL, -math.inf, T.Double, "BadOutOfRange"),
+        (FL, 5, T.Int64, "BadTypeMismatch"),
+        (FL, 5.0, T.Float, "BadTypeMismatch"),
+        (FL, "5", T.String, "BadTypeMismatch"),
+        (FL, [1.0], T.Double, "BadTypeMismatch"),
+        (FL, None, T.Null, "BadTypeMismatch"),
+        (ARRAY, [1.0, 2.0, 3.0], T.Double, "BadTypeMismatch"),
+        (ARRAY, 1.0, T.Double, "BadTypeMismatch"),
+        (ARRAY, [1.0, 2.0, 3.0, math.nan], T.Double, "BadOutOfRange"),
+        (ARRAY, [1.0, 2.0, 3.0, 91.0], T.Double, "BadOutOfRange"),
+        (ARRAY, [[1.0, 2.0], [3.0, 4.0]], T.Double, "BadTypeMismatch"),
+        ("drive.enable", 1, T.Byte, "BadTypeMismatch"),
+        ("control.mode", 2, T.Byte, "BadOutOfRange"),
+        ("lights.command", 9, T.Byte, "BadOutOfRange"),
+        ("pose.x_m", 1.0, T.Double, "BadNotWritable"),
+        ("slices", 1.0, T.Double, "BadAttributeIdInvalid"),
+        ("internal.command", 1.0, T.Double, "BadNodeIdUnknown"),
+        ("no.such_signal", 1.0, T.Double, "BadNodeIdUnknown"),
+        ("control.source", 1.0, T.Double, "BadTypeMismatch"),
+        ("control.source", "somebody", T.String, "BadOutOfRange"),
+    ],
+)
+async def test_refused_writes_name_their_reason_and_change_nothing(
+    rig: Rig, client: RobotClient, path: str, value: object, kind: T, code: str
+) -> None:
+    await client.write((ARRAY, [1.0] * 4, T.Double), ("lights.command", 0, T.Byte))
+    rig.tick()
+    before = rig.image.latest().values.copy()
+    assert await client.write((path, value, kind)) == [code]
+    rig.tick()
+    same = rig.image.latest().values == before
+    for name in ("sim.tick", "sim.time_s"):
+        same[rig.table.slot(name)] = True
+    assert same.all()
+
+
+async def test_refusals_are_counted_and_published(rig: Rig, client: RobotClient) -> None:
+    rig.gate.rejected.clear()
+    await client.write((FL, 5, T.Int64), (FL, 91.0, T.Double), (FL, math.nan, T.Double))
+    reasons = {reason: n for (source, reason), n in rig.gate.rejected.items() if source == "opcua"}
+    assert reasons == {"type_mismatch": 1, "out_of_range": 1, "not_finite": 1}
+    kinds = [event.kind for event in rig.events.recent][-3:]
+    assert kinds == [EventKind.SETPOINT_REFUSED] * 3
+    assert "Int64" in rig.events.recent[-3].message
+
+
+async def test_good_ones_of_a_mixed_request_get_through(rig: Rig, client: RobotClient) -> None:
+    answers = await client.write_doubles(
+        wheel__fl__setpoint_rpm=4.0,
+        wheel__fr__setpoint_rpm=400.0,
+        pose__x_m=1.0,
+        wheel__rl__setpoint_rpm=5.0,
+    )
+    assert answers == ["Good", "BadOutOfRange", "BadNotWritable", "Good"]
+    assert (latched(rig, FL), latched(rig, "wheel.rl.setpoint_rpm")) == (4.0, 5.0)
+
+
+async def test_without_control_nothing_but_measured_values(rig: Rig, client: RobotClient) -> None:
+    rig.gate.take("peer")
+    rig.tick()
+    assert await client.read("control.source") == "peer"
+    assert await client.write((FL, 1.0, T.Double)) == ["BadUserAccessDenied"]
+    assert "'peer' has control" in rig.events.recent[-1].message
+    assert await client.write(("measured.pose.x_m", 1.25, T.Double)) == ["Good"]
+    assert latched(rig, "measured.pose.x_m") == 1.25
+
+
+async def test_taking_control_acts_on_the_writes_behind_it(rig: Rig, client: RobotClient) -> None:
+    rig.gate.take("peer")
+    answers = await client.write(
+        (FL, 1.0, T.Double), ("control.source", "opcua", T.String), (FL, 2.0, T.Double)
+    )
+    assert answers == ["BadUserAccessDenied", "Good", "Good"]
+    assert rig.gate.owner == "opcua"
+    assert latched(rig, FL) == 2.0
+    assert await client.read("control.source") == "opcua"
+    assert await client.write(("control.source", "peer", T.String)) == ["Good"]
+    assert rig.gate.owner == "peer"
+
+
+async def test_a_higher_source_keeps_control(rig: Rig, client: RobotClient) -> None:
+    rig.gate.take("page")
+    assert await client.write(("control.source", "opcua", T.String)) == ["BadUserAccessDenied"]
+    assert rig.gate.owner == "page"
+
+
+async def test_only_plain_good_values(rig: Rig, client: RobotClient) -> None:
+    item = ua.WriteValue()
+    item.NodeId, item.AttributeId = ua.NodeId(FL, client.index), ua.AttributeIds.Value
+    for value, index_range, code in (
+        (ua.DataValue(ua.Variant(1.0, T.Double), ua.StatusCode(ua.StatusCodes.BadNoData)), None, "BadWriteNotSupported"),
+        (ua.DataValue(ua.Variant(1.0, T.Double), ua.StatusCode(0x40000000)), None, "BadWriteNotSupported"),
+        (ua.DataValue(ua.Variant(1.0, T.Double)), "0:1", "BadWriteNotSupported"),
+        (ua.DataValue(ua.Variant(1.0, T.Double)), None, "Good"),
+    ):  # fmt: skip
+        item.Value, item.IndexRange = value, index_range
+        params = ua.WriteParameters()
+        params.NodesToWrite = [item]
+        assert [c.name for c in await client.uaclient.write(params)] == [code]
+
+
+async def test_other_attributes_and_other_namespaces_are_read_only(client: RobotClient) -> None:
+    for node_id, attribute in (
+        (ua.NodeId(FL, client.index), ua.AttributeIds.DisplayName),
+        (ua.NodeId(FL, client.index), ua.AttributeIds.AccessLevel),
+        (ua.NodeId(ua.ObjectIds.Server_ServiceLevel), ua.AttributeIds.Value),
+        (ua.NodeId(ua.ObjectIds.Server_NamespaceArray), ua.AttributeIds.Value),
+    ):
+        params = ua.WriteParameters()
+        item = ua.WriteValue()
+        item.NodeId, item.AttributeId = node_id, attribute
+        item.Value = ua.DataValue(ua.Variant(3, T.Byte))
+        params.NodesToWrite = [item]
+        assert [c.name for c in await client.uaclient.write(params)] == ["BadNotWritable"]
+
+
+async def test_full_queue_is_refused(rig: Rig, client: RobotClient) -> None:
+    answers = [(await client.write((ARRAY, [1.0] * 4, T.Double)))[0] for _ in range(65)]
+    assert answers == ["Good"] * 64 + ["BadResourceUnavailable"]
+    rig.tick()
+    assert await client.write((FL, 2.0, T.Double)) == ["Good"]
+
+
+async def test_reason_in_words_for_clients_that_ask(rig: Rig, client: RobotClient) -> None:
+    rig.gate.take("peer")
+    request = ua.WriteRequest()
+    request.RequestHeader.ReturnDiagnostics = 0xC0
+    item = ua.WriteValue()
+    item.NodeId, item.AttributeId = ua.NodeId(FL, client.index), ua.AttributeIds.Value
+    item.Value = ua.DataValue(ua.Variant(1.0, T.Double))
+    request.Parameters.NodesToWrite = [item]
+    data = await client.uaclient.protocol.send_request(request)
+    response = ua.ua_binary.struct_from_binary(ua.WriteResponse, data)
+    info = response.DiagnosticInfos[0]
+    assert "'peer' has control" in info.AdditionalInfo
+    assert response.ResponseHeader.StringTable[info.LocalizedText] == info.AdditionalInfo
