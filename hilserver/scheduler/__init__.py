@@ -8,7 +8,13 @@ from hilserver.scheduler.policies import POLICY_NAMES, OverrunLimits, OverrunPol
 from hilserver.scheduler.realtime import Grant, RealtimeSettings
 from hilserver.scheduler.scheduler import BACKENDS, Scheduler
 from hilserver.scheduler.slices import Slice, period_in_ticks
-from hilserver.scheduler.statistics import SliceFigures, Statistics, TickFigures, words_needed
+from hilserver.scheduler.statistics import (
+    SliceFigures,
+    Statistics,
+    TickFigures,
+    map_statistics,
+    words_needed,
+)
 from hilserver.scheduler.step import STEP_SIGNATURE, StepFunction
 
 __all__ = [
@@ -29,6 +35,7 @@ __all__ = [
     "StepFunction",
     "StopReason",
     "TickFigures",
+    "map_statistics",
     "period_in_ticks",
     "words_needed",
 ]

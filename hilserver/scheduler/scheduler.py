@@ -35,6 +35,7 @@ from hilserver.scheduler.policies import OverrunLimits, OverrunPolicy
 from hilserver.scheduler.realtime import Grant, RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.scheduler.statistics import Statistics
+from hilserver.scheduler.statistics_rows import THREAD_ID
 from hilserver.scheduler.step import StepFunction
 
 BACKENDS = ("thread", "timerfd", "virtual")
@@ -189,6 +190,7 @@ class Scheduler:
         self.finished: asyncio.Future[StopReason] = asyncio.get_running_loop().create_future()
         self.gc_pauses.start(freeze=self._freeze_gc)
         self.grants = await self._pacing.start()
+        self.statistics.array[THREAD_ID] = self._pacing.thread_id
         if self.backend != "virtual":
             gc_stops_ticks = self.backend == "timerfd"
             self._overruns.start(
@@ -217,9 +219,9 @@ class Scheduler:
         self._exchange.resume()
         self._pacing.wake()
 
-    def step(self, n_ticks: int) -> None:
-        """Run exactly `n_ticks` and stand still; adds to what an unfinished step still owes."""
-        self._exchange.step(n_ticks)
+    def step(self, n: int) -> None:
+        """Run exactly `n` ticks and stand still; adds to what an unfinished step still owes."""
+        self._exchange.step(n)
         self._pacing.wake()
 
     def set_speed(self, factor: float) -> None:
@@ -231,6 +233,10 @@ class Scheduler:
             raise ValueError(f"the speed factor is {SPEED_LOW:g} to {SPEED_HIGH:g}, not {factor:g}")
         self._exchange.set_paced_period(max(1, round(self.base_period_ns / factor)))
 
+    def reset_statistics(self) -> None:
+        """Start the figures anew, while running."""
+        self.statistics.reset()
+
     async def wait_paused(self) -> None:
         """Wait until the last `pause` or `step` has been carried out (or the run has ended)."""
         if self.paused or self.finished.done():
@@ -239,9 +245,9 @@ class Scheduler:
         self._waiters.append(waiter)
         await waiter
 
-    async def advance(self, n_ticks: int) -> None:
-        """Run exactly `n_ticks`, in any back end, and return when they are done."""
-        self.step(n_ticks)
+    async def advance(self, n: int) -> None:
+        """Run exactly `n` ticks, in any back end, and return when they are done."""
+        self.step(n)
         await self.wait_paused()
 
     async def lockstep(

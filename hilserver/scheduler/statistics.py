@@ -10,8 +10,11 @@ deadline of a communication slice is its own next planned start.
 """
 
 import math
+import mmap
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +126,7 @@ class Statistics:
         array[rows.BASE_PERIOD] = base_period_ns
         for index, part in enumerate(slices):
             array[row_offset(index) + rows.PERIOD_TICKS] = part.period_ticks
-        array[rows.MAGIC] = rows.MAGIC_NUMBER
+        rows.publish_magic(array)
         self._adopt(array, [part.name for part in slices])
 
     def _adopt(self, array: NDArray[np.int64], names: list[str]) -> None:
@@ -131,10 +134,18 @@ class Statistics:
         self._offsets = {name: row_offset(index) for index, name in enumerate(names)}
 
     @classmethod
-    def attach(cls, array: NDArray[np.int64], names: Sequence[str]) -> "Statistics":
-        """Read the array of another process; `names` in the order of its rows."""
+    def attach(cls, array: NDArray[np.int64], names: Sequence[str] | None = None) -> "Statistics":
+        """Read the array of another process; `names` in the order of its rows (None: "0", "1").
+
+        Raises
+        ------
+        ValueError
+            If the array holds no statistics (yet), or other slices.
+        """
         if len(array) < rows.N_HEADER or array[rows.MAGIC] != rows.MAGIC_NUMBER:
             raise ValueError("this array holds no scheduler statistics")
+        if names is None:
+            names = [str(index) for index in range(int(array[rows.N_ROWS]))]
         if len(names) != array[rows.N_ROWS]:
             raise ValueError(f"the statistics hold {array[rows.N_ROWS]} slices, not {len(names)}")
         attached = cls.__new__(cls)
@@ -145,6 +156,11 @@ class Statistics:
     def names(self) -> list[str]:
         """The slices, in the order of the rows."""
         return list(self._offsets)
+
+    @property
+    def thread_id(self) -> int:
+        """The operating system's number of the pacing thread; 0: not started, or virtual time."""
+        return int(self.array[rows.THREAD_ID])
 
     def reset(self) -> None:
         """Start counting anew; safe at any time, from any process that maps the array."""
@@ -188,6 +204,23 @@ class Statistics:
             if rows.read_row(self.array, offset, out):
                 return out
         raise RuntimeError("the statistics are being written without end: their writer has died")
+
+
+def map_statistics(path: Path, n_words: int | None = None) -> NDArray[np.int64]:
+    """Map a file of int64 words shared by processes.
+
+    Parameters
+    ----------
+    path
+        On a memory file system (/dev/shm): elsewhere writing back to disk would stop the loop.
+    n_words
+        Make the file new with so many words; None: map what is there.
+    """
+    if n_words is not None:
+        path.touch(mode=0o600)
+        os.truncate(path, 8 * n_words)
+    with path.open("r+b") as file:
+        return np.frombuffer(mmap.mmap(file.fileno(), 0), dtype=np.int64)
 
 
 def row_offset(index: int) -> int:

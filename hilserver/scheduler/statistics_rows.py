@@ -21,10 +21,10 @@ from hilserver.scheduler.law import LATE_WAKE, LONG_RUN
 # Every row, also the header, begins with these two.
 SEQUENCE, SEEN_GENERATION = 0, 1
 # Header
-MAGIC, GENERATION, N_ROWS, N_LINEAR, BASE_PERIOD = range(2, 7)
-MISSED_TICKS = 7
-RUN_TICKS, RUN_NS = 8, 9
-SPAN_TICKS, SPAN_NS, LAST_SPAN_TICKS, LAST_SPAN_NS = range(10, 14)
+MAGIC, GENERATION, N_ROWS, N_LINEAR, BASE_PERIOD, THREAD_ID = range(2, 8)
+MISSED_TICKS = 8
+RUN_TICKS, RUN_NS = 9, 10
+SPAN_TICKS, SPAN_NS, LAST_SPAN_TICKS, LAST_SPAN_NS = range(11, 15)
 N_HEADER = 16
 MAGIC_NUMBER = 0x68696C_73746174  # "hilstat"
 
@@ -50,6 +50,7 @@ SQUARE_LIMIT_NS = 90_000_000
 NEVER = np.iinfo(np.int64).max
 
 _WORDS = types.int64[::1]
+_READ_ONLY_WORDS = types.Array(types.int64, 1, "C", readonly=True)
 
 
 @kernel()
@@ -65,7 +66,7 @@ def end_write(stats: NDArray[np.int64], row: int) -> None:
     store_release(stats, row + SEQUENCE, stats[row + SEQUENCE] + 1)
 
 
-@kernel(types.boolean(_WORDS, types.int64, _WORDS))
+@kernel([types.boolean(words, types.int64, _WORDS) for words in (_WORDS, _READ_ONLY_WORDS)])
 def read_row(stats: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> bool:
     """Copy a row to `out`; False if its writer was always in the way (64 attempts)."""
     for _ in range(64):
@@ -77,6 +78,12 @@ def read_row(stats: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> bool
             if load_acquire(stats, row + SEQUENCE) == before:
                 return True
     return False
+
+
+@kernel(types.void(_WORDS))
+def publish_magic(stats: NDArray[np.int64]) -> None:
+    """Mark a complete layout as such; what was written before is seen before."""
+    store_release(stats, MAGIC, MAGIC_NUMBER)
 
 
 @kernel(types.void(_WORDS, types.int64))

@@ -1,0 +1,237 @@
+"""The real-time audit: what this system grants to a paced thread, and what it lacks.
+
+Every item is a pure function over the files of /proc, /sys and /dev below a root, so that it can be
+tested on a tree of its own. Missing items degrade the figures, visibly: they stand in the log, in a
+metric and in OPC UA, and never stop the daemon.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+_CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
+_GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
+
+
+@dataclass(frozen=True, slots=True)
+class AuditItem:
+    """One finding.
+
+    Attributes
+    ----------
+    name : str
+        Snake case; label of the metric.
+    found, wanted : str
+        In words.
+    mend : str
+        What to do; empty if `ok` or if nothing can be done.
+    """
+
+    name: str
+    ok: bool
+    found: str
+    wanted: str
+    mend: str = ""
+
+
+class Granted(Protocol):
+    """An answer of the operating system to a request of the scheduler."""
+
+    @property
+    def name(self) -> str:
+        """Snake case."""
+
+    @property
+    def ok(self) -> bool:
+        """The request was granted."""
+
+    @property
+    def found(self) -> str:
+        """What the system said."""
+
+    @property
+    def wanted(self) -> str:
+        """What was asked for."""
+
+    @property
+    def mend(self) -> str:
+        """How to get it."""
+
+
+class Paced(Protocol):
+    """What the audit needs of the scheduler."""
+
+    @property
+    def grants(self) -> Sequence[Granted]:
+        """Answers to its requests at the start."""
+
+    @property
+    def thread_id(self) -> int:
+        """The pacing thread's number; 0: there is none."""
+
+
+def audit(scheduler: Paced, root: Path = Path("/")) -> list[AuditItem]:
+    """Return what the system offers, then what it granted to this scheduler."""
+    items = [check(root) for check in CHECKS]
+    items.append(timer_slack(root, scheduler.thread_id))
+    items += [
+        AuditItem(g.name, g.ok, g.found, g.wanted, "" if g.ok else g.mend) for g in scheduler.grants
+    ]
+    return items
+
+
+def kernel(root: Path) -> AuditItem:
+    """Check for a PREEMPT_RT kernel."""
+    version = _read(root, "proc/version")
+    is_rt = _read(root, "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version
+    kind = next((k for k in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if k in version), "plain")
+    return _item("kernel", is_rt, kind, "PREEMPT_RT", "install a kernel with PREEMPT_RT")
+
+
+def governor(root: Path) -> AuditItem:
+    """Check that the cores keep their clock frequency."""
+    paths = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
+    found = sorted({path.read_text(encoding="ascii").strip() for path in paths})
+    ok = found in ([], ["performance"])
+    text = ", ".join(found) or "none (not scaled by this system)"
+    return _item("governor", ok, text, "performance", "cpupower frequency-set -g performance")
+
+
+def isolated_cores(root: Path) -> AuditItem:
+    """Check that a core is kept free of other work."""
+    isolated = _read(root, "sys/devices/system/cpu/isolated")
+    mend = "boot with isolcpus=N nohz_full=N and set scheduler.realtime.cpu to N"
+    return _item("isolated_cores", bool(isolated), isolated or "none", "at least one", mend)
+
+
+def rtprio_limit(root: Path) -> AuditItem:
+    """Check that a thread of this process may have a real-time priority."""
+    if _has_capability(root, _CAP_SYS_NICE):
+        return _item("rtprio_limit", True, "CAP_SYS_NICE", "LimitRTPRIO or CAP_SYS_NICE", "")
+    limit = _limit(root, "Max realtime priority")
+    mend = "LimitRTPRIO=95 in the unit, or ulimit -r 95"
+    return _item("rtprio_limit", limit not in ("0", "?"), limit, "LimitRTPRIO, CAP_SYS_NICE", mend)
+
+
+def memlock_limit(root: Path) -> AuditItem:
+    """Check that this process may lock its memory."""
+    if _has_capability(root, _CAP_IPC_LOCK):
+        return _item("memlock_limit", True, "CAP_IPC_LOCK", "unlimited or CAP_IPC_LOCK", "")
+    limit = _limit(root, "Max locked memory")
+    mend = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
+    return _item("memlock_limit", limit == "unlimited", limit, "unlimited, CAP_IPC_LOCK", mend)
+
+
+def clock_source(root: Path) -> AuditItem:
+    """Check that the clock is read without a system call."""
+    path = "sys/devices/system/clocksource/clocksource0/current_clocksource"
+    found = _read(root, path) or "unknown"
+    return _item("clock_source", found in _GOOD_CLOCKS, found, "tsc", "boot with tsc=reliable")
+
+
+def cpu_dma_latency(root: Path) -> AuditItem:
+    """Check that the cores are kept from sleeping deeply."""
+    try:
+        with (root / "dev/cpu_dma_latency").open("rb") as device:
+            target_us = int.from_bytes(device.read(4), "little", signed=True)
+    except OSError as error:
+        found = error.strerror or "not readable"
+        mend = "give the user access to /dev/cpu_dma_latency (a udev rule)"
+        return _item("cpu_dma_latency", False, found, "0 us", mend)
+    mend = "set scheduler.realtime.hold_latency_target to true"
+    return _item("cpu_dma_latency", target_us == 0, f"{target_us} us", "0 us", mend)
+
+
+def cgroup_cpu(root: Path) -> AuditItem:
+    """Check that the control group takes away neither time nor real-time priority."""
+    wanted = "no quota, real-time allowed"
+    for line in _read(root, "proc/self/cgroup").splitlines():
+        _, controllers, path = line.split(":", 2)
+        if "cpu" in controllers.split(","):
+            folder = next(iter(root.glob(f"sys/fs/cgroup/cpu*{path}")), root / "nowhere")
+            runtime = _read(folder, "cpu.rt_runtime_us")
+            if runtime == "0":
+                mend = "give the group cpu.rt_runtime_us, or run in the root group"
+                return _item("cgroup_cpu", False, "no real-time budget", wanted, mend)
+        if not controllers:
+            quota = _read(root, f"sys/fs/cgroup{path}/cpu.max")
+            if quota and not quota.startswith("max"):
+                return _item("cgroup_cpu", False, f"quota {quota}", wanted, "remove CPUQuota")
+    return _item("cgroup_cpu", True, wanted, wanted, "")
+
+
+def virtualised(root: Path) -> AuditItem:
+    """Check that no hypervisor stands between this system and the cores."""
+    in_vm = any(
+        "hypervisor" in line.split()
+        for line in _read(root, "proc/cpuinfo").splitlines()
+        if line.startswith("flags")
+    )
+    found = "a virtual machine" if in_vm else "no hypervisor seen"
+    return _item("virtualised", not in_vm, found, "bare metal", "run on bare metal: it may steal")
+
+
+def swap(root: Path) -> AuditItem:
+    """Check that no memory can be moved to a disk."""
+    devices = [line.split()[0] for line in _read(root, "proc/swaps").splitlines()[1:]]
+    return _item("swap", not devices, ", ".join(devices) or "none", "none", "swapoff -a")
+
+
+def timer_slack(root: Path, thread_id: int) -> AuditItem:
+    """Check how far the kernel may delay the pacing thread's timers (real-time: 0)."""
+    found = _read(root, f"proc/{thread_id or 'self'}/timerslack_ns")
+    ok = found.isdigit() and int(found) <= 1
+    text = f"{found} ns" if found else "unknown"
+    return _item("timer_slack", ok, text, "at most 1 ns", "pace with scheduler.backend: thread")
+
+
+CHECKS: tuple[Callable[[Path], AuditItem], ...] = (
+    kernel,
+    governor,
+    isolated_cores,
+    rtprio_limit,
+    memlock_limit,
+    clock_source,
+    cpu_dma_latency,
+    cgroup_cpu,
+    virtualised,
+    swap,
+)
+
+
+def as_lines(items: Sequence[AuditItem]) -> list[str]:
+    """Return the audit as lines of text for a terminal."""
+    lines = []
+    for item in items:
+        lines.append(f"{'ok     ' if item.ok else 'missing'} {item.name:20} {item.found}")
+        if not item.ok:
+            lines[-1] += f" (wanted: {item.wanted}{'; ' if item.mend else ''}{item.mend})"
+    return lines
+
+
+def _item(name: str, ok: bool, found: str, wanted: str, mend: str) -> AuditItem:
+    return AuditItem(name, ok, found, wanted, "" if ok else mend)
+
+
+def _read(root: Path, path: str) -> str:
+    """Return a file's text without surrounding space; empty if there is none."""
+    try:
+        return (root / path).read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _limit(root: Path, name: str) -> str:
+    """Return a soft limit of /proc/self/limits, ``?`` if unknown."""
+    for line in _read(root, "proc/self/limits").splitlines():
+        if line.startswith(name):
+            return line[len(name) :].split()[0]
+    return "?"
+
+
+def _has_capability(root: Path, number: int) -> bool:
+    for line in _read(root, "proc/self/status").splitlines():
+        if line.startswith("CapEff:"):
+            return bool(int(line.split()[1], 16) >> number & 1)
+    return False
