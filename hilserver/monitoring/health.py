@@ -33,8 +33,8 @@ class HealthSources:
     ----------
     state : callable
         State of the daemon in lower case, ``running`` and so on.
-    last_wake_ns : callable
-        CLOCK_MONOTONIC [ns] of the newest wake-up of the pacing back end; None before the first.
+    heartbeat_ns : callable
+        CLOCK_MONOTONIC [ns] of the newest wake-up of the pacing back end; 0 before the first.
     first_ticks_met : callable
         True once the first ticks after the warm-up met their deadlines.
     heartbeat_limit_s : float
@@ -42,19 +42,19 @@ class HealthSources:
     """
 
     state: Callable[[], str]
-    last_wake_ns: Callable[[], int | None]
+    heartbeat_ns: Callable[[], int]
     first_ticks_met: Callable[[], bool]
     heartbeat_limit_s: float = 1.0
 
 
 def alive(sources: HealthSources, now_ns: int) -> Verdict:
     """Judge the heartbeat of the pacing back end at `now_ns` [CLOCK_MONOTONIC ns]."""
-    last_wake_ns = sources.last_wake_ns()
-    if last_wake_ns is None:
+    heartbeat_ns = sources.heartbeat_ns()
+    if heartbeat_ns == 0:
         if sources.state() == "starting":
             return Verdict(True, "the plant is being compiled and warmed up")
         return Verdict(False, "the pacing back end has never woken up")
-    age_s = (now_ns - last_wake_ns) / 1e9
+    age_s = (now_ns - heartbeat_ns) / 1e9
     if age_s > sources.heartbeat_limit_s:
         return Verdict(False, f"the pacing back end last woke up {age_s:.1f} s ago")
     return Verdict(True, "the pacing back end is running")

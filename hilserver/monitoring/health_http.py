@@ -92,7 +92,7 @@ class HttpServer:
         self._timeout_s = timeout_s
         self._clock_ns = clock_ns
         self._server: asyncio.Server | None = None
-        self._connections: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
         self._rendered: dict[bool, tuple[int, Response]] = {}
         self._routes: dict[str, Callable[[Request], Response]] = {
             "/metrics": self._metrics,
@@ -105,6 +105,11 @@ class HttpServer:
         """Address of the metrics, for people."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/metrics"
+
+    @property
+    def connections(self) -> int:
+        """Number of clients being served."""
+        return len(self._tasks)
 
     async def start(self) -> None:
         """Listen; raise `FailedError` when the address cannot be used."""
@@ -125,19 +130,24 @@ class HttpServer:
         if self._server is None:
             return
         self._server.close()
-        for connection in self._connections:
-            connection.cancel()
-        await asyncio.gather(*self._connections, return_exceptions=True)
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._server.wait_closed()
         self._server = None
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._connections) >= CONNECTIONS_MAX:
+        if len(self._tasks) >= CONNECTIONS_MAX:
             writer.transport.abort()
             return
         task = asyncio.get_running_loop().create_task(self._serve(reader, writer))
-        self._connections.add(task)
-        task.add_done_callback(self._connections.discard)
+        self._tasks.add(task)
+
+        def ended(_: asyncio.Task[None]) -> None:
+            self._tasks.discard(task)
+            writer.transport.abort()  # also when it was cancelled before its first step
+
+        task.add_done_callback(ended)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.transport.set_write_buffer_limits(high=0)  # drain then waits for the last byte
@@ -149,8 +159,6 @@ class HttpServer:
                 await _linger(reader, writer)
         except (OSError, TimeoutError, asyncio.IncompleteReadError):
             pass  # it went away or does not read: there is nobody to tell
-        finally:
-            writer.transport.abort()
 
     async def _answer(self, reader: asyncio.StreamReader) -> bytes:
         try:

@@ -35,27 +35,27 @@ _NUMBERS = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 
 class Overrun(Protocol):
-    """What a log line tells of an overrun."""
+    """What a log line tells of an overrun; its ``str`` is the sentence."""
 
     @property
     def slice(self) -> str:
-        """Which slice."""
+        """The slice that is blamed."""
 
     @property
     def kind(self) -> str:
-        """``late_wake`` or ``long_run``."""
+        """``late_wake``, ``long_run`` or ``fault``."""
 
     @property
     def tick(self) -> int:
-        """At which tick."""
-
-    @property
-    def latency_ns(self) -> int:
-        """By how much [ns]."""
+        """In which tick."""
 
     @property
     def cause(self) -> str:
-        """Preempted, stolen, garbage collector, page fault, which block."""
+        """Stopped, stolen, preempted, gc, page_fault, slice, ... as far as the system tells."""
+
+    @property
+    def consequence(self) -> str:
+        """What followed; empty: nothing."""
 
 
 @dataclass(slots=True)
@@ -196,14 +196,15 @@ def report_repeats(limiter: RepeatLimiter, *, at_end: bool = False) -> None:
 
 
 def log_overrun(overrun: Overrun) -> None:
-    """Log an overrun with its cause."""
-    structlog.get_logger("hilserver.scheduler").warning(
-        "overrun",
+    """Log an overrun with its cause; as an error when something followed from it."""
+    log = structlog.get_logger("hilserver.scheduler")
+    write = log.error if overrun.consequence else log.warning
+    write(
+        str(overrun),
         slice=overrun.slice,
         kind=str(overrun.kind),
-        cause=overrun.cause,
+        cause=str(overrun.cause),
         tick=overrun.tick,
-        latency_us=round(overrun.latency_ns / 1000, 1),
     )
 
 
