@@ -85,7 +85,12 @@ class Acquisition:
     async def _subscribe(self) -> str:
         """Stay subscribed; return, in mode auto, why polling is better."""
         config, intake = self.config, self.intake
-        subscription = Subscription(self.session, intake, poll_ms=config.poll_ms)
+        subscription = Subscription(
+            self.session,
+            intake,
+            poll_ms=config.poll_ms,
+            every_stamp=config.sequence_node is None,
+        )
         grant = await subscription.create(
             publishing_ms=config.publishing_ms,
             sampling_ms=config.sampling_ms,

@@ -74,6 +74,10 @@ class ClockOffset:
         return min(self._estimates)[0] if self._estimates else None
 
 
+BACKWARDS_NS = 100_000_000
+"""Node-RED stamps one value twice, first with its own time, then with the message's: no fault."""
+
+
 @dataclass(slots=True)
 class _Stamp:
     stamp_ns: int
@@ -123,10 +127,11 @@ class StampWatch:
         if stamp_ns > seen.stamp_ns:
             seen.stamp_ns, seen.changes_without_advance = stamp_ns, 0
             return StampVerdict(advanced=True)
-        if stamp_ns < seen.stamp_ns:
+        if stamp_ns < seen.stamp_ns - BACKWARDS_NS:
             seen.stamp_ns = stamp_ns
             return StampVerdict(advanced=False, fault="stamp_backwards")
-        seen.changes_without_advance += changed
+        if stamp_ns == seen.stamp_ns:
+            seen.changes_without_advance += changed
         frozen = seen.changes_without_advance > self._tolerated
         return StampVerdict(advanced=False, fault="frozen_stamp" if frozen else None)
 

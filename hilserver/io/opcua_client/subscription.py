@@ -1,7 +1,8 @@
 """A subscription on the raw services: no task per value, granted intervals read back.
 
-The trigger is status, value *and* time stamp: a controller that repeats a constant set-point with a
-new stamp is seen to be alive. Servers that do not know this trigger are asked without.
+Where the peer has no counter, the trigger is status, value *and* time stamp: a controller that
+repeats a constant set-point with a new stamp is then seen to be alive. Servers that do not know
+this trigger are asked without; a counter makes it superfluous.
 """
 
 import time
@@ -31,15 +32,20 @@ class Subscription:
 
     Parameters
     ----------
+    every_stamp : bool
+        Notify new stamps of unchanged values, too.
     poll_ms : float
         Finest interval that matters: sizes the queues, and is asked for as sampling interval where
         a node leaves its own open (0 on such a node ends Node-RED).
     """
 
-    def __init__(self, session: Session, intake: Intake, *, poll_ms: float) -> None:
+    def __init__(
+        self, session: Session, intake: Intake, *, poll_ms: float, every_stamp: bool
+    ) -> None:
         self._session = session
         self._intake = intake
         self._poll_ms = poll_ms
+        self._every_stamp = every_stamp
         self._handles: dict[int, str] = {}
         self._heard_s = time.monotonic()
         self._silent_after_s = SILENT_AFTER_S
@@ -109,7 +115,9 @@ class Subscription:
         parameters.DiscardOldest = True
         samples_per_publish = self.grant.publishing_ms / max(self._poll_ms, 1.0)
         parameters.QueueSize = int(min(QUEUE_MAX, 10 + 4 * samples_per_publish))
-        parameters.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
+        if self._every_stamp:
+            trigger = ua.DataChangeTrigger.StatusValueTimestamp
+            parameters.Filter = ua.DataChangeFilter(Trigger=trigger)
         item = ua.MonitoredItemCreateRequest()
         item.ItemToMonitor = ua.ReadValueId(NodeId=node_id, AttributeId=ua.AttributeIds.Value)
         item.MonitoringMode = ua.MonitoringMode.Reporting

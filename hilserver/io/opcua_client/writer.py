@@ -81,7 +81,10 @@ class Writer:
         if not signals:
             return
         request = ua.WriteParameters()
-        request.NodesToWrite = [self._value(signal) for signal in signals]
+        try:
+            request.NodesToWrite = [self._value(signal) for signal in signals]
+        except LookupError:
+            return  # no tick has made a value yet
         results = await self._session.services.write(request)
         if len(results) != len(signals):
             raise LinkLostError("the peer answered a write with another number of results")

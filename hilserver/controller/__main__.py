@@ -1,0 +1,64 @@
+"""Run the embedded controller: ``python -m hilserver.controller --endpoint opc.tcp://...``."""
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import signal
+import sys
+
+import uvloop
+
+from hilserver.controller.loop import Controller
+from hilserver.controller.path import Eight, Robot
+from hilserver.controller.server import ControllerServer
+from hilserver.errors import EXIT_DONE, UserError
+
+ENDPOINT = "opc.tcp://127.0.0.1:53880/UA/NodeRedAgv"
+
+
+def arguments(argv: list[str] | None = None) -> argparse.Namespace:
+    """Parse the command line."""
+    robot, eight = Robot(), Eight()
+    parser = argparse.ArgumentParser(
+        prog="python -m hilserver.controller",
+        description="Drives a figure of eight over OPC UA, in the place of the IOT2050.",
+        epilog=f"example: python -m hilserver.controller --endpoint {ENDPOINT}",
+    )
+    parser.add_argument("--endpoint", default=ENDPOINT, help="address to serve (%(default)s)")
+    parser.add_argument("--wheel-radius-m", type=float, default=robot.wheel_radius_m)
+    parser.add_argument("--k-om-per-m", type=float, default=robot.k_om_per_m)
+    parser.add_argument("--yaw-sign", type=int, choices=(-1, 1), default=robot.yaw_sign)
+    parser.add_argument("--max-rpm", type=float, default=robot.max_rpm)
+    parser.add_argument("--speed-m-s", type=float, default=eight.speed_m_s)
+    return parser.parse_args(argv)
+
+
+async def serve(args: argparse.Namespace) -> int:
+    """Serve and drive until SIGINT or SIGTERM."""
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL + 1)
+    robot = Robot(args.wheel_radius_m, args.k_om_per_m, args.yaw_sign, args.max_rpm)
+    async with ControllerServer(args.endpoint) as server:
+        controller = Controller(server, Eight(speed_m_s=args.speed_m_s), robot)
+        cycle = asyncio.create_task(controller.run())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, cycle.cancel)
+        print(f"controller listening on {server.endpoint}", flush=True)
+        with contextlib.suppress(asyncio.CancelledError):
+            await cycle
+    return EXIT_DONE
+
+
+def main() -> int:
+    """Run and return the exit code."""
+    args = arguments()
+    try:
+        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            return runner.run(serve(args))
+    except UserError as error:
+        print(f"hilserver: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

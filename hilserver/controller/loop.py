@@ -1,0 +1,97 @@
+"""The controller's cycle: pose in, law, set-points out, every 20 ms on absolute deadlines."""
+
+import asyncio
+import math
+import os
+import time
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import structlog
+
+from hilserver.controller.nodes import SEQUENCE
+from hilserver.controller.path import STOP, Eight, Gains, Pose, Robot, follow
+from hilserver.controller.server import ControllerServer
+
+PERIOD_S = 0.02
+POSE_STALE_S = 0.5
+PARENT_CHECK_CYCLES = 25
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class PoseWatch:
+    """Tells a living pose from one that was written once.
+
+    Attributes
+    ----------
+    pose : Pose or None
+        The newest one, None while there is none or it is older than `stale_s`.
+    """
+
+    stale_s: float = POSE_STALE_S
+    pose: Pose | None = None
+    _stamp: datetime | None = None
+    _seen_s: float = -math.inf
+
+    def observe(
+        self, values: tuple[object, object, object], stamp: datetime | None, now_s: float
+    ) -> Pose | None:
+        """Take what the nodes hold at `now_s` (monotonic) and return the usable pose."""
+        if stamp is not None and stamp != self._stamp:
+            self._stamp, self._seen_s = stamp, now_s
+        numbers = [v for v in values if isinstance(v, int | float) and math.isfinite(v)]
+        fresh = self._stamp is not None and now_s - self._seen_s <= self.stale_s
+        self.pose = Pose(*map(float, numbers)) if fresh and len(numbers) == 3 else None
+        return self.pose
+
+
+@dataclass(slots=True)
+class Controller:
+    """One figure of eight on one server.
+
+    Attributes
+    ----------
+    sequence : int
+        Counts cycles, modulo 2**32.
+    """
+
+    server: ControllerServer
+    eight: Eight = field(default_factory=Eight)
+    robot: Robot = field(default_factory=Robot)
+    gains: Gains = field(default_factory=Gains)
+    sequence: int = 0
+    _s: float = 0.0
+    _watch: PoseWatch = field(default_factory=PoseWatch)
+    _driving: bool = False
+
+    async def cycle(self) -> None:
+        """Read the pose and serve one set of set-points; without a fresh pose the wheels stop."""
+        x, stamp = self.server.read("pose_x")
+        y, yaw = self.server.read("pose_y")[0], self.server.read("pose_yaw")[0]
+        pose = self._watch.observe((x, y, yaw), stamp, time.monotonic())
+        wheels = STOP
+        if pose is not None:
+            command = follow(self.eight, self.robot, self.gains, self._s, pose, PERIOD_S)
+            self._s, wheels = command.s, command.wheels_rpm
+        if self._driving != (pose is not None):
+            self._driving = pose is not None
+            _log.info("controller drives" if self._driving else "no fresh pose: wheels stop")
+        self.sequence = (self.sequence + 1) % 2**32
+        values: dict[str, object] = {f"rpm_set_{w.upper()}": rpm for w, rpm in wheels.items()}
+        await self.server.offer(
+            values | {"enable": True, SEQUENCE: self.sequence}, datetime.now(UTC)
+        )
+
+    async def run(self) -> None:
+        """Cycle until cancelled, or until the process that started us is gone."""
+        loop, parent = asyncio.get_running_loop(), os.getppid()
+        deadline_s = loop.time()
+        while self.sequence % PARENT_CHECK_CYCLES or os.getppid() == parent:
+            await self.cycle()
+            # A late cycle is not made up for: the next one keeps its place on the grid.
+            missed = max(0, int((loop.time() - deadline_s) / PERIOD_S))
+            deadline_s += (missed + 1) * PERIOD_S
+            await asyncio.sleep(deadline_s - loop.time())
+        _log.info("the parent process has ended")

@@ -1,0 +1,150 @@
+"""Follows a figure of eight: the law alone, as pure functions of pose and time step.
+
+A point at the distance d ahead of the robot is led along the path by feedback linearisation: its
+velocity u is chosen freely and the robot's v and om follow from it, because the point can move
+sideways although the robot cannot::
+
+        u = path velocity + k (path point - point ahead)
+        v  =  u_x cos yaw + u_y sin yaw
+        om = (u_y cos yaw - u_x sin yaw) / d
+
+The path point waits when the robot is far behind (saturated wheels, a restart elsewhere).
+"""
+
+import math
+from dataclasses import dataclass
+
+RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Pose of the robot in the world [m], [m], [rad]."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """What the inverse kinematics (5.25) needs; nominal values, signs as in the spec's frame page.
+
+    Attributes
+    ----------
+    k_om_per_m : float
+        om = yaw_sign r K_om (w_L + w_R).
+    max_rpm : float
+        Limit of every wheel.
+    """
+
+    wheel_radius_m: float = 0.085
+    k_om_per_m: float = 0.31 / (0.25**2 + 0.31**2)
+    yaw_sign: int = -1
+    max_rpm: float = 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Eight:
+    """A lying eight around the origin: x = a sin s, y = b sin 2s.
+
+    Attributes
+    ----------
+    half_width_m, half_height_m : float
+        a and b [m].
+    speed_m_s : float
+        Speed of the path point.
+    """
+
+    half_width_m: float = 1.5
+    half_height_m: float = 0.75
+    speed_m_s: float = 0.35
+
+    def point_m(self, s: float) -> tuple[float, float]:
+        """Return the path point (x, y) [m] at the parameter `s` [rad]."""
+        return self.half_width_m * math.sin(s), self.half_height_m * math.sin(2 * s)
+
+    def tangent_m(self, s: float) -> tuple[float, float]:
+        """Return d(x, y)/ds [m]; never zero."""
+        return self.half_width_m * math.cos(s), 2 * self.half_height_m * math.cos(2 * s)
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Tuning of the law.
+
+    Attributes
+    ----------
+    ahead_m : float
+        Distance d of the led point.
+    pull_per_s : float
+        k.
+    patience_m : float
+        At this distance from the path point the point stands still.
+    """
+
+    ahead_m: float = 0.15
+    pull_per_s: float = 1.5
+    patience_m: float = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the law asks for.
+
+    Attributes
+    ----------
+    s : float
+        Parameter of the path point after this step [rad].
+    error_m : float
+        Distance of the led point from the path point.
+    wheels_rpm : dict
+        ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored.
+    """
+
+    s: float
+    error_m: float
+    wheels_rpm: dict[str, float]
+
+
+STOP = {"fl": 0.0, "rl": 0.0, "fr": 0.0, "rr": 0.0}
+
+
+def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, float]:
+    """Return the wheel speeds of a twist (5.25), all scaled together to the limit."""
+    straight = v_m_s / robot.wheel_radius_m
+    turning = om_rad_s / (2 * robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m)
+    left, right = RPM_PER_RAD_S * (straight + turning), RPM_PER_RAD_S * (turning - straight)
+    scale = min(1.0, robot.max_rpm / max(abs(left), abs(right), 1e-12))
+    left, right = left * scale, right * scale
+    return {"fl": left, "rl": left, "fr": right, "rr": right}
+
+
+def follow(
+    eight: Eight, robot: Robot, gains: Gains, s: float, pose: Pose, step_s: float
+) -> Command:
+    """Return wheel speeds and the next path point for one cycle.
+
+    Parameters
+    ----------
+    s : float
+        Parameter of the present path point [rad].
+    step_s : float
+        Length of the cycle [s].
+    """
+    cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    target_x, target_y = eight.point_m(s)
+    error_x = target_x - (pose.x_m + gains.ahead_m * cos_yaw)
+    error_y = target_y - (pose.y_m + gains.ahead_m * sin_yaw)
+    error_m = math.hypot(error_x, error_y)
+
+    along_x, along_y = eight.tangent_m(s)
+    waiting = max(0.0, 1.0 - error_m / gains.patience_m)
+    s_rate = waiting * eight.speed_m_s / math.hypot(along_x, along_y)
+
+    u_x = along_x * s_rate + gains.pull_per_s * error_x
+    u_y = along_y * s_rate + gains.pull_per_s * error_y
+    v_m_s = u_x * cos_yaw + u_y * sin_yaw
+    om_rad_s = (u_y * cos_yaw - u_x * sin_yaw) / gains.ahead_m
+    next_s = math.fmod(s + s_rate * step_s, 2 * math.pi)
+    return Command(next_s, error_m, wheel_speeds_rpm(robot, v_m_s, om_rad_s))

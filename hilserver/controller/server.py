@@ -1,0 +1,98 @@
+"""The controller's address space: the same nodes as the Node-RED flow in deploy/node-red."""
+
+import socket
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from urllib.parse import urlsplit
+
+from asyncua import Server, ua
+
+from hilserver.controller.nodes import NAMESPACE, SENSORS, SEQUENCE, SETPOINTS
+from hilserver.errors import FailedError
+
+TYPES = {"enable": ua.VariantType.Boolean, SEQUENCE: ua.VariantType.UInt32}
+"""Every other node is a Double."""
+
+PORT_ATTEMPTS = 5
+_CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
+
+
+def free_port(host: str) -> int:
+    """Return a TCP port of `host` that is free now."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
+
+
+class ControllerServer:
+    """Offers set-points and takes sensors; an async context manager.
+
+    Parameters
+    ----------
+    endpoint : str
+        ``opc.tcp://127.0.0.1:<port>/UA/NodeRedAgv``; port 0: any free one.
+
+    Attributes
+    ----------
+    endpoint : str
+        Where it listens.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self._server = Server()
+        self._ids: dict[str, ua.NodeId] = {}
+
+    async def __aenter__(self) -> "ControllerServer":
+        await self._server.init()
+        self._server.set_server_name("hilserver embedded controller")
+        self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        namespace = await self._server.register_namespace(NAMESPACE)
+        folder = ua.NodeId("agv", namespace)
+        agv = await self._server.nodes.objects.add_folder(folder, "agv")
+        for name in (*SETPOINTS, SEQUENCE, *SENSORS):
+            kind = TYPES.get(name, ua.VariantType.Double)
+            initial = ua.Variant(False if kind is ua.VariantType.Boolean else 0, kind)
+            node = await agv.add_variable(ua.NodeId(name, namespace), name, initial)
+            if name in SENSORS:
+                await node.set_writable()
+            self._ids[name] = node.nodeid
+        await self._listen()
+        return self
+
+    async def _listen(self) -> None:
+        wanted = urlsplit(self.endpoint)
+        for attempt in range(PORT_ATTEMPTS):
+            port = wanted.port or free_port(wanted.hostname or "127.0.0.1")
+            self.endpoint = f"opc.tcp://{wanted.hostname}:{port}{wanted.path}"
+            self._server.set_endpoint(self.endpoint)
+            try:
+                await self._server.start()
+            except OSError as error:
+                # A free port can be taken by someone else before we listen on it.
+                if not wanted.port and attempt < PORT_ATTEMPTS - 1:
+                    continue
+                reason = error.strerror or str(error)
+                raise FailedError(f"port {port} cannot be used: {reason}") from error
+            return
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._server.stop()
+
+    async def offer(self, values: Mapping[str, object], at: datetime) -> None:
+        """Serve one set of set-points with one SourceTimestamp; `seq` last if it is among them."""
+        for name in sorted(values, key=lambda name: name == SEQUENCE):
+            value = ua.Variant(values[name], TYPES.get(name, ua.VariantType.Double))
+            data = ua.DataValue(value, SourceTimestamp=at, ServerTimestamp=at)
+            await self._server.write_attribute_value(self._ids[name], data)
+        # asyncua itself moves CurrentTime once a second, too coarse to compare clocks by.
+        now = ua.DataValue(ua.Variant(datetime.now(UTC), ua.VariantType.DateTime))
+        await self._server.write_attribute_value(_CURRENT_TIME, now)
+
+    def read(self, name: str) -> tuple[object, datetime | None]:
+        """Return the newest value and SourceTimestamp that a client wrote to `name`."""
+        data = self._server.iserver.aspace.read_attribute_value(
+            self._ids[name], ua.AttributeIds.Value
+        )
+        usable = data.StatusCode is None or not data.StatusCode.is_bad()
+        return (data.Value.Value if usable and data.Value else None), data.SourceTimestamp
