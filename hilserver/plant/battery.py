@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import part
 from hilserver.plant.layout import (
     BAD_OUT_OF_SERVICE,
     GOOD,
@@ -32,7 +32,7 @@ _CHARGE: Final = np.array([0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0])
 _EMF_V: Final = np.array([17.5, 18.6, 19.4, 20.2, 21.0, 22.2, 23.5])
 
 
-@kernel()
+@part
 def open_circuit_voltage(charge: float) -> float:
     """Return the voltage [V] without load for a charge of 0 .. 1, linear between the points."""
     for k in range(1, _CHARGE.shape[0]):
@@ -42,7 +42,7 @@ def open_circuit_voltage(charge: float) -> float:
     return HIGHEST_V
 
 
-@kernel()
+@part
 def battery_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Publish the voltage under the load of this tick and take the charge of one run."""
     if p[P_BATTERY_ENABLED] == 0.0:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     COMMAND_NORMAL,
     COMMAND_SAFE_RAMP,
@@ -35,7 +35,7 @@ from hilserver.plant.layout import (
 )
 
 
-@kernel()
+@part
 def safe_ramp(p: Any, x: Any) -> None:
     """Take the set-points linearly to zero, from what was commanded last."""
     if x[X_LAST_COMMAND] != COMMAND_SAFE_RAMP:
@@ -48,7 +48,7 @@ def safe_ramp(p: Any, x: Any) -> None:
         x[X_COMMANDED + i] = x[X_RAMP_START + i] * left
 
 
-@kernel()
+@part
 def inverse_kinematics(p: Any, x: Any, linear_m_s: float, angular_rad_s: float) -> None:
     """Set the wheels for a twist, equation (5.25), with nominal values.
 
@@ -69,13 +69,12 @@ def inverse_kinematics(p: Any, x: Any, linear_m_s: float, angular_rad_s: float) 
     x[X_COMMANDED + 3] = turning - straight
 
 
-@kernel()
+@inlined
 def limit_speed(p: Any, x: Any) -> None:
     """Scale all wheels together to at most max_rpm, so that the path keeps its shape."""
-    largest = max(
-        max(abs(x[X_COMMANDED]), abs(x[X_COMMANDED + 1])),
-        max(abs(x[X_COMMANDED + 2]), abs(x[X_COMMANDED + 3])),
-    )
+    largest = abs(x[X_COMMANDED])
+    for i in range(1, N_WHEELS):
+        largest = max(largest, abs(x[X_COMMANDED + i]))
     x[X_SCALED] = 0.0
     if largest > p[P_MAX_RPM]:
         x[X_SCALED] = 1.0
@@ -84,7 +83,7 @@ def limit_speed(p: Any, x: Any) -> None:
             x[X_COMMANDED + i] *= factor
 
 
-@kernel()
+@part
 def delay_and_rate(p: Any, x: Any) -> None:
     """Replace the set-points by those valid at t - tau, then limit their rate."""
     head = (int(x[X_SETPOINT_HEAD]) + 1) % RING
@@ -102,7 +101,7 @@ def delay_and_rate(p: Any, x: Any) -> None:
         x[X_SETPOINT + i] = wanted
 
 
-@kernel()
+@inlined
 def command(p: Any, x: Any, u: Any) -> None:
     """Latch the inputs of this tick into ``x[X_SETPOINT:]``.
 

@@ -8,7 +8,7 @@ acceleration at t_k.
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     N_WHEELS,
     P_A00,
@@ -64,7 +64,7 @@ NOMINAL_VOLTAGE_V = 19.2
 Sums = tuple[float, float, float, float, float, float]
 
 
-@kernel()
+@inlined
 def drive_base(p: Any, x: Any, y: Any) -> Sums:
     """All drive terms at null: the controller at the plant slice, the exact joint solution."""
     kp, ki_step, anti_windup, limit = p[P_KP], p[P_KI_STEP], p[P_ANTI_WINDUP_STEP], p[P_LIMIT]
@@ -91,9 +91,9 @@ def drive_base(p: Any, x: Any, y: Any) -> Sums:
     return left, right, mean_left, mean_right, accel_left, accel_right
 
 
-@kernel()
+@part
 def encoder(p: Any, x: Any, i: int) -> float:
-    """Step 2: return the speed of wheel `i` [rpm] as the loop sees it, quantised(filtered(n))."""
+    """Return the speed of wheel `i` [rpm] as the loop sees it (step 2)."""
     seen = float(x[X_SPEED + i])
     if p[P_ENCODER_SHARE] != 1.0:
         x[X_ENCODER + i] += p[P_ENCODER_SHARE] * (seen - x[X_ENCODER + i])
@@ -103,9 +103,9 @@ def encoder(p: Any, x: Any, i: int) -> float:
     return seen
 
 
-@kernel()
+@part
 def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
-    """Step 3: one run of the PI(D) loop of wheel `i` with back-calculation; sets the held duty."""
+    """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; sets the held duty."""
     error = x[X_SETPOINT + i] - seen_rpm
     wanted = p[P_KP] * error + x[X_INTEGRAL + i]
     if p[P_DERIVATIVE_GAIN] != 0.0:
@@ -120,9 +120,9 @@ def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
     x[X_DUTY + i] = duty
 
 
-@kernel()
+@part
 def load(p: Any, i: int, duty_pct: float, speed_rpm: float) -> float:
-    """Steps 4 and 5: return the duty [%] that dead zone and friction leave to the process."""
+    """Return the duty [%] that dead zone and friction (steps 4, 5) leave to the process."""
     if p[P_DEAD_ZONE] != 0.0:
         duty_pct = math.copysign(max(abs(duty_pct) - p[P_DEAD_ZONE], 0.0), duty_pct)
     friction = p[P_COULOMB] + p[P_LOAD + i]
@@ -138,15 +138,15 @@ def load(p: Any, i: int, duty_pct: float, speed_rpm: float) -> float:
     return float(duty_pct - math.copysign(friction, duty_pct))
 
 
-@kernel()
+@part
 def process_matrices(
     gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float
 ) -> tuple[float, float, float, float, float, float]:
     """Return ``a00, a01, a10, a11, b0, b1`` of step 6 over one tick, exactly.
 
     The continuous process is ``T1 x' = G (u - b n) - x``, ``T2 n' = x - n`` with u held. Its joint
-    solution needs only ``exp(mean T) cosh(d T)`` and ``exp(mean T) sinh(d T) / d`` with the mean and
-    the half difference d of the poles; d may be 0 (T1 = T2) or imaginary (viscous load).
+    solution needs only ``exp(mean T) cosh(d T)`` and ``exp(mean T) sinh(d T) / d`` with mean and
+    half difference d of the poles; d may be 0 (T1 = T2) or imaginary (viscous load).
     """
     mean = -0.5 * (1.0 / t1_s + 1.0 / t2_s)
     half = 0.5 * (1.0 / t2_s - 1.0 / t1_s)
@@ -176,7 +176,7 @@ def process_matrices(
     return a00, a01, a10, a11, (1.0 - a00 - a01) * steady, (1.0 - a10 - a11) * steady
 
 
-@kernel()
+@part
 def process_of_tick(p: Any, voltage_v: float) -> tuple[float, float, float, float, float, float]:
     """Return the process of this tick: battery_sag scales the gain, and with it the coupling."""
     sag = 1.0
@@ -191,7 +191,7 @@ def process_of_tick(p: Any, voltage_v: float) -> tuple[float, float, float, floa
     )
 
 
-@kernel()
+@part
 def through_backlash(
     p: Any, x: Any, i: int, speed_rpm: float, mean_rpm: float
 ) -> tuple[float, float]:
@@ -208,7 +208,7 @@ def through_backlash(
     return speed_rpm if engaged else 0.0, moved / (RAD_PER_RPM_S * p[P_DT])
 
 
-@kernel()
+@part
 def drive_terms(p: Any, x: Any, y: Any) -> Sums:
     """Run the drive with its terms, in the order of the contract; a term at null adds nothing."""
     runs = x[X_CONTROL_PHASE] <= 1e-9

@@ -1,12 +1,12 @@
 """Quasi-static turning of four wheels with anisotropic Coulomb friction (friction_anisotropy).
 
-While the sides roll at ``v0 +- delta``, the body moves so that the friction at the four contacts is
-in balance. The friction dissipates ``sum N_i sqrt(s_x^2 + mu^2 s_y^2)``, s the slip of a contact and
-mu the ratio of the friction across the wheels to that along them; the balance is the minimum of
+While the sides roll at ``v0 +- delta``, the body moves so that the friction at the four contacts
+is in balance. The friction dissipates ``sum N_i sqrt(s_x^2 + mu^2 s_y^2)``, s the slip of a contact
+and mu the ratio of the friction across the wheels to that along them; the balance is the minimum of
 this convex function. Slip does not depend on v0, so turn rate and lateral speed are proportional to
 delta: the term is a constant factor on K_om and a constant shift of X_ICR. With mu = 1 and the
-centre of mass in the wheels' centre the answer is ``K_om = l_y/(l_x^2 + l_y^2)`` (5.9), whatever the
-friction and mass.
+centre of mass in the wheels' centre the answer is ``K_om = l_y/(l_x^2 + l_y^2)`` (5.9), whatever
+the friction and mass.
 """
 
 import numpy as np

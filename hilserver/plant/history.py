@@ -3,34 +3,34 @@
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import part
 from hilserver.plant.layout import RING
 from hilserver.plant.pose import wrap
 
 
-@kernel()
+@part
 def weights(head: int, count: float, delay_runs: float) -> tuple[int, int, float]:
     """Return the rows of the ring just after and before the asked age, and the older one's share.
 
     Before the ring has filled, the oldest sample stands for what lies before it.
     """
     age = min(delay_runs, count - 1.0)
-    whole = int(math.floor(age))
+    whole = math.floor(age)
     newer = (head - whole + RING) % RING
     share = age - whole
     older = (newer - 1 + RING) % RING if share > 0.0 else newer
     return newer, older, share
 
 
-@kernel()
+@part
 def between(newer: float, older: float, share: float) -> float:
-    """Return the linear mean of two samples; with no share of the older one, the newer bit by bit."""
+    """Return the linear mean of two samples; without a share of the older, the newer itself."""
     if share == 0.0:
         return newer
     return newer + share * (older - newer)
 
 
-@kernel()
+@part
 def between_angles(newer: float, older: float, share: float) -> float:
     """Return the mean of two angles along the shorter way, in (-pi, pi]."""
     if share == 0.0:
@@ -38,7 +38,7 @@ def between_angles(newer: float, older: float, share: float) -> float:
     return float(wrap(newer + share * wrap(older - newer)))
 
 
-@kernel()
+@part
 def push(x: Any, ring: int, width: int, head_slot: int, count_slot: int) -> int:
     """Advance the head of a ring and return the first slot of its new row."""
     head = (int(x[head_slot]) + 1) % RING

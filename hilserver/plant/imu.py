@@ -6,8 +6,8 @@ unit's fused one: bias and scale of the gyro do not make it drift.
 
 from typing import Any
 
-from hilserver.compiled import kernel
 from hilserver.plant.history import between, between_angles, push, weights
+from hilserver.plant.kernels import part
 from hilserver.plant.layout import (
     BAD_OUT_OF_SERVICE,
     GOOD,
@@ -34,7 +34,7 @@ CHANNEL_ACCEL_X = 1
 CHANNEL_ACCEL_Y = 2
 
 
-@kernel()
+@part
 def _remember(x: Any, y: Any) -> None:
     row = push(x, X_IMU_RING, 4, X_IMU_HEAD, X_IMU_COUNT)
     x[row] = y[Y_VELOCITY + 2]
@@ -43,7 +43,7 @@ def _remember(x: Any, y: Any) -> None:
     x[row + 3] = x[X_ACCEL + 1]
 
 
-@kernel()
+@part
 def imu_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Publish what the unit shows at t_k; runs after `robot_step` of the same tick."""
     if p[P_IMU_ENABLED] == 0.0:

@@ -8,7 +8,7 @@ derivative ``(v, vy, om, dv, dvy, dom)`` in m/s, rad/s and their rates.
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     P_ACCELERATION_SLIP,
     P_BASE_TURN,
@@ -36,7 +36,7 @@ from hilserver.plant.layout import (
 Velocity = tuple[float, float, float, float, float, float]
 
 
-@kernel()
+@inlined
 def velocity_base(p: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> Velocity:
     """Return the velocity of the base model for side speeds [rad/s] and their rates [rad/s2]."""
     left, right = p[P_RADIUS_LEFT] * w_l, p[P_RADIUS_RIGHT] * w_r
@@ -46,7 +46,7 @@ def velocity_base(p: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> V
     return 0.5 * (left - right), -p[P_ICR] * om, om, 0.5 * (dleft - dright), -p[P_ICR] * dom, dom
 
 
-@kernel()
+@part
 def in_region(p: Any, x: Any) -> bool:
     """Return whether the centre of mass stands on the patch of `surface_change`."""
     return bool(
@@ -55,7 +55,7 @@ def in_region(p: Any, x: Any) -> bool:
     )
 
 
-@kernel()
+@part
 def turning_gain(
     p: Any, v0: float, dv0: float, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> tuple[float, float]:
@@ -74,7 +74,7 @@ def turning_gain(
     return gain, dgain
 
 
-@kernel()
+@part
 def velocity_terms(
     p: Any,
     inside: bool,

@@ -1,4 +1,4 @@
-"""The navigation tag: position and heading as an ultra-wideband system with a magnetometer gives them.
+"""The navigation tag: position by ultra-wideband ranging, heading by a magnetometer.
 
 In this order: age (position and yaw apart), lever arm, scale, bias field, noise, outliers; yaw:
 distortion, frame, noise. Between two samples the last one stands. Switched off (the default), the
@@ -8,8 +8,8 @@ outputs keep their value and carry BadOutOfService.
 import math
 from typing import Any
 
-from hilserver.compiled import kernel
 from hilserver.plant.history import between, between_angles, push, weights
+from hilserver.plant.kernels import part
 from hilserver.plant.layout import (
     BAD_OUT_OF_SERVICE,
     GOOD,
@@ -52,7 +52,7 @@ CHANNEL_WHITE = 11  # 2 channels
 CHANNEL_OUTLIER = 40  # uniform channels: whether, in which direction
 
 
-@kernel()
+@part
 def _correlated(p: Any, x: Any, part: int, keep: float, deviation: float) -> float:
     """Advance an Ornstein-Uhlenbeck state by one sample, stationary from the first on."""
     sample = x[X_NAV_SAMPLES]
@@ -64,7 +64,7 @@ def _correlated(p: Any, x: Any, part: int, keep: float, deviation: float) -> flo
     return float(x[X_NAV_OU + part])
 
 
-@kernel()
+@part
 def _position(p: Any, x: Any) -> tuple[float, float]:
     newer, older, share = weights(int(x[X_NAV_HEAD]), x[X_NAV_COUNT], p[P_NAV_DELAY])
     a, b = X_NAV_RING + 3 * newer, X_NAV_RING + 3 * older
@@ -80,7 +80,7 @@ def _position(p: Any, x: Any) -> tuple[float, float]:
     return shown_x, shown_y
 
 
-@kernel()
+@part
 def _yaw(p: Any, x: Any) -> float:
     newer, older, share = weights(int(x[X_NAV_HEAD]), x[X_NAV_COUNT], p[P_NAV_YAW_DELAY])
     a, b = X_NAV_RING + 3 * newer + 2, X_NAV_RING + 3 * older + 2
@@ -95,7 +95,7 @@ def _yaw(p: Any, x: Any) -> float:
     return float(shown)
 
 
-@kernel()
+@part
 def nav_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Remember the pose of t_k and, when a sample is due, publish what the tag shows."""
     if p[P_NAV_ENABLED] == 0.0:

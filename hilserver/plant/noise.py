@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import part
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -17,7 +17,7 @@ _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(
 _ULP = 2.0**-53
 
 
-@kernel()
+@part
 def _mix(word: np.uint64) -> np.uint64:
     """Return the word with its bits scattered (the finaliser of splitmix64)."""
     word = word + _GOLDEN
@@ -26,7 +26,7 @@ def _mix(word: np.uint64) -> np.uint64:
     return word ^ (word >> _S31)
 
 
-@kernel()
+@part
 def uniform(seed: float, counter: float, channel: int) -> float:
     """Return a number in (0, 1) that depends on the three arguments alone."""
     word = _mix(
@@ -35,7 +35,7 @@ def uniform(seed: float, counter: float, channel: int) -> float:
     return (float(word >> _S11) + 0.5) * _ULP
 
 
-@kernel()
+@part
 def normal(seed: float, counter: float, channel: int) -> float:
     """Return a standard normal number (Box and Muller); channels 2 c and 2 c + 1 are used."""
     radius = math.sqrt(-2.0 * math.log(uniform(seed, counter, 2 * channel)))

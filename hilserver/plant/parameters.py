@@ -42,10 +42,14 @@ GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")
 RPM_PER_RAD_S: Final = 60.0 / (2.0 * math.pi)
 
 _POSITIVE = frozenset(
-    ["period_s", "wheel_radius_m", "wheelbase_m", "track_m", "max_rpm", "limit_pct", "gain", "t1_s", "t2_s", "derivative_n", "capacity_ah", "mount_x_m", "mount_y_m", "field_of_view_rad", "rate_hz", "correlation_s", "yaw_correlation_s"]
+    """period_s wheel_radius_m wheelbase_m track_m max_rpm limit_pct gain t1_s t2_s derivative_n
+    capacity_ah mount_x_m mount_y_m field_of_view_rad rate_hz correlation_s
+    yaw_correlation_s""".split()  # noqa: SIM905 (a list of 17 lines says no more)
 )
 _NOT_NEGATIVE = frozenset(
-    ["safe_ramp_s", "seed", "k_p", "k_i", "k_d", "gyro_noise_rad_s", "accel_noise_m_s2", "initial_charge", "resistance_ohm", "idle_current_a", "full_duty_current_a", "latency_s", "yaw_latency_s", "white_noise_m", "correlated_noise_m", "yaw_noise_rad"]
+    """safe_ramp_s seed k_p k_i k_d gyro_noise_rad_s accel_noise_m_s2 initial_charge
+    resistance_ohm idle_current_a full_duty_current_a latency_s yaw_latency_s white_noise_m
+    correlated_noise_m yaw_noise_rad""".split()  # noqa: SIM905
 )
 
 

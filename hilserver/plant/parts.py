@@ -52,7 +52,7 @@ class Battery:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeFinders:
-    """Four range finders at the corners, looking along x, front ones forward, rear ones backward."""
+    """Four range finders at the corners: the front ones look forward, the rear ones backward."""
 
     enabled: bool = True
     period_s: float = 0.01

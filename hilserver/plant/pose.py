@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     U_POSE,
     U_POSE_REQUEST,
@@ -17,7 +17,7 @@ TURN = 2.0 * math.pi
 SERIES_LIMIT_RAD = 0.05  # below, the next term of the series is under half a unit in the last place
 
 
-@kernel()
+@part
 def wrap(angle_rad: float) -> float:
     """Return the angle in (-pi, pi]; one that lies there keeps every bit.
 
@@ -28,13 +28,13 @@ def wrap(angle_rad: float) -> float:
         return angle_rad
     rest = np.fmod(angle_rad, TURN)
     if rest > math.pi:
-        return rest - TURN
+        return float(rest - TURN)
     if rest <= -math.pi:
-        return rest + TURN
-    return rest
+        return float(rest + TURN)
+    return float(rest)
 
 
-@kernel()
+@inlined
 def sinc(half_rad: float) -> float:
     """Return sin(h)/h: the ratio of chord to arc when the heading turns by 2 h."""
     if abs(half_rad) < SERIES_LIMIT_RAD:
@@ -43,7 +43,7 @@ def sinc(half_rad: float) -> float:
     return math.sin(half_rad) / half_rad
 
 
-@kernel()
+@inlined
 def move(x: Any, v: float, vy: float, om: float, dt_s: float) -> None:
     """Move the pose over `dt_s` with constant body velocity [m/s, m/s, rad/s].
 
@@ -59,7 +59,7 @@ def move(x: Any, v: float, vy: float, om: float, dt_s: float) -> None:
     x[X_POSE + 2] = wrap(heading + half)
 
 
-@kernel()
+@inlined
 def set_pose(x: Any, u: Any) -> None:
     """Place the robot where the hidden pose request asks, once per change of its counter."""
     if u[U_POSE_REQUEST] != x[X_POSE_REQUEST]:

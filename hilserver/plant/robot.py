@@ -6,9 +6,9 @@ latched and every output of t_k is written; then the state moves to t_(k+1).
 
 from typing import Any
 
-from hilserver.compiled import kernel
 from hilserver.plant.command import command
 from hilserver.plant.drive import RAD_PER_RPM_S, drive_base, drive_terms
+from hilserver.plant.kernels import inlined, part
 from hilserver.plant.kinematics import in_region, velocity_base, velocity_terms
 from hilserver.plant.layout import (
     GOOD,
@@ -31,7 +31,7 @@ SIDE = 0.5 * RAD_PER_RPM_S  # sum of two wheels in rpm to their mean in rad/s
 SLOPE_REST_RAD_S = 0.05
 
 
-@kernel()
+@inlined
 def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: float) -> None:
     """Write the velocity of t_k, and the acceleration of the centre of mass for the IMU."""
     y[Y_VELOCITY] = v
@@ -41,7 +41,38 @@ def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: floa
     x[X_ACCEL + 1] = dvy + om * v
 
 
-@kernel()
+@part
+def drive_on_with_terms(
+    p: Any,
+    x: Any,
+    y: Any,
+    w_l: float,
+    w_r: float,
+    dw_l: float,
+    dw_r: float,
+    mean_l: float,
+    mean_r: float,
+) -> None:
+    """Publish and move as the base model does, with the kinematic terms (steps 8 to 11).
+
+    Side speeds [rad/s] and their rates at t_k, and the means over the tick. The means go with the
+    wheel angle and the acceleration in the middle of the tick.
+    """
+    dt = p[P_DT]
+    inside = in_region(p, x)
+    angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
+    v, vy, om, dv, dvy, _ = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
+    publish(x, y, v, vy, om, dv, dvy)
+    angle = 0.5 * (angle + 0.5 * (x[X_ANGLE] + x[X_ANGLE + 1]))
+    dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
+    v, vy, om, _, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
+    move(x, v, vy, om, dt)
+    if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
+        x[X_POSE] += p[P_SLOPE_X] * dt
+        x[X_POSE + 1] += p[P_SLOPE_Y] * dt
+
+
+@part
 def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
     """Write the outputs of t_k and move the state to t_(k+1).
 
@@ -64,27 +95,16 @@ def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
         q[i] = GOOD
     for i in range(3):
         y[Y_POSE + i] = x[X_POSE + i]
-    dt = p[P_DT]
     if p[P_DRIVE_TERMS] != 0.0:
         left, right, mean_left, mean_right, dleft, dright = drive_terms(p, x, y)
     else:
         left, right, mean_left, mean_right, dleft, dright = drive_base(p, x, y)
     w_l, w_r, dw_l, dw_r = left * SIDE, right * SIDE, dleft * SIDE, dright * SIDE
     mean_l, mean_r = mean_left * SIDE, mean_right * SIDE
-    if p[P_KINEMATIC_TERMS] == 0.0:
-        v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
-        publish(x, y, v, vy, om, dv, dvy)
-        v, vy, om, _, _, _ = velocity_base(p, mean_l, mean_r, 0.0, 0.0)
-        move(x, v, vy, om, dt)
+    if p[P_KINEMATIC_TERMS] != 0.0:
+        drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r)
         return
-    inside = in_region(p, x)
-    angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
-    v, vy, om, dv, dvy, _ = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
+    v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
     publish(x, y, v, vy, om, dv, dvy)
-    angle = 0.5 * (angle + 0.5 * (x[X_ANGLE] + x[X_ANGLE + 1]))
-    dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
-    v, vy, om, _, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
-    move(x, v, vy, om, dt)
-    if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
-        x[X_POSE] += p[P_SLOPE_X] * dt
-        x[X_POSE + 1] += p[P_SLOPE_Y] * dt
+    v, vy, om, _, _, _ = velocity_base(p, mean_l, mean_r, 0.0, 0.0)
+    move(x, v, vy, om, p[P_DT])

@@ -7,7 +7,7 @@ segment is cut to the cone and its nearest point taken, so no thin wall slips be
 import math
 from typing import Any, Final
 
-from hilserver.compiled import kernel
+from hilserver.plant.kernels import part
 from hilserver.plant.layout import (
     BAD_OUT_OF_SERVICE,
     GOOD,
@@ -25,7 +25,7 @@ NEAREST_M: Final = 0.01
 FARTHEST_M: Final = 5.0
 
 
-@kernel()
+@part
 def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos: float) -> float:
     """Return the distance from the origin to the part of a segment inside the cone along +x.
 
@@ -50,7 +50,7 @@ def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos
     return math.hypot(ax + share * dx, ay + share * dy)
 
 
-@kernel()
+@part
 def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
     """Return the distance [m] seen from a point along the unit vector (cos, sin)."""
     found = math.inf
@@ -69,7 +69,7 @@ def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> f
     return found
 
 
-@kernel()
+@part
 def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa: ARG001
     """Publish the four ranges in the order fl, fr, rl, rr.
 

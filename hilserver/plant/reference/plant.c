@@ -1,0 +1,426 @@
+/* The plant again, in plain C: same recurrence, other program.
+ *
+ * It takes physical values by name, discretises with its own power series and keeps one struct per
+ * wheel; it shares no table, constant or line with the compiled kernels. It serves the conformance
+ * vectors and, with every term at null, the speed comparison of `hilserver bench plant`.
+ *
+ * Order of a tick: set-point (delay, rate), encoder, controller, dead zone, friction, process, side
+ * speeds, radii, turn rate, slip, pose.
+ */
+#include <math.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define RING 1024
+#define PI 3.14159265358979323846
+
+struct wheel {
+    double x, n, integral, derivative, last_error, duty, filtered, angle, gap, s, m;
+};
+
+struct plant {
+    /* physical values */
+    double T, r, ly, icr, k_om, yaw_sign, max_rpm;
+    double kp, ki, kd, N, limit_pct, G, T1, T2;
+    /* terms, in the order of the contract */
+    double actuation_delay, rate_limit, encoder_filter, quantum, control_period, a_p, a_i, limit;
+    double dead_zone, coulomb, f_s, n_s, load, load_wheel, a_gain, a_t1, sag_k, volts, viscous;
+    double backlash, a_radius, a_diff, runout, runout_phase, a_k, a_kv, a_kq, long_slip, acc_slip;
+    double icr_d, side_slip, misalign, slope_x, slope_y, surf_k, surf_v, x_min, x_max, y_min, y_max;
+    double aniso_k, aniso_icr;
+    /* worked out by plant_prepare */
+    double A[2][2], B[2], Tt, Tc, tau_d, inverse_Tt, inverse_T2;
+    int extended;
+    /* state */
+    struct wheel w[4];
+    double X, Y, yaw, next_control, pose_request;
+    long tick;
+    double ring[RING][4];
+    /* outputs of t_k */
+    double v, vy, om, acc_x, acc_y;
+};
+
+/* exp of a 3x3 matrix by scaling, Taylor series and squaring */
+static void expm3(double M[3][3], double E[3][3])
+{
+    double term[3][3], next[3][3];
+    const double scale = 1.0 / 1024.0;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            M[i][j] *= scale;
+            E[i][j] = 0.0; /* E is exp(M) - 1, so that small entries keep their digits */
+            term[i][j] = (i == j);
+        }
+    for (int k = 1; k < 25; k++) {
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double sum = 0.0;
+                for (int l = 0; l < 3; l++)
+                    sum += term[i][l] * M[l][j];
+                next[i][j] = sum / k;
+            }
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                term[i][j] = next[i][j];
+                E[i][j] += term[i][j];
+            }
+    }
+    for (int k = 0; k < 10; k++) { /* (1 + E)^2 - 1 = 2 E + E^2 */
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double sum = 0.0;
+                for (int l = 0; l < 3; l++)
+                    sum += E[i][l] * E[l][j];
+                next[i][j] = 2.0 * E[i][j] + sum;
+            }
+        memcpy(E, next, sizeof next);
+    }
+    for (int i = 0; i < 3; i++)
+        E[i][i] += 1.0;
+}
+
+static void process(const struct plant *p, double A[2][2], double B[2])
+{
+    double T1 = p->T1 * (1.0 + p->a_t1), T2 = p->T2;
+    double G = p->G * (1.0 + p->a_gain) * (1.0 + p->sag_k * (p->volts / 19.2 - 1.0));
+    double M[3][3] = {
+        {-p->T / T1, -p->T * G * p->viscous / T1, p->T * G / T1},
+        {p->T / T2, -p->T / T2, 0.0},
+        {0.0, 0.0, 0.0},
+    };
+    double E[3][3];
+    expm3(M, E);
+    for (int i = 0; i < 2; i++) {
+        A[i][0] = E[i][0];
+        A[i][1] = E[i][1];
+        B[i] = E[i][2];
+    }
+}
+
+struct field {
+    const char *name;
+    size_t offset;
+};
+#define F(name) {#name, offsetof(struct plant, name)}
+static const struct field fields[] = {
+    F(T), F(r), F(max_rpm), F(ly), F(icr), F(k_om), F(yaw_sign), F(kp), F(ki), F(kd), F(N),
+    F(limit_pct), F(G), F(T1), F(T2), F(actuation_delay), F(rate_limit), F(encoder_filter),
+    F(quantum), F(control_period), F(a_p), F(a_i), F(limit), F(dead_zone), F(coulomb), F(f_s),
+    F(n_s), F(load), F(load_wheel), F(a_gain), F(a_t1), F(sag_k), F(volts), F(viscous),
+    F(backlash), F(a_radius), F(a_diff), F(runout), F(runout_phase), F(a_k), F(a_kv), F(a_kq),
+    F(long_slip), F(acc_slip), F(icr_d), F(side_slip), F(misalign), F(slope_x), F(slope_y),
+    F(surf_k), F(surf_v), F(x_min), F(x_max), F(y_min), F(y_max), F(aniso_k), F(aniso_icr),
+};
+
+struct plant *plant_new(void)
+{
+    struct plant *p = calloc(1, sizeof *p);
+    if (p == NULL)
+        return NULL;
+    p->limit = 100.0;
+    p->n_s = 6.0;
+    p->volts = 19.2;
+    p->x_max = p->y_max = 1000.0;
+    p->y_min = -1000.0;
+    p->aniso_k = 1.0;
+    p->rate_limit = INFINITY;
+    return p;
+}
+
+void plant_free(struct plant *p)
+{
+    free(p);
+}
+
+int plant_set(struct plant *p, const char *name, double value)
+{
+    for (size_t k = 0; k < sizeof fields / sizeof *fields; k++)
+        if (strcmp(fields[k].name, name) == 0) {
+            *(double *)((char *)p + fields[k].offset) = value;
+            return 0;
+        }
+    return -1;
+}
+
+void plant_prepare(struct plant *p, int extended)
+{
+    process(p, p->A, p->B);
+    p->Tt = p->kd == 0.0 ? sqrt(1.0 / p->ki) : sqrt(p->kd / p->ki);
+    p->tau_d = p->kd == 0.0 ? 1.0 / (p->N * p->kp) : p->kd / (p->N * p->kp);
+    p->Tc = p->control_period > 0.0 ? p->control_period : p->T;
+    p->inverse_Tt = 1.0 / p->Tt;
+    p->inverse_T2 = 1.0 / p->T2;
+    p->extended = extended;
+}
+
+static double clip(double value, double limit)
+{
+    return value > limit ? limit : value < -limit ? -limit : value;
+}
+
+static double sign(double value)
+{
+    return value > 0.0 ? 1.0 : value < 0.0 ? -1.0 : 0.0;
+}
+
+static double rpm_to_rad_s(double rpm)
+{
+    return rpm * (2.0 * PI / 60.0);
+}
+
+static double wrapped(double angle)
+{
+    while (angle > PI)
+        angle -= 2.0 * PI;
+    while (angle <= -PI)
+        angle += 2.0 * PI;
+    return angle;
+}
+
+static void integrate_pose(struct plant *p, double v, double vy, double om)
+{
+    double half = 0.5 * om * p->T;
+    double chord = p->T;
+    if (fabs(half) < 0.05) {
+        double h2 = half * half;
+        chord *= 1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0));
+    } else {
+        chord *= sin(half) / half;
+    }
+    double heading = p->yaw + half;
+    double c = cos(heading), s = sin(heading);
+    p->X += chord * (v * c - vy * s);
+    p->Y += chord * (v * s + vy * c);
+    heading += half;
+    if (heading > PI || heading <= -PI)
+        heading = wrapped(heading);
+    p->yaw = heading;
+}
+
+/* the base model: every term at null */
+static void base_step(struct plant *p, const double *setpoint)
+{
+    double w[4], mean[4], rate[4];
+    double limit = p->limit_pct;
+    for (int i = 0; i < 4; i++) {
+        struct wheel *k = &p->w[i];
+        double n = k->n, x = k->x;
+        double e = setpoint[i] - n;
+        double wanted = p->kp * e + k->integral;
+        double u = clip(wanted, limit);
+        k->m = n;
+        k->duty = u;
+        k->integral += p->T * (p->ki * e + (u - wanted) * p->inverse_Tt);
+        k->x = p->A[0][0] * x + p->A[0][1] * n + p->B[0] * u;
+        k->n = p->A[1][0] * x + p->A[1][1] * n + p->B[1] * u;
+        w[i] = n;
+        mean[i] = 0.5 * (n + k->n);
+        rate[i] = (x - n) * p->inverse_T2;
+        k->angle += p->T * rpm_to_rad_s(mean[i]);
+    }
+    double wl = rpm_to_rad_s(0.5 * (w[0] + w[1])), wr = rpm_to_rad_s(0.5 * (w[2] + w[3]));
+    double dl = rpm_to_rad_s(0.5 * (rate[0] + rate[1])), dr = rpm_to_rad_s(0.5 * (rate[2] + rate[3]));
+    double ml = rpm_to_rad_s(0.5 * (mean[0] + mean[1])), mr = rpm_to_rad_s(0.5 * (mean[2] + mean[3]));
+    double turn = p->yaw_sign * p->r * p->k_om;
+    p->v = p->r * (wl - wr) / 2.0;
+    p->om = turn * (wl + wr);
+    p->vy = -p->icr * p->om;
+    double dv = p->r * (dl - dr) / 2.0, dom = turn * (dl + dr);
+    p->acc_x = dv - p->om * p->vy;
+    p->acc_y = -p->icr * dom + p->om * p->v;
+    double om = turn * (ml + mr);
+    integrate_pose(p, p->r * (ml - mr) / 2.0, -p->icr * om, om);
+}
+
+/* one run of steps 8 to 10 */
+static void velocity(const struct plant *p, double wl, double wr, double dwl, double dwr,
+                     double angle, double *v, double *vy, double *om)
+{
+    double rl = p->r * (1.0 + p->a_radius) * (1.0 + p->a_diff / 2.0);
+    double rr = p->r * (1.0 + p->a_radius) * (1.0 - p->a_diff / 2.0);
+    double theta = angle + p->runout_phase;
+    double drl = rl * p->runout * cos(theta) * wl;
+    rl *= 1.0 + p->runout * sin(theta);
+    double v0 = (rl * wl - rr * wr) / 2.0;
+    double dv0 = (drl * wl + rl * dwl - rr * dwr) / 2.0;
+    double om0 = fabs(p->r * p->k_om * (wl + wr));
+    double q = fabs(v0) + p->ly * om0 / 2.0;
+    q = q > 0.0 ? fabs(v0) / q : 0.0;
+    int inside = p->X >= p->x_min && p->X <= p->x_max && p->Y >= p->y_min && p->Y <= p->y_max;
+    double K = p->k_om * (1.0 + p->a_k) * p->aniso_k;
+    K *= (1.0 + p->a_kv * fabs(v0)) * (1.0 + p->a_kq * q) * (inside ? 1.0 + p->surf_k : 1.0);
+    *om = p->yaw_sign * K * (rl * wl + rr * wr);
+    *v = v0 * (1.0 - p->long_slip * fabs(*om)) * fmax(0.0, 1.0 - p->acc_slip * fabs(dv0));
+    *v *= inside ? 1.0 + p->surf_v : 1.0;
+    *vy = -(p->icr + p->icr_d + p->aniso_icr) * *om + p->side_slip * *v * *om + p->misalign * *v;
+}
+
+static double friction(const struct plant *p, int i, double n)
+{
+    double F = p->coulomb + p->f_s * exp(-(n / p->n_s) * (n / p->n_s));
+    return i == (int)p->load_wheel ? F + p->load : F;
+}
+
+static void extended_step(struct plant *p, const double *setpoint)
+{
+    double now[4], motor[4], mean[4], rate[4];
+    int control = (double)p->tick * p->T >= p->next_control - 1e-9 * p->T;
+    if (control)
+        p->next_control += p->Tc;
+    long lag = (long)ceil(p->actuation_delay / p->T - 1e-9);
+    for (int i = 0; i < 4; i++) {
+        struct wheel *k = &p->w[i];
+        p->ring[p->tick % RING][i] = setpoint[i];
+        double wanted_s = p->tick >= lag ? p->ring[(p->tick - lag) % RING][i] : 0.0;
+        k->s += clip(wanted_s - k->s, p->rate_limit * p->T);
+        if (p->rate_limit == INFINITY)
+            k->s = wanted_s;
+        double n = k->n, x = k->x;
+        if (p->encoder_filter > 0.0)
+            k->filtered += (1.0 - exp(-p->T / p->encoder_filter)) * (n - k->filtered);
+        else
+            k->filtered = n;
+        k->m = p->quantum > 0.0 ? p->quantum * floor(k->filtered / p->quantum + 0.5) : k->filtered;
+        if (control) {
+            double e = k->s - k->m;
+            if (p->kd > 0.0)
+                k->derivative += p->Tc / (p->tau_d + p->Tc)
+                                 * (p->kd * (e - k->last_error) / p->Tc - k->derivative);
+            k->last_error = e;
+            double w = p->kp * (1.0 + p->a_p) * e + k->integral + k->derivative;
+            k->duty = clip(w, p->limit_pct * p->limit / 100.0);
+            k->integral += p->Tc * (p->ki * (1.0 + p->a_i) * e + (k->duty - w) / p->Tt);
+        }
+        double u1 = sign(k->duty) * fmax(fabs(k->duty) - p->dead_zone, 0.0), u2;
+        double F = friction(p, i, n);
+        if (fabs(n) < 0.05)
+            u2 = fabs(u1) <= F ? 0.0 : u1 - F * sign(u1);
+        else
+            u2 = u1 - F * sign(n);
+        k->x = p->A[0][0] * x + p->A[0][1] * n + p->B[0] * u2;
+        k->n = p->A[1][0] * x + p->A[1][1] * n + p->B[1] * u2;
+        now[i] = n;
+        mean[i] = 0.5 * (n + k->n);
+        motor[i] = mean[i];
+        rate[i] = (x - n) / p->T2;
+        if (p->backlash > 0.0) {
+            double turned = p->T * rpm_to_rad_s(mean[i]);
+            double old = k->gap, half = p->backlash / 2.0;
+            int front = old >= half && n > 0.0, back = old <= -half && n < 0.0;
+            k->gap = clip(old + turned, half);
+            mean[i] = (turned - (k->gap - old)) / (p->T * 2.0 * PI / 60.0);
+            if (!front && !back)
+                now[i] = rate[i] = 0.0;
+        }
+    }
+    double wl = rpm_to_rad_s(0.5 * (now[0] + now[1])), wr = rpm_to_rad_s(0.5 * (now[2] + now[3]));
+    double dl = rpm_to_rad_s(0.5 * (rate[0] + rate[1])), dr = rpm_to_rad_s(0.5 * (rate[2] + rate[3]));
+    double ml = rpm_to_rad_s(0.5 * (mean[0] + mean[1])), mr = rpm_to_rad_s(0.5 * (mean[2] + mean[3]));
+    double angle = 0.5 * (p->w[0].angle + p->w[1].angle);
+    velocity(p, wl, wr, dl, dr, angle, &p->v, &p->vy, &p->om);
+    /* the derivative of the velocity by central difference along the motion of the wheels */
+    double h = 1e-6, v[2], vy[2], om[2];
+    struct plant frozen = *p;
+    frozen.acc_slip = 0.0; /* the rate of its factor would need the wheels' jerk */
+    for (int k = 0; k < 2; k++) {
+        double d = k == 0 ? -h : h;
+        velocity(&frozen, wl + d * dl, wr + d * dr, dl, dr, angle + d * wl, &v[k], &vy[k], &om[k]);
+    }
+    double v0, vy0, om0;
+    velocity(&frozen, wl, wr, dl, dr, angle, &v0, &vy0, &om0);
+    double grip = v0 != 0.0 ? p->v / v0 : 1.0;
+    double dv = grip * (v[1] - v[0]) / (2.0 * h);
+    double dom = (om[1] - om[0]) / (2.0 * h);
+    double icr = p->icr + p->icr_d + p->aniso_icr;
+    double dvy = -icr * dom + p->side_slip * (dv * p->om + p->v * dom) + p->misalign * dv;
+    p->acc_x = dv - p->om * p->vy;
+    p->acc_y = dvy + p->om * p->v;
+    /* the pose takes the means over the tick, at the mean wheel angle */
+    for (int i = 0; i < 4; i++)
+        p->w[i].angle += p->T * rpm_to_rad_s(motor[i]);
+    angle = 0.5 * (angle + 0.5 * (p->w[0].angle + p->w[1].angle));
+    double v_mean, vy_mean, om_mean;
+    velocity(p, ml, mr, (ml - wl) * 2.0 / p->T, (mr - wr) * 2.0 / p->T, angle, &v_mean, &vy_mean,
+             &om_mean);
+    integrate_pose(p, v_mean, vy_mean, om_mean);
+    if (fabs(ml) + fabs(mr) > 0.05) {
+        p->X += p->slope_x * p->T;
+        p->Y += p->slope_y * p->T;
+    }
+    p->tick++;
+}
+
+/* One tick: set-points of four wheels in; out, all of t_k: speed, duty, angle of four wheels, pose,
+ * velocity, acceleration of the centre of mass (20 numbers). */
+void plant_tick(struct plant *p, const double *setpoint, double *out)
+{
+    for (int i = 0; i < 4; i++)
+        out[8 + i] = p->w[i].angle;
+    out[12] = p->X;
+    out[13] = p->Y;
+    out[14] = p->yaw;
+    if (p->extended)
+        extended_step(p, setpoint);
+    else
+        base_step(p, setpoint);
+    for (int i = 0; i < 4; i++) {
+        out[i] = p->w[i].m;
+        out[4 + i] = p->w[i].duty;
+    }
+    out[15] = p->v;
+    out[16] = p->vy;
+    out[17] = p->om;
+    out[18] = p->acc_x;
+    out[19] = p->acc_y;
+}
+
+/* The state that the vectors hold beside the outputs: motor, speed and integral of four wheels. */
+void plant_state(const struct plant *p, double *out)
+{
+    for (int i = 0; i < 4; i++) {
+        out[i] = p->w[i].x;
+        out[4 + i] = p->w[i].n;
+        out[8 + i] = p->w[i].integral;
+    }
+}
+
+/* --- the speed comparison: a whole base tick with inputs, outputs and status codes --------------- */
+
+#define STATUSES 18
+
+static __attribute__((noinline)) void full_tick(struct plant *p, const double *u, double *y,
+                                                long long *q)
+{
+    static const double zero[4];
+    double s[4];
+    if (u[14] != p->pose_request) {
+        p->pose_request = u[14];
+        p->X = u[15];
+        p->Y = u[16];
+        p->yaw = wrapped(u[17]);
+    }
+    if (u[13] != 0.0 || u[7] == 0.0) {
+        memcpy(s, zero, sizeof s);
+    } else if (u[6] == 0.0) {
+        memcpy(s, u, sizeof s);
+    } else {
+        double straight = u[4] / p->r * 60.0 / (2.0 * PI);
+        double turning = u[5] / (2.0 * p->yaw_sign * p->r * p->k_om) * 60.0 / (2.0 * PI);
+        s[0] = s[1] = turning + straight;
+        s[2] = s[3] = turning - straight;
+    }
+    double largest = fmax(fmax(fabs(s[0]), fabs(s[1])), fmax(fabs(s[2]), fabs(s[3])));
+    if (largest > p->max_rpm)
+        for (int i = 0; i < 4; i++)
+            s[i] *= p->max_rpm / largest;
+    for (int i = 0; i < STATUSES; i++)
+        q[i] = 0;
+    plant_tick(p, s, y);
+}
+
+void plant_run(struct plant *p, const double *u, double *y, long long *q, long ticks)
+{
+    for (long k = 0; k < ticks; k++)
+        full_tick(p, u, y, q);
+}
