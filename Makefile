@@ -1,0 +1,102 @@
+# hilserver. `make help` lists what there is; `make run` and `make test` work on a fresh clone.
+
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-print-directory
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json))
+
+# What the tests call, and the Debian package it comes from.
+TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc
+export PATH := $(PATH):/usr/sbin:/sbin
+
+.PHONY: help
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+.PHONY: run
+run: $(VENV)/.run ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60")
+	@$(BIN)/python .ci/foreground.py $(BIN)/hilserver run --demo $(ARGS)
+
+.PHONY: test
+test: test-tools lint ## Install what the tests need, lint, run all tests but the long ones
+	@$(BIN)/python -m pytest $(ARGS)
+
+.PHONY: test-long
+test-long: test-tools ## Run the soaks and full campaigns
+	@$(BIN)/python -m pytest -m long --timeout 7200 $(ARGS)
+
+.PHONY: lint
+lint: $(VENV)/.dev ## Check style, types and the layers of the house
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+.PHONY: format
+format: $(VENV)/.dev ## Bring all code into the project's form
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+.PHONY: reference
+reference: $(VENV)/.run ## Write the generated reference pages anew
+	@$(BIN)/python -m hilserver.monitoring.metrics_reference > docs/reference/metrics.md
+
+.PHONY: clean
+clean: ## Remove everything that make has made
+	@rm -rf $(VENV) build dist *.egg-info $(addsuffix /node_modules,$(NPM_FOLDERS))
+	@rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	@find hilserver tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- installation: a stamp file says what is done, so that nothing is installed twice -------------
+
+# The first Python that starts (a shim may not), is new enough and can make an environment.
+$(BIN)/python:
+	@for python in $(PYTHON) python3 python3.13 python3.12 python3.11; do \
+	    if $$python -c 'import ensurepip, sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+	    then echo "making $(VENV) with $$($$python --version)"; exec $$python -m venv $(VENV); fi; \
+	done; \
+	echo "hilserver needs Python 3.11 or newer with venv: install the packages python3.11 and" \
+	    "python3.11-venv, or name an interpreter with 'make PYTHON=/path/to/python'" >&2; exit 1
+
+$(VENV)/.run: pyproject.toml | $(BIN)/python
+	@echo "installing hilserver into $(VENV) (a minute or two)"
+	@$(PIP) install --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(BIN)/python
+	@echo "installing hilserver and what its tests need into $(VENV) (a minute or two)"
+	@$(PIP) install --editable '.[dev]'
+	@touch $(VENV)/.run $@
+
+.PHONY: test-tools
+test-tools: $(VENV)/.dev $(VENV)/.debian $(addsuffix /node_modules/.installed,$(NPM_FOLDERS))
+
+$(VENV)/.debian: Makefile | $(BIN)/python
+	@missing=; \
+	for tool in $(TOOLS); do \
+	    command -v $${tool%%:*} >/dev/null || missing="$$missing $${tool#*:}"; \
+	done; \
+	command -v npm >/dev/null || missing="$$missing nodejs npm"; \
+	case " $$missing " in *" gcc "*) missing="$$missing libc6-dev";; esac; \
+	if [ -z "$$missing" ]; then touch $@; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "installing Debian packages:$$missing"; \
+	    export DEBIAN_FRONTEND=noninteractive; \
+	    apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing >/dev/null \
+	        && touch $@; \
+	else \
+	    echo "the tests that use them will fail without these Debian packages:$$missing;" \
+	        "install them with 'sudo apt-get install$$missing'" >&2; \
+	fi
+
+%/node_modules/.installed: %/package.json $(VENV)/.debian
+	@command -v npm >/dev/null || { \
+	    echo "the tests in $* need Node.js with npm: install the packages nodejs and npm" >&2; exit 1; }
+	@echo "installing the npm packages of $*"
+	@cd $* && npm install --no-audit --no-fund --no-package-lock --loglevel=error
+	@touch $@
