@@ -40,9 +40,12 @@ class PoseWatch:
     ) -> Pose | None:
         """Take what the nodes hold at `now_s` (monotonic) and return the usable pose."""
         if stamp is not None and stamp != self._stamp:
-            self._stamp, self._seen_s = stamp, now_s
+            # The first stamp is the node's own initial value, not a pose.
+            if self._stamp is not None:
+                self._seen_s = now_s
+            self._stamp = stamp
         numbers = [v for v in values if isinstance(v, int | float) and math.isfinite(v)]
-        fresh = self._stamp is not None and now_s - self._seen_s <= self.stale_s
+        fresh = now_s - self._seen_s <= self.stale_s
         self.pose = Pose(*map(float, numbers)) if fresh and len(numbers) == 3 else None
         return self.pose
 
