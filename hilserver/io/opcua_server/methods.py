@@ -66,6 +66,9 @@ class Methods:
         def load(name: str) -> Awaitable[None]:
             return control.load_snapshot(_plain_name(name))
 
+        def reset_statistics() -> None:
+            control.reset_statistics()  # looked up late: the daemon may set it after us
+
         self._handlers: dict[str, Handler] = {
             "Start": control.start,
             "Stop": control.stop,
@@ -78,7 +81,7 @@ class Methods:
             "Unforce": _not_implemented,
             "InjectFault": _not_implemented,
             "ClearFaults": _not_implemented,
-            "ResetStatistics": lambda: control.reset_statistics(),
+            "ResetStatistics": reset_statistics,
             "SetPose": control.set_pose,
         }
 

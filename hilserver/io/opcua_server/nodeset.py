@@ -32,7 +32,8 @@ def to_nodeset(table: SignalTable) -> str:
     models = _child(root, "Models")
     ours = {"Version": __version__, "PublicationDate": _PUBLICATION_DATE}
     own_model = _child(models, "Model", ModelUri=model.NAMESPACE_URI, **ours)
-    _child(own_model, "RequiredModel", ModelUri="http://opcfoundation.org/UA/", Version="1.05.00")
+    base = {"Version": "1.05.02", "PublicationDate": "2022-11-01T00:00:00Z"}
+    _child(own_model, "RequiredModel", ModelUri="http://opcfoundation.org/UA/", **base)
 
     folders, variables = model.describe(table)
     robot = _node(root, "UAObject", model.ROBOT, "Robot", "The simulated robot")

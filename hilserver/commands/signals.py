@@ -1,0 +1,95 @@
+"""Print the signal table: every signal once, as Markdown, CSV or an OPC UA NodeSet2 file.
+
+The table is that of the configuration, own blocks included; without one, that of the defaults.
+"""
+
+import argparse
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+from hilserver.assembly import assemble
+from hilserver.commands.options import add_config, config_path
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.io.opcua_server.nodeset import to_nodeset
+from hilserver.signals import Signal, SignalTable
+from hilserver.units import UNECE
+
+EXAMPLE = "hilserver signals --format nodeset2 -o hilserver.nodeset2.xml"
+
+COLUMNS = ("signal", "type", "unit", "unece", "direction", "low", "high", "description")
+
+HEAD = """# Signals
+
+Made by `hilserver signals --format markdown`; a test keeps it up to date. Ranges follow from the
+configuration, here the default one. In OPC UA every signal is the variable
+`nsu=urn:hilserver:robot;s=<signal>`, in a log it is the column of that name; `in` is seen from the
+plant.
+
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``-c``, ``--format`` and ``-o``."""
+    add_config(parser)
+    parser.add_argument(
+        "--format", choices=tuple(FORMATS), default="markdown", help="default: markdown"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="write to a file instead of the terminal"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print or write the table."""
+    text = FORMATS[args.format](assemble(config_path(args)).table)
+    if args.out is None:
+        print(text, end="")
+        return EXIT_DONE
+    try:
+        args.out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FailedError(f"cannot write {args.out}: {error.strerror}") from None
+    return EXIT_DONE
+
+
+def row(signal: Signal) -> tuple[str, ...]:
+    """Return a signal as one row under `COLUMNS`."""
+    length = f"[{len(signal.slots)}]" if signal.is_array else ""
+    return (
+        signal.name,
+        signal.type.value + length,
+        signal.unit,
+        UNECE[signal.unit].code,
+        signal.direction.value,
+        f"{signal.low:.6g}",
+        f"{signal.high:.6g}",
+        signal.description,
+    )
+
+
+def as_markdown(table: SignalTable) -> str:
+    """Return the reference page."""
+    lines = [
+        f"| {' | '.join(COLUMNS)} |",
+        f"|{'---|' * len(COLUMNS)}",
+        *(f"| `{name}` | {' | '.join(rest)} |" for name, *rest in map(row, table)),
+    ]
+    return HEAD + "\n".join(lines) + "\n"
+
+
+def as_csv(table: SignalTable) -> str:
+    """Return the table as CSV with a header row."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(row(signal) for signal in table)
+    return text.getvalue()
+
+
+FORMATS: dict[str, Callable[[SignalTable], str]] = {
+    "markdown": as_markdown,
+    "csv": as_csv,
+    "nodeset2": to_nodeset,
+}
