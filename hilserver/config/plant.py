@@ -1,0 +1,255 @@
+"""The sections `plant:`, `kinematics:` and `sensors:` of the configuration.
+
+Their models check form and range; what only the whole can tell (a slice too long for the wheel
+loop) `RobotParameters` refuses with one sentence.
+"""
+
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from hilserver.plant import parts
+from hilserver.plant.errors import PlantError
+from hilserver.plant.parameters import GEOMETRIC_GAINS, ROTATION_GAINS, RobotParameters
+from hilserver.plant.terms import complete
+
+MOST_WALLS = 4096
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class ControllerSection(_Section):
+    """Wheel speed controller: PI(D) in parallel form with back-calculation."""
+
+    k_p: float = Field(13.513, ge=0, le=1e6, description="proportional gain [% duty per rpm]")
+    k_i: float = Field(195.84, ge=0, le=1e9, description="integral gain [% duty per rpm and s]")
+    k_d: float = Field(0.0, ge=0, le=1e6, description="derivative gain [% duty s per rpm]")
+    derivative_n: float = Field(
+        10.0, gt=0, le=1e6, description="derivative filter: tau = k_d / (derivative_n k_p)"
+    )
+    limit_pct: float = Field(100.0, gt=0, le=1000, description="limit of the duty, both signs [%]")
+
+
+class ProcessSection(_Section):
+    """Motor, gear and wheel: gain / ((t1 s + 1)(t2 s + 1))."""
+
+    gain: float = Field(1.11, gt=0, le=1e4, description="speed per duty [rpm/%]")
+    t1_s: float = Field(0.069, gt=0, le=100, description="slow time constant")
+    t2_s: float = Field(0.0023, gt=0, le=100, description="fast time constant")
+
+
+class PlantSection(_Section):
+    """The robot's drive and body."""
+
+    slice: str = Field("plant", description="slice in which the plant runs")
+    wheel_radius_m: float = Field(0.085, gt=0, le=10, description="wheel radius r")
+    wheelbase_m: float | None = Field(
+        0.25, gt=0, le=100, description="l_x, between front and rear wheels; null: two wheels"
+    )
+    track_m: float = Field(0.31, gt=0, le=100, description="l_y, between left and right wheels")
+    icr_offset_m: float = Field(
+        0.02, ge=-10, le=10, description="X_ICR from the centre of mass, below half the wheelbase"
+    )
+    max_rpm: float = Field(
+        90.0, gt=0, le=10000, description="largest set-point; all wheels are scaled together"
+    )
+    controller: ControllerSection = Field(default_factory=ControllerSection)
+    process: ProcessSection = Field(default_factory=ProcessSection)
+    discretization: Literal["exact", "euler"] = Field(
+        "exact", description="exact joint solution, or forward differences"
+    )
+    safe_ramp_s: float = Field(
+        0.5, ge=0, le=60, description="time in which the safe state takes the set-points to zero"
+    )
+    exclusive_twist: bool = Field(
+        default=False, description="a twist with both parts drives only the larger one (5.4)"
+    )
+    seed: int = Field(0, ge=0, lt=2**53, description="seed of all noise")
+    terms: dict[str, float | None] = Field(
+        default_factory=dict, description="deviations by cause or cause.part; null: none"
+    )
+
+    @field_validator("terms")
+    @classmethod
+    def _known_terms(cls, value: dict[str, float | None]) -> dict[str, float | None]:
+        complete(value)
+        return value
+
+
+class KinematicsSection(_Section):
+    """Turn rate from wheel speeds: om = yaw_sign r K_om (w_L + w_R)."""
+
+    yaw_sign: Literal[-1, 1] = Field(-1, description="-1: right-handed; 1: as the thesis prints it")
+    rotation_gain: str | float = Field(
+        "geometric_skid",
+        description="K_om [1/m], or one of " + ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS)),
+    )
+
+    @field_validator("rotation_gain")
+    @classmethod
+    def _known_gain(cls, value: str | float) -> str | float:
+        RobotParameters(rotation_gain=value)
+        return value
+
+
+Slice = Annotated[str, Field(description="slice in which it runs")]
+
+
+class ImuSection(_Section):
+    """Inertial unit."""
+
+    enabled: bool = Field(default=True, description="false: its outputs are BadOutOfService")
+    slice: Slice = "sensors"
+    gyro_noise_rad_s: float = Field(0.0, ge=0, le=10, description="white noise, sd")
+    accel_noise_m_s2: float = Field(0.0, ge=0, le=100, description="white noise, sd")
+
+
+class BatterySection(_Section):
+    """NiMH battery 19.2 V."""
+
+    enabled: bool = Field(default=True, description="false: its output is BadOutOfService")
+    slice: Slice = "sensors"
+    capacity_ah: float = Field(3.0, gt=0, le=1000, description="charge of the full pack")
+    initial_charge: float = Field(0.9, ge=0, le=1, description="1 full, 0 empty")
+    resistance_ohm: float = Field(0.15, ge=0, le=10, description="inner resistance")
+    idle_current_a: float = Field(0.8, ge=0, le=100, description="current of the electronics")
+    full_duty_current_a: float = Field(
+        1.5, ge=0, le=100, description="current of one wheel at full duty"
+    )
+
+
+class TofSection(_Section):
+    """Range finders at the corners."""
+
+    enabled: bool = Field(default=True, description="false: their outputs are BadOutOfService")
+    slice: Slice = "sensors"
+    hall: str = Field("default", description="YAML file of the walls, or default")
+    mount_x_m: float = Field(0.20, gt=0, le=10, description="front sensors +x, rear ones -x")
+    mount_y_m: float = Field(0.12, gt=0, le=10, description="left sensors +y, right ones -y")
+    field_of_view_rad: float = Field(0.1745, gt=0, lt=3.14, description="whole angle of the cone")
+
+
+class NavSection(_Section):
+    """Navigation tag."""
+
+    enabled: bool = Field(default=False, description="false: its outputs are BadOutOfService")
+    slice: Slice = "sensors"
+    rate_hz: float = Field(20.0, gt=0, le=10000, description="samples; its slice must fit")
+    lever_arm_x_m: float = Field(0.0, ge=-5, le=5, description="tag before the centre of mass")
+    lever_arm_y_m: float = Field(0.0, ge=-5, le=5, description="tag left of the centre of mass")
+    latency_s: float = Field(0.0, ge=0, le=100, description="age of the position")
+    yaw_latency_s: float = Field(0.0, ge=0, le=100, description="age of the yaw")
+    white_noise_m: float = Field(0.01, ge=0, le=10, description="white position noise, sd")
+    correlated_noise_m: float = Field(0.08, ge=0, le=10, description="correlated noise, sd")
+    correlation_s: float = Field(0.6, gt=0, le=1000, description="correlation time, position")
+    yaw_noise_rad: float = Field(0.0175, ge=0, le=3, description="correlated yaw noise, sd")
+    yaw_correlation_s: float = Field(2.0, gt=0, le=1000, description="correlation time, yaw")
+
+
+class SensorsSection(_Section):
+    """All sensors."""
+
+    imu: ImuSection = Field(default_factory=ImuSection)
+    battery: BatterySection = Field(default_factory=BatterySection)
+    tof: TofSection = Field(default_factory=TofSection)
+    nav: NavSection = Field(default_factory=NavSection)
+
+
+def to_parameters(
+    plant: PlantSection,
+    kinematics: KinematicsSection,
+    sensors: SensorsSection,
+    periods: Mapping[str, float],
+) -> RobotParameters:
+    """Return the robot that the three sections describe.
+
+    Parameters
+    ----------
+    plant, kinematics, sensors : models
+        The sections.
+    periods : mapping of str to float
+        Period of every slice [s], by name.
+
+    Raises
+    ------
+    PlantError
+        When a slice is unknown or the robot cannot run with these values.
+    """
+
+    def period_s(key: str, name: str) -> float:
+        if name not in periods:
+            known = ", ".join(periods)
+            msg = f"{key}: there is no slice {name!r}; the slices are {known}."
+            raise PlantError(msg)
+        return periods[name]
+
+    def part(key: str, section: Any, **dropped: Any) -> dict[str, Any]:
+        values: dict[str, Any] = section.model_dump(exclude={"slice", *dropped})
+        return {**values, "period_s": period_s(f"sensors.{key}.slice", section.slice)}
+
+    values = plant.model_dump(exclude={"slice", "controller", "process"})
+    robot = RobotParameters(
+        **values,
+        **kinematics.model_dump(),
+        period_s=period_s("plant.slice", plant.slice),
+        slice_name=plant.slice,
+        controller=parts.Controller(**plant.controller.model_dump()),
+        process=parts.Process(**plant.process.model_dump()),
+        imu=parts.Imu(**part("imu", sensors.imu)),
+        battery=parts.Battery(**part("battery", sensors.battery)),
+        tof=parts.RangeFinders(**part("tof", sensors.tof, hall=None)),
+        nav=parts.Navigation(**part("nav", sensors.nav)),
+    )
+    robot.pack()  # refuses terms that do not fit the robot
+    return robot
+
+
+def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
+    """Return the walls of a hall, shape (n, 4): x1, y1, x2, y2 [m].
+
+    Parameters
+    ----------
+    hall : str
+        ``default`` or the path of a YAML file, relative to `base_dir`.
+    base_dir : Path
+        The directory of the configuration file.
+
+    Raises
+    ------
+    PlantError
+        When the file is missing or is no list of finite segments.
+    """
+    if hall == "default":
+        with as_file(files("hilserver.plant").joinpath("halls/default.yaml")) as path:
+            return _read_hall(path)
+    return _read_hall(base_dir / hall)
+
+
+def _read_hall(path: Path) -> NDArray[np.float64]:
+    where = f"sensors.tof.hall: {path}"
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = str(error).splitlines()[0]
+        msg = f"{where} cannot be read: {reason}."
+        raise PlantError(msg) from error
+    walls = content.get("walls") if isinstance(content, dict) else None
+    if not isinstance(walls, list) or len(walls) > MOST_WALLS:
+        msg = f"{where} must have a list `walls` of at most {MOST_WALLS} segments."
+        raise PlantError(msg)
+    for number, wall in enumerate(walls, start=1):
+        numbers = isinstance(wall, list) and len(wall) == 4
+        if not numbers or not all(
+            isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in wall
+        ):
+            msg = f"{where}: wall {number} must be four finite numbers [x1, y1, x2, y2] in m."
+            raise PlantError(msg)
+    return np.array(walls, dtype=np.float64).reshape(-1, 4)

@@ -1,0 +1,278 @@
+"""Own blocks: a user's numba function as a part of the plant.
+
+A block is declared where it is written; `config.yaml` names it, wires its inputs and puts it into a
+slice. The function runs compiled in the pacing back end::
+
+    from hilserver.plant.blocks import Output, block
+
+    @block(inputs=("duty_pct",), outputs=(Output("force_n", unit="N", low=-50.0, high=50.0),),
+           state=("force",), parameters={"gain": 0.4, "lag_s": 0.1})
+    def load_cell(dt_s, u, y, x, p):
+        x[0] += dt_s / p[1] * (p[0] * u[0] - x[0])
+        y[0] = x[0]
+
+`u`, `y`, `x` and `p` are float64 arrays in the order of the declaration, `dt_s` is the slice. What
+the block remembers must lie in `x`: that is what snapshots hold.
+"""
+
+import importlib
+import importlib.util
+import math
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import numba
+from numba.core.errors import NumbaError
+
+from hilserver.compiled import kernel
+from hilserver.plant.errors import PlantError
+
+MOST_PER_BLOCK: Final = 256
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_ATTRIBUTE: Final = "__hilserver_block__"
+_ARRAY = numba.float64[::1]
+_SIGNATURE = numba.void(numba.float64, _ARRAY, _ARRAY, _ARRAY, _ARRAY)
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """One output of a block, as it appears in the signal table.
+
+    Attributes
+    ----------
+    name : str
+        Ends in its unit, as every signal: ``force_n``.
+    unit : str
+        Symbol of the unit, "1" without one.
+    low, high : float
+        Range.
+    description : str
+        One line for the address space.
+    """
+
+    name: str
+    unit: str = "1"
+    low: float = -1e9
+    high: float = 1e9
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockDeclaration:
+    """What `block` declares about a function and `load_block` compiles.
+
+    Attributes
+    ----------
+    name : str
+        Name of the function.
+    function : callable
+        ``(dt_s, u, y, x, p) -> None``, compiled once it went through `load_block`.
+    inputs : tuple of str
+        Own names of the inputs, in the order of `u`; the configuration wires them to signals.
+    outputs : tuple of Output
+        In the order of `y`.
+    state : mapping of str to float
+        Names and initial values, in the order of `x`.
+    parameters : mapping of str to float
+        Names and defaults, in the order of `p`.
+    source : Path
+        File of the function; part of the kernel cache's key.
+    """
+
+    name: str
+    function: Callable[..., None]
+    inputs: tuple[str, ...]
+    outputs: tuple[Output, ...]
+    state: Mapping[str, float]
+    parameters: Mapping[str, float]
+    source: Path
+
+    @property
+    def n_state(self) -> int:
+        """Length of `x`."""
+        return len(self.state)
+
+
+def block(
+    *,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[Output] = (),
+    state: Sequence[str] | Mapping[str, float] = (),
+    parameters: Mapping[str, float] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Declare a function ``(dt_s, u, y, x, p)`` to be a block.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Own names of the inputs.
+    outputs : sequence of Output
+        At least one.
+    state : sequence of str, or mapping of str to float
+        Names, starting at 0, or names with initial values.
+    parameters : mapping of str to float
+        Names and defaults.
+    """
+    initial = dict(state) if isinstance(state, Mapping) else dict.fromkeys(state, 0.0)
+
+    def declare(function: Callable[..., None]) -> Callable[..., None]:
+        code = getattr(function, "py_func", function)
+        declaration = BlockDeclaration(
+            name=code.__name__,
+            function=code,
+            inputs=tuple(inputs),
+            outputs=tuple(outputs),
+            state=initial,
+            parameters=dict(parameters or {}),
+            source=Path(code.__code__.co_filename),
+        )
+        setattr(function, _ATTRIBUTE, declaration)
+        return function
+
+    return declare
+
+
+def load_block(reference: str, base_dir: Path) -> BlockDeclaration:
+    """Import, check and compile a block.
+
+    Parameters
+    ----------
+    reference : str
+        ``package.module:function`` or ``path/file.py:function``.
+    base_dir : Path
+        Where relative paths start: the directory of the configuration file.
+
+    Raises
+    ------
+    PlantError
+        When module or function are missing, the function is not declared, the declaration is
+        wrong, or the function does not compile: with file and line.
+    """
+    place, colon, name = reference.rpartition(":")
+    if not colon or not place or not name:
+        msg = f"block {reference!r}: write package.module:function or path/file.py:function."
+        raise PlantError(msg)
+    module = _import(place, reference, base_dir)
+    function = getattr(module, name, None)
+    if function is None:
+        msg = f"block {reference!r}: there is no function {name!r} in {place}."
+        raise PlantError(msg)
+    declaration = getattr(function, _ATTRIBUTE, None)
+    if not isinstance(declaration, BlockDeclaration):
+        msg = f"block {reference!r}: {name} is not declared; put @block(...) above it."
+        raise PlantError(msg)
+    _check(declaration, reference)
+    return _compile(declaration, reference)
+
+
+def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
+    if not place.endswith(".py"):
+        try:
+            return importlib.import_module(place)
+        except Exception as error:
+            msg = f"block {reference!r}: importing {place} failed: {_one_line(error)}."
+            raise PlantError(msg) from error
+    path = (base_dir / place).resolve()
+    if not path.is_file():
+        msg = f"block {reference!r}: there is no file {path}."
+        raise PlantError(msg)
+    module_name = f"hilserver_block_{path.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    if spec is None or spec.loader is None:
+        msg = f"block {reference!r}: {path} is no Python file."
+        raise PlantError(msg)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[module_name]
+        line = getattr(error, "lineno", None) or _line_of(error, path)
+        msg = f"block {reference!r}: {path}:{line} failed on import: {_one_line(error)}."
+        raise PlantError(msg) from error
+    return module
+
+
+def _line_of(error: BaseException, path: Path) -> int:
+    line, trace = 1, error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return line
+
+
+def _one_line(error: BaseException) -> str:
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).strip()
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    useful = [line for line in lines if not line.startswith(("Failed in", "During:", "File "))]
+    return (useful or lines or [type(error).__name__])[0].rstrip(".")
+
+
+def _check(declaration: BlockDeclaration, reference: str) -> None:
+    outputs = [output.name for output in declaration.outputs]
+    groups: dict[str, Sequence[str]] = {
+        "inputs": declaration.inputs,
+        "outputs": outputs,
+        "state": list(declaration.state),
+        "parameters": list(declaration.parameters),
+    }
+    for group, names in groups.items():
+        wrong = [n for n in names if not isinstance(n, str) or not _NAME.fullmatch(n)]
+        twice = [n for n in names if list(names).count(n) > 1]
+        problem = None
+        if wrong:
+            problem = f"{wrong[0]!r} in {group} is no name of small letters, digits and _"
+        elif twice:
+            problem = f"{twice[0]!r} stands twice in {group}"
+        elif len(names) > MOST_PER_BLOCK:
+            problem = f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
+        if problem:
+            msg = f"block {reference!r}: {problem}."
+            raise PlantError(msg)
+    if not outputs:
+        msg = f"block {reference!r}: declares no output, so nothing could be seen of it."
+        raise PlantError(msg)
+    for output in declaration.outputs:
+        if not (
+            math.isfinite(output.low) and math.isfinite(output.high) and output.low < output.high
+        ):
+            msg = f"block {reference!r}: the range of {output.name} must be finite, low below high."
+            raise PlantError(msg)
+    for name, value in {**declaration.state, **declaration.parameters}.items():
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            msg = f"block {reference!r}: {name} must be a finite number, not {value!r}."
+            raise PlantError(msg)
+
+
+def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
+    code: Any = declaration.function
+    where = f"{declaration.source}:{code.__code__.co_firstlineno}"
+    if code.__code__.co_argcount != 5:
+        msg = f"block {reference!r}: {where} must take (dt_s, u, y, x, p)."
+        raise PlantError(msg)
+    try:
+        compiled = kernel(_SIGNATURE)(code)
+    except NumbaError as error:
+        line = getattr(getattr(error, "loc", None), "line", None)
+        found = re.search(r'File "[^"]*", line (\d+)', str(error))
+        line = line or (int(found.group(1)) if found else code.__code__.co_firstlineno)
+        msg = (
+            f"block {reference!r}: {declaration.source}:{line} does not compile: "
+            f"{_one_line(error)}."
+        )
+        raise PlantError(msg) from error
+    return BlockDeclaration(
+        name=declaration.name,
+        function=compiled,
+        inputs=declaration.inputs,
+        outputs=declaration.outputs,
+        state=declaration.state,
+        parameters=declaration.parameters,
+        source=declaration.source.resolve(),
+    )
