@@ -136,8 +136,10 @@ def conclude(law: NDArray[np.int64], end_ns: int) -> int:
 
 @kernel(types.void(_WORDS, types.int64))
 def hold(law: NDArray[np.int64], now_ns: int) -> None:
-    """Let one planned start pass without a tick (paused): no overrun, nothing is missed."""
-    law[PLANNED] = max(law[PLANNED], now_ns - law[PERIOD]) + law[PERIOD]
+    """Let the planned starts up to `now_ns` pass without a tick (paused): nothing is missed."""
+    late = now_ns - law[PLANNED]
+    if late >= 0:
+        law[PLANNED] += (late // law[PERIOD] + 1) * law[PERIOD]
     law[END] = 0
     law[LAST_START] = 0
 

@@ -1,0 +1,128 @@
+"""Pause, step, resume, speed, stop: the same in every back end."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from hilserver.scheduler import OverrunPolicy, StopReason
+from hilserver.scheduler.exchange import ACKNOWLEDGED, FREE_RUN, Exchange
+from tests.scheduler.kernels import LATCHES, PUBLISHES, counting_step
+from tests.scheduler.rig import make, running, until
+
+BACKENDS = ("thread", "timerfd", "virtual")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+async def test_a_step_runs_exactly_n_ticks_however_it_is_asked(backend):
+    async with running(counting_step, backend=backend, paused=True) as rig:
+        scheduler = rig.scheduler
+        await scheduler.advance(1)
+        assert (scheduler.tick, scheduler.paused) == (1, True)
+        scheduler.step(3)
+        scheduler.step(4)  # adds up, even if the first is under way
+        await scheduler.wait_paused()
+        assert scheduler.tick == 8
+        scheduler.resume()
+        await until(lambda: scheduler.tick > 20)
+        assert not scheduler.paused
+        scheduler.step(5)  # from a free run: five more, then stand
+        await scheduler.wait_paused()
+        standing = scheduler.tick
+        latched = int(rig.words[LATCHES])
+        await until(lambda: rig.words[LATCHES] > latched + 3)  # inputs still drain
+        assert scheduler.tick == standing == rig.words[PUBLISHES]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+async def test_pause_ends_a_step_and_resume_voids_it(backend):
+    async with running(counting_step, backend=backend, paused=True) as rig:
+        rig.scheduler.step(10**9)
+        await until(lambda: rig.scheduler.tick > 5)
+        rig.scheduler.pause()
+        await rig.scheduler.wait_paused()
+        standing = rig.scheduler.tick
+        await rig.scheduler.advance(2)
+        assert rig.scheduler.tick == standing + 2
+        assert rig.scheduler.statistics.tick.missed_ticks == 0 or backend != "virtual"
+
+
+async def test_words_of_a_step_need_no_second_word():
+    exchange = Exchange(1000, [])
+    assert exchange.command == FREE_RUN
+    assert not exchange.standing
+    exchange.pause()
+    first = exchange.command
+    exchange.control[ACKNOWLEDGED] = first
+    assert exchange.standing
+    exchange.step(2)
+    assert exchange.command == first + 2
+    assert not exchange.standing  # an old acknowledgement does not count for the new command
+    exchange.pause()
+    assert exchange.command >> 32 == (first >> 32) + 1
+
+
+@pytest.mark.parametrize("backend", ["thread", "timerfd"])
+async def test_speed_scales_pacing_and_not_simulated_time(backend):
+    async with running(counting_step, backend=backend, warm_up_ticks=0) as rig:
+        rig.scheduler.set_speed(4.0)
+        assert rig.scheduler.speed == 4.0
+        await until(lambda: rig.scheduler.tick > 50)
+        rig.scheduler.statistics.reset()
+        await until(lambda: rig.scheduler.statistics.slice("plant").count > 400)
+        assert rig.scheduler.statistics.tick.real_time_factor_total > 1.5
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+async def test_stop_gives_everything_back(backend):
+    def descriptors():
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    async with running(counting_step, backend=backend):
+        pass  # whatever is opened once and for all
+    before, tasks = descriptors(), len(asyncio.all_tasks())
+    for _ in range(3):
+        rig = make(counting_step, backend=backend)
+        await rig.scheduler.start()
+        await until(lambda rig=rig: rig.scheduler.tick > 3)
+        await rig.scheduler.stop()
+        await rig.scheduler.stop()
+        assert await rig.scheduler.finished is StopReason.STOPPED
+        end = rig.scheduler.tick
+        await asyncio.sleep(0.01)
+        assert rig.scheduler.tick == end
+    assert descriptors() == before
+    assert len(asyncio.all_tasks()) == tasks
+
+
+async def test_start_twice_is_refused():
+    rig = make(counting_step, backend="virtual")
+    await rig.scheduler.start()
+    with pytest.raises(RuntimeError, match="starts once"):
+        await rig.scheduler.start()
+    await rig.scheduler.stop()
+
+
+async def test_waiters_are_released_when_the_scheduler_ends():
+    rig = make(counting_step, backend="thread", policy=OverrunPolicy("catch_up"))
+    await rig.scheduler.start()
+    rig.scheduler.step(10**9)
+    waiter = asyncio.create_task(rig.scheduler.wait_paused())
+    await asyncio.sleep(0.02)
+    assert not waiter.done()
+    await rig.scheduler.stop()
+    async with asyncio.timeout(1):
+        await waiter
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+async def test_communication_slices_run_by_tick_count(backend):
+    ticks = []
+
+    def prepare(rig):
+        rig.scheduler.on_slice("publish", lambda tick, planned_ns: ticks.append(tick))
+
+    async with running(counting_step, backend=backend, paused=True, prepare=prepare) as rig:
+        for _ in range(10):
+            await rig.scheduler.advance(20)
+    assert ticks == list(range(0, 200, 20))
