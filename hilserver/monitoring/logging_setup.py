@@ -26,12 +26,11 @@ from hilserver.events import Event, EventKind
 
 EventDict = MutableMapping[str, Any]
 
-KEY_FIELDS = ("logger", "slice", "kind", "cause", "peer", "source", "signal", "reason", "path")
 KEYS_MAX = 1024
 TEXT_LENGTH_MAX = 2000
 EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
 LIBRARIES = ("asyncua", "asyncio")  # their INFO lines tell nothing to somebody who runs a robot
-_NUMBERS = re.compile(r"[-+]?\d+(?:\.\d+)?")
+_NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
 
 
 class Overrun(Protocol):
@@ -69,9 +68,9 @@ class _Repeats:
 class RepeatLimiter:
     """A structlog processor that drops a line seen less than `window_s` ago, and counts it.
 
-    Two lines are the same when their texts, numbers aside, and the values of `KEY_FIELDS` are. A
-    line may carry ``repeat_allow``: so many of it pass per window (default 1). At most `KEYS_MAX`
-    different lines are remembered; beyond that the one not seen for longest is forgotten.
+    Two lines are the same when they differ in nothing but numbers. A line may carry
+    ``repeat_allow``: so many of it pass per window (default 1). At most `KEYS_MAX` different lines
+    are remembered; beyond that the one not seen for longest is forgotten.
 
     Parameters
     ----------
@@ -90,13 +89,13 @@ class RepeatLimiter:
         self.suppressed = 0
         self._window_s = window_s
         self._clock_s = clock_s
-        self._seen: dict[tuple[str, ...], _Repeats] = {}
+        self._seen: dict[str, _Repeats] = {}
 
     def __call__(self, _logger: object, _method: str, event: EventDict) -> EventDict:
         """Return `event`, with ``suppressed`` where lines were left out; or raise DropEvent."""
         allowed = event.pop("repeat_allow", 1)
         text = _NUMBERS.sub("#", str(event.get("event")))
-        key = (text, *(str(event.get(name)) for name in KEY_FIELDS))
+        key = _NUMBERS.sub("#", repr(sorted(event.items())))
         now_s = self._clock_s()
         repeats = self._seen.pop(key, None)
         if repeats is None or now_s - repeats.begin_s >= self._window_s:
@@ -112,7 +111,7 @@ class RepeatLimiter:
         self.suppressed += 1
         raise structlog.DropEvent
 
-    def _remember(self, key: tuple[str, ...], repeats: _Repeats) -> None:
+    def _remember(self, key: str, repeats: _Repeats) -> None:
         while len(self._seen) >= KEYS_MAX:
             del self._seen[next(iter(self._seen))]
         self._seen[key] = repeats
@@ -172,9 +171,9 @@ def setup_logging(
         processors=[
             _add_logger_name,
             structlog.processors.add_log_level,
-            limiter,
             _ExpectedErrors((*EXPECTED_ERRORS, *expected_errors)),
             _printable,
+            limiter,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             *render,
         ],

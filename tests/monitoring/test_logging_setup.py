@@ -199,6 +199,19 @@ def test_another_slice_or_cause_is_another_line_and_another_number_is_not() -> N
     assert passed(limiter, "late by 9 us", slice="plant", cause="preempted", tick=2) is None
     assert passed(limiter, "late by 9 us", slice="plant", cause="page fault")
     assert passed(limiter, "late by 9 us", slice="publish", cause="preempted")
+    assert passed(limiter, "degraded", item="governor")
+    assert passed(limiter, "degraded", item="swap")
+
+
+def test_a_defect_that_repeats_tells_its_traceback_once() -> None:
+    stream = io.StringIO()
+    setup_logging(stream=stream)
+    for _ in range(3):
+        try:
+            _ = 1 / 0
+        except ZeroDivisionError:
+            logging.getLogger("library").exception("broken in <Task at %#x>", id(object()))
+    assert len(json_lines(stream)) == 1
 
 
 def test_a_line_may_be_allowed_more_often() -> None:
@@ -217,7 +230,7 @@ def test_memory_is_bounded_and_the_busy_line_stays_known() -> None:
     limiter = RepeatLimiter(10.0, Clock())
     passed(limiter, "flood")
     for number in range(5 * KEYS_MAX):
-        assert passed(limiter, "other", peer=f"p{number}")
+        assert passed(limiter, "other", peer="ab"[number % 2] * number)
         assert passed(limiter, "flood") is None
     assert len(limiter._seen) == KEYS_MAX
 

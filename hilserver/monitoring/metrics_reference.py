@@ -1,0 +1,56 @@
+"""The reference page of all metrics, written from the table: ``make reference``."""
+
+import sys
+
+from hilserver.compiled.histogram import BOUNDS_NS
+from hilserver.monitoring.metrics_table import METRICS, Kind, Metric
+
+_INTRODUCTION = """\
+# Metrics
+
+<!-- Written by `make reference` from hilserver/monitoring/metrics_table.py. -->
+
+`http://127.0.0.1:9464/metrics` serves these names in Prometheus' text format, and in OpenMetrics to
+clients that ask for it. All times are in seconds. A metric that has nothing to tell (no peer, no
+complete window yet) is absent rather than zero.
+
+- Histograms have 1-2-5 buckets. What is shorter than the first bound stands in the first bucket,
+  what is longer than the last in `+Inf`.
+- Counters and histograms count from the start of the process; `ResetStatistics` and reconnects do
+  not set them back. `hil_margin_min_seconds` is a gauge and does start anew.
+- In the default configuration with one peer there are at most 300 series, the client library's own
+  (`process_*`, `python_*`) included. Every further peer adds about 60, every further slice about 23.
+- Scrapes within 50 ms get the same answer: a flood of scrapes cannot keep the event loop busy.
+
+| name | labels | kind | meaning |
+|---|---|---|---|
+"""
+
+_HEALTH = """
+## Health
+
+| path | 200 when | else |
+|---|---|---|
+| `/healthz` | the pacing back end woke up within the last second, also while paused | 503 |
+| `/readyz` | the state is running and the first ticks met their deadlines | 503 |
+
+Both answer with a line of JSON: `{"ok": true, "state": "running", "reason": "..."}`.
+"""
+
+
+def _row(metric: Metric) -> str:
+    labels = ", ".join(f"`{label}`" for label in metric.labels)
+    kind = str(metric.kind)
+    if metric.kind is Kind.HISTOGRAM:
+        first, *_, last = (BOUNDS_NS[index] / 1e9 for index in metric.bound_indices)
+        kind += f", {first:g} .. {last:g} s"
+    return f"| `{metric.name}` | {labels} | {kind} | {metric.help} |\n"
+
+
+def markdown() -> str:
+    """Return the whole page."""
+    return _INTRODUCTION + "".join(map(_row, METRICS)) + _HEALTH
+
+
+if __name__ == "__main__":
+    sys.stdout.write(markdown())
