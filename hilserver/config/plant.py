@@ -5,28 +5,23 @@ loop) `RobotParameters` refuses with one sentence.
 """
 
 from collections.abc import Mapping
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-import yaml
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hilserver.plant import parts
 from hilserver.plant.errors import PlantError
+from hilserver.plant.hall import load_hall
 from hilserver.plant.parameters import GEOMETRIC_GAINS, ROTATION_GAINS, RobotParameters
 from hilserver.plant.terms import complete
 
-MOST_WALLS = 4096
-
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class ControllerSection(_Section):
+class ControllerConfig(_Section):
     """Wheel speed controller: PI(D) in parallel form with back-calculation."""
 
     k_p: float = Field(13.513, ge=0, le=1e6, description="proportional gain [% duty per rpm]")
@@ -38,7 +33,7 @@ class ControllerSection(_Section):
     limit_pct: float = Field(100.0, gt=0, le=1000, description="limit of the duty, both signs [%]")
 
 
-class ProcessSection(_Section):
+class ProcessConfig(_Section):
     """Motor, gear and wheel: gain / ((t1 s + 1)(t2 s + 1))."""
 
     gain: float = Field(1.11, gt=0, le=1e4, description="speed per duty [rpm/%]")
@@ -46,7 +41,7 @@ class ProcessSection(_Section):
     t2_s: float = Field(0.0023, gt=0, le=100, description="fast time constant")
 
 
-class PlantSection(_Section):
+class PlantConfig(_Section):
     """The robot's drive and body."""
 
     slice: str = Field("plant", description="slice in which the plant runs")
@@ -61,8 +56,8 @@ class PlantSection(_Section):
     max_rpm: float = Field(
         90.0, gt=0, le=10000, description="largest set-point; all wheels are scaled together"
     )
-    controller: ControllerSection = Field(default_factory=ControllerSection)
-    process: ProcessSection = Field(default_factory=ProcessSection)
+    controller: ControllerConfig = Field(default_factory=ControllerConfig)
+    process: ProcessConfig = Field(default_factory=ProcessConfig)
     discretization: Literal["exact", "euler"] = Field(
         "exact", description="exact joint solution, or forward differences"
     )
@@ -84,7 +79,7 @@ class PlantSection(_Section):
         return value
 
 
-class KinematicsSection(_Section):
+class KinematicsConfig(_Section):
     """Turn rate from wheel speeds: om = yaw_sign r K_om (w_L + w_R)."""
 
     yaw_sign: Literal[-1, 1] = Field(-1, description="-1: right-handed; 1: as the thesis prints it")
@@ -103,7 +98,7 @@ class KinematicsSection(_Section):
 Slice = Annotated[str, Field(description="slice in which it runs")]
 
 
-class ImuSection(_Section):
+class ImuConfig(_Section):
     """Inertial unit."""
 
     enabled: bool = Field(default=True, description="false: its outputs are BadOutOfService")
@@ -112,7 +107,7 @@ class ImuSection(_Section):
     accel_noise_m_s2: float = Field(0.0, ge=0, le=100, description="white noise, sd")
 
 
-class BatterySection(_Section):
+class BatteryConfig(_Section):
     """NiMH battery 19.2 V."""
 
     enabled: bool = Field(default=True, description="false: its output is BadOutOfService")
@@ -126,7 +121,7 @@ class BatterySection(_Section):
     )
 
 
-class TofSection(_Section):
+class TofConfig(_Section):
     """Range finders at the corners."""
 
     enabled: bool = Field(default=True, description="false: their outputs are BadOutOfService")
@@ -137,7 +132,7 @@ class TofSection(_Section):
     field_of_view_rad: float = Field(0.1745, gt=0, lt=3.14, description="whole angle of the cone")
 
 
-class NavSection(_Section):
+class NavConfig(_Section):
     """Navigation tag."""
 
     enabled: bool = Field(default=False, description="false: its outputs are BadOutOfService")
@@ -154,20 +149,21 @@ class NavSection(_Section):
     yaw_correlation_s: float = Field(2.0, gt=0, le=1000, description="correlation time, yaw")
 
 
-class SensorsSection(_Section):
+class SensorsConfig(_Section):
     """All sensors."""
 
-    imu: ImuSection = Field(default_factory=ImuSection)
-    battery: BatterySection = Field(default_factory=BatterySection)
-    tof: TofSection = Field(default_factory=TofSection)
-    nav: NavSection = Field(default_factory=NavSection)
+    imu: ImuConfig = Field(default_factory=ImuConfig)
+    battery: BatteryConfig = Field(default_factory=BatteryConfig)
+    tof: TofConfig = Field(default_factory=TofConfig)
+    nav: NavConfig = Field(default_factory=NavConfig)
 
 
 def to_parameters(
-    plant: PlantSection,
-    kinematics: KinematicsSection,
-    sensors: SensorsSection,
+    plant: PlantConfig,
+    kinematics: KinematicsConfig,
+    sensors: SensorsConfig,
     periods: Mapping[str, float],
+    folder: Path | None = None,
 ) -> RobotParameters:
     """Return the robot that the three sections describe.
 
@@ -177,6 +173,8 @@ def to_parameters(
         The sections.
     periods : mapping of str to float
         Period of every slice [s], by name.
+    folder : Path, optional
+        Folder of the configuration file, where the hall's path starts; the working directory.
 
     Raises
     ------
@@ -207,49 +205,7 @@ def to_parameters(
         battery=parts.Battery(**part("battery", sensors.battery)),
         tof=parts.RangeFinders(**part("tof", sensors.tof, hall=None)),
         nav=parts.Navigation(**part("nav", sensors.nav)),
+        hall=load_hall(sensors.tof.hall, folder or Path()),
     )
     robot.pack()  # refuses terms that do not fit the robot
     return robot
-
-
-def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
-    """Return the walls of a hall, shape (n, 4): x1, y1, x2, y2 [m].
-
-    Parameters
-    ----------
-    hall : str
-        ``default`` or the path of a YAML file, relative to `base_dir`.
-    base_dir : Path
-        The directory of the configuration file.
-
-    Raises
-    ------
-    PlantError
-        When the file is missing or is no list of finite segments.
-    """
-    if hall == "default":
-        with as_file(files("hilserver.plant").joinpath("halls/default.yaml")) as path:
-            return _read_hall(path)
-    return _read_hall(base_dir / hall)
-
-
-def _read_hall(path: Path) -> NDArray[np.float64]:
-    where = f"sensors.tof.hall: {path}"
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
-        msg = f"{where} cannot be read: {reason}."
-        raise PlantError(msg) from error
-    walls = content.get("walls") if isinstance(content, dict) else None
-    if not isinstance(walls, list) or len(walls) > MOST_WALLS:
-        msg = f"{where} must have a list `walls` of at most {MOST_WALLS} segments."
-        raise PlantError(msg)
-    for number, wall in enumerate(walls, start=1):
-        numbers = isinstance(wall, list) and len(wall) == 4
-        if not numbers or not all(
-            isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in wall
-        ):
-            msg = f"{where}: wall {number} must be four finite numbers [x1, y1, x2, y2] in m."
-            raise PlantError(msg)
-    return np.array(walls, dtype=np.float64).reshape(-1, 4)

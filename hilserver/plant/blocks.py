@@ -39,6 +39,10 @@ _ARRAY = numba.float64[::1]
 _SIGNATURE = numba.void(numba.float64, _ARRAY, _ARRAY, _ARRAY, _ARRAY)
 
 
+class BlockError(PlantError):
+    """An own block that cannot be used; one sentence that names file and line."""
+
+
 @dataclass(frozen=True, slots=True)
 class Output:
     """One output of a block, as it appears in the signal table.
@@ -82,6 +86,8 @@ class BlockDeclaration:
         Names and defaults, in the order of `p`.
     source : Path
         File of the function; part of the kernel cache's key.
+    source_function : callable
+        The function as it was written.
     """
 
     name: str
@@ -91,6 +97,7 @@ class BlockDeclaration:
     state: Mapping[str, float]
     parameters: Mapping[str, float]
     source: Path
+    source_function: Callable[..., None]
 
     @property
     def n_state(self) -> int:
@@ -130,6 +137,7 @@ def block(
             state=initial,
             parameters=dict(parameters or {}),
             source=Path(code.__code__.co_filename),
+            source_function=code,
         )
         setattr(function, _ATTRIBUTE, declaration)
         return function
@@ -149,23 +157,23 @@ def load_block(reference: str, base_dir: Path) -> BlockDeclaration:
 
     Raises
     ------
-    PlantError
+    BlockError
         When module or function are missing, the function is not declared, the declaration is
         wrong, or the function does not compile: with file and line.
     """
     place, colon, name = reference.rpartition(":")
     if not colon or not place or not name:
         msg = f"block {reference!r}: write package.module:function or path/file.py:function."
-        raise PlantError(msg)
+        raise BlockError(msg)
     module = _import(place, reference, base_dir)
     function = getattr(module, name, None)
     if function is None:
         msg = f"block {reference!r}: there is no function {name!r} in {place}."
-        raise PlantError(msg)
+        raise BlockError(msg)
     declaration = getattr(function, _ATTRIBUTE, None)
     if not isinstance(declaration, BlockDeclaration):
         msg = f"block {reference!r}: {name} is not declared; put @block(...) above it."
-        raise PlantError(msg)
+        raise BlockError(msg)
     _check(declaration, reference)
     return _compile(declaration, reference)
 
@@ -176,16 +184,16 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
             return importlib.import_module(place)
         except Exception as error:
             msg = f"block {reference!r}: importing {place} failed: {_one_line(error)}."
-            raise PlantError(msg) from error
+            raise BlockError(msg) from error
     path = (base_dir / place).resolve()
     if not path.is_file():
         msg = f"block {reference!r}: there is no file {path}."
-        raise PlantError(msg)
+        raise BlockError(msg)
     module_name = f"hilserver_block_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     if spec is None or spec.loader is None:
         msg = f"block {reference!r}: {path} is no Python file."
-        raise PlantError(msg)
+        raise BlockError(msg)
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module
     try:
@@ -194,7 +202,7 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
         del sys.modules[module_name]
         line = getattr(error, "lineno", None) or _line_of(error, path)
         msg = f"block {reference!r}: {path}:{line} failed on import: {_one_line(error)}."
-        raise PlantError(msg) from error
+        raise BlockError(msg) from error
     return module
 
 
@@ -234,20 +242,20 @@ def _check(declaration: BlockDeclaration, reference: str) -> None:
             problem = f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
         if problem:
             msg = f"block {reference!r}: {problem}."
-            raise PlantError(msg)
+            raise BlockError(msg)
     if not outputs:
         msg = f"block {reference!r}: declares no output, so nothing could be seen of it."
-        raise PlantError(msg)
+        raise BlockError(msg)
     for output in declaration.outputs:
         if not (
             math.isfinite(output.low) and math.isfinite(output.high) and output.low < output.high
         ):
             msg = f"block {reference!r}: the range of {output.name} must be finite, low below high."
-            raise PlantError(msg)
+            raise BlockError(msg)
     for name, value in {**declaration.state, **declaration.parameters}.items():
         if not isinstance(value, int | float) or not math.isfinite(value):
             msg = f"block {reference!r}: {name} must be a finite number, not {value!r}."
-            raise PlantError(msg)
+            raise BlockError(msg)
 
 
 def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
@@ -255,7 +263,7 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
     where = f"{declaration.source}:{code.__code__.co_firstlineno}"
     if code.__code__.co_argcount != 5:
         msg = f"block {reference!r}: {where} must take (dt_s, u, y, x, p)."
-        raise PlantError(msg)
+        raise BlockError(msg)
     try:
         compiled = kernel(_SIGNATURE)(code)
     except NumbaError as error:
@@ -266,7 +274,7 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
             f"block {reference!r}: {declaration.source}:{line} does not compile: "
             f"{_one_line(error)}."
         )
-        raise PlantError(msg) from error
+        raise BlockError(msg) from error
     return BlockDeclaration(
         name=declaration.name,
         function=compiled,
@@ -275,4 +283,5 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
         state=declaration.state,
         parameters=declaration.parameters,
         source=declaration.source.resolve(),
+        source_function=code,
     )

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.plant.errors import PlantError
+from hilserver.plant.hall import default_hall
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
 from hilserver.plant.stability import Loop
@@ -53,6 +54,14 @@ _NOT_NEGATIVE = frozenset(
 )
 
 
+class Ranges(NamedTuple):
+    """Limits of the wheel speeds and of the twist."""
+
+    max_rpm: float
+    max_linear_m_s: float
+    max_angular_rad_s: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotParameters:
     """Everything that `robot_step` and the sensor kernels need to know.
@@ -69,6 +78,8 @@ class RobotParameters:
         K_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``.
     terms : mapping of str to float or None
         Values of `terms.TERMS`; missing ones are null.
+    hall : ndarray of float64, shape (4 n,)
+        Walls for the range finders.
 
     Raises
     ------
@@ -96,6 +107,7 @@ class RobotParameters:
     tof: RangeFinders = field(default_factory=RangeFinders)
     nav: Navigation = field(default_factory=Navigation)
     terms: Mapping[str, float | None] = field(default_factory=dict)
+    hall: NDArray[np.float64] = field(default_factory=default_hall, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -140,9 +152,18 @@ class RobotParameters:
         """Turn rate on the spot at max_rpm."""
         return 2.0 * self.k_om * self.max_linear_m_s
 
+    @property
+    def ranges(self) -> Ranges:
+        """The limits that max_rpm sets."""
+        return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s)
+
     def pack(self) -> NDArray[np.float64]:
         """Return the parameters as the kernels read them, shape (N_P,)."""
         return pack(self)
+
+    def initial_state(self) -> NDArray[np.float64]:
+        """Return the state at rest in the origin, shape (N_X,)."""
+        return initial_state(self.pack())
 
 
 def _numbers(part: object, path: str) -> Iterator[tuple[str, str, float]]:

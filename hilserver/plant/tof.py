@@ -54,9 +54,9 @@ def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos
 def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
     """Return the distance [m] seen from a point along the unit vector (cos, sin)."""
     found = math.inf
-    for k in range(hall.shape[0]):
-        ax, ay = hall[k, 0] - px, hall[k, 1] - py
-        bx, by = hall[k, 2] - px, hall[k, 3] - py
+    for k in range(0, hall.shape[0] - 3, 4):
+        ax, ay = hall[k] - px, hall[k + 1] - py
+        bx, by = hall[k + 2] - px, hall[k + 3] - py
         distance = _nearest_in_cone(
             ax * cos + ay * sin,
             ay * cos - ax * sin,
@@ -77,8 +77,8 @@ def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa
     ----------
     p, x, u, y, q : ndarray
         As for `robot_step`, which must have run in this tick.
-    hall : ndarray of float64, shape (n, 4)
-        Walls: x1, y1, x2, y2 [m] in the world frame.
+    hall : ndarray of float64, shape (4 n,)
+        Walls: x1, y1, x2, y2 [m] of each in the world frame, one after the other.
     """
     if p[P_TOF_ENABLED] == 0.0:
         for k in range(4):
