@@ -42,7 +42,6 @@ class ClockOffset:
     def __init__(self, window: int = 32) -> None:
         self._estimates: deque[tuple[int, int]] = deque(maxlen=window)
         self._last: _Read | None = None
-        self.stepped = False
 
     def read(self, sent_ns: int, received_ns: int, peer_ns: int) -> bool:
         """Add one read; all three on UTC [ns]. Return whether it gave an estimate."""
@@ -51,7 +50,6 @@ class ClockOffset:
             return False
         advance_ns, elapsed_ns = peer_ns - last.peer_ns, received_ns - last.received_ns
         if advance_ns == 0:
-            self.stepped = True
             return False
         if abs(advance_ns - elapsed_ns) <= FRESH_NS:
             self._add(sent_ns, received_ns, peer_ns)

@@ -1,0 +1,58 @@
+"""Staleness in virtual time."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilserver.io.opcua_client.staleness import Staleness, Transition
+
+LIMIT = 500
+
+
+def test_never_heard_is_stale_but_not_lost():
+    watch = Staleness(LIMIT)
+    assert [watch.check(now) for now in (0, 499, 501, 10_000)] == [None] * 4
+    assert watch.stale
+    assert watch.reason == "never heard"
+
+
+def test_first_lost_restored():
+    watch = Staleness(LIMIT)
+    watch.heard(100)
+    assert watch.check(100) is Transition.FIRST
+    assert watch.check(600) is None
+    assert watch.check(601) is Transition.LOST
+    watch.heard(700)
+    assert watch.check(700) is Transition.RESTORED
+    assert not watch.stale
+
+
+def test_one_unusable_input_makes_the_peer_stale():
+    watch = Staleness(LIMIT)
+    watch.heard(0)
+    watch.check(0)
+    watch.unusable("wheel.rr.setpoint_rpm", 10)
+    for now in range(20, 510, 10):
+        watch.heard(now)
+        watch.unusable("wheel.rr.setpoint_rpm", now)
+        assert watch.check(now) is None
+    watch.heard(511)
+    assert watch.check(511) is Transition.LOST
+    assert "wheel.rr.setpoint_rpm" in watch.reason
+    watch.usable("wheel.rr.setpoint_rpm")
+    assert watch.check(512) is Transition.RESTORED
+
+
+@given(st.lists(st.tuples(st.integers(1, 2 * LIMIT), st.booleans()), max_size=60))
+def test_stale_exactly_when_nothing_was_heard_for_the_limit(steps):
+    watch, now, heard = Staleness(LIMIT), 0, None
+    lost = restored = 0
+    for pause, speaks in steps:
+        now += pause
+        if speaks:
+            watch.heard(now)
+            heard = now
+        transition = watch.check(now)
+        lost += transition is Transition.LOST
+        restored += transition is Transition.RESTORED
+        assert watch.stale == (heard is None or now - heard > LIMIT)
+    assert lost - restored in (0, 1)
