@@ -1,0 +1,46 @@
+"""cyclictest, the reference for wake latency: run it once, read its histogram."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import FailedError
+
+
+def command(*, period_us: int, priority: int, duration_s: int, bins: int) -> list[str]:
+    """Return the command line for one block; priority 0: without a real-time policy."""
+    program = shutil.which("cyclictest")
+    if program is None:
+        raise FailedError("cyclictest is not installed: apt-get install rt-tests (Debian, Ubuntu)")
+    policy = ["-p", str(priority)] if priority > 0 else ["--policy=other"]
+    timing = ["-i", str(period_us), "-D", str(duration_s), "-h", str(bins)]
+    return [program, "-q", "-m", "-t", "1", *policy, *timing]
+
+
+def run(command_line: list[str], duration_s: int) -> NDArray[np.int64]:
+    """Run one block and return its histogram in bins of 1 us; the last bin takes the overflow."""
+    try:
+        done = subprocess.run(  # noqa: S603 - our own command line
+            command_line, capture_output=True, text=True, timeout=duration_s + 30, check=True
+        )
+    except subprocess.CalledProcessError as error:
+        reason = (error.stderr.strip() or error.stdout.strip()).splitlines() or ["no message"]
+        raise FailedError(f"cyclictest failed: {reason[-1]}") from None
+    except subprocess.TimeoutExpired:
+        raise FailedError(f"cyclictest did not end within {duration_s + 30} s") from None
+    return parse(done.stdout, int(command_line[command_line.index("-h") + 1]))
+
+
+def parse(text: str, bins: int) -> NDArray[np.int64]:
+    """Return the histogram of cyclictest's output, int64 of shape (bins,)."""
+    counts = np.zeros(bins, dtype=np.int64)
+    for latency, count in re.findall(r"^(\d{6}) (\d+)", text, flags=re.MULTILINE):
+        counts[min(int(latency), bins - 1)] += int(count)
+    for overflow in re.findall(r"^# Histogram Overflows: (\d+)", text, flags=re.MULTILINE):
+        counts[-1] += int(overflow)
+    if counts.sum() == 0:
+        raise FailedError("cyclictest printed no histogram")
+    return counts

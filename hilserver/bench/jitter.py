@@ -1,0 +1,136 @@
+"""Wake latency of the paced plant against cyclictest, in alternating blocks.
+
+Blocks of the subject and of cyclictest alternate at the same period, priority and load, and per
+percentile the medians over the blocks are compared: the tail of a shared virtual machine hits both.
+
+The load is there in both kinds of blocks: the daemon keeps pacing, publishing and serving its
+clients while cyclictest runs. Its pacing thread then has no real-time priority, so that cyclictest
+competes with as many real-time threads (none) as the daemon does in its own blocks.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.bench import cyclictest
+from hilserver.bench.jitter_subjects import Subject, bare_pacing, loaded_daemon
+from hilserver.bench.linear_histogram import (
+    PERCENTILES,
+    median_of_blocks_us,
+    percentile_us,
+    sparse,
+)
+from hilserver.bench.report import Result
+
+Counts = NDArray[np.int64]
+SUBJECTS: dict[str, Callable[..., AbstractContextManager[Subject]]] = {
+    "daemon": loaded_daemon,
+    "pacing": bare_pacing,
+}
+
+
+@dataclass
+class Comparison:
+    """The blocks of one back end."""
+
+    backend: str
+    command: list[str] = field(default_factory=list)
+    load: list[str] = field(default_factory=list)
+    subject: list[Counts] = field(default_factory=list)
+    reference: list[Counts] = field(default_factory=list)
+
+    def result(self, percent: float, prefix: str) -> Result:
+        """Return the figure for one percentile."""
+        value = median_of_blocks_us(self.subject, percent)
+        reference = median_of_blocks_us(self.reference, percent)
+        return Result(
+            name=f"{prefix}wake_latency_p{percent:g}_us",
+            value=value,
+            unit="us",
+            reference=reference,
+            reference_name="cyclictest",
+            ratio=value / reference if reference > 0 else None,
+            raw={
+                "backend": self.backend,
+                "blocks_us": [percentile_us(block, percent) for block in self.subject],
+                "reference_blocks_us": [percentile_us(block, percent) for block in self.reference],
+            },
+        )
+
+    @property
+    def raw(self) -> dict[str, Any]:
+        """Everything that was measured: latency [us] -> count, per block."""
+        return {
+            "cyclictest_command": self.command,
+            "load": self.load,
+            "histograms": [sparse(block) for block in self.subject],
+            "cyclictest_histograms": [sparse(block) for block in self.reference],
+        }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this bench."""
+    parser.add_argument("--blocks", type=int, default=10, help="blocks of each (default 10)")
+    parser.add_argument("--block-s", type=int, default=5, help="seconds per block (default 5)")
+    parser.add_argument("--period-us", type=int, default=1000, help="period (default 1000)")
+    parser.add_argument("--priority", type=int, default=80, help="SCHED_FIFO (default 80)")
+    parser.add_argument(
+        "--subject",
+        choices=sorted(SUBJECTS),
+        default="daemon",
+        help="the daemon under OPC UA load (default), or the bare pacing loop",
+    )
+    parser.add_argument(
+        "--backend",
+        choices=("thread", "timerfd", "both"),
+        default="both",
+        help="pacing to be measured (default: both, one after the other)",
+    )
+
+
+def run(args: argparse.Namespace) -> list[Result]:
+    """Measure; the raw histograms stand in the first figure of each back end."""
+    results = []
+    for backend in ("thread", "timerfd") if args.backend == "both" else (args.backend,):
+        comparison = compare(args, backend)
+        prefix = "" if backend == "thread" else f"{backend}_"
+        figures = [comparison.result(percent, prefix) for percent in PERCENTILES]
+        figures[0].raw.update(comparison.raw)
+        results += figures
+    return results
+
+
+def compare(args: argparse.Namespace, backend: str) -> Comparison:
+    """Measure one back end and cyclictest in alternating blocks."""
+    comparison = Comparison(backend)
+    # Fail before anything is started if cyclictest is missing.
+    cyclictest.command(period_us=1, priority=0, duration_s=1, bins=1)
+    subject_of = SUBJECTS[args.subject]
+    with subject_of(backend, period_us=args.period_us, priority=args.priority) as subject:
+        comparison.load = subject.load
+        bins = len(subject.statistics.linear_counts)
+        # The event loop has no real-time priority; cyclictest is then shown at the one asked for.
+        priority = subject.priority if backend == "thread" else args.priority
+        comparison.command = cyclictest.command(
+            period_us=args.period_us, priority=priority, duration_s=args.block_s, bins=bins
+        )
+        for block in range(args.blocks):
+            _progress(f"{backend}: block {block + 1} of {args.blocks}")
+            comparison.subject.append(subject.measure(args.block_s))
+            with subject.standing_back():
+                comparison.reference.append(cyclictest.run(comparison.command, args.block_s))
+        _progress("")
+    return comparison
+
+
+def _progress(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{text:50}", end="" if text else "\r", file=sys.stderr, flush=True)
+    elif text:
+        print(text, file=sys.stderr, flush=True)

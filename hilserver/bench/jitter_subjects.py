@@ -1,0 +1,197 @@
+"""What `bench jitter` measures: the daemon under OPC UA load, or the bare pacing loop.
+
+A subject is a process of its own. Its linear histogram is read from shared memory while it runs, as
+the difference of two looks, so that measuring costs it nothing.
+"""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from hilserver.errors import FailedError
+from hilserver.image import ImageReader
+from hilserver.scheduler import Statistics, map_statistics
+
+START_WITHIN_S = 120.0
+SETTLE_S = 2.0
+N_CLIENTS, N_NODES, RATE_HZ = 10, 50, 20
+_DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
+
+
+@dataclass
+class Subject:
+    """A running process under measurement.
+
+    Attributes
+    ----------
+    statistics : Statistics
+        Its figures, in shared memory.
+    load : list of str
+        What loads it, in words; grows when the load ends.
+    """
+
+    statistics: Statistics
+    load: list[str] = field(default_factory=list)
+
+    def measure(self, duration_s: float) -> NDArray[np.int64]:
+        """Return the wake latencies of the next `duration_s` [s] in bins of 1 us."""
+        before = self.statistics.linear_counts
+        time.sleep(duration_s)
+        return self.statistics.linear_counts - before
+
+    @property
+    def priority(self) -> int:
+        """SCHED_FIFO priority of the pacing thread; 0: none."""
+        thread = self.statistics.thread_id
+        # The flag that keeps children from inheriting the priority is reported with the policy.
+        if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
+            return 0
+        return os.sched_getparam(thread).sched_priority
+
+    @contextlib.contextmanager
+    def standing_back(self) -> Iterator[None]:
+        """Let the pacing thread go on without its real-time priority.
+
+        While cyclictest runs, the subject must stay the same load, and must not compete with
+        cyclictest at the same priority, which no second program does while the subject is measured.
+        """
+        priority, thread = self.priority, self.statistics.thread_id
+        if priority > 0:
+            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+        try:
+            yield
+        finally:
+            if priority > 0:
+                policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+                os.sched_setscheduler(thread, policy, os.sched_param(priority))
+
+
+@contextlib.contextmanager
+def bare_pacing(backend: str, *, period_us: int, priority: int) -> Iterator[Subject]:
+    """Run the pacing loop with an empty step and a busy event loop."""
+    with tempfile.TemporaryDirectory(dir="/dev/shm", prefix="hilserver-") as folder:
+        path = Path(folder) / "statistics"
+        module = "hilserver.bench.pacing_subject"
+        arguments = ["-m", module, backend, str(path), str(period_us), str(priority)]
+        with _process(arguments, "the pacing process") as process:
+            statistics = _wait_for(lambda: Statistics.attach(map_statistics(path)), process)
+            yield Subject(statistics, ["an event loop that packs and parses JSON"])
+
+
+@contextlib.contextmanager
+def loaded_daemon(backend: str, *, period_us: int, priority: int) -> Iterator[Subject]:
+    """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each."""
+    with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
+        port, image = _free_port(), f"bench-jitter-{os.getpid()}"
+        url = f"opc.tcp://127.0.0.1:{port}/hilserver"
+        path = Path(folder) / "config.yaml"
+        settings = _settings(backend, period_us, priority, image, url)
+        path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+        arguments = ["-c", _DAEMON, "run", "-c", str(path)]
+        with _process(arguments, "hilserver run") as daemon:
+            statistics = _wait_for(lambda: _statistics_of(image), daemon)
+            load = ["-m", "hilserver.bench.opcua_load", url]
+            load += [str(N_CLIENTS), str(N_NODES), str(RATE_HZ)]
+            text = f"{N_CLIENTS} OPC UA clients, {N_NODES} nodes at {RATE_HZ} Hz each"
+            with _process(load, "the OPC UA clients") as clients:
+                subject = Subject(statistics, [text])
+                time.sleep(SETTLE_S)
+                began = time.monotonic()
+                yield subject
+                subject.load.append(_load_report(clients, time.monotonic() - began + SETTLE_S))
+
+
+def _settings(backend: str, period_us: int, priority: int, image: str, url: str) -> dict[str, Any]:
+    return {
+        "scheduler": {
+            "backend": backend,
+            "base_period_ms": period_us / 1000,
+            "slices": {
+                "plant": period_us / 1000,
+                "sensors": 10 * period_us / 1000,
+                "publish": 20 * period_us / 1000,
+                "supervise": 100 * period_us / 1000,
+            },
+            "policy": "skip",  # as cyclictest: one late wake-up is one sample
+            "realtime": {"priority": priority},
+        },
+        "image": {"name": image},
+        "opcua": {"endpoint": url},
+        "metrics": {"enabled": False},
+        "logging": {"level": "ERROR"},
+    }
+
+
+def _statistics_of(image: str) -> Statistics:
+    _, words = ImageReader.attach(image).region("statistics")
+    return Statistics.attach(words)
+
+
+def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
+    """End the clients and say how much of the load was really there."""
+    try:
+        output, _ = clients.communicate(timeout=20)
+    except subprocess.TimeoutExpired:
+        raise FailedError("the OPC UA clients did not end: the load is not known") from None
+    words = output.split()
+    if clients.returncode != 0 or len(words) != 2:
+        raise FailedError("an OPC UA client failed during the measurement: the load was not there")
+    reads, late = int(words[0]), int(words[1])
+    wanted = N_CLIENTS * RATE_HZ * duration_s
+    if reads < 0.8 * wanted:
+        raise FailedError(f"only {reads} of about {wanted:.0f} reads took place: too slow a load")
+    return f"{reads} reads in {duration_s:.0f} s, {late} began a period too late"
+
+
+@contextlib.contextmanager
+def _process(arguments: list[str], name: str) -> "Iterator[subprocess.Popen[str]]":
+    """Run Python with a pipe to its standard input; close the pipe or terminate it at the end."""
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [sys.executable, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        try:
+            process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            print(f"{name} did not end and was killed", file=sys.stderr)
+
+
+def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]") -> Statistics:
+    """Attach to a process that starts; its pacing thread must be running."""
+    deadline = time.monotonic() + START_WITHIN_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise FailedError(f"the process to be measured ended with code {process.returncode}")
+        with contextlib.suppress(FailedError, ValueError, OSError, KeyError):
+            statistics = attach()
+            if statistics.thread_id and statistics.linear_counts.sum() > 0:
+                return statistics
+        time.sleep(0.1)
+    raise FailedError(f"the process to be measured did not start within {START_WITHIN_S:.0f} s")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

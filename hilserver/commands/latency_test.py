@@ -1,0 +1,118 @@
+"""What this computer can do, before the model is blamed.
+
+Paces an empty plant, as cyclictest does, and prints how late it was woken, with the audit of what
+the system grants. No simulation on this computer will be more punctual than this.
+"""
+
+import argparse
+import asyncio
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.bench.linear_histogram import PERCENTILES, percentile_us, sparse
+from hilserver.bench.report import Result, write_json
+from hilserver.errors import EXIT_DONE
+from hilserver.monitoring.audit import AuditItem, as_lines, audit
+from hilserver.scheduler import OverrunPolicy, RealtimeSettings, Scheduler, Slice
+from hilserver.scheduler.empty_step import empty_step
+
+EXAMPLE = "hilserver latency-test --duration 60 --json latency.json"
+_BINS = 20_000
+_BAR = 50
+_EDGES_US = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, _BINS)
+_READING = """\
+How to read this: the latency is the actual minus the planned start of a tick, with nothing to
+compute. A plant of 1 ms period needs the worst latency plus its own execution below 1000 us; where
+p99.9 is far below that and the maximum is not, a tick is late now and then and is counted, not
+hidden. Short runs flatter: rare delays need minutes (--duration) and the load of the real use
+beside it. In a virtual machine the tail is the hypervisor's."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add duration, period and the JSON file."""
+    parser.add_argument("--duration", type=_positive, default=10.0, metavar="S", help="default 10")
+    parser.add_argument("--period-us", type=_period, default=1000, metavar="N", help="default 1000")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write figures and raw data")
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 86_400:
+        raise argparse.ArgumentTypeError(f"{text} s is not between 0.1 s and a day")
+    return value
+
+
+def _period(text: str) -> int:
+    value = int(text)
+    if not 50 <= value <= 1_000_000:
+        raise argparse.ArgumentTypeError(f"{text} us is not between 50 us and 1 s")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print, write the JSON file if asked to."""
+    scheduler, items = asyncio.run(measure(args.duration, args.period_us))
+    counts = scheduler.statistics.linear_counts
+    figures = scheduler.statistics.slice("empty")
+    missed = scheduler.statistics.tick.missed_ticks
+    print("\n".join(histogram_lines(counts)))
+    print(f"\nsamples {figures.count}, missed ticks {missed}")
+    for percent in PERCENTILES:
+        print(f"  p{percent:<5g} {percentile_us(counts, percent):8.0f} us")
+    print(f"  max    {figures.latency_max_ns / 1000:8.0f} us (tick {figures.latency_max_tick})")
+    print("\n" + "\n".join(as_lines(items)) + "\n\n" + _READING)
+    if args.json is not None:
+        raw = {
+            "histogram_us": sparse(counts),
+            "missed_ticks": missed,
+            "audit": [asdict(item) for item in items],
+        }
+        write_json(args.json, _results(counts, figures.latency_max_ns / 1000, raw))
+    return EXIT_DONE
+
+
+async def measure(duration_s: float, period_us: int) -> tuple[Scheduler, list[AuditItem]]:
+    """Pace an empty step for `duration_s`; return the stopped scheduler and the audit."""
+    scheduler = Scheduler(
+        base_period_ns=period_us * 1000,
+        slices=[Slice("empty", 1, compiled=True)],
+        step=empty_step,
+        values=np.zeros(1),
+        words=np.zeros(1, dtype=np.int64),
+        policy=OverrunPolicy("skip"),
+        realtime=RealtimeSettings(),
+        linear_bins=_BINS,
+    )
+    await scheduler.start()
+    try:
+        items = audit(scheduler)
+        await asyncio.sleep(duration_s)
+    finally:
+        await scheduler.stop()
+    return scheduler, items
+
+
+def histogram_lines(counts: NDArray[np.int64]) -> list[str]:
+    """Return the histogram as lines: range [us], count, bar on a logarithmic scale."""
+    lines, low = [], 0
+    tallest = np.log1p(max(int(counts.max(initial=0)), 1) * 10.0)
+    for high in _EDGES_US:
+        count = int(counts[low:high].sum())
+        bar = "#" * min(_BAR, round(_BAR * float(np.log1p(count) / tallest)))
+        over = high == len(counts)
+        span = f"{low:>6} and more" if over else f"{low:>6} to {high:<6}"
+        lines.append(f"{span:17} us {count:>10} {bar}".rstrip())
+        low = high
+    return lines
+
+
+def _results(counts: NDArray[np.int64], max_us: float, raw: dict[str, Any]) -> list[Result]:
+    results = [
+        Result(f"wake_latency_p{percent:g}_us", percentile_us(counts, percent), "us")
+        for percent in PERCENTILES
+    ]
+    return [*results, Result("wake_latency_max_us", max_us, "us", raw=raw)]
