@@ -19,7 +19,7 @@ complete window yet) is absent rather than zero.
 - Counters and histograms count from the start of the process; `ResetStatistics` and reconnects do
   not set them back. `hil_margin_min_seconds` is a gauge and does start anew.
 - In the default configuration with one peer there are at most 300 series, the client library's own
-  (`process_*`, `python_*`) included. Every further peer adds about 60, every further slice about 23.
+  (`process_*`, `python_*`) included. A further peer adds about 60, a further slice about 22.
 - Scrapes within 50 ms get the same answer: a flood of scrapes cannot keep the event loop busy.
 
 | name | labels | kind | meaning |
