@@ -18,10 +18,10 @@ from hilserver.config.root import Config, load_config
 from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
 from hilserver.errors import ConfigError
 from hilserver.kernel import BlockUse, Composition, Part
-from hilserver.plant.blocks import BlockError, load_block
+from hilserver.plant.blocks import load_block
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
-from hilserver.signals import BlockOutput, SignalTable, robot_table
+from hilserver.signals import BlockOutput, Ranges, SignalTable, robot_table
 
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
@@ -85,6 +85,7 @@ class _Builder:
     def __init__(self, config: Config, path: Path | None) -> None:
         self._config = config
         self._path = path
+        self._folder = Path.cwd() if path is None else path.resolve().parent
 
     def _fail(self, location: Sequence[str | int], message: str) -> ConfigError:
         return ConfigError(place(self._path, location) + message)
@@ -102,11 +103,13 @@ class _Builder:
         periods_s = {s.name: s.period_ticks * base_ns * 1e-9 for s in slices}
         parts = self._parts(slices)
         robot = self._checked(
-            ("plant",),
-            lambda: to_parameters(config.plant, config.kinematics, config.sensors, periods_s),
+            (),
+            lambda: to_parameters(
+                config.plant, config.kinematics, config.sensors, periods_s, self._folder
+            ),
         )
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
-        table = robot_table(robot.ranges, [o for block in blocks for o in _outputs(block)])
+        table = robot_table(_ranges(robot), [o for block in blocks for o in _outputs(block)])
         self._check_wiring(table, blocks)
         composition = Composition(
             table=table,
@@ -127,11 +130,13 @@ class _Builder:
             make = partial(period_in_ticks, name, period_ns, base_ns)
             ticks = self._checked(("scheduler", "slices", name), make)
             slices.append(Slice(name, ticks, name not in COMMUNICATION_SLICES))
-        return sorted(slices, key=lambda s: (not s.compiled, s.name != "plant"))
+        first = self._config.plant.slice
+        return sorted(slices, key=lambda s: (not s.compiled, s.name != first))
 
     def _parts(self, slices: Sequence[Slice]) -> list[Part]:
         sensors = self._config.sensors
-        parts = [Part("robot", "plant")]
+        self._need_compiled(("plant", "slice"), self._config.plant.slice, slices)
+        parts = [Part("robot", self._config.plant.slice)]
         for name in ("imu", "battery", "tof", "nav"):
             slice_name = getattr(sensors, name).slice
             self._need_compiled(("sensors", name, "slice"), slice_name, slices)
@@ -150,11 +155,9 @@ class _Builder:
     def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
         here = ("blocks", index)
         self._need_compiled((*here, "slice"), block.slice, slices)
-        folder = Path.cwd() if self._path is None else self._path.resolve().parent
-        try:
-            declared = load_block(block.function, folder)
-        except BlockError as error:
-            raise self._fail((*here, "function"), str(error)) from None
+        declared = self._checked(
+            (*here, "function"), lambda: load_block(block.function, self._folder)
+        )
         missing = [name for name in declared.inputs if name not in block.inputs]
         if missing:
             raise self._fail((*here, "inputs"), f"input '{missing[0]}' of the block is not wired")
@@ -183,6 +186,10 @@ class _Builder:
                 raise self._fail(("peers", index, *problem.location), problem.message)
         for problem in check_peers(list(self._config.peers)):
             raise self._fail(("peers",), problem.message)
+
+
+def _ranges(robot: RobotParameters) -> Ranges:
+    return Ranges(robot.max_rpm, robot.max_linear_m_s, robot.max_angular_rad_s)
 
 
 def _outputs(block: BlockUse) -> list[BlockOutput]:

@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator
 from hilserver.assembly import Assembly, assemble_config
 from hilserver.controller.nodes import demo_peer
 from hilserver.errors import FailedError
+from hilserver.plant.parameters import RobotParameters
 
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
 START_LIMIT_S = 30.0
@@ -21,8 +22,8 @@ STOP_LIMIT_S = 5.0
 
 
 @contextlib.asynccontextmanager
-async def running_controller() -> AsyncIterator[str]:
-    """Run the controller while the context lasts; give its endpoint.
+async def running_controller(robot: RobotParameters) -> AsyncIterator[str]:
+    """Run the controller for `robot` while the context lasts; give its endpoint.
 
     Raises
     ------
@@ -35,6 +36,10 @@ async def running_controller() -> AsyncIterator[str]:
         "hilserver.controller",
         "--endpoint",
         "opc.tcp://127.0.0.1:0/UA/NodeRedAgv",
+        f"--wheel-radius-m={robot.wheel_radius_m}",
+        f"--k-om-per-m={robot.k_om}",
+        f"--yaw-sign={robot.yaw_sign}",
+        f"--max-rpm={robot.max_rpm}",
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the controller

@@ -148,7 +148,7 @@ def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:
 
 def _read(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state: NDArray[np.int64] = archive["state"]
             meta: dict[str, Any] = json.loads(str(archive["meta"]))
     except FileNotFoundError:

@@ -14,11 +14,13 @@ def make_table():
     return robot_table(RANGES)
 
 
+def image_name():
+    return f"test-{os.getpid()}-{next(_numbers)}"
+
+
 def make_image(table=None, **options):
     settings = {"live": {}, "fixed": {}, "base_period_ns": 1_000_000, "ring_length": 16}
-    return ProcessImage(
-        f"test-{os.getpid()}-{next(_numbers)}", table or make_table(), **(settings | options)
-    )
+    return ProcessImage(image_name(), table or make_table(), **(settings | options))
 
 
 class ManualClock:

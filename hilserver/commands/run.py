@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _demo(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None) -> int:
-    async with running_controller() as endpoint:
+    async with running_controller(assembly.robot) as endpoint:
         return await _run(demo_assembly(assembly, endpoint), limiter, duration_s)
 
 

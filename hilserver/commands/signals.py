@@ -14,7 +14,7 @@ from hilserver.commands.options import add_config, config_path
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.opcua_server.nodeset import to_nodeset
 from hilserver.signals import Signal, SignalTable
-from hilserver.units import UNECE
+from hilserver.units import find_unit
 
 EXAMPLE = "hilserver signals --format nodeset2 -o hilserver.nodeset2.xml"
 
@@ -61,7 +61,7 @@ def row(signal: Signal) -> tuple[str, ...]:
         signal.name,
         signal.type.value + length,
         signal.unit,
-        UNECE[signal.unit].code,
+        find_unit(signal.unit).code,
         signal.direction.value,
         f"{signal.low:.6g}",
         f"{signal.high:.6g}",

@@ -60,7 +60,7 @@ class SchedulerConfig(Section):
 
     @model_validator(mode="after")
     def _slices_complete(self) -> Self:
-        for name in ("plant", *COMMUNICATION_SLICES):
+        for name in COMMUNICATION_SLICES:
             if name not in self.slices:
                 raise ValueError(f"slice '{name}' is missing in slices")
         if len(self.slices) > 16:

@@ -6,11 +6,9 @@ is small, and it is kept beside the cached machine code for whoever wants to rea
 """
 
 import importlib.util
-import inspect
-import logging
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
@@ -160,7 +158,7 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     for block in composition.blocks:
         values = {**block.declaration.parameters, **block.parameters}
         put(f"{block.name}.p", [values[name] for name in block.declaration.parameters])
-        put(f"{block.name}.x", 0.0)
+        put(f"{block.name}.x", list(block.declaration.state.values()))
 
 
 def _piece(region: Region) -> str:
@@ -228,7 +226,7 @@ def _block_calls(
 
 def _module(source: str, blocks: Sequence[BlockUse]) -> ModuleType:
     """Import the generated source from the cache folder, so that numba can cache its code."""
-    own = [Path(inspect.getfile(block.declaration.source_function)) for block in blocks]
+    own = [block.declaration.source for block in blocks]
     name = f"step_{hash_of(own, source)}"
     path = cache_dir() / f"{name}.py"
     if not path.exists():
@@ -241,6 +239,6 @@ def _module(source: str, blocks: Sequence[BlockUse]) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     for number, block in enumerate(blocks):
         setattr(module, f"block_{number}", block.declaration.function)
-    logging.getLogger(__name__).debug("step compiled from %s", path)
+    sys.modules[name] = module  # numba looks the module up when it loads code from the cache
     spec.loader.exec_module(module)
     return module

@@ -1,0 +1,132 @@
+"""The command line as a user in a hurry meets it: exit codes, one sentence, no traceback."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hilserver.commands import COMMANDS
+
+
+def hilserver(*words, cwd, timeout=60):
+    return subprocess.run(
+        [sys.executable, "-m", "hilserver", *words],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        cwd=cwd,
+        check=False,
+    )
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def write_config(folder, text=""):
+    ports = f"opcua: {{endpoint: 'opc.tcp://127.0.0.1:{free_port()}/h'}}\nmetrics: {{port: 0}}\n"
+    path = folder / "config.yaml"
+    path.write_text(f"image: {{name: auto}}\n{ports}{text}", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, ""])
+def test_help_of_every_command_has_an_example(command, tmp_path):
+    run = hilserver(*[command] * bool(command), "--help", cwd=tmp_path)
+    assert run.returncode == 0
+    assert "example: hilserver" in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("plant: {max_rmp: 90}\n", "config.yaml:4: unknown key 'plant.max_rmp'; did you mean"),
+        ("plant: {max_rpm: fast}\n", "config.yaml:4: plant.max_rpm: 'fast' does not fit"),
+        ("scheduler:\n  slices: {plant: 1.0, publish: 20, supervise: 100.5}\n", "config.yaml:5: "),
+        ("scheduler:\n  slices: {plant: 15, publish: 30, supervise: 90}\n", "config.yaml:4: "),
+        ("sensors:\n  imu: {slice: fast}\n", "there is no plant-side slice 'fast'"),
+        (
+            "blocks:\n  - {name: a, function: 'absent.py:f'}\n",
+            "config.yaml:5: blocks[0].function: ",
+        ),
+        (
+            "peers:\n  - name: a\n    endpoint: opc.tcp://127.0.0.1:1/\n"
+            "    read: {'ns=1;s=a': wheel.fl.setpoint}\n",
+            "config.yaml:7: peers[0].read.ns=1;s=a: there is no signal 'wheel.fl.setpoint'",
+        ),
+    ],
+)
+def test_a_bad_configuration_is_one_sentence_and_exit_78(tmp_path, text, complaint):
+    write_config(tmp_path, text)
+    for command in ("check", "run"):
+        run = hilserver(command, cwd=tmp_path)
+        assert run.returncode == 78, run.stderr
+        assert complaint in run.stderr
+        assert len(run.stderr.splitlines()) == 1
+        assert "Traceback" not in run.stderr
+
+
+def test_check_says_what_the_configuration_means(tmp_path):
+    run = hilserver("check", "-c", str(write_config(tmp_path)), cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert "K_om 1.955 1/m" in run.stdout
+    assert "slice plant: every 1 ms" in run.stdout
+
+
+def test_run_ends_after_its_duration_with_0(tmp_path):
+    run = hilserver("run", "-c", str(write_config(tmp_path)), "--duration", "0.5", cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_daemon_cleanly(tmp_path, number):
+    command = [sys.executable, "-m", "hilserver", "run", "-c", str(write_config(tmp_path))]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if "hilserver is running" in line:
+                break
+        time.sleep(0.2)
+        os.kill(process.pid, number)
+        rest = process.stderr.read()
+        assert process.wait(20) == 0, rest
+    assert "Traceback" not in "".join(lines) + rest
+
+
+def test_a_port_in_use_is_one_sentence_and_exit_1(tmp_path):
+    path = write_config(tmp_path)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        text = path.read_text().replace("metrics: {port: 0}", f"metrics: {{port: {port}}}")
+        path.write_text(text)
+        run = hilserver("run", "-c", str(path), cwd=tmp_path)
+    assert run.returncode == 1
+    assert f"port {port}" in run.stderr
+    assert "Traceback" not in run.stderr
+
+
+def test_two_daemons_with_one_image_name(tmp_path):
+    path = write_config(tmp_path)
+    name = f"test-cli-{os.getpid()}"
+    path.write_text(path.read_text().replace("name: auto", f"name: {name}"))
+    command = [sys.executable, "-m", "hilserver", "run", "-c", str(path)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as first:
+        for line in first.stderr:
+            if "hilserver is running" in line:
+                break
+        second = hilserver("run", "-c", str(path), cwd=tmp_path)
+        first.send_signal(signal.SIGTERM)
+        first.stderr.read()
+        assert first.wait(20) == 0
+    assert second.returncode == 1
+    assert f"another hilserver uses the process image '{name}'" in second.stderr
