@@ -6,6 +6,8 @@ makes of a code: its ASCII characters as the bytes of a big-endian integer ("MTR
 
 from dataclasses import dataclass
 
+from hilserver.errors import ConfigError
+
 NAMESPACE_URI = "http://www.opcfoundation.org/UA/units/un/cefact"
 """NamespaceUri of every EUInformation with a UNECE code."""
 
@@ -81,3 +83,16 @@ UNECE: dict[str, Unit] = {
     symbol: Unit(symbol, code, unit_id(code), description) for symbol, code, description in _ROWS
 }
 """Every unit that a signal may have, by symbol; "1" is no unit."""
+
+
+def find_unit(symbol: str) -> Unit:
+    """Return the unit of that symbol.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; the sentence names those there are.
+    """
+    if symbol not in UNECE:
+        raise ConfigError(f"unit '{symbol}' is unknown; write one of {', '.join(UNECE)}")
+    return UNECE[symbol]

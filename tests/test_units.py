@@ -2,8 +2,9 @@
 
 import pytest
 
+from hilserver.errors import ConfigError
 from hilserver.signals import Ranges, robot_table
-from hilserver.units import UNECE, unit_id
+from hilserver.units import UNECE, find_unit, unit_id
 
 
 @pytest.mark.parametrize(
@@ -33,6 +34,12 @@ def test_codes_and_symbols_are_unique() -> None:
     assert len(set(codes)) == len(codes)
     assert all(unit.unit_id == unit_id(unit.code) for unit in UNECE.values())
     assert all(unit.symbol == symbol for symbol, unit in UNECE.items())
+
+
+def test_unknown_unit_is_one_sentence() -> None:
+    assert find_unit("m") is UNECE["m"]
+    with pytest.raises(ConfigError, match="unit 'parsec' is unknown; write one of 1, %"):
+        find_unit("parsec")
 
 
 def test_every_signal_has_a_known_unit() -> None:

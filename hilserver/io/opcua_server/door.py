@@ -128,13 +128,11 @@ class WriteDoor:
 
     @staticmethod
     def _value(signal: Signal, variant: ua.Variant) -> object:
-        """Return the plain value, or the variant itself where its type is another one.
-
-        The gate refuses a variant as what it is, and so counts it and names its type.
-        """
-        if variant is None or variant.VariantType.value != DATA_TYPES[signal.type]:
-            return variant
-        return variant.Value
+        """Return the plain value, or what the gate refuses, counts and names as another type."""
+        value = variant.Value
+        if isinstance(value, list) and len(value) > len(signal.slots):
+            return f"{len(value)} elements"  # nobody wants to read a million of them in the log
+        return value if variant.VariantType.value == DATA_TYPES[signal.type] else variant
 
     def _hand_over(self, group: dict[str, tuple[int, object]], answers: list[Answer]) -> None:
         if not group:
@@ -152,7 +150,7 @@ class WriteDoor:
             self._variables.show_written(accepted, self._image.pushed_rows)
 
     def _take_control(self, variant: ua.Variant) -> Answer:
-        if variant is None or variant.VariantType != ua.VariantType.String or variant.is_array:
+        if variant.VariantType != ua.VariantType.String or variant.is_array:
             return Answer(_Codes.BadTypeMismatch, "control.source is a String")
         if variant.Value not in self._gate.priority:
             known = ", ".join(self._gate.priority)

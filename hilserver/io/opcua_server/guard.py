@@ -22,10 +22,21 @@ from hilserver.io.opcua_server.methods import Methods
 
 _ACTIVATION_WITHIN_S = 10.0
 _UNACKNOWLEDGED_MESSAGES = 100
+_LONGEST_SESSION_MS = 120_000.0
 
 
 class GuardedMonitoredItems(MonitoredItemService):  # type: ignore[misc]
-    """Monitored items whose dead band does not fail on values without a number."""
+    """Monitored items with a bounded queue, whose dead band copes with values without a number."""
+
+    def _modify_monitored_item(self, params: Any) -> ua.MonitoredItemModifyResult:
+        if params.MonitoredItemId not in self._monitored_items:
+            unknown = ua.StatusCode(ua.StatusCodes.BadMonitoredItemIdInvalid)
+            return ua.MonitoredItemModifyResult(StatusCode=unknown)
+        asked = params.RequestedParameters
+        # asyncua takes 0 for "no limit" here.
+        asked.QueueSize = self._revise_queue_size(asked.QueueSize)
+        asked.SamplingInterval = self.isub.data.RevisedPublishingInterval
+        return super()._modify_monitored_item(params)
 
     def _is_deadband_exceeded(self, values: MonitoredItemValues, flt: Any) -> bool:
         old, new = values.get_old_datavalue(), values.get_current_datavalue()
@@ -117,6 +128,8 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
         self.max_subscriptions = config.max_subscriptions
         self.max_monitored_item_queue_size = config.max_queue_size
         self.max_unacked_messages_per_subscription = _UNACKNOWLEDGED_MESSAGES
+        # A client that vanished is served until its session ends.
+        self.max_session_timeout_ms = _LONGEST_SESSION_MS
         self.subscription_service = GuardedSubscriptions(self, config.min_publishing_ms)
         self.isession.subscription_service = self.subscription_service
         self.supported_tokens = (ua.AnonymousIdentityToken,)
@@ -132,6 +145,10 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
         return RobotSession(
             self, self.aspace, self.subscription_service, name, external=external, **arguments
         )
+
+    def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
+        """Refuse: this is no discovery server."""
+        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
 
     def _drop_abandoned_sessions(self) -> None:
         """Forget sessions that were created and never activated: a client may make any number."""

@@ -10,15 +10,10 @@ from collections.abc import Callable
 
 import structlog
 
-_LOGGERS = (
-    "asyncua.server",
-    "asyncua.common",
-    "asyncua.crypto",
-    "asyncua.ua",
-    "asyncua.uaprotocol",
-)
+_LOGGERS = ("asyncua.server", "asyncua.crypto", "asyncua.ua", "asyncua.uaprotocol")
 _REPEAT_AFTER_S = 10.0
 _LONGEST_LINE = 300
+_MOST_KEYS = 500
 
 log = structlog.get_logger("hilserver.opcua")
 
@@ -29,7 +24,7 @@ class OneLineHandler(logging.Handler):
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__(logging.WARNING)
         self._monotonic_s = monotonic_s
-        # Keyed by the text in asyncua's source, so there are only as many as it has log calls.
+        # Keyed by the text in asyncua's source: about as many as it has log calls.
         self._last: dict[tuple[str, str], tuple[float, int]] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -40,6 +35,8 @@ class OneLineHandler(logging.Handler):
         if now_s - last_s < _REPEAT_AFTER_S:
             self._last[key] = (last_s, repeated + 1)
             return
+        if len(self._last) >= _MOST_KEYS:
+            self._last.clear()
         self._last[key] = (now_s, 0)
         more = {"repeated": repeated} if repeated else {}
         log.warning("opcua library", detail=one_line(record), part=record.name, **more)

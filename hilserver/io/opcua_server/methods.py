@@ -3,7 +3,7 @@
 ==================  ==========================================================================
 BadArgumentsMissing  fewer arguments than described
 BadTooManyArguments  more
-BadInvalidArgument   another type or a value out of range; the argument's result says which
+BadInvalidArgument   another type (the argument's result says which), or a value out of range
 BadInvalidState      not possible now; the diagnostic text says why
 BadNotImplemented    Force, Unforce, InjectFault, ClearFaults: not in this version
 BadUserAccessDenied  the user's role does not allow it

@@ -9,9 +9,10 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import STRING
 from hilserver.signals import LIGHTS, Direction, Signal, SignalTable, ValueType
-from hilserver.units import UNECE, Unit
+from hilserver.units import Unit, find_unit
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
@@ -135,7 +136,7 @@ def variable_of(signal: Signal) -> Variable:
         writable=signal.direction is Direction.IN,
         length=len(signal.slots) if signal.is_array else None,
         eu_range=(signal.low, signal.high) if is_analog and is_ranged else None,
-        unit=UNECE[signal.unit] if has_unit else None,
+        unit=find_unit(signal.unit) if has_unit else None,
         enum_strings=ENUMERATIONS.get(signal.name, ()),
         two_states=TWO_STATES.get(signal.name),
     )
@@ -146,8 +147,8 @@ def describe(table: SignalTable) -> tuple[list[Folder], list[Variable]]:
 
     Raises
     ------
-    ValueError
-        If a signal's name takes the place of a folder.
+    ConfigError
+        If a signal (of an own block) takes the place of a folder, or has an unknown unit.
     """
     variables = [variable_of(signal) for signal in table]
     variables.append(
@@ -166,5 +167,7 @@ def describe(table: SignalTable) -> tuple[list[Folder], list[Variable]]:
     taken = {folder.path for folder in folders} | {ROBOT}
     for path in paths:
         if path in taken or path.split(".")[0] in {ROBOT, *GROUPS}:
-            raise ValueError(f"a signal cannot be called '{path}': the address space uses the name")
+            raise ConfigError(
+                f"a signal cannot be called '{path}': the address space uses the name"
+            )
     return folders, variables

@@ -49,6 +49,11 @@ class OpcUaServer:
         have the figure "connected", rows of `audit` "ok"; both act on ServiceLevel.
     access : Access
         Decides who may do what.
+
+    Raises
+    ------
+    ConfigError
+        If a signal's name or unit cannot be shown.
     """
 
     def __init__(
@@ -78,6 +83,7 @@ class OpcUaServer:
             "peers": peers,
             "audit": lambda: {**audit(), **self.audit()},
         }
+        self._folders, self._rows = model.describe(table)
         self._access = access or Access()
         self._server: RobotUaServer | None = None
         self._owner_shown = ""
@@ -106,7 +112,11 @@ class OpcUaServer:
                 "found": f"{self._config.host}, no password",
                 "wanted": "loopback only",
                 "mend": "let opcua.endpoint listen on 127.0.0.1" if is_open else "",
-            }
+            },
+            "opcua_time_stamps": {
+                "ok": True,
+                "found": "simulated time" if self._clock.simulated else "UTC",
+            },
         }
 
     async def start(self) -> None:
@@ -176,11 +186,10 @@ class OpcUaServer:
         robot_index = await server.register_namespace(model.NAMESPACE_URI)
         di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
-        folders, variables = model.describe(self._table)
         builder.roots()
-        builder.folders(folders)
-        for variable in variables:
-            builder.variable(variable)
+        builder.folders(self._folders)
+        for row in self._rows:
+            builder.variable(row)
         for method in METHODS:
             builder.method(method)
 

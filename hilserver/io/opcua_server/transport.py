@@ -11,6 +11,9 @@ from asyncua import Server, ua
 from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
 from asyncua.server.uaprocessor import UaProcessor
 
+from hilserver.io.opcua_server.logs import log
+
+_MAX_UNREAD_BYTES = 8 * 1024 * 1024
 _OPERATION_TEXT, _OPERATION_ADDITIONAL_INFO = 0x40, 0x80
 """Bits of ReturnDiagnostics (OPC 10000-4, RequestHeader)."""
 
@@ -26,6 +29,12 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
 
     def send_response(self, requesthandle: Any, seqhdr: Any, response: Any, *more: Any) -> None:
         """Send a response, with diagnostics where the client asked for them."""
+        if self._transport.is_closing():
+            return  # uvloop raises on a write to a closed connection
+        if self._transport.get_write_buffer_size() > _MAX_UNREAD_BYTES:
+            log.warning("opcua client does not read its answers: closed", client=str(self.name))
+            self._transport.abort()
+            return
         if isinstance(response, ua.WriteResponse | ua.CallResponse) and self.session is not None:
             explain(response, self.session.texts, self._wanted)
         super().send_response(requesthandle, seqhdr, response, *more)

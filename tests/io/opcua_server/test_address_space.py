@@ -3,6 +3,7 @@
 import pytest
 from asyncua import ua
 
+from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, describe
 from hilserver.signals import Signal, SignalTable
@@ -119,5 +120,5 @@ async def test_a_signal_cannot_take_a_reserved_place() -> None:
     first = next(iter(TABLE))
     for name in ("methods.x", "wheel", "robot"):
         odd = Signal(name, "1", first.type, first.direction, 0, 1, "", (1,))
-        with pytest.raises(ValueError, match="cannot be called"):
+        with pytest.raises(ConfigError, match="cannot be called"):
             describe(SignalTable([first, odd]))

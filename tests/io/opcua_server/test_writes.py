@@ -152,12 +152,14 @@ async def test_a_higher_source_keeps_control(rig: Rig, client: RobotClient) -> N
 async def test_only_plain_good_values(rig: Rig, client: RobotClient) -> None:
     item = ua.WriteValue()
     item.NodeId, item.AttributeId = ua.NodeId(FL, client.index), ua.AttributeIds.Value
+    refused = "BadWriteNotSupported"
+    number = ua.Variant(1.0, T.Double)
     for value, index_range, code in (
-        (ua.DataValue(ua.Variant(1.0, T.Double), ua.StatusCode(ua.StatusCodes.BadNoData)), None, "BadWriteNotSupported"),
-        (ua.DataValue(ua.Variant(1.0, T.Double), ua.StatusCode(0x40000000)), None, "BadWriteNotSupported"),
-        (ua.DataValue(ua.Variant(1.0, T.Double)), "0:1", "BadWriteNotSupported"),
-        (ua.DataValue(ua.Variant(1.0, T.Double)), None, "Good"),
-    ):  # fmt: skip
+        (ua.DataValue(number, ua.StatusCode(ua.StatusCodes.BadNoData)), None, refused),
+        (ua.DataValue(number, ua.StatusCode(0x40000000)), None, refused),
+        (ua.DataValue(number), "0:1", refused),
+        (ua.DataValue(number), None, "Good"),
+    ):
         item.Value, item.IndexRange = value, index_range
         params = ua.WriteParameters()
         params.NodesToWrite = [item]
