@@ -94,7 +94,7 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	        "install them with 'sudo apt-get install$$missing'" >&2; \
 	fi
 
-%/node_modules/.installed: %/package.json $(VENV)/.debian
+%/node_modules/.installed: %/package.json | $(VENV)/.debian
 	@command -v npm >/dev/null || { \
 	    echo "the tests in $* need Node.js with npm: install the packages nodejs and npm" >&2; exit 1; }
 	@echo "installing the npm packages of $*"

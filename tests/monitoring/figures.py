@@ -2,12 +2,14 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled.histogram import N_BUCKETS, Histogram125
+from hilserver.inputs import Refusal
+from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.peer_status import PeerStatus
 from hilserver.monitoring.metrics_sources import MetricsSources
 from hilserver.scheduler.statistics import SliceFigures, Window
 
@@ -29,18 +31,6 @@ def slice_figures(name: str, **figures: object) -> SliceFigures:
     return SliceFigures(**{"name": name, **numbers, **histograms, **unknown, **figures})
 
 
-@dataclass
-class Peer:
-    name: str
-    connected: bool = False
-    reconnects: int = 0
-    round_trip: Histogram125 = field(default_factory=Histogram125)
-    one_way: Histogram125 = field(default_factory=Histogram125)
-    interval: Histogram125 = field(default_factory=Histogram125)
-    clock_offset_s: float | None = None
-    fault_counts: Counter[str] = field(default_factory=Counter)
-
-
 class FakeDaemon:
     """Everything a scrape reads, settable."""
 
@@ -48,7 +38,7 @@ class FakeDaemon:
         self.slices = {name: slice_figures(name) for name in SLICES}
         self.state = "starting"
         self.realtime_factor = math.nan
-        self.peers = [Peer("iot2050")]
+        self.peers = [PeerStatus("iot2050")]
         self.input_ages_s: dict[str, float] = {}
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.end_to_end = Histogram125()
@@ -81,10 +71,10 @@ class FakeDaemon:
         self.realtime_factor = 1.0
         peer = self.peers[0]
         peer.connected, peer.clock_offset_s = True, 0.002
-        for kind in ("nan_with_good", "frozen_source_timestamp", "type_mismatch"):
+        for kind in FaultKind:
             peer.fault_counts[kind] = 1
         for source in ("opcua", "peer:iot2050"):
             self.input_ages_s[source] = 0.01
-            for reason in range(7):
-                self.rejected[source, f"reason_{reason}"] = 1
-        self.audit = {f"item_{number}": True for number in range(12)}
+            for reason in Refusal:
+                self.rejected[source, reason] = 1
+        self.audit = {f"item_{number}": True for number in range(15)}

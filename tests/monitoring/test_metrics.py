@@ -11,11 +11,12 @@ from prometheus_client.openmetrics.parser import (
 from prometheus_client.parser import text_string_to_metric_families
 
 from hilserver.compiled.histogram import BOUNDS_NS, N_BUCKETS
+from hilserver.io.peer_status import PeerStatus
 from hilserver.monitoring.metrics import Metrics
 from hilserver.monitoring.metrics_table import METRICS, Kind
 from hilserver.scheduler.statistics import Window
 from tests.helpers.prom_diff import PromDiff, series_of_text
-from tests.monitoring.figures import FakeDaemon, Peer, slice_figures, zeros
+from tests.monitoring.figures import FakeDaemon, slice_figures, zeros
 
 LABELS_OF_SPECIFICATION = {
     "hil_wake_latency_seconds": {"slice"},
@@ -198,7 +199,7 @@ def test_openmetrics_and_text_agree_and_parse(daemon: FakeDaemon, metrics: Metri
 
 def test_hostile_label_values_stay_inside_their_quotes() -> None:
     daemon = FakeDaemon()
-    daemon.peers = [Peer('a"b\\c\nhil_state{state="running"} 1')]
+    daemon.peers = [PeerStatus('a"b\\c\nhil_state{state="running"} 1')]
     series = series_of_text(Metrics(daemon.sources()).render()[0].decode())
     label = frozenset({("peer", daemon.peers[0].name)})
     assert series["hil_peer_connected", label] == 0
