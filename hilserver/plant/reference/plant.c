@@ -29,6 +29,10 @@ struct plant {
     double backlash, a_radius, a_diff, runout, runout_phase, a_k, a_kv, a_kq, long_slip, acc_slip;
     double icr_d, side_slip, misalign, slope_x, slope_y, surf_k, surf_v, x_min, x_max, y_min, y_max;
     double aniso_k, aniso_icr;
+    /* sensors: their slice, and terms */
+    double Ts, nav_every, seed, gyro_a, gyro_bias, imu_latency, nav_latency, yaw_latency;
+    double lever_x, lever_y, nav_scale, frame_yaw, bias, bias_length, outlier_share, outlier_size;
+    double dist_a1, dist_p1, dist_a2, dist_p2;
     /* worked out by plant_prepare */
     double A[2][2], B[2], Tt, Tc, tau_d, inverse_Tt, inverse_T2;
     int extended;
@@ -39,6 +43,10 @@ struct plant {
     double ring[RING][4];
     /* outputs of t_k */
     double v, vy, om, acc_x, acc_y;
+    /* what the sensors remember: gyro, yaw, two accelerations, x, y at every run */
+    double past[RING][6];
+    long runs, samples;
+    double nav[3];
 };
 
 /* exp of a 3x3 matrix by scaling, Taylor series and squaring */
@@ -111,6 +119,9 @@ static const struct field fields[] = {
     F(backlash), F(a_radius), F(a_diff), F(runout), F(runout_phase), F(a_k), F(a_kv), F(a_kq),
     F(long_slip), F(acc_slip), F(icr_d), F(side_slip), F(misalign), F(slope_x), F(slope_y),
     F(surf_k), F(surf_v), F(x_min), F(x_max), F(y_min), F(y_max), F(aniso_k), F(aniso_icr),
+    F(Ts), F(nav_every), F(seed), F(gyro_a), F(gyro_bias), F(imu_latency), F(nav_latency),
+    F(yaw_latency), F(lever_x), F(lever_y), F(nav_scale), F(frame_yaw), F(bias), F(bias_length),
+    F(outlier_share), F(outlier_size), F(dist_a1), F(dist_p1), F(dist_a2), F(dist_p2),
 };
 
 struct plant *plant_new(void)
@@ -125,6 +136,9 @@ struct plant *plant_new(void)
     p->y_min = -1000.0;
     p->aniso_k = 1.0;
     p->rate_limit = INFINITY;
+    p->bias_length = 5.0;
+    p->outlier_size = 1.5;
+    p->nav_every = 1.0;
     return p;
 }
 
@@ -319,19 +333,26 @@ static void extended_step(struct plant *p, const double *setpoint)
     double ml = rpm_to_rad_s(0.5 * (mean[0] + mean[1])), mr = rpm_to_rad_s(0.5 * (mean[2] + mean[3]));
     double angle = 0.5 * (p->w[0].angle + p->w[1].angle);
     velocity(p, wl, wr, dl, dr, angle, &p->v, &p->vy, &p->om);
-    /* the derivative of the velocity by central difference along the motion of the wheels */
-    double h = 1e-6, v[2], vy[2], om[2];
+    /* the derivative of the velocity: central differences along the motion of the wheels at two
+     * widths, extrapolated */
+    double slope_v[2], slope_om[2];
     struct plant frozen = *p;
     frozen.acc_slip = 0.0; /* the rate of its factor would need the wheels' jerk */
     for (int k = 0; k < 2; k++) {
-        double d = k == 0 ? -h : h;
-        velocity(&frozen, wl + d * dl, wr + d * dr, dl, dr, angle + d * wl, &v[k], &vy[k], &om[k]);
+        double h = k == 0 ? 2e-6 : 1e-6, v[2], vy, om[2];
+        for (int side = 0; side < 2; side++) {
+            double d = side == 0 ? -h : h;
+            velocity(&frozen, wl + d * dl, wr + d * dr, dl, dr, angle + d * wl, &v[side], &vy,
+                     &om[side]);
+        }
+        slope_v[k] = (v[1] - v[0]) / (2.0 * h);
+        slope_om[k] = (om[1] - om[0]) / (2.0 * h);
     }
     double v0, vy0, om0;
     velocity(&frozen, wl, wr, dl, dr, angle, &v0, &vy0, &om0);
     double grip = v0 != 0.0 ? p->v / v0 : 1.0;
-    double dv = grip * (v[1] - v[0]) / (2.0 * h);
-    double dom = (om[1] - om[0]) / (2.0 * h);
+    double dv = grip * (4.0 * slope_v[1] - slope_v[0]) / 3.0;
+    double dom = (4.0 * slope_om[1] - slope_om[0]) / 3.0;
     double icr = p->icr + p->icr_d + p->aniso_icr;
     double dvy = -icr * dom + p->side_slip * (dv * p->om + p->v * dom) + p->misalign * dv;
     p->acc_x = dv - p->om * p->vy;
@@ -383,6 +404,70 @@ void plant_state(const struct plant *p, double *out)
         out[4 + i] = p->w[i].n;
         out[8 + i] = p->w[i].integral;
     }
+}
+
+/* --- sensors: run after plant_tick, every Ts ------------------------------------------------------ */
+
+static double uniform(double seed, long counter, unsigned long long channel)
+{
+    unsigned long long h = 0, part[3] = {(unsigned long long)seed, (unsigned long long)counter, channel};
+    for (int k = 0; k < 3; k++) { /* splitmix64 over the three words, one after the other */
+        h = (k == 0 ? 0 : h) + part[k] + 0x9E3779B97F4A7C15ull;
+        h = (h ^ (h >> 30)) * 0xBF58476D1CE4E5B9ull;
+        h = (h ^ (h >> 27)) * 0x94D049BB133111EBull;
+        h ^= h >> 31;
+    }
+    return ((double)(h >> 11) + 0.5) / 9007199254740992.0;
+}
+
+/* channel `what` of the past at an age in seconds; angles along the shorter way */
+static double remembered(const struct plant *p, int what, double age_s, int angle)
+{
+    double age = fmin(age_s / p->Ts, (double)p->runs);
+    if (fabs(age - round(age)) < 1e-9 * fmax(round(age), 1.0))
+        age = round(age);
+    long whole = (long)floor(age);
+    double share = age - (double)whole;
+    double a = p->past[(p->runs - whole) % RING][what];
+    if (share == 0.0)
+        return a;
+    double d = p->past[(p->runs - whole - 1) % RING][what] - a;
+    return angle ? wrapped(a + share * wrapped(d)) : a + share * d;
+}
+
+/* out: gyro, yaw, acceleration x, y of the inertial unit; x, y, yaw of the navigation tag */
+void plant_sensors(struct plant *p, const double *tick_out, double *out)
+{
+    double *now = p->past[p->runs % RING];
+    now[0] = tick_out[17];
+    now[1] = tick_out[14];
+    now[2] = tick_out[18];
+    now[3] = tick_out[19];
+    now[4] = tick_out[12];
+    now[5] = tick_out[13];
+    out[0] = (1.0 + p->gyro_a) * remembered(p, 0, p->imu_latency, 0) + p->gyro_bias;
+    out[1] = remembered(p, 1, p->imu_latency, 1);
+    out[2] = remembered(p, 2, p->imu_latency, 0);
+    out[3] = remembered(p, 3, p->imu_latency, 0);
+    if (p->runs % (long)p->nav_every == 0) {
+        double x = remembered(p, 4, p->nav_latency, 0), y = remembered(p, 5, p->nav_latency, 0);
+        double then = remembered(p, 1, p->nav_latency, 1);
+        double yaw = remembered(p, 1, p->yaw_latency, 1);
+        x += p->lever_x * cos(then) - p->lever_y * sin(then);
+        y += p->lever_x * sin(then) + p->lever_y * cos(then);
+        p->nav[0] = (1.0 + p->nav_scale) * x + p->bias * cos(2.0 * PI * y / p->bias_length);
+        p->nav[1] = (1.0 + p->nav_scale) * y + p->bias * cos(2.0 * PI * x / p->bias_length);
+        if (uniform(p->seed, p->samples, 40) < p->outlier_share) {
+            double direction = 2.0 * PI * uniform(p->seed, p->samples, 41);
+            p->nav[0] += p->outlier_size * cos(direction);
+            p->nav[1] += p->outlier_size * sin(direction);
+        }
+        p->nav[2] = wrapped(yaw + p->dist_a1 * sin(yaw + p->dist_p1)
+                            + p->dist_a2 * sin(2.0 * yaw + p->dist_p2) + p->frame_yaw);
+        p->samples++;
+    }
+    memcpy(out + 4, p->nav, sizeof p->nav);
+    p->runs++;
 }
 
 /* --- the speed comparison: a whole base tick with inputs, outputs and status codes --------------- */

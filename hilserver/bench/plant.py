@@ -1,0 +1,119 @@
+"""How long one tick of the plant takes, beside the same recurrence in C.
+
+Blocks of both programs alternate in one run, so that whatever else the machine does hits both; the
+median over the blocks is compared. The C program is built for this machine, with -O3 and without
+fast-math.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.plant.layout as at
+from hilserver.bench.report import Result
+from hilserver.compiled import kernel
+from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.reference.library import FLAGS, ReferencePlant, build
+from hilserver.plant.reference.vectors import cases
+from hilserver.plant.robot import robot_step
+
+BLOCKS: Final = 21
+TICKS_PER_BLOCK: Final = 200_000
+
+_ROW = numba.float64[::1]
+_STEP = numba.types.FunctionType(numba.void(_ROW, _ROW, _ROW, _ROW, numba.int64[::1]))
+
+
+@kernel()
+def _direct(p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
+    for _ in range(ticks):
+        robot_step(p, x, u, y, q)
+
+
+@kernel(numba.void(_STEP, _ROW, _ROW, _ROW, _ROW, numba.int64[::1], numba.int64))
+def _through_pointer(step: Any, p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
+    for _ in range(ticks):
+        step(p, x, u, y, q)
+
+
+class _Numba:
+    """One compiled robot with its arrays, turning while it drives."""
+
+    def __init__(self, robot: RobotParameters) -> None:
+        self.p, self.x = robot.pack(), robot.initial_state()
+        self.u, self.y, self.q = _inputs()
+
+    def direct(self, ticks: int) -> None:
+        _direct(self.p, self.x, self.u, self.y, self.q, ticks)
+
+    def pointer(self, ticks: int) -> None:
+        _through_pointer(robot_step, self.p, self.x, self.u, self.y, self.q, ticks)
+
+
+def _inputs() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    u = np.zeros(at.N_U)
+    u[at.U_ENABLE] = 1.0
+    u[at.U_SETPOINT : at.U_SETPOINT + 4] = (60.0, 60.0, -40.0, -40.0)
+    return u, np.zeros(at.N_Y), np.zeros(at.N_Y, dtype=np.int64)
+
+
+def _block_ns(run: Callable[[int], None], ticks: int) -> float:
+    start_ns = time.perf_counter_ns()
+    run(ticks)
+    return (time.perf_counter_ns() - start_ns) / ticks
+
+
+def run(args: argparse.Namespace) -> list[Result]:
+    """Measure and return ``step_ns``, ``step_pointer_ns`` and ``step_all_terms_ns``.
+
+    Parameters
+    ----------
+    args : Namespace
+        ``blocks`` and ``ticks`` (per block) may be given; the defaults take a few seconds.
+
+    Raises
+    ------
+    FailedError
+        When there is no C compiler.
+    """
+    blocks = int(getattr(args, "blocks", None) or BLOCKS)
+    ticks = int(getattr(args, "ticks", None) or TICKS_PER_BLOCK)
+    base, extended = _Numba(RobotParameters()), _Numba(RobotParameters(terms=cases()["everything"]))
+    u, y, q = _inputs()
+    with tempfile.TemporaryDirectory() as folder:
+        library = build(Path(folder))
+        c = ReferencePlant(library, RobotParameters(), battery_v=19.2, extended=False)
+        programs: dict[str, Callable[[int], None]] = {
+            "c": lambda n: c.run(u, y, q, n),
+            "direct": base.direct,
+            "pointer": base.pointer,
+            "all_terms": extended.direct,
+        }
+        for warm_up in programs.values():
+            warm_up(1000)
+        samples: dict[str, list[float]] = {name: [] for name in programs}
+        for _ in range(blocks):
+            for name, program in programs.items():
+                samples[name].append(_block_ns(program, ticks))
+        c.close()
+    median = {name: statistics.median(values) for name, values in samples.items()}
+    command = " ".join(("gcc", *FLAGS))
+    raw = {"blocks_ns": samples, "ticks_per_block": ticks, "c": command}
+
+    def result(name: str, program: str) -> Result:
+        value, reference = median[program], median["c"]
+        return Result(name, value, "ns", reference, "C, terms off", value / reference, raw)
+
+    return [
+        result("step_ns", "direct"),
+        result("step_pointer_ns", "pointer"),
+        result("step_all_terms_ns", "all_terms"),
+    ]

@@ -1,0 +1,137 @@
+"""The conformance vectors: one manoeuvre, the base robot, and one robot per term.
+
+`vectors/inputs.csv` holds the ticks at which the set-points change; every other file starts with
+the terms it was made with and holds every `EVERY`-th tick: outputs of t_k, state of t_k, sensors.
+"""
+
+import csv
+import io
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.plant.layout as at
+from hilserver.plant.parameters import Navigation, RobotParameters
+from hilserver.plant.robot import robot_step
+from hilserver.plant.sensors import imu_step, nav_step
+from hilserver.plant.terms import TERMS
+
+TICKS: Final = 600
+EVERY: Final = 20
+SENSOR_TICKS: Final = 10
+_SETPOINTS: Final = (
+    (0, (30.0, 30.0, -20.0, -20.0)),
+    (60, (90.0, 90.0, -90.0, -90.0)),
+    (200, (-5.0, -5.0, 3.0, 3.0)),
+    (330, (0.0, 0.0, 0.0, 0.0)),
+    (420, (10.0, 12.0, -40.0, -38.0)),
+)
+_UNSET_REFERENCE: Final = {
+    "controller_gains.i": 0.4,
+    "backlash": 0.02,
+    "acceleration_slip": 0.05,
+    "floor_slope.y": 0.02,
+    "surface_change.v": -0.2,
+    "wheel_runout.amplitude": 0.01,
+    "friction_anisotropy.ratio": 2.24,
+    "friction_anisotropy.offset": 0.01,
+    "nav_lever_arm.y": -0.05,
+    "nav_position_bias.amplitude": 0.2,
+    "heading_distortion.a2": 0.05,
+}
+WHEEL_COLUMNS: Final = [
+    f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct", "angle_rad") for w in at.WHEELS
+]
+COLUMNS: Final = [
+    *WHEEL_COLUMNS,
+    *("pose.x_m", "pose.y_m", "pose.yaw_rad"),
+    *("velocity.linear_m_s", "velocity.lateral_m_s", "velocity.angular_rad_s"),
+    *("accel_x_m_s2", "accel_y_m_s2"),
+    *(f"state.{w}.{what}" for what in ("motor", "speed_rpm", "integral_pct") for w in at.WHEELS),
+    *("imu.gyro_z_rad_s", "imu.yaw_rad", "imu.accel_x_m_s2", "imu.accel_y_m_s2"),
+    *("nav.x_m", "nav.y_m", "nav.yaw_rad"),
+]
+
+
+def cases() -> dict[str, dict[str, float]]:
+    """Return the terms of every vector file, by its name; the base has none."""
+    result: dict[str, dict[str, float]] = {"base": {}}
+    for term in TERMS.values():
+        if not term.shape:
+            size = _UNSET_REFERENCE.get(term.name, term.reference)
+            if size is None:
+                msg = f"term {term.name} has no size for its conformance vector"
+                raise ValueError(msg)
+            result[term.name] = {term.name: size}
+    result["nav_outliers.share"] = {"nav_outliers.share": 0.3}  # a few of the 12 samples
+    result["battery_sag_viscous"] = {"battery_sag": 1.0, "viscous_load": 0.05}
+    result["everything"] = {
+        name: size
+        for terms in list(result.values())
+        for name, size in terms.items()
+        if name not in ("saturation_limit", "setpoint_rate_limit")
+    }
+    return result
+
+
+def robot_of(terms: dict[str, float]) -> RobotParameters:
+    """Return the robot of a vector file: navigation on, without random noise."""
+    nav = Navigation(enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0)
+    return RobotParameters(terms=terms, nav=nav)
+
+
+def setpoints(tick: int) -> NDArray[np.float64]:
+    """Return the set-points [rpm] of a tick, shape (4,)."""
+    latest = [value for start, value in _SETPOINTS if start <= tick][-1]
+    return np.array(latest)
+
+
+def drive(robot: RobotParameters) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Run the manoeuvre with the compiled plant; yield tick and numbers as in `COLUMNS`."""
+    p = robot.pack()
+    x, u = robot.initial_state(), np.zeros(at.N_U)
+    y, q = np.zeros(at.N_Y), np.zeros(at.N_Y, dtype=np.int64)
+    u[at.U_ENABLE] = 1.0
+    for tick in range(TICKS):
+        u[at.U_SETPOINT : at.U_SETPOINT + 4] = setpoints(tick)
+        state = x[: at.X_ANGLE].copy()
+        robot_step(p, x, u, y, q)
+        if tick % SENSOR_TICKS == 0:
+            imu_step(p, x, u, y, q)
+            nav_step(p, x, u, y, q)
+        accel = x[at.X_ACCEL : at.X_ACCEL + 2]
+        sensed = [*y[at.Y_IMU : at.Y_IMU + 4], *y[at.Y_NAV : at.Y_NAV + 3]]
+        yield tick, np.concatenate([y[: at.N_Y_ROBOT], accel, state, sensed])
+
+
+def to_csv(terms: dict[str, float]) -> str:
+    """Return the text of a vector file."""
+    text = io.StringIO()
+    text.write("# " + " ".join(f"{name}={value!r}" for name, value in terms.items()) + "\n")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["tick", *COLUMNS])
+    for tick, numbers in drive(robot_of(terms)):
+        if tick % EVERY == 0:
+            writer.writerow([tick, *(repr(float(v)) for v in numbers)])
+    return text.getvalue()
+
+
+def inputs_csv() -> str:
+    """Return the text of the file of set-point changes."""
+    rows = [",".join(["tick", *(f"wheel.{w}.setpoint_rpm" for w in at.WHEELS)])]
+    rows += [",".join([str(tick), *map(repr, values)]) for tick, values in _SETPOINTS]
+    return "\n".join(rows) + "\n"
+
+
+def read(name: str) -> tuple[dict[str, float], NDArray[np.int64], NDArray[np.float64]]:
+    """Return terms, ticks and numbers of a shipped vector file."""
+    resource = files("hilserver.plant.reference").joinpath(f"vectors/{name}.csv")
+    head, *lines = resource.read_text(encoding="utf-8").splitlines()
+    terms = dict(item.split("=") for item in head.lstrip("# ").split())
+    rows = list(csv.reader(lines))[1:]
+    ticks = np.array([int(row[0]) for row in rows])
+    numbers = np.array([[float(v) for v in row[1:]] for row in rows])
+    return {key: float(value) for key, value in terms.items()}, ticks, numbers
