@@ -3,7 +3,6 @@
 import argparse
 import asyncio
 import contextlib
-import logging
 import signal
 import sys
 
@@ -36,7 +35,6 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
 
 async def serve(args: argparse.Namespace) -> int:
     """Serve and drive until SIGINT or SIGTERM."""
-    logging.getLogger("asyncua").setLevel(logging.CRITICAL + 1)
     robot = Robot(args.wheel_radius_m, args.k_om_per_m, args.yaw_sign, args.max_rpm)
     async with ControllerServer(args.endpoint) as server:
         controller = Controller(server, Eight(speed_m_s=args.speed_m_s), robot)

@@ -1,7 +1,8 @@
 """The controller's address space: the same nodes as the Node-RED flow in deploy/node-red."""
 
+import logging
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from urllib.parse import urlsplit
 
@@ -31,6 +32,8 @@ class ControllerServer:
     ----------
     endpoint : str
         ``opc.tcp://127.0.0.1:<port>/UA/NodeRedAgv``; port 0: any free one.
+    more_sensors : sequence of str
+        Nodes that clients may write beside `SENSORS`.
 
     Attributes
     ----------
@@ -38,8 +41,10 @@ class ControllerServer:
         Where it listens.
     """
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, *, more_sensors: Sequence[str] = ()) -> None:
+        logging.getLogger("asyncua.server").setLevel(logging.CRITICAL + 1)
         self.endpoint = endpoint
+        self._sensors = (*SENSORS, *more_sensors)
         self._server = Server()
         self._ids: dict[str, ua.NodeId] = {}
 
@@ -50,11 +55,11 @@ class ControllerServer:
         namespace = await self._server.register_namespace(NAMESPACE)
         folder = ua.NodeId("agv", namespace)
         agv = await self._server.nodes.objects.add_folder(folder, "agv")
-        for name in (*SETPOINTS, SEQUENCE, *SENSORS):
+        for name in (*SETPOINTS, SEQUENCE, *self._sensors):
             kind = TYPES.get(name, ua.VariantType.Double)
             initial = ua.Variant(False if kind is ua.VariantType.Boolean else 0, kind)
             node = await agv.add_variable(ua.NodeId(name, namespace), name, initial)
-            if name in SENSORS:
+            if name in self._sensors:
                 await node.set_writable()
             self._ids[name] = node.nodeid
         await self._listen()
@@ -96,3 +101,13 @@ class ControllerServer:
         )
         usable = data.StatusCode is None or not data.StatusCode.is_bad()
         return (data.Value.Value if usable and data.Value else None), data.SourceTimestamp
+
+    def watch(self, name: str, callback: Callable[[object], None]) -> None:
+        """Call `callback` with every value that a client writes to `name`."""
+
+        async def on_change(_handle: int, data: ua.DataValue, _error: object = None) -> None:
+            callback(data.Value.Value if data.Value else None)
+
+        self._server.iserver.aspace.add_datachange_callback(
+            self._ids[name], ua.AttributeIds.Value, on_change
+        )

@@ -42,7 +42,6 @@ class FaultBook:
         if known:
             return
         self._status.faults[key] = sentence
-        _log.warning("peer fault", peer=self._status.name, fault=str(kind), what=sentence)
         message = f"peer {self._status.name}: {sentence}"
         self._publish(Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns))
 

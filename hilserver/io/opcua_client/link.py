@@ -134,11 +134,9 @@ class PeerLink:
         name = self.config.name
         if transition is Transition.LOST:
             message = f"peer {name}: {self._staleness.reason}; on_stale is {self.config.on_stale}"
-            _log.warning("peer lost", peer=name, why=self._staleness.reason)
             self._events.publish(Event(EventKind.PEER_LOST, 800, name, message, now_ns))
             self._on_stale(name, self.config.on_stale)
             return
-        _log.info("peer delivers", peer=name)
         message = f"peer {name} delivers fresh values"
         self._events.publish(Event(EventKind.PEER_RESTORED, 200, name, message, now_ns))
         if transition is Transition.RESTORED:
