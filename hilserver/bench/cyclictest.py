@@ -1,13 +1,19 @@
 """cyclictest, the reference for wake latency: run it once, read its histogram."""
 
+import contextlib
 import re
 import shutil
 import subprocess
+import time
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import FailedError
+
+
+_SETTLE_S = 0.5
 
 
 def command(*, period_us: int, priority: int, duration_s: int, bins: int) -> list[str]:
@@ -32,6 +38,23 @@ def run(command_line: list[str], duration_s: int) -> NDArray[np.int64]:
     except subprocess.TimeoutExpired:
         raise FailedError(f"cyclictest did not end within {duration_s + 30} s") from None
     return parse(done.stdout, int(command_line[command_line.index("-h") + 1]))
+
+
+@contextlib.contextmanager
+def companion(*, period_us: int, duration_s: int) -> Iterator[None]:
+    """Run cyclictest without real-time priority beside a block of `duration_s` [s].
+
+    In the reference's blocks a second paced thread, the subject's, runs beside cyclictest. This one
+    makes the subject's blocks equal.
+    """
+    command_line = command(period_us=period_us, priority=0, duration_s=duration_s + 2, bins=1)
+    process = subprocess.Popen(command_line, stdout=subprocess.DEVNULL)  # noqa: S603
+    try:
+        time.sleep(_SETTLE_S)
+        yield
+    finally:
+        process.terminate()
+        process.wait(10)
 
 
 def parse(text: str, bins: int) -> NDArray[np.int64]:

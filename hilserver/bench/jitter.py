@@ -3,9 +3,10 @@
 Blocks of the subject and of cyclictest alternate at the same period, priority and load, and per
 percentile the medians over the blocks are compared: the tail of a shared virtual machine hits both.
 
-The load is there in both kinds of blocks: the daemon keeps pacing, publishing and serving its
-clients while cyclictest runs. Its pacing thread then has no real-time priority, so that cyclictest
-competes with as many real-time threads (none) as the daemon does in its own blocks.
+The load is the same in both kinds of blocks. The daemon keeps pacing, publishing and serving its
+clients while cyclictest runs, but its pacing thread then has no real-time priority; and while the
+daemon is measured, a second cyclictest without real-time priority runs beside it. So there is
+always one real-time thread that is measured and one ordinary thread of the same period.
 """
 
 import argparse
@@ -122,7 +123,8 @@ def compare(args: argparse.Namespace, backend: str) -> Comparison:
         )
         for block in range(args.blocks):
             _progress(f"{backend}: block {block + 1} of {args.blocks}")
-            comparison.subject.append(subject.measure(args.block_s))
+            with cyclictest.companion(period_us=args.period_us, duration_s=args.block_s):
+                comparison.subject.append(subject.measure(args.block_s))
             with subject.standing_back():
                 comparison.reference.append(cyclictest.run(comparison.command, args.block_s))
         _progress("")

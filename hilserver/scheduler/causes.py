@@ -7,7 +7,7 @@ difference to the last look (at most a second old):
 ============ ==================================================================================
 ``stopped``  the process was stopped (SIGSTOP, debugger): a SIGCONT arrived
 ``GC``       Python's garbage collector ran meanwhile (only where the event loop is involved)
-``slice``    the slice itself: the thread was running for most of the time
+``slice``    the slice itself: it computed for most of the time, or longer than a period
 ``fault``    a page had to be read from disk (major) or made (minor)
 ``stolen``   the hypervisor gave the core to somebody else (steal time)
 ``preempted`` the thread was ready but another one ran (involuntary switches, run-queue delay)
@@ -61,9 +61,12 @@ class Evidence:
     ----------
     span_ns : int
         The delay (late wake) or the execution (long run) to be explained.
+    period_ns : int
+        A slice that computed for longer than this ran long whatever else happened.
     """
 
     span_ns: int
+    period_ns: int
     late: bool
     cpu_ns: int
     minor_faults: int
@@ -82,7 +85,7 @@ def judge(evidence: Evidence) -> Cause:
         return Cause.STOPPED
     if evidence.gc_ns >= half > 0:
         return Cause.GC
-    if not evidence.late and evidence.cpu_ns >= half:
+    if not evidence.late and evidence.cpu_ns >= min(half, evidence.period_ns):
         return Cause.SLICE
     if evidence.steal_ns >= half:
         return Cause.STOLEN
@@ -124,6 +127,8 @@ class CauseFinder:
         Of the pacing thread.
     gc_pauses
         Measured collections.
+    period_ns
+        The base period.
     gc_stops_ticks
         True where the event loop itself paces (`timerfd`).
     clock_ns
@@ -135,17 +140,19 @@ class CauseFinder:
         thread_id: int,
         gc_pauses: GcPauses,
         *,
+        period_ns: int,
         gc_stops_ticks: bool,
         clock_ns: Callable[[], int] = time.monotonic_ns,
         proc: Path = Path("/proc"),
     ) -> None:
         self._thread_id = thread_id
         self._gc_pauses = gc_pauses
+        self._period_ns = period_ns
         self._gc_stops_ticks = gc_stops_ticks
         self._clock_ns = clock_ns
         self._proc = proc
         self._continued_ns: deque[int] = deque(maxlen=16)
-        self._last = self._look()
+        self._last = self.look()
 
     def continued(self) -> None:
         """Note a SIGCONT."""
@@ -154,19 +161,19 @@ class CauseFinder:
     def look_around(self) -> None:
         """Refresh the running totals if they are older than a second."""
         if self._clock_ns() - self._last.at_ns >= _LOOK_NS:
-            self._last = self._look()
+            self._last = self.look()
 
-    def explain(self, record: OverrunRecord) -> Cause:
-        """Name the likeliest cause of one overrun of a compiled slice."""
+    def explain(self, record: OverrunRecord, now: Look) -> Cause:
+        """Name the likeliest cause of one overrun of a compiled slice; `now` is a fresh look."""
         late = record.kind == LATE_WAKE
         began_ns = record.planned_ns if late else record.planned_ns + record.latency_ns
         span_ns = record.latency_ns if late else record.execution_ns
         end_ns = began_ns + span_ns
-        now = self._look()
         gc_ns = self._gc_pauses.overlap_ns(began_ns, end_ns) if self._gc_stops_ticks else 0
         return judge(
             Evidence(
                 span_ns=span_ns,
+                period_ns=self._period_ns,
                 late=late,
                 cpu_ns=record.cpu_ns,
                 minor_faults=record.minor_faults,
@@ -191,7 +198,8 @@ class CauseFinder:
         # The handler runs on the event loop, hence a little after the process goes on.
         return any(begin_ns <= at <= end_ns + 20_000_000 for at in self._continued_ns)
 
-    def _look(self) -> Look:
+    def look(self) -> Look:
+        """Read the running totals now."""
         return Look(
             self._clock_ns(),
             read_run_delay_ns(self._thread_id, self._proc),

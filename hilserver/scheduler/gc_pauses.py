@@ -22,12 +22,14 @@ class GcPauses:
         self.pauses = Histogram125()
         self._recent: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
         self._began_ns = 0
+        self._frozen = False
 
     def start(self, *, freeze: bool) -> None:
         """Begin to measure; `freeze` first hides all living objects from the collector."""
         if freeze:
             gc.collect()
             gc.freeze()
+            self._frozen = True
         if self._collected not in gc.callbacks:
             gc.callbacks.append(self._collected)
 
@@ -35,6 +37,9 @@ class GcPauses:
         """Stop measuring; may be called twice."""
         if self._collected in gc.callbacks:
             gc.callbacks.remove(self._collected)
+        if self._frozen:
+            gc.unfreeze()
+            self._frozen = False
 
     def overlap_ns(self, begin_ns: int, end_ns: int) -> int:
         """Return how much of a time span [ns, CLOCK_MONOTONIC] was spent collecting."""

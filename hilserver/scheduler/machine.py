@@ -43,6 +43,7 @@ class Machine:
         statistics_array: NDArray[np.int64] | None,
         linear_bins: int,
     ) -> None:
+        _check_types(step, values, words)
         self.base_period_ns = base_period_ns
         self.compiled, self.communication = check_slices(slices)
         self.law = law_array(base_period_ns, policy, limits, warm_up_ticks, first_tick)
@@ -83,3 +84,12 @@ class Machine:
         """Touch every page of every array once, without changing a bit."""
         for array in self.arguments[1:]:
             array.reshape(-1).view(np.int64)[::512] += 0
+
+
+def _check_types(step: StepFunction, values: NDArray[np.float64], words: NDArray[np.int64]) -> None:
+    """Refuse here, with a sentence, what compiled code would refuse in its own thread."""
+    if not getattr(step, "nopython_signatures", None):
+        raise TypeError("the step must be compiled with kernel(STEP_SIGNATURE)")
+    for name, array, kind in (("values", values, np.float64), ("words", words, np.int64)):
+        if array.dtype != kind or array.ndim != 1 or not array.flags.c_contiguous:
+            raise TypeError(f"{name} must be a flat contiguous {np.dtype(kind)} array")

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hilserver.scheduler.causes import Cause, CauseFinder
+from hilserver.scheduler.causes import Cause, CauseFinder, Look
 from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, NO_OVERRUN
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.step import (
@@ -124,7 +124,10 @@ class Overruns:
         if self._finder is None:
             return
         names = self._machine.slice_names
+        look: Look | None = None
         while record := self._machine.exchange.take_record(ended_before_ns):
+            look = look or self._finder.look()  # one look serves all records of this round
+            cause = self._finder.explain(record, look) if record.kind else Cause.SLICE
             self._call(
                 OverrunReport(
                     slice=names[record.slice_index],
@@ -133,7 +136,7 @@ class Overruns:
                     latency_ns=record.latency_ns,
                     execution_ns=record.execution_ns,
                     missed=record.missed,
-                    cause=self._finder.explain(record) if record.kind else Cause.SLICE,
+                    cause=cause,
                     consequence=_consequence(record.code),
                 )
             )

@@ -57,20 +57,21 @@ class ThreadPacing:
         self._loop.add_reader(self._doorbell, self._answer_doorbell)
         grants = self._process_grants.request()
         self._machine.prefault()
-        atexit.register(self._end_thread)
         self._thread.start()
+        atexit.register(self._end_thread)
         return grants + await self._granted
 
     async def stop(self) -> None:
         """Wait for the thread's end; at most the longest sleep plus one tick."""
-        atexit.unregister(self._end_thread)
         try:
             async with asyncio.timeout(_END_WITHIN_S):
-                await self._over.wait()
-            self._thread.join()
+                if self._thread.ident is not None:
+                    await self._over.wait()
+                    self._thread.join()
         except TimeoutError:
             message = f"the pacing thread did not end within {_END_WITHIN_S} s: a slice never ends"
             raise RuntimeError(message) from None
+        atexit.unregister(self._end_thread)
         self._loop.remove_reader(self._doorbell)
         os.close(self._doorbell)
         self._process_grants.release()

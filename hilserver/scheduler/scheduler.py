@@ -189,12 +189,21 @@ class Scheduler:
         self._started = True
         self.finished: asyncio.Future[StopReason] = asyncio.get_running_loop().create_future()
         self.gc_pauses.start(freeze=self._freeze_gc)
-        self.grants = await self._pacing.start()
+        try:
+            self.grants = await self._pacing.start()
+        except BaseException:
+            await self.stop()
+            raise
         self.statistics.array[THREAD_ID] = self._pacing.thread_id
         if self.backend != "virtual":
             gc_stops_ticks = self.backend == "timerfd"
             self._overruns.start(
-                CauseFinder(self._pacing.thread_id, self.gc_pauses, gc_stops_ticks=gc_stops_ticks)
+                CauseFinder(
+                    self._pacing.thread_id,
+                    self.gc_pauses,
+                    period_ns=self.base_period_ns,
+                    gc_stops_ticks=gc_stops_ticks,
+                )
             )
 
     async def stop(self) -> None:

@@ -12,6 +12,7 @@ deadline of a communication slice is its own next planned start.
 import math
 import mmap
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from hilserver.scheduler import statistics_rows as rows
 from hilserver.scheduler.slices import Slice
 
 words_needed = rows.words_needed
+_READ_ROUNDS, _READ_PAUSE_S = 1000, 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,10 +202,11 @@ class Statistics:
 
     def _read(self, offset: int, length: int) -> NDArray[np.int64]:
         out = np.empty(length, dtype=np.int64)
-        for _ in range(100):
+        for _ in range(_READ_ROUNDS):
             if rows.read_row(self.array, offset, out):
                 return out
-        raise RuntimeError("the statistics are being written without end: their writer has died")
+            time.sleep(_READ_PAUSE_S)  # the writer was preempted, or its core stolen, while writing
+        raise RuntimeError("the statistics stay half written: their writer was stopped or has died")
 
 
 def map_statistics(path: Path, n_words: int | None = None) -> NDArray[np.int64]:

@@ -7,12 +7,13 @@ Words of the recorded-writes step: 0..9 runs per phase; 20 next row of the sched
 import numpy as np
 
 from hilserver.compiled import kernel
-from hilserver.compiled.libc import monotonic_ns
+from hilserver.compiled.libc import clock_gettime
 from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_SIGNATURE
 
 LATCHES, PUBLISHES, FAULTS, LAST_FAULT, ORDER, BUSY_TICK, BUSY_NS, JUMP_TO = range(10, 18)
 NEXT_ROW, N_ROWS, HASH = 20, 21, 22
 SCHEDULE = 100
+THREAD_CPU_TIME = 3
 
 
 @kernel(STEP_SIGNATURE)
@@ -43,7 +44,7 @@ def counting_step(phase, tick, planned_ns, values, words):
 
 @kernel(STEP_SIGNATURE)
 def busy_step(phase, tick, planned_ns, values, words):
-    """Burn BUSY_NS in slice 1 of the tick BUSY_TICK; count faults."""
+    """Burn BUSY_NS of processor time in slice 1 of the tick BUSY_TICK; count faults."""
     if phase == LATCH:
         return tick
     if phase == FAULT:
@@ -51,9 +52,10 @@ def busy_step(phase, tick, planned_ns, values, words):
         words[LAST_FAULT] = tick
     if phase == 1 and tick == words[BUSY_TICK]:
         scratch = words[30:32]
-        end_ns = monotonic_ns(scratch) + words[BUSY_NS]
-        while monotonic_ns(scratch) < end_ns:
-            words[40] += 1
+        clock_gettime(THREAD_CPU_TIME, scratch.ctypes)
+        end_ns = scratch[0] * 1_000_000_000 + scratch[1] + words[BUSY_NS]
+        while scratch[0] * 1_000_000_000 + scratch[1] < end_ns:
+            clock_gettime(THREAD_CPU_TIME, scratch.ctypes)
     return 0
 
 

@@ -1,16 +1,24 @@
 """Pause, step, resume, speed, stop: the same in every back end."""
 
 import asyncio
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hilserver.scheduler import OverrunPolicy, StopReason
+from hilserver.scheduler import OverrunPolicy, Scheduler, Slice, StopReason
 from hilserver.scheduler.exchange import ACKNOWLEDGED, FREE_RUN, Exchange
 from tests.scheduler.kernels import LATCHES, PUBLISHES, counting_step
 from tests.scheduler.rig import make, running, until
 
 BACKENDS = ("thread", "timerfd", "virtual")
+
+
+def count_descriptors():
+    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -75,12 +83,9 @@ async def test_speed_scales_pacing_and_not_simulated_time(backend):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 async def test_stop_gives_everything_back(backend):
-    def descriptors():
-        return len(list(Path("/proc/self/fd").iterdir()))
-
     async with running(counting_step, backend=backend):
         pass  # whatever is opened once and for all
-    before, tasks = descriptors(), len(asyncio.all_tasks())
+    before, tasks = count_descriptors(), len(asyncio.all_tasks())
     for _ in range(3):
         rig = make(counting_step, backend=backend)
         await rig.scheduler.start()
@@ -91,8 +96,55 @@ async def test_stop_gives_everything_back(backend):
         end = rig.scheduler.tick
         await asyncio.sleep(0.01)
         assert rig.scheduler.tick == end
-    assert descriptors() == before
+    assert count_descriptors() == before
     assert len(asyncio.all_tasks()) == tasks
+
+
+async def test_what_compiled_code_would_refuse_is_refused_at_once():
+    with pytest.raises(TypeError, match="compiled with kernel"):
+        make(lambda *_: 0)
+    with pytest.raises(TypeError, match="values must be a flat contiguous float64"):
+        Scheduler(
+            base_period_ns=1000,
+            slices=[Slice("plant", 1, compiled=True)],
+            step=counting_step,
+            values=np.zeros(4, dtype=np.float32),
+            words=np.zeros(4, dtype=np.int64),
+        )
+
+
+async def test_a_start_that_fails_leaves_nothing_behind(monkeypatch):
+    before = count_descriptors()
+    rig = make(counting_step)
+
+    def refuse(self):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    with pytest.raises(RuntimeError, match="new thread"):
+        await rig.scheduler.start()
+    await rig.scheduler.stop()
+    assert count_descriptors() == before
+
+
+FORGETFUL = """
+import asyncio
+from tests.scheduler.kernels import counting_step
+from tests.scheduler.rig import make, until
+
+async def main():
+    rig = make(counting_step)
+    await rig.scheduler.start()
+    await until(lambda: rig.scheduler.tick > 20)
+
+asyncio.run(main())  # neither stop() nor anything else
+"""
+
+
+def test_a_program_that_forgets_to_stop_still_ends():
+    root = Path(__file__).parents[2]
+    done = subprocess.run([sys.executable, "-c", FORGETFUL], cwd=root, timeout=60, check=False)
+    assert done.returncode == 0
 
 
 async def test_start_twice_is_refused():

@@ -134,6 +134,7 @@ async def test_a_process_that_was_stopped_woke_late(backend):
 def evidence(**known):
     quiet = {
         "span_ns": 10_000_000,
+        "period_ns": 1_000_000,
         "late": True,
         "cpu_ns": 0,
         "minor_faults": 0,
@@ -159,6 +160,8 @@ def evidence(**known):
         ({"major_faults": 1}, Cause.FAULT),
         ({"cpu_ns": 10_000_000}, Cause.UNKNOWN),  # a late wake is not the slice's doing
         ({"late": False, "cpu_ns": 9_000_000, "preempted": 3}, Cause.SLICE),
+        ({"late": False, "cpu_ns": 1_500_000, "run_delay_ns": 8_000_000}, Cause.SLICE),
+        ({"late": False, "cpu_ns": 900_000, "run_delay_ns": 8_000_000}, Cause.PREEMPTED),
         ({"late": False, "preempted": 3}, Cause.PREEMPTED),
         ({"late": False, "minor_faults": 3}, Cause.FAULT),
     ],
@@ -173,27 +176,26 @@ def test_finder_reads_proc(tmp_path):
     schedstat.write_text("100 0 1\n")
     stat.write_text("cpu  1 0 0 0 0 0 0 50 0 0\ncpu0 1\n")
     now = [10**9]
-    finder = CauseFinder(7, GcPauses(), gc_stops_ticks=True, clock_ns=lambda: now[0], proc=tmp_path)
+    finder = CauseFinder(
+        7, GcPauses(), period_ns=10**6, gc_stops_ticks=True, clock_ns=lambda: now[0], proc=tmp_path
+    )
     late = OverrunRecord(5, LATE_WAKE, 0, 10**9, 8_000_000, 1000, 1000, 0, 0, 0, 8, 0)
-    assert finder.explain(late) is Cause.UNKNOWN
+    assert finder.explain(late, finder.look()) is Cause.UNKNOWN
     schedstat.write_text("100 7000000 1\n")
-    assert finder.explain(late) is Cause.PREEMPTED
+    assert finder.explain(late, finder.look()) is Cause.PREEMPTED
     stat.write_text("cpu  1 0 0 0 0 0 0 51 0 0\n")
-    assert finder.explain(late) is Cause.STOLEN
+    assert finder.explain(late, finder.look()) is Cause.STOLEN
     now[0] += 2 * 10**9
     finder.look_around()  # from here on the old figures explain nothing
-    assert finder.explain(late) is Cause.UNKNOWN
+    assert finder.explain(late, finder.look()) is Cause.UNKNOWN
     now[0] = 10**9 + 9_000_000
     finder.continued()
-    assert finder.explain(late) is Cause.STOPPED
+    assert finder.explain(late, finder.look()) is Cause.STOPPED
     schedstat.unlink()
     stat.unlink()
-    assert (
-        CauseFinder(7, GcPauses(), gc_stops_ticks=True, proc=tmp_path).explain(
-            OverrunRecord(5, LONG_RUN, 0, 0, 0, 2_000_000, 2_000_000, 0, 0, 0, 0, 0)
-        )
-        is Cause.SLICE
-    )
+    blind = CauseFinder(7, GcPauses(), period_ns=10**6, gc_stops_ticks=True, proc=tmp_path)
+    long = OverrunRecord(5, LONG_RUN, 0, 0, 0, 2_000_000, 2_000_000, 0, 0, 0, 0, 0)
+    assert blind.explain(long, blind.look()) is Cause.SLICE
 
 
 def test_gc_pauses_are_measured():

@@ -173,8 +173,9 @@ def test_arrays_that_do_not_fit_are_refused():
         Statistics(ONE, 1000, np.zeros(3, dtype=np.int64))
 
 
-def test_a_dead_writer_is_named():
+def test_a_dead_writer_is_named(monkeypatch):
+    monkeypatch.setattr("hilserver.scheduler.statistics._READ_ROUNDS", 3)
     statistics = Statistics(ONE, 1000)
     statistics.array[row_offset(0)] += 1
-    with pytest.raises(RuntimeError, match="writer has died"):
+    with pytest.raises(RuntimeError, match="writer was stopped or has died"):
         statistics.slice("plant")
