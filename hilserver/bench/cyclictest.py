@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from hilserver.errors import FailedError
 
-
 _SETTLE_S = 0.5
 
 
