@@ -1,13 +1,20 @@
-"""A peer that is killed, or falls into a black hole: safe in time, back in time, no growth."""
+"""The daemon and a peer that is killed, or falls into a black hole: safe in time, back in time."""
 
 import asyncio
+import contextlib
 import gc
 import time
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 
+from hilserver.assembly import assemble_config
+from hilserver.config.peers import PeerConfig
+from hilserver.config.root import Config
+from hilserver.control import State
 from hilserver.controller.nodes import demo_peer
-from tests.io.opcua_client.conftest import Harness, make_harness, wait_until
+from hilserver.daemon import Daemon
+from tests.io.opcua_client.conftest import wait_until
 from tests.node_red.black_hole import THEIRS, peer_network
 from tests.node_red.node_red import shipped_flow
 from tests.node_red.resources import Holdings
@@ -16,52 +23,72 @@ pytestmark = [pytest.mark.node_red, pytest.mark.timeout(300)]
 
 STALE_S = 0.5
 NOTICE_S = 0.3
-"""Scheduling and the shared machine; the stale time itself is exact."""
+"""What a busy machine may add; the stale time itself is exact."""
 
 BACK_S = 2.0
 
 
-async def seconds_until(condition, limit_s: float) -> float:
+@contextlib.asynccontextmanager
+async def running_daemon(peer: PeerConfig) -> AsyncIterator[Daemon]:
+    config = Config.model_validate(
+        {
+            "image": {"name": "auto"},
+            "opcua": {"enabled": False},
+            "metrics": {"enabled": False},
+            "scheduler": {"limits": {"single_overrun_ms": None, "consecutive_overruns": None}},
+            "peers": [peer.model_dump(mode="json")],
+        }
+    )
+    async with Daemon(assemble_config(config)) as daemon:
+        yield daemon
+
+
+def speed_rpm(daemon: Daemon) -> float:
+    frame = daemon.image.latest()
+    assert frame is not None
+    return float(frame.values[daemon.table.slot("wheel.fl.speed_rpm")])
+
+
+async def seconds_until(condition: Callable[[], bool], limit_s: float) -> float:
     started = time.monotonic()
     await wait_until(condition, limit_s)
     return time.monotonic() - started
 
 
-async def assert_lost_in_time(harness: Harness, losses: int) -> None:
-    took = await seconds_until(lambda: len(harness.stale) == losses, 5)
-    assert took <= STALE_S + NOTICE_S
-    assert harness.stale[-1] == ("iot2050", "ramp")
-    assert harness.status.stale
+async def assert_safe_in_time(daemon: Daemon) -> None:
+    assert await seconds_until(lambda: daemon.control.state is State.SAFE, 5) <= STALE_S + NOTICE_S
+    await wait_until(lambda: abs(speed_rpm(daemon)) < 0.5, 3)
 
 
-async def assert_back_in_time(harness: Harness) -> None:
-    assert await seconds_until(lambda: not harness.status.stale, 15) <= BACK_S
+async def assert_back_in_time(daemon: Daemon) -> None:
+    status = daemon.peers[0].status
+    assert await seconds_until(lambda: not status.stale, 15) <= BACK_S
+    if daemon.control.state is State.SAFE:
+        daemon.control.reset()
+    await wait_until(lambda: speed_rpm(daemon) > 5, 5)
+    assert daemon.control.state is State.RUNNING
 
 
 @pytest.mark.parametrize("rounds", [5, pytest.param(20, marks=pytest.mark.long)])
 async def test_killed_and_restarted(node_red, rounds):
     peer = node_red(shipped_flow())
-    harness = make_harness(demo_peer(peer.endpoint, name="iot2050"))
-    await harness.link.start()  # before the peer: any start order
     held, tasks = [], []
-    try:
-        for number in range(1, rounds + 1):
+    # The daemon first and the peer later: any start order.
+    async with running_daemon(demo_peer(peer.endpoint, name="iot2050")) as daemon:
+        for _ in range(rounds):
             await peer.start()
-            await assert_back_in_time(harness)
-            await asyncio.sleep(0.5)
+            await assert_back_in_time(daemon)
             gc.collect()
             held.append(Holdings.of())
             tasks.append(len(asyncio.all_tasks()))
             await peer.kill()
-            await assert_lost_in_time(harness, number)
-    finally:
-        await harness.link.stop()
-    assert harness.status.reconnects == rounds - 1
-    assert len(harness.restored) == rounds - 1
+            await assert_safe_in_time(daemon)
+        status = daemon.peers[0].status
+        assert status.reconnects == rounds - 1
     assert max(tasks) == min(tasks)
     assert max(h.sockets for h in held) == min(h.sockets for h in held)
     assert max(h.files for h in held) == min(h.files for h in held)
-    # The second round, when everything has been loaded once, against the last.
+    # From the second round on everything has been loaded once.
     assert held[-1].memory_kib - held[1].memory_kib < 4 * 1024
 
 
@@ -70,21 +97,19 @@ async def test_black_hole(node_red):
     with peer_network() as network:
         peer = node_red(shipped_flow(), host=THEIRS, prefix=network.prefix)
         await peer.start()
-        harness = make_harness(demo_peer(peer.endpoint, name="iot2050"))
-        await harness.link.start()
-        try:
-            await wait_until(lambda: not harness.status.stale)
+        async with running_daemon(demo_peer(peer.endpoint, name="iot2050")) as daemon:
+            await assert_back_in_time(daemon)
+            gc.collect()
             tasks, before = len(asyncio.all_tasks()), Holdings.of()
-            for number, hole_s in enumerate((3.0, 8.0), start=1):
+            # Shorter and longer than the link's own patience.
+            for hole_s in (1.0, 7.0):
                 network.swallow()
-                await assert_lost_in_time(harness, number)
+                await assert_safe_in_time(daemon)
                 await asyncio.sleep(hole_s)
                 network.heal()
-                await assert_back_in_time(harness)
+                await assert_back_in_time(daemon)
             await asyncio.sleep(0.5)
-            assert harness.status.reconnects >= 1
+            assert daemon.peers[0].status.reconnects >= 1
             assert len(asyncio.all_tasks()) == tasks
             assert Holdings.of().sockets == before.sockets
-        finally:
-            await harness.link.stop()
-            await peer.kill()
+        await peer.kill()
