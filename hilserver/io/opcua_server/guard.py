@@ -4,6 +4,7 @@ The hardening against hostile clients (certificates, roles, malformed messages) 
 classes: sessions, subscriptions and the transport are ours from here on.
 """
 
+import asyncio
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -163,5 +164,6 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
             await session.close_session(True)
         if self.time_task is not None:
             self.time_task.cancel()
+            await asyncio.gather(self.time_task, return_exceptions=True)
             self.time_task = None
         await super().stop()

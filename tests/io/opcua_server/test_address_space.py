@@ -1,11 +1,15 @@
 """What a client finds when it browses."""
 
+from pathlib import Path
+
 import pytest
 from asyncua import ua
 
 from hilserver.errors import ConfigError
+from hilserver.io.opcua_server.door import STATUS_OF
 from hilserver.io.opcua_server.method_table import METHODS
-from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, describe
+from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, GROUPS, describe
+from hilserver.io.opcua_server.robot_events import TYPE_NAMES
 from hilserver.signals import Signal, SignalTable
 from hilserver.units import UNECE
 from tests.io.opcua_server.rig import TABLE, Rig, RobotClient
@@ -114,6 +118,13 @@ async def test_build_info_and_uris(client: RobotClient, rig: Rig) -> None:
     endpoint = (await client.get_endpoints())[0]
     assert endpoint.Server.ApplicationUri.endswith(":hilserver")
     assert endpoint.EndpointUrl == rig.server.url
+
+
+async def test_reference_page_names_everything() -> None:
+    page = (Path(__file__).parents[3] / "docs/reference/opcua-address-space.md").read_text()
+    codes = {ua.StatusCode(code).name for code in STATUS_OF.values()}
+    for word in (*(m.name for m in METHODS), *TYPE_NAMES.values(), *GROUPS, *codes):
+        assert word in page, word
 
 
 async def test_a_signal_cannot_take_a_reserved_place() -> None:

@@ -25,7 +25,7 @@ async def test_node_opcua_reads_takes_control_writes_subscribes_and_calls(rig: R
     node = shutil.which("node")
     assert node, "Node.js 20 is needed (make test installs its packages)"
     assert (FOLDER / "node_modules" / "node-opcua-client").is_dir(), (
-        f"run: npm install --no-package-lock --prefix {FOLDER.name}"
+        "run: npm install --prefix tests/foreign_client"
     )
     rig.control.started()
     rig.set("pose.x_m", 0.75)
