@@ -19,6 +19,7 @@ from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
 from hilserver.errors import ConfigError
 from hilserver.kernel import BlockUse, Composition, Part
 from hilserver.plant.blocks import load_block
+from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
 from hilserver.signals import BlockOutput, Ranges, SignalTable, robot_table
@@ -102,12 +103,7 @@ class _Builder:
         slices = self._slices(base_ns)
         periods_s = {s.name: s.period_ticks * base_ns * 1e-9 for s in slices}
         parts = self._parts(slices)
-        robot = self._checked(
-            (),
-            lambda: to_parameters(
-                config.plant, config.kinematics, config.sensors, periods_s, self._folder
-            ),
-        )
+        robot = self._robot(periods_s)
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
         table = robot_table(_ranges(robot), [o for block in blocks for o in _outputs(block)])
         self._check_wiring(table, blocks)
@@ -122,6 +118,16 @@ class _Builder:
             hall=robot.hall,
         )
         return Assembly(config, self._path, robot, table, base_ns, slices, composition)
+
+    def _robot(self, periods_s: dict[str, float]) -> RobotParameters:
+        config = self._config
+        try:
+            return to_parameters(
+                config.plant, config.kinematics, config.sensors, periods_s, self._folder
+            )
+        except PlantError as error:
+            key, _, rest = str(error).partition(": ")
+            raise self._fail(key.split("."), rest) from None
 
     def _slices(self, base_ns: int) -> list[Slice]:
         slices: list[Slice] = []

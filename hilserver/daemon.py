@@ -91,6 +91,7 @@ class Daemon:
             ring_length=config.image.ring_frames,
         )
         self._resources.callback(self.image.close)
+        self.image.warm_up()
         step = compose(assembly.composition, self.image)
         if not is_virtual:
             timeout_ns = round(config.scheduler.communication_timeout_ms * 1e6)
@@ -109,6 +110,8 @@ class Daemon:
         self.metrics = Metrics(self._metrics_sources())
         self.http = self._make_http() if config.metrics.enabled else None
         self._frame: Frame | None = None
+        self._first_ticks_met = False
+        self._overruns_seen = 0
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -185,6 +188,7 @@ class Daemon:
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
         self.control.supervise()
+        self._watch_first_ticks()
         self._watch_operator()
         if self.server is not None:
             self.server.publish_diagnostics()
@@ -198,6 +202,15 @@ class Daemon:
             if self.scheduler.paused:
                 self._publish(self.scheduler.tick, 0)
                 self._supervise(self.scheduler.tick, 0)
+
+    def _watch_first_ticks(self) -> None:
+        """Ready is who met every deadline from one supervise run to the next."""
+        if self._first_ticks_met:
+            return
+        plant = self.scheduler.statistics.slice(self.config.plant.slice)
+        overruns = plant.late_wakes + plant.long_runs
+        self._first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
+        self._overruns_seen = overruns
 
     def _watch_operator(self) -> None:
         limit_ms = self.config.control.opcua_stale_after_ms
@@ -313,7 +326,7 @@ class Daemon:
         health = HealthSources(
             state=self._state_name,
             heartbeat_ns=lambda: self.scheduler.heartbeat_ns,
-            first_ticks_met=lambda: self.control.state is not State.STARTING,
+            first_ticks_met=lambda: self._first_ticks_met,
         )
         config = self.config.metrics
         return HttpServer(

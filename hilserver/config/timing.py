@@ -2,13 +2,22 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    field_validator,
+    model_validator,
+)
 
 from hilserver.signals import SOURCES, Source
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 
 COMMUNICATION_SLICES = ("publish", "supervise")
+DEFAULT_SLICES = {"plant": 1.0, "sensors": 10.0, "publish": 20.0, "supervise": 100.0}
+MAX_SLICES = 16
 
 
 class Section(BaseModel):
@@ -45,8 +54,8 @@ class SchedulerConfig(Section):
     )
     base_period_ms: float = Field(1.0, gt=0, le=1000, description="Base period [ms]")
     slices: dict[Name, float] = Field(
-        default={"plant": 1.0, "sensors": 10.0, "publish": 20.0, "supervise": 100.0},
-        description="Period of every slice [ms], a multiple of the base period",
+        default=DEFAULT_SLICES,
+        description="Period of every slice [ms], a multiple of the base period; more may be added",
     )
     policy: Literal["catch_up", "skip", "stretch", "fail"] = Field(
         "catch_up", description="What happens to ticks whose time has passed"
@@ -58,14 +67,17 @@ class SchedulerConfig(Section):
         2000.0, ge=0, description="Safe state when asyncio is silent for this long; 0: not watched"
     )
 
-    @model_validator(mode="after")
-    def _slices_complete(self) -> Self:
-        for name in COMMUNICATION_SLICES:
-            if name not in self.slices:
-                raise ValueError(f"slice '{name}' is missing in slices")
-        if len(self.slices) > 16:
-            raise ValueError("more than 16 slices")
-        return self
+    @field_validator("slices", mode="before")
+    @classmethod
+    def _add_default_slices(cls, value: object) -> object:
+        return DEFAULT_SLICES | value if isinstance(value, dict) else value
+
+    @field_validator("slices")
+    @classmethod
+    def _limit_slices(cls, value: dict[str, float]) -> dict[str, float]:
+        if len(value) > MAX_SLICES:
+            raise ValueError(f"{len(value)} slices are too many, at most {MAX_SLICES} are possible")
+        return value
 
 
 class ControlConfig(Section):

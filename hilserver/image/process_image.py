@@ -201,6 +201,11 @@ class ProcessImage(ImageReader):
         region = self.layout.regions["status"]
         return self.words[region.base : region.base + region.length]
 
+    def warm_up(self) -> None:
+        """Compile (or load) what readers call, before the first tick needs it."""
+        self.latest()
+        copy_frame(0, self.values, self.words, *self._scratch())
+
     @property
     def pushed_rows(self) -> int:
         """Rows handed to the plant so far; a frame with as many `latched_rows` contains them."""

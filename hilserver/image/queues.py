@@ -24,7 +24,7 @@ from hilserver.image.layout import (
 )
 
 
-@kernel()
+@kernel("int64(float64[:, ::1], int64, int64, int64, int64, float64[::1], int64[::1])")
 def push_rows(
     rows: Any, base: int, capacity: int, head: int, tail: int, values: Any, words: Any
 ) -> int:

@@ -20,7 +20,7 @@ from hilserver.image.layout import (
 )
 
 
-@kernel()
+@kernel("int64(int64, int64, int64[::1])")
 def post_request(kind: int, tick: int, words: Any) -> int:
     """Ask the plant to save its state to the shadow copy or to load it; return the number."""
     words[W_REQUEST_KIND] = kind
@@ -30,7 +30,7 @@ def post_request(kind: int, tick: int, words: Any) -> int:
     return int(number)
 
 
-@kernel()
+@kernel("boolean(int64, int64[::1])")
 def is_done(number: int, words: Any) -> bool:
     """Whether request `number` has been served."""
     return bool(load_acquire(words, W_REQUEST_DONE) >= number)
