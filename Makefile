@@ -45,6 +45,9 @@ format: $(VENV)/.dev ## Bring all code into the project's form
 .PHONY: reference
 reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m hilserver.monitoring.metrics_reference > docs/reference/metrics.md
+	@$(BIN)/python -m hilserver.config.reference > docs/reference/configuration.md
+	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md
+	@$(BIN)/hilserver check --schema config.schema.json
 
 .PHONY: clean
 clean: ## Remove everything that make has made

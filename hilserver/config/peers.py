@@ -101,10 +101,10 @@ class PeerSecurity(_Section):
     policy: Annotated[
         Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"],
         BeforeValidator(_none_is_a_policy),
-    ] = "None"
-    certificate: Path | None = None
-    private_key: Path | None = None
-    peer_certificate: Path | None = None
+    ] = Field("None", description="security policy; only None works in this version")
+    certificate: Path | None = Field(None, description="our certificate; reserved")
+    private_key: Path | None = Field(None, description="our key; reserved")
+    peer_certificate: Path | None = Field(None, description="the peer's certificate; reserved")
 
     @model_validator(mode="after")
     def _only_what_works(self) -> "PeerSecurity":
@@ -142,19 +142,38 @@ class PeerConfig(_Section):
         Period of the multi-write.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    endpoint: Endpoint
+    name: Annotated[
+        str,
+        Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in log, metrics and OPC UA"),
+    ]
+    endpoint: Annotated[Endpoint, Field(description="opc.tcp://<host>:<port>/<path>")]
     security: PeerSecurity = PeerSecurity()
-    mode: Literal["auto", "subscribe", "poll"] = "auto"
-    publishing_ms: Milliseconds = 50
-    sampling_ms: Annotated[float, Field(ge=0, le=3_600_000)] = 0
-    poll_ms: Annotated[float, Field(ge=1, le=3_600_000)] = 10
-    stale_after_ms: Milliseconds = 500
-    on_stale: Literal["hold", "zero", "ramp"] = "ramp"
-    read: Annotated[dict[NodeId, str], Field(max_length=1000)] = {}
-    sequence_node: NodeId | None = None
-    write: Annotated[dict[str, NodeId], Field(max_length=1000)] = {}
-    write_every_ms: Annotated[float, Field(ge=1, le=3_600_000)] = 20
+    mode: Literal["auto", "subscribe", "poll"] = Field(
+        "auto", description="subscribe, poll, or auto: poll when the peer grants too slow a rate"
+    )
+    publishing_ms: Milliseconds = Field(50, description="publishing interval that is asked for")
+    sampling_ms: Annotated[float, Field(ge=0, le=3_600_000)] = Field(
+        0, description="sampling interval that is asked for; what was granted is shown"
+    )
+    poll_ms: Annotated[float, Field(ge=1, le=3_600_000)] = Field(
+        10, description="period of the multi-read when polling"
+    )
+    stale_after_ms: Milliseconds = Field(500, description="inputs older than this are stale")
+    on_stale: Literal["hold", "zero", "ramp"] = Field(
+        "ramp", description="set-points then: hold them, zero, or ramp (safe state)"
+    )
+    read: Annotated[dict[NodeId, str], Field(max_length=1000)] = Field(
+        {}, description="their node: our input signal"
+    )
+    sequence_node: NodeId | None = Field(
+        None, description="their counter: tells a living controller from a server that answers"
+    )
+    write: Annotated[dict[str, NodeId], Field(max_length=1000)] = Field(
+        {}, description="our output signal: their node"
+    )
+    write_every_ms: Annotated[float, Field(ge=1, le=3_600_000)] = Field(
+        20, description="period of the multi-write"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "PeerConfig":

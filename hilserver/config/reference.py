@@ -42,7 +42,7 @@ def _leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, FieldInf
 def _inner_model(annotation: Any) -> tuple[type[BaseModel] | None, str]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation, ""
-    if get_origin(annotation) in (tuple, list):
+    if get_origin(annotation) in (tuple, list) and get_args(annotation):
         inner, _ = _inner_model(get_args(annotation)[0])
         return inner, "[]"
     return None, ""

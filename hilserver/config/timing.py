@@ -122,7 +122,7 @@ class SnapshotConfig(Section):
 class BlockConfig(Section):
     """One of the user's own blocks."""
 
-    name: Name
+    name: Name = Field(description="its outputs are the signals <name>.<output>")
     function: str = Field(description="module:function or file.py:function")
     slice: Name = Field("plant", description="Time slice it runs in")
     inputs: dict[str, str] = Field(default={}, description="Input of the block: signal")
