@@ -1,7 +1,6 @@
 """The link to one peer: a loop that connects, works and waits, for as long as the daemon runs."""
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable
 
@@ -115,16 +114,14 @@ class PeerLink:
         tasks, self._tasks = self._tasks, []
         for task in tasks:
             task.cancel()
-        for task in tasks:
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+        await asyncio.gather(*tasks, return_exceptions=True)
         self.status.state = LinkState.STOPPED
 
     async def _watch(self) -> None:
         while True:
             now_ns = time.monotonic_ns()
             transition = self._staleness.check(now_ns) if self.config.read else None
-            self.status.stale = self._staleness.stale
+            self.status.stale = self._staleness.stale and bool(self.config.read)
             if transition is not None:
                 self._tell(transition, now_ns)
             self._faults.expire(now_ns)
