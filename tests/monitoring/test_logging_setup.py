@@ -96,6 +96,20 @@ def test_libraries_tell_their_information_only_to_nobody() -> None:
     assert [line["event"] for line in json_lines(stream)] == ["told"]
 
 
+def test_a_traceback_of_the_opcua_library_is_one_line() -> None:
+    stream = io.StringIO()
+    setup_logging("INFO", "json", stream=stream)
+    try:
+        raise RuntimeError("a client went\naway")
+    except RuntimeError:
+        logging.getLogger("asyncua.server.uaprocessor").exception("answering failed")
+    (line,) = stream.getvalue().splitlines()
+    told = json.loads(line)
+    assert told["event"] == "answering failed"
+    assert told["error"].startswith("RuntimeError: a client went")
+    assert "exception" not in told
+
+
 @pytest.mark.parametrize("error", [ConnectionRefusedError("no peer"), FailedError("port in use")])
 @pytest.mark.parametrize("line_format", ["json", "console"])
 def test_an_expected_error_is_one_line(error: Exception, line_format: str) -> None:
