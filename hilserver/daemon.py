@@ -6,6 +6,7 @@ a frame, the publish slice hands the frame to OPC UA and the peers.
 """
 
 import asyncio
+import math
 import os
 import time
 from contextlib import AsyncExitStack
@@ -78,8 +79,7 @@ class Daemon:
         self.audit: list[AuditItem] = []
         self._limiter = limiter
         self._resources = AsyncExitStack()
-        is_virtual = config.scheduler.backend == "virtual"
-        self.clock = UtcClock(simulated=is_virtual)
+        self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.events = EventBus()
         self.image = ProcessImage(
             _image_name(config.image.name),
@@ -91,11 +91,17 @@ class Daemon:
             ring_length=config.image.ring_frames,
         )
         self._resources.callback(self.image.close)
+        try:
+            self._wire()
+        except BaseException:
+            self.image.close()
+            raise
+
+    def _wire(self) -> None:
+        assembly, config = self.assembly, self.config
         self.image.warm_up()
         step = compose(assembly.composition, self.image)
-        if not is_virtual:
-            timeout_ns = round(config.scheduler.communication_timeout_ms * 1e6)
-            watch_communication(self.image, -(-timeout_ns // assembly.base_period_ns))
+        self._watch_communication(speed=1.0)
         self.scheduler = _make_scheduler(assembly, self.image, step)
         self.gate = InputGate(
             self.table,
@@ -112,6 +118,8 @@ class Daemon:
         self._frame: Frame | None = None
         self._first_ticks_met = False
         self._overruns_seen = 0
+        self._silent: dict[str, str] = {}
+        self._acted: set[str] = set()
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -197,8 +205,10 @@ class Daemon:
 
     async def _idle(self) -> None:
         """Keep publishing while the plant stands still: no tick makes a slice due then."""
+        timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
+        period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
         while True:
-            await asyncio.sleep(IDLE_PERIOD_S)
+            await asyncio.sleep(period_s)
             if self.scheduler.paused:
                 self._publish(self.scheduler.tick, 0)
                 self._supervise(self.scheduler.tick, 0)
@@ -227,22 +237,37 @@ class Daemon:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
 
+        if event.kind is EventKind.STATE:
+            self._act_on_silence()
+
     def _on_overrun(self, report: OverrunReport) -> None:
         log_overrun(report)
         text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
         self.events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
 
     def _on_stale(self, peer: str, action: str) -> None:
-        source = f"peer:{peer}"
-        self.gate.mark_stale(source)
-        if self.gate.owner != "peer":
-            return
-        if action == "zero":
-            self.gate.stop()
-        elif action == "ramp":
-            self.control.enter_safe(f"peer '{peer}' is silent", cause=source)
+        self.gate.mark_stale(f"peer:{peer}")
+        self._silent[peer] = action
+        self._act_on_silence()
 
     def _on_restored(self, peer: str) -> None:
+        self._silent.pop(peer, None)
+        self._forgive(peer)
+
+    def _act_on_silence(self) -> None:
+        """Act on silent peers while peers have control, also when they get it back."""
+        for peer, action in self._silent.items():
+            if self.gate.owner != "peer":
+                self._forgive(peer)
+            elif peer not in self._acted:
+                self._acted.add(peer)
+                if action == "zero":
+                    self.gate.stop()
+                elif action == "ramp":
+                    self.control.enter_safe(f"peer '{peer}' is silent", cause=f"peer:{peer}")
+
+    def _forgive(self, peer: str) -> None:
+        self._acted.discard(peer)
         self.control.clear_cause(f"peer:{peer}")
 
     def _read_output(self, name: str) -> tuple[float, int, int]:
@@ -272,7 +297,14 @@ class Daemon:
             SnapshotStore(self.image, folder, dict(assembly.identity)),
             safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
             reset_statistics=self._reset_statistics,
+            speed_changed=self._watch_communication,
         )
+
+    def _watch_communication(self, speed: float) -> None:
+        """Let the plant count ticks of silence: as many as pass in the time-out at this speed."""
+        if self.config.scheduler.backend != "virtual":
+            timeout_ns = self.config.scheduler.communication_timeout_ms * 1e6 * speed
+            watch_communication(self.image, math.ceil(timeout_ns / self.assembly.base_period_ns))
 
     def _reset_statistics(self) -> None:
         with self.metrics.statistics_reset():
