@@ -23,12 +23,16 @@ from hilserver.config.peers import PeerConfig
 from hilserver.control import Control, State
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
+from hilserver.faults import Faults, Line, Scenario
+from hilserver.faults.mail import Mailbox
+from hilserver.faults.plan import Planner, ShieldFigures
+from hilserver.faults.scenario import Stage
 from hilserver.image import Frame, ProcessImage
 from hilserver.image.layout import W_HEARTBEAT
 from hilserver.inputs import InputGate
 from hilserver.io.opcua_client import PeerLink
 from hilserver.io.opcua_server import OpcUaServer
-from hilserver.kernel import compose, watch_communication
+from hilserver.kernel import compose, limit_silence, watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.health import HealthSources
 from hilserver.monitoring.health_http import HttpServer
@@ -40,6 +44,7 @@ from hilserver.monitoring.logging_setup import (
 )
 from hilserver.monitoring.metrics import Metrics
 from hilserver.monitoring.metrics_sources import MetricsSources
+from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -72,12 +77,20 @@ class Daemon:
         Set-point change to the first published output that contains it.
     """
 
-    def __init__(self, assembly: Assembly, limiter: RepeatLimiter | None = None) -> None:
+    def __init__(
+        self,
+        assembly: Assembly,
+        limiter: RepeatLimiter | None = None,
+        *,
+        scenario: Scenario | None = None,
+        paused: bool = False,
+    ) -> None:
         config = assembly.config
         self.assembly, self.config, self.table = assembly, config, assembly.table
         self.end_to_end = Histogram125()
         self.audit: list[AuditItem] = []
         self._limiter = limiter
+        self._scenario, self._paused = scenario, paused
         self._resources = AsyncExitStack()
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.events = EventBus()
@@ -102,7 +115,8 @@ class Daemon:
         self.image.warm_up()
         step = compose(assembly.composition, self.image)
         self._watch_communication(speed=1.0)
-        self.scheduler = _make_scheduler(assembly, self.image, step)
+        limit_silence(self.image, _command_limit_ticks(assembly))
+        self.scheduler = _make_scheduler(assembly, self.image, step, paused=self._paused)
         self.gate = InputGate(
             self.table,
             self.image,
@@ -111,6 +125,10 @@ class Daemon:
             priority=config.control.priority,
         )
         self.control = self._make_control()
+        self.lines = {peer.name: Line(peer.name) for peer in config.peers}
+        self.faults = self._make_faults()
+        self.stage = Stage(self.table, self.image, self.gate, self.faults, assembly.base_period_ns)
+        self.control.on_reset.append(self._restart_faults)
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
         self.metrics = Metrics(self._metrics_sources())
@@ -148,6 +166,8 @@ class Daemon:
         self.scheduler.on_slice("supervise", self._supervise)
         self.scheduler.on_overrun(self._on_overrun)
         self._resources.push_async_callback(self.scheduler.stop)
+        if self._scenario is not None:
+            self.stage.play(self._scenario)
         await self.scheduler.start()
         self.audit = audit(self.scheduler)
         self._tell_audit()
@@ -227,6 +247,8 @@ class Daemon:
         age_s = self.gate.age_s("opcua")
         if limit_ms is None or age_s is None or self.gate.owner != "opcua":
             return
+        if self.faults.timeout_is_dead:
+            return
         if age_s * 1e3 > limit_ms and self.control.state is State.RUNNING:
             self.gate.mark_stale("opcua")
             self.control.enter_safe("the OPC UA client in control is silent", cause=None)
@@ -245,6 +267,12 @@ class Daemon:
         text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
         self.events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
 
+    def _restart_faults(self) -> None:
+        """After a reset: no fault, no force, and the scenario from its beginning."""
+        self.faults.reset()
+        if self._scenario is not None:
+            self.stage.play(self._scenario)
+
     def _on_stale(self, peer: str, action: str) -> None:
         self.gate.mark_stale(f"peer:{peer}")
         self._silent[peer] = action
@@ -256,6 +284,8 @@ class Daemon:
 
     def _act_on_silence(self) -> None:
         """Act on silent peers while peers have control, also when they get it back."""
+        if self.faults.timeout_is_dead:
+            return
         for peer, action in self._silent.items():
             if self.gate.owner != "peer":
                 self._forgive(peer)
@@ -306,6 +336,18 @@ class Daemon:
             timeout_ns = self.config.scheduler.communication_timeout_ms * 1e6 * speed
             watch_communication(self.image, math.ceil(timeout_ns / self.assembly.base_period_ns))
 
+    def _make_faults(self) -> Faults:
+        p = self.assembly.composition.parameters
+        shield = ShieldFigures(p[P_RPM_PER_M_S], p[P_RPM_PER_RAD_S], p[P_MAX_RPM])
+        return Faults(
+            self.table,
+            Mailbox(self.image),
+            Planner(self.table, self.assembly.base_period_ns, shield),
+            self.events,
+            tick=lambda: self.scheduler.tick,
+            lines=self.lines,
+        )
+
     def _reset_statistics(self) -> None:
         with self.metrics.statistics_reset():
             self.scheduler.statistics.reset()
@@ -323,6 +365,7 @@ class Daemon:
             events=self.events,
             read_output=self._read_output,
             clock=self.clock,
+            line=self.lines[config.name],
         )
 
     def _make_server(self) -> OpcUaServer:
@@ -337,6 +380,7 @@ class Daemon:
             statistics=lambda: figures.slice_table(self.scheduler),
             peers=lambda: figures.peer_table(peer.status for peer in self.peers),
             audit=lambda: figures.audit_table(self.audit),
+            faults=self.faults,
         )
 
     def _metrics_sources(self) -> MetricsSources:
@@ -350,6 +394,7 @@ class Daemon:
             end_to_end=self.end_to_end,
             gc_pause=self.scheduler.gc_pauses.pauses,
             audit=lambda: {item.name: item.ok for item in self.audit},
+            faults=self.faults.counts,
             kernel_hash=kernel_hash(),
             config_sha256=self.config.sha256,
         )
@@ -370,7 +415,14 @@ def _image_name(name: str) -> str:
     return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
 
 
-def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction) -> Scheduler:
+def _command_limit_ticks(assembly: Assembly) -> int:
+    limit_ms = assembly.config.control.command_timeout_ms
+    return 0 if limit_ms is None else max(1, round(limit_ms * 1e6 / assembly.base_period_ns))
+
+
+def _make_scheduler(
+    assembly: Assembly, image: ProcessImage, step: StepFunction, *, paused: bool
+) -> Scheduler:
     config = assembly.config.scheduler
     limits, realtime = config.limits, config.realtime
     _, statistics = image.region("statistics")
@@ -394,4 +446,5 @@ def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction)
         ),
         statistics_array=statistics,
         linear_bins=LINEAR_BINS,
+        paused=paused,
     )

@@ -95,6 +95,14 @@ class ControlConfig(Section):
         description="Safe state when the OPC UA client in control is silent so long; null: never",
     )
 
+    command_timeout_ms: float | None = Field(
+        None,
+        gt=0,
+        le=1e6,
+        description="Set-points become zero when none has come for so long, as the shield of the"
+        " real robot does after 500 ms; null: never",
+    )
+
     @model_validator(mode="after")
     def _source_in_priority(self) -> Self:
         if self.source is not None and self.source not in self.priority:

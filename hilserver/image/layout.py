@@ -47,6 +47,13 @@ W_HEARTBEAT_AGE = 30  # ticks since it moved
 W_HEARTBEAT_LIMIT = 31  # ticks; 0: not watched
 W_BASE_PERIOD_NS = 32
 W_DRIVE_OFF = 33  # 1: drive.enable is held at false, whoever writes it
+W_MODIFIERS = 48  # base of the faults and forces at work; 0: this image has none
+W_MAIL_BASE = 49  # commands for them
+W_MAIL_HEAD = 50
+W_MAIL_TAIL = 51
+W_SETPOINT_SLOTS = 52  # the set-points are the first slots
+W_COMMAND_LIMIT = 53  # ticks without a set-point until they become zero; 0: never
+W_COMMANDED = 54  # 1: a set-point was latched in this tick
 N_CONTROL_WORDS = 64
 JSON_WORDS = 8192
 

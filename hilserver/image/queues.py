@@ -13,11 +13,13 @@ from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.image.layout import (
     ROW_WORDS,
+    W_COMMANDED,
     W_FRAME_BASE,
     W_NOW_BASE,
     W_NOW_CAPACITY,
     W_NOW_HEAD,
     W_NOW_TAIL,
+    W_SETPOINT_SLOTS,
     W_STATUS_BASE,
     W_TIMED_BASE,
     W_TIMED_CAPACITY,
@@ -57,6 +59,8 @@ def _apply(place: int, values: Any, words: Any) -> None:
     slot, value = int(values[place + 1]), values[place + 2]
     if not math.isnan(value):
         values[words[W_FRAME_BASE] + slot] = value
+        if slot < words[W_SETPOINT_SLOTS]:
+            words[W_COMMANDED] = 1
     words[words[W_STATUS_BASE] + slot] = int(values[place + 3])
 
 

@@ -3,6 +3,13 @@
 This is the only room that knows both the plant's arrays and where they lie in the process image.
 """
 
-from hilserver.kernel.compose import BlockUse, Composition, Part, compose, watch_communication
+from hilserver.kernel.compose import (
+    BlockUse,
+    Composition,
+    Part,
+    compose,
+    limit_silence,
+    watch_communication,
+)
 
-__all__ = ["BlockUse", "Composition", "Part", "compose", "watch_communication"]
+__all__ = ["BlockUse", "Composition", "Part", "compose", "limit_silence", "watch_communication"]

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.cache import cache_dir, hash_of
 from hilserver.image import ProcessImage
-from hilserver.image.layout import W_HEARTBEAT_AGE, W_HEARTBEAT_LIMIT, Region
+from hilserver.image.layout import (
+    W_COMMAND_LIMIT,
+    W_HEARTBEAT_AGE,
+    W_HEARTBEAT_LIMIT,
+    W_MAIL_BASE,
+    W_MODIFIERS,
+    W_SETPOINT_SLOTS,
+    Region,
+)
+from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
 from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
 from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, StepFunction
@@ -112,7 +121,7 @@ class Composition:
     @property
     def live_regions(self) -> dict[str, int]:
         """Regions of the arena that a snapshot holds, with their lengths in words."""
-        regions = {"x": robot.N_X}
+        regions = {"x": robot.N_X} | REGIONS_LIVE
         for block in self.blocks:
             regions |= block.regions
         return regions
@@ -120,7 +129,7 @@ class Composition:
     @property
     def fixed_regions(self) -> dict[str, int]:
         """Regions of the arena that a run does not change."""
-        regions = {"p": robot.N_P, "hall": self.hall.size}
+        regions = {"p": robot.N_P, "hall": self.hall.size} | REGIONS_FIXED
         for block in self.blocks:
             regions[f"{block.name}.p"] = len(block.declaration.parameters)
         return regions
@@ -145,8 +154,16 @@ def watch_communication(image: ProcessImage, limit_ticks: int) -> None:
     image.words[W_HEARTBEAT_LIMIT] = limit_ticks
 
 
+def limit_silence(image: ProcessImage, limit_ticks: int) -> None:
+    """Let the set-points become zero when none has come for `limit_ticks`; 0: never."""
+    image.words[W_COMMAND_LIMIT] = limit_ticks
+
+
 def _fill(composition: Composition, image: ProcessImage) -> None:
     regions = image.layout.regions
+    image.words[W_MODIFIERS] = regions["modifiers"].base
+    image.words[W_MAIL_BASE] = regions["modifier_mail"].base
+    image.words[W_SETPOINT_SLOTS] = robot.U_MODE
 
     def put(name: str, numbers: Any) -> None:
         region = regions[name]

@@ -20,6 +20,7 @@ from hilserver.image.layout import (
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
+from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
 from hilserver.status import GOOD, UNCERTAIN
 
 COMMAND_SAFE = 2
@@ -50,7 +51,9 @@ def _watch_heartbeat(command_slot: int, values: Any, words: Any) -> None:
 def latch(tick: int, command_slot: int, enable_slot: int, values: Any, words: Any) -> int:
     """Serve a snapshot request, take the inputs of this tick, return the tick to execute."""
     tick = serve_request(tick, words)
+    restore_true_values(tick, values, words)
     latch_rows(tick, values, words)
+    modify_inputs(tick, values, words)
     if words[W_DRIVE_OFF] != 0:
         values[words[W_FRAME_BASE] + enable_slot] = 0.0
     if words[W_HEARTBEAT_LIMIT] > 0:
@@ -86,6 +89,7 @@ def publish(
         for slot in range(first_output, first_output + n_outputs):
             if words[status + slot] == GOOD:
                 words[status + slot] = UNCERTAIN
+    modify_outputs(tick, values, words)
     publish_frame(tick, planned_ns, values, words)
     return 0
 

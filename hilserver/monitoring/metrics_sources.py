@@ -138,6 +138,8 @@ class MetricsSources:
         Channel -> measured minus simulated, in the unit of the channel.
     audit : callable
         Item of the real-time audit -> fulfilled.
+    faults : callable
+        Kind (injected, forced) -> number of those at work.
     kernel_hash, config_sha256 : str
         What runs: labels of ``hil_build_info``.
     """
@@ -153,5 +155,6 @@ class MetricsSources:
     gc_pause: DurationCounts = field(default_factory=Histogram125)
     model_gap: Callable[[], Mapping[str, float]] = dict
     audit: Callable[[], Mapping[str, bool]] = dict
+    faults: Callable[[], Mapping[str, int]] = dict
     kernel_hash: str = ""
     config_sha256: str = ""

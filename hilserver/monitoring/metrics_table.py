@@ -142,6 +142,11 @@ def _model_gap(sources: MetricsSources) -> Iterator[Row]:
         yield (channel,), gap
 
 
+def _faults(sources: MetricsSources) -> Iterator[Row]:
+    for kind, number in sources.faults().items():
+        yield (kind,), float(number)
+
+
 def _audit(sources: MetricsSources) -> Iterator[Row]:
     for item, is_ok in sorted(sources.audit().items()):
         yield (item,), float(is_ok)
@@ -298,6 +303,13 @@ METRICS: tuple[Metric, ...] = (
         "Measured minus simulated value of a channel, in the channel's unit.",
         ("channel",),
         _model_gap,
+    ),
+    Metric(
+        "hil_faults",
+        Kind.GAUGE,
+        "Faults at work and signals that are forced, by kind: injected or forced.",
+        ("kind",),
+        _faults,
     ),
     Metric(
         "hil_audit_ok",

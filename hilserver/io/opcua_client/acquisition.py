@@ -14,7 +14,7 @@ import structlog
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
-from hilserver.io.opcua_client.intake import Intake
+from hilserver.io.opcua_client.intake import Taker
 from hilserver.io.opcua_client.session import Session, read_request
 from hilserver.io.opcua_client.subscription import Grant, Subscription
 from hilserver.io.peer_status import PeerStatus
@@ -63,7 +63,7 @@ class Acquisition:
     session: Session
     config: PeerConfig
     status: PeerStatus
-    intake: Intake
+    intake: Taker
     report_slow: Callable[[str], None]
 
     @property

@@ -35,6 +35,16 @@ class Gate(Protocol):
         ...
 
 
+class Taker(Protocol):
+    """The intake, as acquisition and subscription see it."""
+
+    def receive(self, samples: Iterable[tuple[str, ua.DataValue]], now_ns: int) -> None:
+        """Take one batch."""
+
+    def missing(self, node: str, why: str, now_ns: int) -> None:
+        """Name a node that the peer does not have."""
+
+
 class Intake:
     """Takes the batches of one peer, whoever brought them.
 

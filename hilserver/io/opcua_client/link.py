@@ -10,8 +10,10 @@ from asyncua import ua
 from hilserver.clock import UtcClock
 from hilserver.config.peers import PeerConfig
 from hilserver.events import Event, EventBus, EventKind
+from hilserver.faults.links import Lane, Line
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.faults import FaultBook
+from hilserver.io.opcua_client.faulty_intake import FaultyIntake
 from hilserver.io.opcua_client.intake import Gate, Intake
 from hilserver.io.opcua_client.session import LinkLostError, Session
 from hilserver.io.opcua_client.staleness import Staleness, Transition
@@ -67,6 +69,8 @@ class PeerLink:
         ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
     clock : UtcClock
         Turns ticks into SourceTimestamps and arrivals into UTC.
+    line : Line or None
+        Injected faults of this link.
 
     Attributes
     ----------
@@ -84,6 +88,7 @@ class PeerLink:
         events: EventBus,
         read_output: Callable[[str], Output],
         clock: UtcClock,
+        line: Line | None = None,
     ) -> None:
         self.config = config
         self.status = PeerStatus(config.name, config.endpoint)
@@ -97,6 +102,7 @@ class PeerLink:
         self._intake = Intake(
             config, self.status, gate, self._staleness, self._faults, clock.utc_ns
         )
+        self._line = line or Line(config.name)
         self._tasks: list[asyncio.Task[None]] = []
 
     async def start(self) -> None:
@@ -145,6 +151,7 @@ class PeerLink:
         while True:
             started_s = loop.time()
             self.status.state = LinkState.CONNECTING
+            await self._line.wait_whole()
             try:
                 async with Session(self.config.endpoint) as session:
                     await self._work(session)
@@ -161,16 +168,29 @@ class PeerLink:
         self._intake.begin_session()
         await session.read_clock()
         self._enter_session()
-        acquisition = Acquisition(session, self.config, status, self._intake, self._report_slow)
+        intake = FaultyIntake(self._intake, self._line)
+        acquisition = Acquisition(session, self.config, status, intake, self._report_slow)
         self._intake.expect(acquisition.nodes, now_ns)
         writer = Writer(
-            session, self.config, status, self._faults, self._read_output, self._clock.utc
+            session,
+            self.config,
+            status,
+            self._faults,
+            self._read_output,
+            self._clock.utc,
+            Lane(self._line, "out"),
         )
         async with asyncio.TaskGroup() as group:
             group.create_task(session.wait_lost())
+            group.create_task(self._wait_cut())
+            group.create_task(intake.run())
             group.create_task(self._heartbeat(session))
             group.create_task(writer.run())
             group.create_task(acquisition.run())
+
+    async def _wait_cut(self) -> None:
+        await self._line.wait_cut()
+        raise LinkLostError("an injected fault cut the link")
 
     def _enter_session(self) -> None:
         status = self.status

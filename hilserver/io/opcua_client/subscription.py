@@ -12,7 +12,7 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.io.opcua_client.intake import Intake
+from hilserver.io.opcua_client.intake import Taker
 from hilserver.io.opcua_client.session import LinkLostError, Session
 
 QUEUE_MAX = 1000
@@ -41,7 +41,7 @@ class Subscription:
     """
 
     def __init__(
-        self, session: Session, intake: Intake, *, poll_ms: float, every_stamp: bool
+        self, session: Session, intake: Taker, *, poll_ms: float, every_stamp: bool
     ) -> None:
         self._session = session
         self._intake = intake

@@ -7,6 +7,7 @@ from datetime import datetime
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
+from hilserver.faults.links import Lane, Line
 from hilserver.io.opcua_client.acquisition import every
 from hilserver.io.opcua_client.faults import FaultBook
 from hilserver.io.opcua_client.session import LinkLostError, Session
@@ -54,6 +55,7 @@ class Writer:
         faults: FaultBook,
         read_output: Callable[[str], Output],
         utc: Callable[[int], datetime],
+        lane: Lane[tuple[list[str], ua.WriteParameters]] | None = None,
     ) -> None:
         self._session = session
         self._config = config
@@ -61,6 +63,7 @@ class Writer:
         self._faults = faults
         self._read_output = read_output
         self._utc = utc
+        self._lane = lane or Lane(Line(config.name), "out")
         self._targets: dict[str, tuple[ua.NodeId, ua.VariantType]] = {}
         self._bare: set[str] = set()
         self._look_again_s = 0.0
@@ -85,12 +88,17 @@ class Writer:
             request.NodesToWrite = [self._value(signal) for signal in signals]
         except LookupError:
             return  # no tick has made a value yet
+        self._lane.put((signals, request))
+        for named, due in self._lane.take():
+            await self._send(named, due)
+
+    async def _send(self, signals: list[str], request: ua.WriteParameters) -> None:
         results = await self._session.services.write(request)
         if len(results) != len(signals):
             raise LinkLostError("the peer answered a write with another number of results")
         self._status.writes += 1
         for signal, result in zip(signals, results, strict=True):
-            if not result.is_good():
+            if not result.is_good() and signal in self._targets:
                 self._on_refused(signal, result)
 
     def _value(self, signal: str) -> ua.WriteValue:

@@ -5,7 +5,7 @@ BadArgumentsMissing  fewer arguments than described
 BadTooManyArguments  more
 BadInvalidArgument   another type (the argument's result says which), or a value out of range
 BadInvalidState      not possible now; the diagnostic text says why
-BadNotImplemented    Force, Unforce, InjectFault, ClearFaults: not in this version
+BadNotImplemented    Force, Unforce, InjectFault, ClearFaults of a server without faults
 BadUserAccessDenied  the user's role does not allow it
 ==================  ==========================================================================
 """
@@ -20,6 +20,8 @@ from asyncua.crypto.permission_rules import User
 
 from hilserver.control import Control
 from hilserver.errors import UserError
+from hilserver.faults import Faults
+from hilserver.faults.model import parse_faults
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.method_table import METHODS, Method
@@ -39,7 +41,22 @@ class CallAnswer(NamedTuple):
 
 
 def _not_implemented(*_arguments: object) -> None:
-    raise NotImplementedError("forcing and faults are not in this version")
+    raise NotImplementedError("this server has no faults and cannot force")
+
+
+def _fault_handlers(faults: Faults | None) -> dict[str, Handler]:
+    if faults is None:
+        return dict.fromkeys(("Force", "Unforce", "InjectFault", "ClearFaults"), _not_implemented)
+
+    def inject(text: str) -> None:
+        faults.inject(*parse_faults(text))
+
+    return {
+        "Force": faults.force,
+        "Unforce": faults.unforce,
+        "InjectFault": inject,
+        "ClearFaults": faults.clear,
+    }
 
 
 class Methods:
@@ -54,7 +71,11 @@ class Methods:
     """
 
     def __init__(
-        self, control: Control, access: Access, node_id: Callable[[str], ua.NodeId]
+        self,
+        control: Control,
+        access: Access,
+        node_id: Callable[[str], ua.NodeId],
+        faults: Faults | None = None,
     ) -> None:
         self._access = access
         self._object = node_id("methods")
@@ -77,10 +98,7 @@ class Methods:
             "Reset": control.reset,
             "SaveSnapshot": save,
             "LoadSnapshot": load,
-            "Force": _not_implemented,
-            "Unforce": _not_implemented,
-            "InjectFault": _not_implemented,
-            "ClearFaults": _not_implemented,
+            **_fault_handlers(faults),
             "ResetStatistics": reset_statistics,
             "SetPose": control.set_pose,
         }

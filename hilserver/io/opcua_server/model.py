@@ -26,6 +26,7 @@ GROUPS = {
     "slices": "Timing of every time slice",
     "peers": "Links to OPC UA peers",
     "audit": "What this computer lacks for real time, and what is set open",
+    "faults": "Injected faults and forced signals",
 }
 """Folders that are no signals."""
 CONTROL_SOURCE = "control.source"

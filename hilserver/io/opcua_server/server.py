@@ -12,6 +12,7 @@ from hilserver.config.server import OpcUaConfig
 from hilserver.control import Control, State
 from hilserver.errors import FailedError
 from hilserver.events import EventBus
+from hilserver.faults import Faults
 from hilserver.image import Frame, ProcessImage
 from hilserver.inputs import InputGate
 from hilserver.io.opcua_server import model
@@ -70,6 +71,7 @@ class OpcUaServer:
         peers: Provider = _nothing,
         audit: Provider = _nothing,
         access: Access | None = None,
+        faults: Faults | None = None,
     ) -> None:
         self._config = config
         self._table = table
@@ -83,6 +85,9 @@ class OpcUaServer:
             "peers": peers,
             "audit": lambda: {**audit(), **self.audit()},
         }
+        self._faults = faults
+        if faults is not None:
+            self._providers["faults"] = faults.figures
         self._folders, self._rows = model.describe(table)
         self._access = access or Access()
         self._server: RobotUaServer | None = None
@@ -210,7 +215,7 @@ class OpcUaServer:
             limit_per_s=self._config.max_events_per_s,
         )
         self._status = ServerStatus(iserver.aspace)
-        iserver.methods = Methods(self._control, self._access, builder.node_id)
+        iserver.methods = Methods(self._control, self._access, builder.node_id, self._faults)
         iserver.door = WriteDoor(
             iserver.aspace,
             robot_index,

@@ -1,0 +1,296 @@
+"""Who injects, ends, forces and lists: one book for scenario, OPC UA and tests."""
+
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.faults.links import Line
+from hilserver.faults.mail import Acting, Command, Mailbox, rings_of
+from hilserver.faults.model import Fault, parse_fault
+from hilserver.faults.plan import Entry, Planner, check_range
+from hilserver.kernel import modifier_layout as lay
+from hilserver.kernel.modifier_layout import Kind
+from hilserver.signals import SignalTable
+
+Figure = float | str | bool | int | None
+FORCE = "force"
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveFault:
+    """One fault or force that waits or acts.
+
+    Attributes
+    ----------
+    from_tick, until_tick : int or None
+        None: not yet taken, or without end.
+    is_acting : bool
+        False while it waits for its time.
+    """
+
+    name: str
+    fault: str
+    place: str
+    from_tick: int | None
+    until_tick: int | None
+    is_acting: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Note:
+    fault: Fault
+    entries: int
+    rings: int
+    mail: int
+
+
+class Faults:
+    """Injects faults and forces signals; everything takes effect at the start of a tick.
+
+    Parameters
+    ----------
+    tick : callable
+        Number of the tick that comes next.
+    lines : mapping of Line
+        The peer links by name.
+    """
+
+    def __init__(
+        self,
+        table: SignalTable,
+        mailbox: Mailbox,
+        planner: Planner,
+        events: EventBus,
+        *,
+        tick: Callable[[], int],
+        lines: Mapping[str, Line],
+    ) -> None:
+        self._table = table
+        self._mailbox = mailbox
+        self._planner = planner
+        self._events = events
+        self._tick = tick
+        self._lines = lines
+        self._notes: dict[int, _Note] = {}
+        self._numbers = itertools.count(time.time_ns())
+
+    # --- commands ---------------------------------------------------------------------------------
+
+    def inject(self, *faults: object, start_tick: int | None = None) -> list[str]:
+        """Inject faults, all in the same tick; return their names.
+
+        Parameters
+        ----------
+        faults : Fault or mapping
+        start_tick : int or None
+            Tick from which their times count; None: the next one.
+
+        Raises
+        ------
+        ValueError
+            One sentence; then none of them was injected.
+        """
+        parsed = [parse_fault(fault) for fault in faults]
+        commands: list[Command] = []
+        notes: dict[int, _Note] = {}
+        for fault in parsed:
+            if fault.peer is not None:
+                self._line(fault.peer)
+                continue
+            entries = self._planner.entries(fault, self._start(fault, start_tick))
+            number = next(self._numbers)
+            commands += self._removals(fault.title)
+            commands += [Command(lay.OP_ADD, number, entry) for entry in entries]
+            notes[number] = _Note(
+                fault, len(entries), rings_of(entries), self._mailbox.head + len(commands)
+            )
+        self._send(commands, notes)
+        for fault in parsed:
+            if fault.peer is not None:
+                self._line(fault.peer).inject(fault)
+            self._tell(f"fault injected: {describe(fault)}", 500)
+        return [fault.title for fault in parsed]
+
+    def check(self, fault: Fault) -> list[Entry]:
+        """Return a fault's modifiers without injecting it; ValueError if it does not fit."""
+        if fault.peer is not None:
+            self._line(fault.peer)
+            return []
+        return self._planner.entries(fault, 0)
+
+    def clear(self, name: str | None = None) -> None:
+        """End the fault `name`, or all injected faults; forced signals stay forced.
+
+        Raises
+        ------
+        ValueError
+            If there is no fault of that name.
+        """
+        if name is None:
+            self._mailbox.send([Command(lay.OP_CLEAR)])
+            self._forget(lambda note: note.fault.fault != FORCE)
+            for line in self._lines.values():
+                line.clear()
+            self._tell("all faults cleared", 300)
+            return
+        on_line = [line for line in self._lines.values() if line.clear(name)]
+        removals = self._removals(name)
+        if not removals and not on_line:
+            raise ValueError(f"there is no fault '{name}'; active are {self.names or 'none'}")
+        self._mailbox.send(removals)
+        self._forget(lambda note: note.fault.title == name)
+        self._tell(f"fault cleared: {name}", 300)
+
+    def force(self, signal: str, value: float) -> None:
+        """Hold `signal` at `value`, whatever anyone writes or computes."""
+        self.inject({"fault": FORCE, "signal": signal, "value": value})
+
+    def unforce(self, signal: str) -> None:
+        """Let a forced signal go.
+
+        Raises
+        ------
+        ValueError
+            If it is not forced.
+        """
+        name = f"{FORCE}:{signal}"
+        if not self._removals(name):
+            raise ValueError(f"'{signal}' is not forced; forced are {self.forced or 'none'}")
+        self.clear(name)
+
+    def reset(self) -> None:
+        """End everything, forces and timed inputs too: the simulation goes back to its start."""
+        skip = Command(lay.OP_SKIP_TIMED, self._mailbox.timed_rows)
+        self._mailbox.send([Command(lay.OP_CLEAR_ALL), skip])
+        self._notes.clear()
+        for line in self._lines.values():
+            line.clear()
+
+    # --- views ------------------------------------------------------------------------------------
+
+    def active(self) -> list[ActiveFault]:
+        """Return what waits or acts: injected faults, forces, faults of links."""
+        acting = {entry.number: entry for entry in reversed(self._mailbox.acting())}
+        taken = self._mailbox.tail
+        self._notes = {
+            number: note
+            for number, note in self._notes.items()
+            if number in acting or note.mail > taken
+        }
+        tick = self._tick()
+        found = [self._view(note.fault, acting.get(n), tick) for n, note in self._notes.items()]
+        found += [
+            self._unknown(entry, tick)
+            for number, entry in acting.items()
+            if number not in self._notes
+        ]
+        for line in self._lines.values():
+            found += [
+                ActiveFault(fault.title, fault.fault, line.name, None, None, is_acting)
+                for fault, is_acting in line.active()
+            ]
+        return found
+
+    @property
+    def names(self) -> str:
+        """Active faults by name, without forces."""
+        return "; ".join(a.name for a in self.active() if a.fault != FORCE)
+
+    @property
+    def forced(self) -> str:
+        """Forced signals by name."""
+        return "; ".join(a.place for a in self.active() if a.fault == FORCE)
+
+    @property
+    def timeout_is_dead(self) -> bool:
+        """Whether the shield's command time-out is defeated now."""
+        return any(a.fault == "shield.dead_command_timeout" and a.is_acting for a in self.active())
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of acting faults and of forces, for the metric."""
+        active = [a for a in self.active() if a.is_acting]
+        forces = sum(a.fault == FORCE for a in active)
+        return {"injected": len(active) - forces, "forced": forces}
+
+    def figures(self) -> dict[str, dict[str, Figure]]:
+        """Return the table that OPC UA shows below ``faults``."""
+        active = self.active()
+        forces = [a for a in active if a.fault == FORCE]
+        return {
+            "injected": {"count": len(active) - len(forces), "names": self.names},
+            "forced": {"count": len(forces), "names": self.forced},
+            "command_timeout": {
+                "fired": self._mailbox.timeouts,
+                "holds": self._mailbox.is_silent,
+            },
+        }
+
+    # --- inside -----------------------------------------------------------------------------------
+
+    def _start(self, fault: Fault, start_tick: int | None) -> int | None:
+        if start_tick is None and fault.from_s > 0:
+            return self._tick()
+        return start_tick
+
+    def _line(self, peer: str) -> Line:
+        if peer not in self._lines:
+            known = ", ".join(self._lines) or "none"
+            raise ValueError(f"there is no peer '{peer}'; peers are {known}")
+        return self._lines[peer]
+
+    def _removals(self, name: str) -> list[Command]:
+        self.active()
+        known = [n for n, note in self._notes.items() if note.fault.title == name]
+        known += [
+            entry.number
+            for entry in self._mailbox.acting()
+            if entry.number not in self._notes and self._unknown(entry, 0).name == name
+        ]
+        return [Command(lay.OP_REMOVE, number) for number in dict.fromkeys(known)]
+
+    def _send(self, commands: Sequence[Command], notes: Mapping[int, _Note]) -> None:
+        if not commands:
+            return
+        removed = {c.number for c in commands if c.operation == lay.OP_REMOVE}
+        self.active()
+        kept = {n: note for n, note in self._notes.items() if n not in removed} | dict(notes)
+        if sum(note.entries for note in kept.values()) > lay.MAX_MODIFIERS:
+            raise ValueError(f"more than {lay.MAX_MODIFIERS} signals cannot be modified at once")
+        if sum(note.rings for note in kept.values()) > lay.MAX_RINGS:
+            raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once")
+        self._mailbox.send(commands)
+        self._notes = kept
+
+    def _forget(self, goes: Callable[[_Note], bool]) -> None:
+        self._notes = {n: note for n, note in self._notes.items() if not goes(note)}
+
+    def _view(self, fault: Fault, entry: Acting | None, tick: int) -> ActiveFault:
+        place = fault.signal or ""
+        if entry is None:
+            return ActiveFault(fault.title, fault.fault, place, None, None, is_acting=False)
+        until = None if entry.until_tick >= lay.FOREVER else entry.until_tick
+        acts = entry.from_tick < tick or entry.has_begun
+        return ActiveFault(fault.title, fault.fault, place, entry.from_tick, until, acts)
+
+    def _unknown(self, entry: Acting, tick: int) -> ActiveFault:
+        """Name a modifier that came with a snapshot."""
+        kind = entry.kind.name.lower()
+        place = "" if entry.kind is Kind.DEAD_TIMEOUT else self._table.by_slot(entry.slot).name
+        until = None if entry.until_tick >= lay.FOREVER else entry.until_tick
+        acts = entry.from_tick < tick or entry.has_begun
+        return ActiveFault(f"{kind}:{place}", kind, place, entry.from_tick, until, acts)
+
+    def _tell(self, text: str, severity: int) -> None:
+        self._events.publish(Event(EventKind.STATE, severity, "faults", text))
+
+
+def describe(fault: Fault) -> str:
+    """Return a fault in one line: name and everything that was given."""
+    given = fault.model_dump(exclude_defaults=True, exclude={"fault", "name", "signal", "peer"})
+    details = ", ".join(f"{key} {value}" for key, value in given.items())
+    return f"{fault.title} ({details})" if details else fault.title
+
+
+__all__ = ["ActiveFault", "Faults", "check_range", "describe"]

@@ -1,0 +1,178 @@
+"""From a fault to the modifiers of the compiled step: seconds to ticks, names to slots."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from hilserver.faults.model import Fault
+from hilserver.kernel import modifier_layout as lay
+from hilserver.kernel.modifier_layout import Kind
+from hilserver.signals import Direction, Signal, SignalTable, ValueType
+
+RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
+STANDARD_GRAVITY_M_S2 = 9.80665
+DEGREES_PER_RAD = 180.0 / math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One modifier; the fields are those of `modifier_layout`."""
+
+    kind: Kind
+    slot: int = 0
+    other: int = 0
+    side: int = lay.NEITHER
+    from_tick: int = lay.NOW
+    until_tick: int = lay.FOREVER
+    seed: int = 0
+    every: int = 1
+    ticks: int = 0
+    spread: int = 0
+    a: float = 0.0
+    b: float = 0.0
+    c: float = 0.0
+    is_integer: bool = False
+    low: float = 0.0
+    high: float = 0.0
+    channel: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ShieldFigures:
+    """What the shield's driver computes with."""
+
+    rpm_per_m_s: float
+    rpm_per_rad_s: float
+    max_rpm: float
+
+
+class Planner:
+    """Checks faults against the signal table and lays out their modifiers."""
+
+    def __init__(self, table: SignalTable, base_period_ns: int, shield: ShieldFigures) -> None:
+        self._table = table
+        self._period_s = base_period_ns * 1e-9
+        self._shield = shield
+        self._defects: Mapping[str, Callable[[], list[Entry]]] = {
+            "shield.yaw_rate_without_60_2pi": self._yaw_rate,
+            "shield.dead_command_timeout": lambda: [Entry(Kind.DEAD_TIMEOUT)],
+            "shield.last_wheel_scaling": self._last_wheel,
+            "shield.front_wheels_swapped": self._front_wheels,
+            "shield.rpm_unsigned": self._unsigned,
+            "shield.imu_raw_units": self._raw_units,
+        }
+
+    def entries(self, fault: Fault, start_tick: int | None) -> list[Entry]:
+        """Return the modifiers of a fault on signals or on the shield.
+
+        Parameters
+        ----------
+        start_tick : int or None
+            Tick from which the fault's times count; None: the one in which it arrives.
+
+        Raises
+        ------
+        ValueError
+            One sentence about what does not fit.
+        """
+        if fault.signal is None:
+            found = self._defects[fault.fault]()
+        else:
+            found = self._on_signal(fault, self._signal(fault.signal))
+        from_tick, until_tick = self._span(fault, start_tick)
+        return [replace(entry, from_tick=from_tick, until_tick=until_tick) for entry in found]
+
+    def _span(self, fault: Fault, start_tick: int | None) -> tuple[int, int]:
+        begin = round(fault.from_s / self._period_s)
+        end = None if fault.end_s is None else max(round(fault.end_s / self._period_s), begin + 1)
+        if start_tick is None:
+            return lay.NOW, lay.FOREVER if end is None else end
+        return start_tick + begin, lay.FOREVER if end is None else start_tick + end
+
+    def _signal(self, name: str) -> Signal:
+        if name not in self._table or self._table[name].hidden:
+            raise ValueError(f"there is no signal '{name}'; see 'hilserver signals'")
+        if name.startswith("sim."):
+            raise ValueError(f"'{name}' tells the time and the state, it cannot be falsified")
+        return self._table[name]
+
+    def _side(self, signal: Signal) -> int:
+        return lay.INPUT if signal.direction is Direction.IN else lay.OUTPUT
+
+    def _ticks(self, seconds: float | None) -> int:
+        return 0 if seconds is None else max(1, round(seconds / self._period_s))
+
+    def _on_signal(self, fault: Fault, signal: Signal) -> list[Entry]:
+        kind = Kind[fault.fault.upper()]
+        if kind is Kind.FORCE or (kind is Kind.STUCK and fault.value is not None):
+            check_range(signal, fault.value or 0.0)
+        ticks = self._ticks(fault.delay_s)
+        spread = self._ticks(fault.jitter_s)
+        if ticks + spread > lay.MAX_DELAY_TICKS:
+            limit_s = lay.MAX_DELAY_TICKS * self._period_s
+            raise ValueError(f"{fault.fault} reaches back {limit_s:g} s at most")
+        numbers = (fault.value, fault.sd, fault.offset, fault.factor, fault.step, fault.size)
+        entry = Entry(
+            kind,
+            side=self._side(signal),
+            seed=fault.seed,
+            every=max(1, self._ticks(fault.every_s)),
+            ticks=ticks,
+            spread=spread,
+            a=next((number for number in numbers if number is not None), 0.0),
+            b=float(fault.value is not None) if kind is Kind.STUCK else fault.probability or 0.0,
+            is_integer=signal.type is not ValueType.DOUBLE,
+            low=signal.low,
+            high=signal.high,
+        )
+        return [
+            replace(entry, slot=slot, channel=slot * len(Kind) + int(kind)) for slot in signal.slots
+        ]
+
+    # --- the robot stack's own defects ------------------------------------------------------------
+
+    def _scaled(self, name: str, factor: float) -> Entry:
+        signal = self._table[name]
+        return Entry(Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor)
+
+    def _yaw_rate(self) -> list[Entry]:
+        return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
+
+    def _last_wheel(self) -> list[Entry]:
+        slot = self._table.slot
+        return [
+            Entry(
+                Kind.LAST_WHEEL,
+                slot=slot("twist.linear_m_s"),
+                other=slot("twist.angular_rad_s"),
+                side=lay.INPUT,
+                a=self._shield.rpm_per_m_s,
+                b=self._shield.rpm_per_rad_s,
+                c=self._shield.max_rpm,
+            )
+        ]
+
+    def _front_wheels(self) -> list[Entry]:
+        left, right = (self._table.slot(f"wheel.{wheel}.speed_rpm") for wheel in ("fl", "fr"))
+        return [Entry(Kind.SWAP, slot=left, other=right, side=lay.OUTPUT)]
+
+    def _unsigned(self) -> list[Entry]:
+        slots = self._table["wheels.speeds_rpm"].slots
+        return [Entry(Kind.UNSIGNED, slot=slot, side=lay.OUTPUT) for slot in slots]
+
+    def _raw_units(self) -> list[Entry]:
+        return [
+            self._scaled("imu.gyro_z_rad_s", DEGREES_PER_RAD),
+            self._scaled("imu.accel_x_m_s2", 1.0 / STANDARD_GRAVITY_M_S2),
+            self._scaled("imu.accel_y_m_s2", 1.0 / STANDARD_GRAVITY_M_S2),
+        ]
+
+
+def check_range(signal: Signal, value: float) -> None:
+    """Raise ValueError if `value` is none that the signal can have."""
+    if not signal.low <= value <= signal.high:
+        raise ValueError(
+            f"{signal.name} = {value:g} is outside {signal.low:g} .. {signal.high:g} {signal.unit}"
+        )
+    if signal.type is not ValueType.DOUBLE and value != int(value):
+        raise ValueError(f"{signal.name} takes whole numbers, not {value:g}")

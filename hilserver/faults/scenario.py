@@ -1,0 +1,168 @@
+"""Timed scenarios: what is written, and what is wrong on which port from when to when.
+
+::
+
+    scenario: the gyro fails in a curve
+    seed: 7
+    steps:
+      - {at_s: 0.0, write: {control.mode: 1, twist.linear_m_s: 0.3}}
+      - {at_s: 2.0, write: {twist.angular_rad_s: 0.5}}
+    faults:
+      - {fault: bias, signal: imu.gyro_z_rad_s, offset: 0.2, from_s: 3.0, until_s: 5.0}
+
+Times count from the start of the simulation; everything acts at the start of its tick.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from hilserver.config.loading import load, place
+from hilserver.errors import ConfigError
+from hilserver.faults.book import Faults
+from hilserver.faults.model import Fault, Seconds
+from hilserver.image import ProcessImage, Row
+from hilserver.inputs import InputGate, Refusal, check_value
+from hilserver.signals import SignalTable
+
+MAX_STEPS = 4000
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Step(_Section):
+    """Values that are written at one time."""
+
+    at_s: Seconds = Field(description="so long after the start [s]")
+    write: dict[str, bool | float | list[float]] = Field(
+        description="signal: value", min_length=1, max_length=100
+    )
+
+
+class Scenario(_Section):
+    """A timed scenario."""
+
+    scenario: str = Field("", max_length=200, description="what it is about, for people")
+    seed: int = Field(0, ge=0, lt=2**31, description="for faults without a seed of their own")
+    steps: tuple[Step, ...] = Field((), max_length=MAX_STEPS, description="what is written")
+    faults: tuple[Fault, ...] = Field((), max_length=200, description="what is wrong")
+
+    @property
+    def seeded_faults(self) -> list[Fault]:
+        """Faults, each with a seed."""
+        return [
+            fault if fault.seed else fault.model_copy(update={"seed": self.seed})
+            for fault in self.faults
+        ]
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Return the scenario of a file.
+
+    Raises
+    ------
+    ConfigError
+        One line per complaint: file, line, key.
+    """
+    return load(path, Scenario)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a scenario for editors."""
+    schema = Scenario.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+class Stage:
+    """Plays scenarios on a daemon's parts."""
+
+    def __init__(
+        self,
+        table: SignalTable,
+        image: ProcessImage,
+        gate: InputGate,
+        faults: Faults,
+        base_period_ns: int,
+    ) -> None:
+        self._table = table
+        self._image = image
+        self._gate = gate
+        self._faults = faults
+        self._period_s = base_period_ns * 1e-9
+
+    def check(self, scenario: Scenario, path: Path | None = None) -> None:
+        """Look every signal, range and peer up.
+
+        Raises
+        ------
+        ConfigError
+            One sentence with file, line and key.
+        """
+        for index, fault in enumerate(scenario.faults):
+            try:
+                self._faults.check(fault)
+            except ValueError as error:
+                raise ConfigError(f"{place(path, ('faults', index))}{error}") from None
+        for index, step in enumerate(scenario.steps):
+            for name, value in step.write.items():
+                complaint = self._complaint(name, value)
+                if complaint:
+                    where = place(path, ("steps", index, "write", name))
+                    raise ConfigError(f"{where}{complaint}")
+
+    def play(self, scenario: Scenario, start_tick: int = 0) -> None:
+        """Hand a checked scenario to the plant; its times count from `start_tick`.
+
+        Raises
+        ------
+        ConfigError
+            If it is too large for the queue of timed inputs.
+        """
+        rows = sorted(self._rows(scenario, start_tick), key=lambda row: row.tick)
+        if rows:
+            self._gate.take("scenario")
+        if not self._image.push_timed(rows):
+            raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+        if scenario.faults:
+            self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
+
+    def _rows(self, scenario: Scenario, start_tick: int) -> list[Row]:
+        rows: list[Row] = []
+        for step in scenario.steps:
+            tick = start_tick + round(step.at_s / self._period_s)
+            for name, value in step.write.items():
+                numbers = self._numbers(name, value)
+                if isinstance(numbers, Refusal):
+                    continue
+                slots = self._table[name].slots
+                rows += [Row(s, n, tick=tick) for s, n in zip(slots, numbers, strict=True)]
+        return rows
+
+    def _numbers(self, name: str, value: Any) -> tuple[float, ...] | Refusal:
+        return check_value(self._table[name], value)
+
+    def _complaint(self, name: str, value: Any) -> str:
+        if name not in self._table or self._table[name].hidden:
+            return f"there is no signal '{name}'; see 'hilserver signals'"
+        signal = self._table[name]
+        if not signal.writable:
+            return f"'{name}' is an output; a fault or force can change it"
+        answer = self._numbers(name, value)
+        if isinstance(answer, Refusal):
+            return (
+                f"{value!r} does not fit {name}: {signal.type} between"
+                f" {signal.low:g} and {signal.high:g} {signal.unit}"
+            )
+        return ""
+
+
+def as_yaml(scenario: Mapping[str, Any]) -> str:
+    """Return a scenario made of plain data as it would stand in a file."""
+    import yaml  # noqa: PLC0415 - only whoever writes one needs it
+
+    text: str = yaml.safe_dump(dict(scenario), sort_keys=False, default_flow_style=None, width=100)
+    return text
