@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from hilserver.events import Event, EventBus, EventKind
@@ -74,6 +74,7 @@ class Faults:
         self._tick = tick
         self._lines = lines
         self._notes: dict[int, _Note] = {}
+        self._leaving: dict[int, int] = {}  # number: mail after which it is gone
         self._numbers = itertools.count(time.time_ns())
 
     # --- commands ---------------------------------------------------------------------------------
@@ -129,7 +130,9 @@ class Faults:
             If there is no fault of that name.
         """
         if name is None:
+            going = [entry for entry in self._acting() if entry.kind is not Kind.FORCE]
             self._mailbox.send([Command(lay.OP_CLEAR)])
+            self._leave(entry.number for entry in going)
             self._forget(lambda note: note.fault.fault != FORCE)
             for line in self._lines.values():
                 line.clear()
@@ -140,6 +143,7 @@ class Faults:
         if not removals and not on_line:
             raise ValueError(f"there is no fault '{name}'; active are {self.names or 'none'}")
         self._mailbox.send(removals)
+        self._leave(command.number for command in removals)
         self._forget(lambda note: note.fault.title == name)
         self._tell(f"fault cleared: {name}", 300)
 
@@ -163,7 +167,9 @@ class Faults:
     def reset(self) -> None:
         """End everything, forces and timed inputs too: the simulation goes back to its start."""
         skip = Command(lay.OP_SKIP_TIMED, self._mailbox.timed_rows)
+        going = self._acting()
         self._mailbox.send([Command(lay.OP_CLEAR_ALL), skip])
+        self._leave(entry.number for entry in going)
         self._notes.clear()
         for line in self._lines.values():
             line.clear()
@@ -172,7 +178,7 @@ class Faults:
 
     def active(self) -> list[ActiveFault]:
         """Return what waits or acts: injected faults, forces, faults of links."""
-        acting = {entry.number: entry for entry in reversed(self._mailbox.acting())}
+        acting = {entry.number: entry for entry in reversed(self._acting())}
         taken = self._mailbox.tail
         self._notes = {
             number: note
@@ -229,6 +235,15 @@ class Faults:
 
     # --- inside -----------------------------------------------------------------------------------
 
+    def _acting(self) -> list[Acting]:
+        """Return the modifiers in the arena that no command on its way will end."""
+        taken = self._mailbox.tail
+        self._leaving = {n: mail for n, mail in self._leaving.items() if mail > taken}
+        return [entry for entry in self._mailbox.acting() if entry.number not in self._leaving]
+
+    def _leave(self, numbers: Iterable[int]) -> None:
+        self._leaving |= dict.fromkeys(numbers, self._mailbox.head)
+
     def _start(self, fault: Fault, start_tick: int | None) -> int | None:
         if start_tick is None and fault.from_s > 0:
             return self._tick()
@@ -245,7 +260,7 @@ class Faults:
         known = [n for n, note in self._notes.items() if note.fault.title == name]
         known += [
             entry.number
-            for entry in self._mailbox.acting()
+            for entry in self._acting()
             if entry.number not in self._notes and self._unknown(entry, 0).name == name
         ]
         return [Command(lay.OP_REMOVE, number) for number in dict.fromkeys(known)]
@@ -261,6 +276,7 @@ class Faults:
         if sum(note.rings for note in kept.values()) > lay.MAX_RINGS:
             raise ValueError(f"more than {lay.MAX_RINGS} signals cannot be delayed at once")
         self._mailbox.send(commands)
+        self._leave(removed)
         self._notes = kept
 
     def _forget(self, goes: Callable[[_Note], bool]) -> None:

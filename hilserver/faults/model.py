@@ -71,7 +71,10 @@ FORMS: Mapping[str, Form] = {
         "defect 2: the command time-out never fires, the robot drives on", on=()
     ),
     "shield.last_wheel_scaling": Form(
-        "defect 3: wheels are scaled by the last one that is too fast, not the fastest", on=()
+        "defect 3: wheels faster than `value` rpm (max_rpm if absent) are scaled by the last of"
+        " them, not by the fastest",
+        takes=("value",),
+        on=(),
     ),
     "shield.front_wheels_swapped": Form(
         "defect 4: front wheels change places when speeds are published", on=()

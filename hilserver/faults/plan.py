@@ -53,9 +53,9 @@ class Planner:
         self._table = table
         self._period_s = base_period_ns * 1e-9
         self._shield = shield
-        self._defects: Mapping[str, Callable[[], list[Entry]]] = {
+        self._defects: Mapping[str, Callable[[Fault], list[Entry]]] = {
             "shield.yaw_rate_without_60_2pi": self._yaw_rate,
-            "shield.dead_command_timeout": lambda: [Entry(Kind.DEAD_TIMEOUT)],
+            "shield.dead_command_timeout": lambda _: [Entry(Kind.DEAD_TIMEOUT)],
             "shield.last_wheel_scaling": self._last_wheel,
             "shield.front_wheels_swapped": self._front_wheels,
             "shield.rpm_unsigned": self._unsigned,
@@ -76,7 +76,7 @@ class Planner:
             One sentence about what does not fit.
         """
         if fault.signal is None:
-            found = self._defects[fault.fault]()
+            found = self._defects[fault.fault](fault)
         else:
             found = self._on_signal(fault, self._signal(fault.signal))
         from_tick, until_tick = self._span(fault, start_tick)
@@ -135,11 +135,13 @@ class Planner:
         signal = self._table[name]
         return Entry(Kind.SCALE, slot=signal.slots[0], side=self._side(signal), a=factor)
 
-    def _yaw_rate(self) -> list[Entry]:
+    def _yaw_rate(self, _: Fault) -> list[Entry]:
         return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
 
-    def _last_wheel(self) -> list[Entry]:
-        slot = self._table.slot
+    def _last_wheel(self, fault: Fault) -> list[Entry]:
+        slot, limit = self._table.slot, fault.value
+        if limit is not None and limit <= 0:
+            raise ValueError(f"value is a speed above 0 rpm, not {limit:g}")
         return [
             Entry(
                 Kind.LAST_WHEEL,
@@ -148,19 +150,19 @@ class Planner:
                 side=lay.INPUT,
                 a=self._shield.rpm_per_m_s,
                 b=self._shield.rpm_per_rad_s,
-                c=self._shield.max_rpm,
+                c=self._shield.max_rpm if limit is None else limit,
             )
         ]
 
-    def _front_wheels(self) -> list[Entry]:
+    def _front_wheels(self, _: Fault) -> list[Entry]:
         left, right = (self._table.slot(f"wheel.{wheel}.speed_rpm") for wheel in ("fl", "fr"))
         return [Entry(Kind.SWAP, slot=left, other=right, side=lay.OUTPUT)]
 
-    def _unsigned(self) -> list[Entry]:
+    def _unsigned(self, _: Fault) -> list[Entry]:
         slots = self._table["wheels.speeds_rpm"].slots
         return [Entry(Kind.UNSIGNED, slot=slot, side=lay.OUTPUT) for slot in slots]
 
-    def _raw_units(self) -> list[Entry]:
+    def _raw_units(self, _: Fault) -> list[Entry]:
         return [
             self._scaled("imu.gyro_z_rad_s", DEGREES_PER_RAD),
             self._scaled("imu.accel_x_m_s2", 1.0 / STANDARD_GRAVITY_M_S2),

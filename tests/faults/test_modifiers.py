@@ -194,7 +194,9 @@ async def test_an_array_is_faulted_in_all_its_scalars():
     async with Rig() as rig:
         rig.faults.inject({"fault": "stuck", "signal": "wheels.speeds_rpm", "value": 12.0})
         await rig.advance(2)
-        assert [rig.series(f"wheel.{w}.speed_rpm")[-1] for w in ("fl", "rl", "fr", "rr")] == [12] * 4
+        assert [rig.series(f"wheel.{w}.speed_rpm")[-1] for w in ("fl", "rl", "fr", "rr")] == [
+            12
+        ] * 4
 
 
 async def test_a_paused_run_does_not_age_a_fault():
