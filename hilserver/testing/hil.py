@@ -1,0 +1,258 @@
+"""What a test works with: a daemon that advances when the test says so, or in real time."""
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from hilserver.daemon import Daemon
+from hilserver.faults.model import Fault, parse_fault
+from hilserver.image import Frame
+from hilserver.inputs import Refusal
+from hilserver.signals import Signal
+from hilserver.testing.journal import Journal
+from hilserver.testing.tap import Capture, Tap
+
+Mode = Literal["virtual", "realtime"]
+Value = float | bool | list[float]
+DRAIN_EVERY_S = 0.1
+WATCH_EVERY_S = 0.002
+LATE_FACTOR, LATE_S = 5.0, 10.0
+"""In real time a step may take so many times its duration, and so much more, in wall time."""
+
+
+class HilError(AssertionError):
+    """The test asked for something that the simulation refuses; one sentence says what."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One value of one signal, and when it was."""
+
+    value: float
+    tick: int
+    time_s: float
+
+
+class Hil:
+    """The robot under a test.
+
+    Attributes
+    ----------
+    daemon : Daemon
+        Everything else: its OPC UA server, its control, its events.
+    mode : str
+        ``virtual``: time stands still between steps. ``realtime``: it runs.
+    """
+
+    def __init__(self, daemon: Daemon, mode: Mode) -> None:
+        self.daemon = daemon
+        self.mode = mode
+        self.source = daemon.gate.owner
+        self.tap = Tap(daemon.image)
+        self.journal = Journal()
+        self._period_s = daemon.assembly.base_period_ns * 1e-9
+        self._chunk = max(1, daemon.config.image.ring_frames // 2)
+
+    # --- time -------------------------------------------------------------------------------------
+
+    @property
+    def tick(self) -> int:
+        """Number of the tick that comes next."""
+        return self.daemon.scheduler.tick
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time [s]."""
+        return self.tick * self._period_s
+
+    async def step(self, n: int = 1) -> None:
+        """Advance by `n` ticks: exactly in virtual time, at least in real time."""
+        if isinstance(n, bool) or not isinstance(n, int) or n < 1:
+            raise HilError(f"a step is a whole number of ticks from 1 on, not {n!r}")
+        if self.mode == "realtime":
+            await self._wait_ticks(n)
+            self.tap.drain()
+            return
+        while n > 0:
+            self._check_runs()
+            ticks = min(n, self._chunk)
+            await self.daemon.scheduler.advance(ticks)
+            self.tap.drain()
+            n -= ticks
+
+    async def run_for(self, seconds: float) -> None:
+        """Advance by simulated `seconds`, rounded to ticks."""
+        await self.step(max(1, round(seconds / self._period_s)))
+
+    async def _wait_ticks(self, n: int) -> None:
+        scheduler = self.daemon.scheduler
+        goal = scheduler.ticks_done + n
+        limit_s = time.monotonic() + n * self._period_s * LATE_FACTOR + LATE_S
+        while (left := goal - scheduler.ticks_done) > 0:
+            self._check_runs()
+            if time.monotonic() > limit_s:
+                state = self.daemon.control.state.name.lower()
+                raise HilError(f"{n} ticks did not pass in time; the daemon is {state}")
+            await asyncio.sleep(min(max(left * self._period_s * 0.9, 0.0002), DRAIN_EVERY_S))
+
+    def _check_runs(self) -> None:
+        if self.daemon.scheduler.finished.done():
+            raise HilError(f"the simulation has ended: {self.daemon.scheduler.finished.result()}")
+
+    # --- signals ----------------------------------------------------------------------------------
+
+    def read(self, signal: str) -> float:
+        """Return the newest value of a scalar signal."""
+        return self._newest(self._slot(signal))
+
+    def read_all(self, signal: str) -> list[float]:
+        """Return the newest values of an array signal."""
+        return [self._newest(slot) for slot in self._signal(signal).slots]
+
+    def status(self, signal: str) -> int:
+        """Return the newest OPC UA status code of a scalar signal."""
+        frame = self.daemon.image.latest()
+        if frame is None:
+            raise HilError("there is no frame yet; step once")
+        return int(frame.status[self._slot(signal)])
+
+    def write(self, signal: str | Mapping[str, Value], value: Value | None = None) -> None:
+        """Write one input, or several that one tick latches together.
+
+        Raises
+        ------
+        HilError
+            If any of them is refused.
+        """
+        values = {signal: value} if isinstance(signal, str) else dict(signal)
+        for name in values:
+            self._signal(name)
+        tick = self.tick
+        refused = self.daemon.gate.write(self.source, values)
+        if refused:
+            raise HilError("; ".join(self._why(n, values[n], r) for n, r in refused.items()))
+        self.journal.wrote(tick * self._period_s, values)
+
+    def _why(self, name: str, value: object, reason: Refusal) -> str:
+        return f"{name} = {value!r} was refused: {reason.value.replace('_', ' ')}"
+
+    def _signal(self, name: str) -> Signal:
+        if name not in self.daemon.table:
+            raise HilError(f"there is no signal '{name}'; see 'hilserver signals'")
+        return self.daemon.table[name]
+
+    def _slot(self, name: str) -> int:
+        signal = self._signal(name)
+        if signal.is_array:
+            raise HilError(f"'{name}' is an array; take one of its scalars, or read_all")
+        return signal.slots[0]
+
+    def _newest(self, slot: int) -> float:
+        frame = self.daemon.image.latest()
+        if frame is None:
+            raise HilError("there is no frame yet; step once")
+        return float(frame.values[slot])
+
+    async def wait_for(
+        self, signal: str, predicate: Callable[[float], bool], timeout_s: float
+    ) -> Sample:
+        """Advance until a value of `signal` satisfies `predicate`; every tick is looked at.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Simulated time [s].
+
+        Raises
+        ------
+        HilError
+            When none has within `timeout_s`; says what it was last.
+        """
+        slot = self._slot(signal)
+        self.tap.drain()
+        frame = self.daemon.image.latest()
+        frames = [] if frame is None else [frame]
+        last_tick = self.tick + round(timeout_s / self._period_s)
+        value = math.nan
+        while True:
+            for frame in frames:
+                value = float(frame.values[slot])
+                if predicate(value):
+                    return Sample(value, frame.tick, frame.tick * self._period_s)
+            if self.tick >= last_tick:
+                raise HilError(f"{signal} did not get there in {timeout_s:g} s; it is {value:g}")
+            frames = await self._next_frames()
+
+    async def _next_frames(self) -> list[Frame]:
+        self._check_runs()
+        if self.mode == "virtual":
+            await self.daemon.scheduler.advance(1)
+        else:
+            await asyncio.sleep(WATCH_EVERY_S)
+        return self.tap.drain()
+
+    def capture(self, *signals: str) -> Capture:
+        """Return an async context manager that records every tick of `signals`."""
+        found = [self._signal(name) for name in signals] or [
+            signal for signal in self.daemon.table if not signal.is_array
+        ]
+        return Capture(self.tap, self.daemon.table, found, self._period_s)
+
+    # --- faults -----------------------------------------------------------------------------------
+
+    def inject(self, *faults: Mapping[str, object] | Fault | str) -> list[str]:
+        """Inject faults from the next tick on; a string names one of the shield's defects.
+
+        Raises
+        ------
+        HilError
+            One sentence about what does not fit.
+        """
+        try:
+            parsed = [parse_fault({"fault": f} if isinstance(f, str) else f) for f in faults]
+            now_s = self.time_s
+            names = self.daemon.faults.inject(*parsed)
+        except ValueError as error:
+            raise HilError(str(error)) from None
+        for fault in parsed:
+            self.journal.injected(now_s, fault)
+        return names
+
+    def clear_faults(self, name: str | None = None) -> None:
+        """End the fault `name`, or all; forces stay."""
+        try:
+            self.daemon.faults.clear(name)
+        except ValueError as error:
+            raise HilError(str(error)) from None
+        self.journal.cleared(self.time_s, name)
+
+    def force(self, signal: str, value: float) -> None:
+        """Hold a signal at a value."""
+        self.inject({"fault": "force", "signal": signal, "value": value})
+
+    def unforce(self, signal: str) -> None:
+        """Let a forced signal go."""
+        self.clear_faults(f"force:{signal}")
+
+    # --- life -------------------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[Self]:
+        """Run the daemon while the context lasts."""
+        async with self.daemon:
+            drain = asyncio.create_task(self._drain(), name="tap")
+            try:
+                await self.step(1)
+                yield self
+            finally:
+                drain.cancel()
+
+    async def _drain(self) -> None:
+        while True:
+            await asyncio.sleep(DRAIN_EVERY_S)
+            if self.mode == "realtime":
+                self.tap.drain()

@@ -1,0 +1,87 @@
+"""From options and markers to a daemon on free ports."""
+
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from pydantic import ValidationError
+
+from hilserver.assembly import assemble_config
+from hilserver.config.root import Config, load_config
+from hilserver.daemon import Daemon
+from hilserver.errors import ConfigError
+from hilserver.faults.scenario import load_scenario
+from hilserver.testing.hil import Hil, Mode
+
+_PATIENT = {
+    "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
+    "communication_timeout_ms": 0,
+}
+"""Without a configuration of his own, nobody wants a test to fail because his computer is busy."""
+
+
+@asynccontextmanager
+async def open_hil(
+    config: Path | Mapping[str, Any] | None,
+    mode: Mode,
+    *,
+    faults: Sequence[str] = (),
+    scenario: Path | None = None,
+) -> AsyncIterator[Hil]:
+    """Run a daemon for one test.
+
+    Parameters
+    ----------
+    config : Path, mapping or None
+        A file, the same as a mapping, or the defaults.
+    faults : sequence of str
+        Defects of the shield that are there from the beginning.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with file, line and key.
+    """
+    if isinstance(config, Path):
+        read, folder = load_config(config), config.parent
+    else:
+        read, folder = _from_mapping({"scheduler": _PATIENT} | dict(config or {})), None
+    assembly = assemble_config(for_test(read, mode), folder)
+    play = None if scenario is None else load_scenario(scenario)
+    daemon = Daemon(assembly, scenario=play, paused=mode == "virtual")
+    hil = Hil(daemon, mode)
+    if play is not None:
+        daemon.stage.check(play, scenario)
+    if faults:
+        hil.inject(*faults)
+    async with hil.running():
+        yield hil
+
+
+def _from_mapping(data: Mapping[str, Any]) -> Config:
+    try:
+        return Config.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"configuration of hil: {key}: {first['msg']}") from None
+
+
+def for_test(config: Config, mode: Mode) -> Config:
+    """Return the same configuration on free ports, paced for `mode`."""
+    backend = "virtual" if mode == "virtual" else config.scheduler.backend
+    if mode == "realtime" and backend == "virtual":
+        backend = "thread"
+    source = config.control.source or ("peer" if config.peers else "scenario")
+    path = urlsplit(config.opcua.endpoint).path
+    return config.model_copy(
+        update={
+            "scheduler": config.scheduler.model_copy(update={"backend": backend}),
+            "control": config.control.model_copy(update={"source": source}),
+            "image": config.image.model_copy(update={"name": "auto"}),
+            "opcua": config.opcua.model_copy(update={"endpoint": f"opc.tcp://127.0.0.1:0{path}"}),
+            "metrics": config.metrics.model_copy(update={"host": "127.0.0.1", "port": 0}),
+        }
+    )

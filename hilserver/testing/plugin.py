@@ -1,0 +1,202 @@
+"""The pytest plug-in: fixture `hil`, tests as async generators, requirements, what failed is kept.
+
+Projects that do not test a robot load this file too: it imports nothing but pytest, and looks at
+nothing but tests that ask for `hil`.
+"""
+
+import functools
+import inspect
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+try:
+    import pytest_asyncio
+except ImportError:  # a project without asynchronous tests
+    _asynchronous: Any = None
+else:
+    _asynchronous = pytest_asyncio.fixture
+
+if TYPE_CHECKING:
+    from hilserver.testing.hil import Hil
+
+MODES = ("virtual", "realtime")
+_HIL: pytest.StashKey["Hil"] = pytest.StashKey()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options and their ini equivalents."""
+    group = parser.getgroup("hilserver", "hardware in the loop (hilserver)")
+    group.addoption("--hil-config", metavar="FILE", help="configuration of the simulated robot")
+    group.addoption(
+        "--hil-mode", choices=MODES, help="virtual: as fast as possible, in lockstep; or realtime"
+    )
+    group.addoption(
+        "--hil-fault",
+        action="append",
+        metavar="NAME",
+        help="defect of the simulated shield that every test meets, as shield.rpm_unsigned; may be"
+        " given several times",
+    )
+    group.addoption("--hil-scenario", metavar="FILE", help="timed scenario that every test meets")
+    group.addoption("--hil-keep", metavar="DIR", help="where failed tests leave their recordings")
+    parser.addini("hil_config", "configuration of the simulated robot, like --hil-config")
+    parser.addini("hil_mode", "virtual or realtime, like --hil-mode", default="virtual")
+    parser.addini("hil_keep", "folder for failed tests, like --hil-keep", default="hil-failures")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Describe the markers."""
+    config.addinivalue_line(
+        "markers",
+        "hil(config=..., mode=..., scenario=...): configuration (file or mapping), mode and"
+        " scenario of the simulated robot in this test",
+    )
+    config.addinivalue_line(
+        "markers", "requirement(id, ...): requirements that the test verifies; in the JUnit report"
+    )
+
+
+# --- collection -----------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(
+    collector: pytest.Module | pytest.Class, name: str, obj: object
+) -> object:
+    """Let a test that is an async generator advance with the simulation."""
+    if not inspect.isasyncgenfunction(obj) or not collector.istestfunction(obj, name):
+        return None
+    if "hil" not in inspect.signature(obj).parameters:
+        return None
+    driven = advancing(obj)
+    setattr(collector.obj, name, driven)  # pytest fetches the function again by its name
+    return list(collector._genfunctions(name, driven))
+
+
+def advancing(test: Callable[..., AsyncGenerator[object, float]]) -> Callable[..., Any]:
+    """Return a coroutine function that runs `test` and advances wherever it yields.
+
+    ``yield`` waits for the next tick, ``yield 10`` for ten; both give the simulated time [s].
+    """
+
+    @functools.wraps(test)
+    async def drive(*args: Any, **kwargs: Any) -> None:
+        hil = kwargs["hil"]
+        steps = test(*args, **kwargs)
+        try:
+            wish = await anext(steps)
+            while True:
+                await hil.step(1 if wish is None else wish)
+                wish = await steps.asend(hil.time_s)
+        except StopAsyncIteration:
+            pass
+        finally:
+            await steps.aclose()
+
+    return drive
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run tests that use `hil` on asyncio in every mode of pytest-asyncio; note requirements."""
+    for item in items:
+        for mark in item.iter_markers("requirement"):
+            item.user_properties += [("requirement", str(name)) for name in mark.args]
+        is_async = inspect.iscoroutinefunction(getattr(item, "obj", None))
+        if is_async and "hil" in getattr(item, "fixturenames", ()):
+            item.add_marker("asyncio")
+
+
+# --- the fixture ----------------------------------------------------------------------------------
+
+
+async def _hil(request: pytest.FixtureRequest) -> AsyncIterator["Hil"]:
+    """Give a simulated robot: `read`, `write`, `step`, `wait_for`, `capture`, `inject`."""
+    from hilserver.errors import UserError  # noqa: PLC0415 - heavy, and most projects need none
+    from hilserver.testing.opening import open_hil  # noqa: PLC0415
+
+    wishes = _wishes(request)
+    try:
+        opened = open_hil(**wishes)
+        hil = await opened.__aenter__()
+    except (UserError, ValueError, AssertionError) as error:
+        pytest.fail(str(error), pytrace=False)
+    try:
+        request.node.stash[_HIL] = hil
+        yield hil
+    finally:
+        request.node.stash.__delitem__(_HIL)
+        await opened.__aexit__(None, None, None)
+
+
+def _without_asyncio() -> None:
+    """Say what is missing."""
+    pytest.fail("the fixture hil needs pytest-asyncio: install hilserver[test]", pytrace=False)
+
+
+if _asynchronous is None:
+    hil = pytest.fixture(_without_asyncio, name="hil")
+else:
+    hil = _asynchronous(_hil, name="hil")
+
+
+def _wishes(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Return what the markers (the nearest wins), options and ini file ask for."""
+    config = request.config
+    marked: dict[str, Any] = {}
+    for mark in request.node.iter_markers("hil"):
+        marked = {**mark.kwargs, **marked}
+    if unknown := set(marked) - {"config", "mode", "scenario"}:
+        pytest.fail(f"the marker hil has no '{sorted(unknown)[0]}'", pytrace=False)
+    mode = marked.get("mode") or config.getoption("--hil-mode") or config.getini("hil_mode")
+    if mode not in MODES:
+        pytest.fail(f"the mode of hil is {' or '.join(MODES)}, not {mode!r}", pytrace=False)
+    here = request.path.parent
+    return {
+        "config": _config(marked, config, here),
+        "mode": mode,
+        "faults": config.getoption("--hil-fault") or (),
+        "scenario": _path(marked.get("scenario"), here)
+        or _path(config.getoption("--hil-scenario"), config.invocation_params.dir),
+    }
+
+
+def _config(marked: dict[str, Any], config: pytest.Config, here: Path) -> Any:
+    if isinstance(marked.get("config"), dict):
+        return marked["config"]
+    return (
+        _path(marked.get("config"), here)
+        or _path(config.getoption("--hil-config"), config.invocation_params.dir)
+        or _path(config.getini("hil_config"), config.rootpath)
+    )
+
+
+def _path(name: Any, folder: Path) -> Path | None:
+    return folder / name if name else None
+
+
+# --- failures -------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, Any, Any]:
+    """Keep recording, scenario and seed of a failed test, and say where."""
+    report: Any = yield
+    if call.when == "call" and report.failed and _HIL in item.stash:
+        from hilserver.testing.keep import keep  # noqa: PLC0415
+
+        config = item.config
+        folder = config.getoption("--hil-keep") or config.getini("hil_keep")
+        place = keep(item.stash[_HIL], config.rootpath / folder, item.nodeid)
+        seed = item.stash[_HIL].daemon.config.plant.seed
+        text = (
+            f"recording, scenario and configuration: {place}\nseed {seed}, again with:"
+            f" hilserver run -c {place / 'config.yaml'} --scenario {place / 'scenario.yaml'}"
+        )
+        report.sections.append(("hilserver", text))
+    return report

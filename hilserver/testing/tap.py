@@ -1,0 +1,119 @@
+"""Takes every frame out of the ring: for captures, and for the recording of a failed test."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.image import Frame, ImageReader
+from hilserver.signals import Signal, SignalTable
+from hilserver.testing.series import Series
+
+KEPT_FRAMES = 10_000
+MAX_NUMBERS = 20_000_000
+
+
+class Tap:
+    """Drains the ring of frames; nobody waits for it, what it misses it counts.
+
+    Attributes
+    ----------
+    kept : deque of (tick, values)
+        The newest `KEPT_FRAMES` frames.
+    lost : int
+        Frames that the ring had overwritten.
+    """
+
+    def __init__(self, image: ImageReader) -> None:
+        self._image = image
+        self._next = image.head
+        self.kept: deque[tuple[int, NDArray[np.float64]]] = deque(maxlen=KEPT_FRAMES)
+        self.lost = 0
+        self.captures: list[Capture] = []
+
+    def drain(self) -> list[Frame]:
+        """Take what is new; return it."""
+        frames: list[Frame] = []
+        head = self._image.head
+        for number in range(self._next, head):
+            frame = self._image.frame(number)
+            if frame is None:
+                self.lost += 1
+                continue
+            frames.append(frame)
+            self.kept.append((frame.tick, frame.values))
+            for capture in self.captures:
+                capture.add(frame)
+        self._next = head
+        return frames
+
+
+class Capture(Mapping[str, Series]):
+    """Signals recorded while the ``async with`` block runs; a mapping from name to `Series`."""
+
+    def __init__(self, tap: Tap, table: SignalTable, signals: Iterable[Signal], period_s: float):
+        self._tap = tap
+        self._table = table
+        self._signals = list(signals)
+        self._slots = [slot for signal in self._signals for slot in signal.slots]
+        self._period_s = period_s
+        self._ticks: list[int] = []
+        self._rows: list[NDArray[np.float64]] = []
+        self._lost_before = 0
+
+    async def __aenter__(self) -> Self:
+        self._tap.drain()
+        self._lost_before = self._tap.lost
+        self._tap.captures.append(self)
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._tap.drain()
+        self._tap.captures.remove(self)
+        lost = self._tap.lost - self._lost_before
+        if lost and error is None:
+            raise AssertionError(
+                f"{lost} frames went by uncaptured: the test kept the event loop busy for longer"
+                " than the ring holds; raise image.ring_frames"
+            )
+
+    def add(self, frame: Frame) -> None:
+        """Take one frame."""
+        if len(self._rows) * len(self._slots) > MAX_NUMBERS:
+            raise AssertionError(
+                f"a capture holds {MAX_NUMBERS} numbers at most; capture fewer signals or less time"
+            )
+        self._ticks.append(frame.tick)
+        self._rows.append(frame.values[self._slots])
+
+    @property
+    def tick(self) -> NDArray[np.int64]:
+        """Tick of every sample, shape (n,)."""
+        return np.array(self._ticks, dtype=np.int64)
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Simulated time of every sample [s], shape (n,)."""
+        return self.tick.astype(np.float64) * self._period_s
+
+    def __getitem__(self, name: str) -> Series:
+        signal = self._table[name]
+        if signal.is_array or signal.slots[0] not in self._slots:
+            raise KeyError(f"'{name}' was not captured as a scalar; captured are {list(self)}")
+        column = self._slots.index(signal.slots[0])
+        values = np.array([row[column] for row in self._rows])
+        return Series(name, signal.unit, self.time_s, self.tick, values)
+
+    def __iter__(self) -> Iterator[str]:
+        return (self._table.by_slot(slot).name for slot in self._slots)
+
+    def __len__(self) -> int:
+        return len(self._slots)

@@ -1,0 +1,170 @@
+"""The plug-in in somebody else's project: options, markers, reports, what is kept."""
+
+import json
+import re
+import subprocess
+import sys
+import textwrap
+from importlib.metadata import entry_points
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from hilserver.faults.scenario import load_scenario
+from hilserver.testing.opening import open_hil
+
+INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pytest11"))
+LOAD = () if INSTALLED else ("-p", "hilserver.testing.plugin")
+STRICT = "-o", "asyncio_mode=strict"
+
+
+@pytest.fixture
+def project(pytester):
+    """A project without any configuration of pytest."""
+    pytester.makeini("[pytest]\nasyncio_default_fixture_loop_scope = function\n")
+
+    def run(source, *options):
+        pytester.makepyfile(textwrap.dedent(source))
+        return pytester.runpytest_inprocess(*LOAD, "-p", "no:cacheprovider", *options)
+
+    return run
+
+
+def test_both_kinds_of_tests_run_in_strict_and_in_auto_mode(project):
+    source = """
+        async def test_coroutine(hil):
+            await hil.step(3)
+            assert hil.tick == 4
+
+        async def test_generator(hil):
+            now_s = yield 3
+            assert hil.tick == 4
+            assert abs(now_s - 0.004) < 1e-12
+
+        class TestClass:
+            async def test_method(self, hil):
+                yield
+                assert hil.tick == 2
+    """
+    for mode in ("strict", "auto"):
+        result = project(source, "-o", f"asyncio_mode={mode}")
+        result.assert_outcomes(passed=3)
+
+
+def test_an_assertion_in_a_generator_fails_and_everything_is_kept(project, pytester):
+    result = project(
+        """
+        import pytest
+
+        @pytest.mark.requirement("HIL-12", "HIL-13")
+        async def test_wrong(hil):
+            hil.write("wheel.fl.setpoint_rpm", 40.0)
+            yield 100
+            hil.inject({"fault": "noise", "signal": "pose.x_m", "sd": 0.1, "seed": 3})
+            yield 100
+            hil.clear_faults()
+            yield 100
+            assert hil.read("wheel.fl.speed_rpm") > 1000
+
+        async def test_right(hil):
+            yield
+        """,
+        *STRICT,
+        "--junitxml=report.xml",
+        "--hil-keep=kept",
+    )
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*recording, scenario and configuration: *kept*test_wrong*"])
+    (folder,) = (pytester.path / "kept").iterdir()
+    run = json.loads((folder / "run.json").read_text())
+    assert run["test"].endswith("::test_wrong")
+    assert run["seed"] == 0
+    lines = (folder / "recording.csv").read_text().splitlines()
+    assert len(lines) == 302
+    assert lines[0].startswith("tick,wheel.fl.setpoint_rpm,")
+    scenario = load_scenario(folder / "scenario.yaml")
+    assert scenario.steps[0].at_s == 0.001
+    assert (scenario.faults[0].from_s, scenario.faults[0].until_s) == (0.101, 0.201)
+    tree = ElementTree.parse(pytester.path / "report.xml")  # noqa: S314 - our own file
+    found = [p.get("value") for p in tree.iter("property") if p.get("name") == "requirement"]
+    assert found == ["HIL-12", "HIL-13"]
+
+
+async def test_what_was_kept_plays_again_to_the_bit(tmp_path, request):
+    """The scenario of a test, on the configuration of that test, gives the same recording."""
+    from hilserver.testing.keep import keep
+
+    async with open_hil({"plant": {"seed": 5}}, "virtual") as hil:
+        for i in range(10):
+            hil.write({"wheel.fl.setpoint_rpm": 9.0 * i, "wheel.rl.setpoint_rpm": -i})
+            await hil.step(37)
+            if i == 3:
+                hil.inject({"fault": "drop", "signal": "wheels.speeds_rpm", "probability": 0.5})
+            if i == 6:
+                hil.clear_faults()
+        first = keep(hil, tmp_path, "first")
+    scenario = first / "scenario.yaml"
+    async with open_hil(first / "config.yaml", "virtual", scenario=scenario) as hil:
+        await hil.step(370)
+        second = keep(hil, tmp_path, "second")
+    assert (first / "recording.csv").read_text() == (second / "recording.csv").read_text()
+
+
+def test_options_reach_the_simulation(project, pytester):
+    pytester.makefile(".yaml", robot="plant: {max_rpm: 33}\n")
+    pytester.makefile(".yaml", play="steps: [{at_s: 0.0, write: {lights.red: 7}}]\n")
+    result = project(
+        """
+        async def test_it(hil):
+            yield 10
+            assert hil.mode == "realtime"
+            assert hil.daemon.config.plant.max_rpm == 33
+            assert [a.name for a in hil.daemon.faults.active()] == ["shield.rpm_unsigned"]
+            assert hil.read("lights.red") == 7
+        """,
+        *STRICT,
+        "--hil-config=robot.yaml",
+        "--hil-mode=realtime",
+        "--hil-fault=shield.rpm_unsigned",
+        "--hil-scenario=play.yaml",
+    )
+    result.assert_outcomes(passed=1)
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "sentence"),
+    [
+        ("hil(config='no.yaml')", (), "*no.yaml: no such file*"),
+        ("hil(config={'plant': {'mass': 1}})", (), "*configuration of hil: plant.mass: *"),
+        ("hil(mode='fast')", (), "*the mode of hil is virtual or realtime, not 'fast'*"),
+        ("hil(speed=2)", (), "*the marker hil has no 'speed'*"),
+        ("hil()", ("--hil-fault=shield.rust",), "*fault: should be 'stuck'*"),
+        ("hil()", ("--hil-scenario=bad.yaml",), "*bad.yaml:2: there is no signal 'x'*"),
+    ],
+)
+def test_a_wrong_wish_is_one_sentence(project, pytester, source, options, sentence):
+    pytester.makefile(".yaml", bad="faults:\n  - {fault: stuck, signal: x}\n")
+    test = f"import pytest\n@pytest.mark.{source}\nasync def test_it(hil):\n    yield\n"
+    result = project(test, *STRICT, *options)
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines([sentence])
+    assert "Traceback" not in result.stdout.str()
+
+
+def test_other_projects_pay_for_nothing_heavy(tmp_path):
+    (tmp_path / "test_plain.py").write_text(
+        "import sys\n\ndef test_plain():\n"
+        "    heavy = {'numba', 'numpy', 'asyncua', 'pydantic', 'yaml', 'hilserver.daemon'}\n"
+        "    assert not heavy & set(sys.modules)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", *LOAD, "-p", "no:hypothesispytest", "."],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": ""},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert re.search(r"1 passed", run.stdout), run.stdout + run.stderr
