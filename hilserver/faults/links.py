@@ -25,7 +25,7 @@ class LinkFault:
         self.fault = fault
         self.from_s = now_s + fault.from_s
         self.until_s = None if fault.end_s is None else now_s + fault.end_s
-        self.random = random.Random(fault.seed)  # noqa: S311 - a series that can be repeated
+        self.random = random.Random(fault.seed or 0)  # noqa: S311 - a series that can be repeated
         self._until_next_s = 0.0
         self._drops = False
 

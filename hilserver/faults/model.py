@@ -158,7 +158,12 @@ class Fault(BaseModel):
     from_s: Seconds = Field(0.0, description="begins so long after the start [s]")
     until_s: Seconds | None = Field(None, description="ends so long after the start [s]")
     for_s: Positive | None = Field(None, description="lasts so long [s]")
-    seed: int = Field(0, ge=0, lt=2**31, description="of noise, drop, jitter, reorder, spike")
+    seed: int | None = Field(
+        None,
+        ge=0,
+        lt=2**31,
+        description="of noise, drop, jitter, reorder, spike; null: the scenario's, or 0",
+    )
     value: Number | None = Field(None, description="in the signal's unit")
     sd: Positive | None = Field(None, description="standard deviation, signal's unit")
     offset: Number | None = Field(None, description="signal's unit")

@@ -115,7 +115,7 @@ class Planner:
         entry = Entry(
             kind,
             side=self._side(signal),
-            seed=fault.seed,
+            seed=fault.seed or 0,
             every=max(1, self._ticks(fault.every_s)),
             ticks=ticks,
             spread=spread,

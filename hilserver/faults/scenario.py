@@ -55,7 +55,7 @@ class Scenario(_Section):
     def seeded_faults(self) -> list[Fault]:
         """Faults, each with a seed."""
         return [
-            fault if fault.seed else fault.model_copy(update={"seed": self.seed})
+            fault if fault.seed is not None else fault.model_copy(update={"seed": self.seed})
             for fault in self.faults
         ]
 

@@ -29,7 +29,7 @@ class Journal:
         entry["from_s"] = round(at_s + fault.from_s, 9)
         if fault.end_s is not None:
             entry["until_s"] = round(at_s + fault.end_s, 9)
-        self._faults.append(entry | {"name": fault.title})
+        self._faults.append(entry | {"name": fault.title, "seed": fault.seed or 0})
 
     def cleared(self, at_s: float, name: str | None) -> None:
         """Note that a fault, or all but forces, has ended."""

@@ -15,11 +15,16 @@ from hilserver.errors import ConfigError
 from hilserver.faults.scenario import load_scenario
 from hilserver.testing.hil import Hil, Mode
 
-_PATIENT = {
-    "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
-    "communication_timeout_ms": 0,
+_DEFAULTS: dict[str, Any] = {
+    "scheduler": {
+        "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
+        "communication_timeout_ms": 0,
+    },
+    "opcua": {"enabled": False},
+    "metrics": {"enabled": False},
 }
-"""Without a configuration of his own, nobody wants a test to fail because his computer is busy."""
+"""Sections that a test has unless it brings its own: patient with a busy computer, and without
+servers (OPC UA's takes two seconds to start). A configuration file is taken as it is."""
 
 
 @asynccontextmanager
@@ -35,7 +40,7 @@ async def open_hil(
     Parameters
     ----------
     config : Path, mapping or None
-        A file, the same as a mapping, or the defaults.
+        A file, or sections that replace those of `_DEFAULTS`.
     faults : sequence of str
         Defects of the shield that are there from the beginning.
 
@@ -47,7 +52,7 @@ async def open_hil(
     if isinstance(config, Path):
         read, folder = load_config(config), config.parent
     else:
-        read, folder = _from_mapping({"scheduler": _PATIENT} | dict(config or {})), None
+        read, folder = _from_mapping(_DEFAULTS | dict(config or {})), None
     assembly = assemble_config(for_test(read, mode), folder)
     play = None if scenario is None else load_scenario(scenario)
     daemon = Daemon(assembly, scenario=play, paused=mode == "virtual")

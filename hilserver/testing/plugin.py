@@ -64,14 +64,21 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makeitem(
-    collector: pytest.Module | pytest.Class, name: str, obj: object
+    collector: pytest.Module | pytest.Class, name: str, obj: Any
 ) -> object:
-    """Let a test that is an async generator advance with the simulation."""
-    if not inspect.isasyncgenfunction(obj) or not collector.istestfunction(obj, name):
+    """Let a test that is an async generator advance with the simulation.
+
+    Tests that use `hil` run on asyncio in every mode of pytest-asyncio.
+    """
+    is_generator = inspect.isasyncgenfunction(obj)
+    if not (is_generator or inspect.iscoroutinefunction(obj)):
         return None
-    if "hil" not in inspect.signature(obj).parameters:
+    if not collector.istestfunction(obj, name) or "hil" not in inspect.signature(obj).parameters:
         return None
-    driven = advancing(obj)
+    if not is_generator:
+        pytest.mark.asyncio(obj)
+        return None
+    driven = pytest.mark.asyncio(advancing(obj))
     setattr(collector.obj, name, driven)  # pytest fetches the function again by its name
     return list(collector._genfunctions(name, driven))
 
@@ -99,15 +106,11 @@ def advancing(test: Callable[..., AsyncGenerator[object, float]]) -> Callable[..
     return drive
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run tests that use `hil` on asyncio in every mode of pytest-asyncio; note requirements."""
+    """Note in the report which requirements a test verifies."""
     for item in items:
         for mark in item.iter_markers("requirement"):
             item.user_properties += [("requirement", str(name)) for name in mark.args]
-        is_async = inspect.iscoroutinefunction(getattr(item, "obj", None))
-        if is_async and "hil" in getattr(item, "fixturenames", ()):
-            item.add_marker("asyncio")
 
 
 # --- the fixture ----------------------------------------------------------------------------------
