@@ -23,7 +23,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.control import Control, State
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
-from hilserver.faults import Faults, Line, Scenario
+from hilserver.faults import Faults, Line, Play
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.faults.scenario import Stage
@@ -82,7 +82,7 @@ class Daemon:
         assembly: Assembly,
         limiter: RepeatLimiter | None = None,
         *,
-        scenario: Scenario | None = None,
+        play: Play | None = None,
         paused: bool = False,
     ) -> None:
         config = assembly.config
@@ -90,7 +90,7 @@ class Daemon:
         self.end_to_end = Histogram125()
         self.audit: list[AuditItem] = []
         self._limiter = limiter
-        self._scenario, self._paused = scenario, paused
+        self._play, self._paused = play, paused
         self._resources = AsyncExitStack()
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.events = EventBus()
@@ -128,6 +128,8 @@ class Daemon:
         self.lines = {peer.name: Line(peer.name) for peer in config.peers}
         self.faults = self._make_faults()
         self.stage = Stage(self.table, self.image, self.gate, self.faults, assembly.base_period_ns)
+        if self._play is not None:
+            self.stage.check(self._play)
         self.control.on_reset.append(self._restart_faults)
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
@@ -166,8 +168,8 @@ class Daemon:
         self.scheduler.on_slice("supervise", self._supervise)
         self.scheduler.on_overrun(self._on_overrun)
         self._resources.push_async_callback(self.scheduler.stop)
-        if self._scenario is not None:
-            self.stage.play(self._scenario)
+        if self._play is not None:
+            self.stage.play(self._play.scenario)
         await self.scheduler.start()
         self.audit = audit(self.scheduler)
         self._tell_audit()
@@ -270,8 +272,8 @@ class Daemon:
     def _restart_faults(self) -> None:
         """After a reset: no fault, no force, and the scenario from its beginning."""
         self.faults.reset()
-        if self._scenario is not None:
-            self.stage.play(self._scenario)
+        if self._play is not None:
+            self.stage.play(self._play.scenario)
 
     def _on_stale(self, peer: str, action: str) -> None:
         self.gate.mark_stale(f"peer:{peer}")

@@ -2,8 +2,10 @@
 
 import argparse
 import asyncio
+import json
 import signal
 import sys
+from pathlib import Path
 
 import uvloop
 
@@ -11,6 +13,8 @@ from hilserver.assembly import Assembly, assemble
 from hilserver.commands.options import add_config, config_path
 from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
+from hilserver.errors import EXIT_DONE
+from hilserver.faults.scenario import Play, json_schema, load_scenario
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
 
 EXAMPLE = "hilserver run --demo"
@@ -27,6 +31,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="start an embedded controller beside it that drives a figure of eight",
     )
+    parser.add_argument(
+        "--scenario",
+        type=Path,
+        metavar="FILE",
+        help="play a timed scenario: values and faults from t to t, from the first tick on",
+    )
+    parser.add_argument(
+        "--scenario-schema",
+        type=Path,
+        metavar="FILE",
+        help="write the JSON Schema of scenarios for editors and stop",
+    )
 
 
 def _positive(text: str) -> float:
@@ -38,29 +54,38 @@ def _positive(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Run; return 0 after a clean end, 3 when policy ``fail`` ended it."""
+    if args.scenario_schema is not None:
+        schema = json.dumps(json_schema(), indent=1)
+        args.scenario_schema.write_text(schema + "\n", encoding="utf-8")
+        return EXIT_DONE
+    play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
     assembly = assemble(config_path(args))
     logging = assembly.config.logging
     limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
     main = (
-        _demo(assembly, limiter, args.duration)
+        _demo(assembly, limiter, args.duration, play)
         if args.demo
-        else _run(assembly, limiter, args.duration)
+        else _run(assembly, limiter, args.duration, play)
     )
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(main)
 
 
-async def _demo(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None) -> int:
+async def _demo(
+    assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
+) -> int:
     async with running_controller(assembly.robot) as endpoint:
-        return await _run(demo_assembly(assembly, endpoint), limiter, duration_s)
+        return await _run(demo_assembly(assembly, endpoint), limiter, duration_s, play)
 
 
-async def _run(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None) -> int:
+async def _run(
+    assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
+) -> int:
     asked = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, asked.set)
-    async with Daemon(assembly, limiter) as daemon:
+    async with Daemon(assembly, limiter, play=play) as daemon:
         _print_addresses(daemon)
         code = await daemon.wait(duration_s, asked)
     report_repeats(limiter, at_end=True)

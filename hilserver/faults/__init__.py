@@ -7,6 +7,6 @@ ends and lists them; `links` holds those of peer links, `scenario` the timed one
 from hilserver.faults.book import ActiveFault, Faults
 from hilserver.faults.links import Line
 from hilserver.faults.model import Fault
-from hilserver.faults.scenario import Scenario, load_scenario
+from hilserver.faults.scenario import Play, Scenario, load_scenario
 
-__all__ = ["ActiveFault", "Fault", "Faults", "Line", "Scenario", "load_scenario"]
+__all__ = ["ActiveFault", "Fault", "Faults", "Line", "Play", "Scenario", "load_scenario"]

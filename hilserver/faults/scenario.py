@@ -15,7 +15,7 @@ Times count from the start of the simulation; everything acts at the start of it
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -60,8 +60,15 @@ class Scenario(_Section):
         ]
 
 
+class Play(NamedTuple):
+    """A scenario and the file it came from."""
+
+    scenario: Scenario
+    path: Path | None = None
+
+
 def load_scenario(path: Path) -> Scenario:
-    """Return the scenario of a file.
+    """Return the scenario of a file; its signals are looked up by `Stage.check`.
 
     Raises
     ------
@@ -94,7 +101,7 @@ class Stage:
         self._faults = faults
         self._period_s = base_period_ns * 1e-9
 
-    def check(self, scenario: Scenario, path: Path | None = None) -> None:
+    def check(self, play: Play) -> None:
         """Look every signal, range and peer up.
 
         Raises
@@ -102,6 +109,7 @@ class Stage:
         ConfigError
             One sentence with file, line and key.
         """
+        scenario, path = play
         for index, fault in enumerate(scenario.faults):
             try:
                 self._faults.check(fault)

@@ -12,7 +12,7 @@ from hilserver.assembly import assemble_config
 from hilserver.config.root import Config, load_config
 from hilserver.daemon import Daemon
 from hilserver.errors import ConfigError
-from hilserver.faults.scenario import load_scenario
+from hilserver.faults.scenario import Play, load_scenario
 from hilserver.testing.hil import Hil, Mode
 
 _DEFAULTS: dict[str, Any] = {
@@ -54,11 +54,9 @@ async def open_hil(
     else:
         read, folder = _from_mapping(_DEFAULTS | dict(config or {})), None
     assembly = assemble_config(for_test(read, mode), folder)
-    play = None if scenario is None else load_scenario(scenario)
-    daemon = Daemon(assembly, scenario=play, paused=mode == "virtual")
+    play = None if scenario is None else Play(load_scenario(scenario), scenario)
+    daemon = Daemon(assembly, play=play, paused=mode == "virtual")
     hil = Hil(daemon, mode)
-    if play is not None:
-        daemon.stage.check(play, scenario)
     if faults:
         hil.inject(*faults)
     async with hil.running():

@@ -1,0 +1,101 @@
+"""Scenarios: played to the tick, again after a reset, and refused with file, line and key."""
+
+import json
+
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+
+from hilserver.commands import main
+from hilserver.faults.scenario import Scenario, as_yaml, json_schema, load_scenario
+from hilserver.testing.opening import open_hil
+
+TEXT = """\
+scenario: a port that lies from t to t
+seed: 7
+steps:
+  - {at_s: 0.010, write: {wheel.fl.setpoint_rpm: 30, wheels.setpoints_rpm: [10, 20, 30, 40]}}
+  - {at_s: 0.030, write: {drive.enable: false, lights.red: 9}}
+faults:
+  - {fault: bias, signal: pose.x_m, offset: 2.5, from_s: 0.020, until_s: 0.025}
+  - {fault: noise, signal: pose.y_m, sd: 0.1, from_s: 0.0}
+  - {fault: force, signal: battery.voltage_v, value: 7, from_s: 0.040, for_s: 0.005}
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(TEXT)
+    return path
+
+
+async def test_everything_happens_at_its_tick_and_again_after_a_reset(scenario):
+    async def play(hil, n):
+        async with hil.capture() as trace:
+            await hil.step(n)
+        return trace
+
+    async with open_hil(None, "virtual", scenario=scenario) as hil:
+        trace = await play(hil, 60)
+        assert hil.daemon.gate.owner == "scenario"
+        at = dict(zip(trace.tick.tolist(), trace["wheel.fl.setpoint_rpm"].values, strict=True))
+        assert (at[9], at[10]) == (0, 10)
+        at = dict(zip(trace.tick.tolist(), trace["pose.x_m"].values, strict=True))
+        assert [tick for tick, x in at.items() if x > 1] == [20, 21, 22, 23, 24]
+        at = dict(zip(trace.tick.tolist(), trace["battery.voltage_v"].values, strict=True))
+        assert [tick for tick, volts in at.items() if volts == 7] == [40, 41, 42, 43, 44]
+        assert hil.read("drive.enable") == 0
+        first = {name: trace[name].values for name in trace if not name.startswith("sim.")}
+        hil.daemon.control.reset()
+        await hil.step(1)
+        again = await play(hil, 60)
+        assert again.tick[0] == 1
+        assert all(np.array_equal(again[name].values, first[name]) for name in first)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        (("seed: 7", "seed: many"), ":2: seed: 'many' does not fit"),
+        (("offset: 2.5, ", ""), ":7: faults[0]: bias needs 'offset'"),
+        (("pose.x_m", "pose.w_m"), ":7: faults[0]: there is no signal 'pose.w_m'"),
+        (("lights.red: 9", "lights.red: 900"), ":5: steps[1].write.lights.red: 900.0 does not"),
+        (("lights.red: 9", "pose.x_m: 9"), ":5: steps[1].write.pose.x_m: 'pose.x_m' is an output"),
+        (("lights.red: 9", "light.red: 9"), ":5: steps[1].write.light.red: there is no signal"),
+        (("seed: 7", "sead: 7"), ":2: unknown key 'sead'; did you mean 'seed'?"),
+        (("fault: bias", "fault: bais"), ":7: faults[0].fault: 'bais' does not fit"),
+        (("steps:", "steps: ["), "not YAML"),
+    ],
+)
+def test_a_bad_scenario_is_one_sentence_and_exit_code_78(scenario, capsys, wrong, sentence):
+    scenario.write_text(TEXT.replace(*wrong))
+    config = scenario.with_name("config.yaml")
+    config.write_text("opcua: {enabled: false}\nmetrics: {enabled: false}\nimage: {name: auto}\n")
+    assert main(["run", "-c", str(config), "--scenario", str(scenario), "--duration", "1"]) == 78
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.startswith(f"hilserver: {scenario}")
+    assert said.count("\n") == 1
+
+
+def test_run_plays_a_scenario(scenario, capsys):
+    config = scenario.with_name("config.yaml")
+    config.write_text("opcua: {enabled: false}\nmetrics: {enabled: false}\nimage: {name: auto}\n")
+    assert main(["run", "-c", str(config), "--scenario", str(scenario), "--duration", "0.3"]) == 0
+
+
+def test_the_schema_accepts_what_the_model_accepts(scenario, tmp_path):
+    assert main(["run", "--scenario-schema", str(tmp_path / "schema.json")]) == 0
+    schema = json.loads((tmp_path / "schema.json").read_text())
+    assert schema == json_schema()
+    jsonschema.validate(yaml.safe_load(TEXT), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(yaml.safe_load(TEXT.replace("offset: 2.5, ", "")), schema)
+
+
+def test_what_is_written_as_yaml_reads_the_same(scenario):
+    read = load_scenario(scenario)
+    data = read.model_dump(exclude_none=True, mode="json")
+    assert Scenario.model_validate(yaml.safe_load(as_yaml(data))) == read
