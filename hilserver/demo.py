@@ -22,8 +22,15 @@ STOP_LIMIT_S = 5.0
 
 
 @contextlib.asynccontextmanager
-async def running_controller(robot: RobotParameters) -> AsyncIterator[str]:
+async def running_controller(
+    robot: RobotParameters, *, pattern: str = "eight"
+) -> AsyncIterator[str]:
     """Run the controller for `robot` while the context lasts; give its endpoint.
+
+    Parameters
+    ----------
+    pattern : str
+        ``eight``, or ``wheels``: each wheel alone, as `hilserver wiring` asks for.
 
     Raises
     ------
@@ -40,6 +47,7 @@ async def running_controller(robot: RobotParameters) -> AsyncIterator[str]:
         f"--k-om-per-m={robot.k_om}",
         f"--yaw-sign={robot.yaw_sign}",
         f"--max-rpm={robot.max_rpm}",
+        f"--pattern={pattern}",
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the controller

@@ -17,6 +17,7 @@ COMMANDS = {
     "run": "run the daemon",
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
+    "wiring": "commissioning: is every wheel wired to the right input?",
     "latency-test": "what this computer can do, before the model is blamed",
     "bench": "measure every figure that the README quotes",
 }

@@ -30,6 +30,12 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--yaw-sign", type=int, choices=(-1, 1), default=robot.yaw_sign)
     parser.add_argument("--max-rpm", type=float, default=robot.max_rpm)
     parser.add_argument("--speed-m-s", type=float, default=eight.speed_m_s)
+    parser.add_argument(
+        "--pattern",
+        choices=("eight", "wheels"),
+        default="eight",
+        help="a figure of eight, or each wheel alone for 'hilserver wiring' (%(default)s)",
+    )
     return parser.parse_args(argv)
 
 
@@ -37,7 +43,9 @@ async def serve(args: argparse.Namespace) -> int:
     """Serve and drive until SIGINT or SIGTERM."""
     robot = Robot(args.wheel_radius_m, args.k_om_per_m, args.yaw_sign, args.max_rpm)
     async with ControllerServer(args.endpoint) as server:
-        controller = Controller(server, Eight(speed_m_s=args.speed_m_s), robot)
+        controller = Controller(
+            server, Eight(speed_m_s=args.speed_m_s), robot, pattern=args.pattern
+        )
         cycle = asyncio.create_task(controller.run())
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, cycle.cancel)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 import structlog
 
 from hilserver.controller.nodes import SEQUENCE
-from hilserver.controller.path import STOP, Eight, Gains, Pose, Robot, follow
+from hilserver.controller.path import STOP, Eight, Gains, Pose, Robot, follow, one_wheel_rpm
 from hilserver.controller.server import ControllerServer
 
 PERIOD_S = 0.02
@@ -58,6 +58,8 @@ class Controller:
     ----------
     sequence : int
         Counts cycles, modulo 2**32.
+    pattern : str
+        ``eight``: the figure. ``wheels``: each wheel alone, from the first pose on.
     """
 
     server: ControllerServer
@@ -65,6 +67,7 @@ class Controller:
     robot: Robot = field(default_factory=Robot)
     gains: Gains = field(default_factory=Gains)
     sequence: int = 0
+    pattern: str = "eight"
     _s: float = 0.0
     _watch: PoseWatch = field(default_factory=PoseWatch)
     _driving: bool = False
@@ -75,7 +78,10 @@ class Controller:
         y, yaw = self.server.read("pose_y")[0], self.server.read("pose_yaw")[0]
         pose = self._watch.observe((x, y, yaw), stamp, time.monotonic())
         wheels = STOP
-        if pose is not None:
+        if pose is not None and self.pattern == "wheels":
+            wheels = one_wheel_rpm(self._s)
+            self._s += PERIOD_S
+        elif pose is not None:
             command = follow(self.eight, self.robot, self.gains, self._s, pose, PERIOD_S)
             self._s, wheels = command.s, command.wheels_rpm
         if self._driving != (pose is not None):

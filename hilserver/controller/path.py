@@ -148,3 +148,17 @@ def follow(
     om_rad_s = (u_y * cos_yaw - u_x * sin_yaw) / gains.ahead_m
     next_s = math.fmod(s + s_rate * step_s, 2 * math.pi)
     return Command(next_s, error_m, wheel_speeds_rpm(robot, v_m_s, om_rad_s))
+
+
+WHEEL_RPM = 20.0
+WHEEL_START_S, WHEEL_TURNS_S, WHEEL_EVERY_S = 1.5, 1.5, 2.0
+
+
+def one_wheel_rpm(elapsed_s: float) -> dict[str, float]:
+    """Return the speeds of the commissioning pattern: fl, rl, fr, rr alone, forward, once each."""
+    turn, rest_s = divmod(elapsed_s - WHEEL_START_S, WHEEL_EVERY_S)
+    wheels = tuple(STOP)
+    if not 0 <= turn < len(wheels) or rest_s >= WHEEL_TURNS_S:
+        return STOP
+    wheel = wheels[int(turn)]
+    return STOP | {wheel: WHEEL_RPM if wheel.endswith("l") else -WHEEL_RPM}
