@@ -47,6 +47,7 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m hilserver.monitoring.metrics_reference > docs/reference/metrics.md
 	@$(BIN)/python -m hilserver.config.reference > docs/reference/configuration.md
 	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md
+	@$(BIN)/python -m hilserver.faults.reference > docs/reference/faults.md
 	@$(BIN)/hilserver check --schema config.schema.json
 
 .PHONY: clean

@@ -167,7 +167,7 @@ class Fault(BaseModel):
     value: Number | None = Field(None, description="in the signal's unit")
     sd: Positive | None = Field(None, description="standard deviation, signal's unit")
     offset: Number | None = Field(None, description="signal's unit")
-    factor: Number | None = None
+    factor: Number | None = Field(None, description="without a unit")
     delay_s: Positive | None = Field(None, description="[s]")
     jitter_s: Positive | None = Field(None, description="[s]")
     probability: float | None = Field(None, ge=0, le=1, description="for each sample")

@@ -16,6 +16,7 @@ from asyncua import Server, ua
 from hilserver.clock import UtcClock
 from hilserver.config.peers import PeerConfig
 from hilserver.events import EventBus
+from hilserver.faults import Line
 from hilserver.inputs import Refusal
 from hilserver.io.opcua_client import PeerLink
 
@@ -84,7 +85,7 @@ class Harness:
         return any(text in event.message for event in self.events.recent)
 
 
-def make_harness(config: PeerConfig) -> Harness:
+def make_harness(config: PeerConfig, line: Line | None = None) -> Harness:
     gate, events = RecordingGate(), EventBus()
     stale: list[tuple[str, str]] = []
     restored: list[str] = []
@@ -102,6 +103,7 @@ def make_harness(config: PeerConfig) -> Harness:
         events=events,
         read_output=read_output,
         clock=UtcClock(),
+        line=line,
     )
     return Harness(link, gate, events, stale, restored, outputs)
 
