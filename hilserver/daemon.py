@@ -110,7 +110,9 @@ class Daemon:
             priority=config.control.priority,
         )
         self.control = self._make_control()
-        self.supervision = Supervision(config, self.gate, self.control, self.events, self.scheduler)
+        self.supervision = Supervision(
+            config, self.gate, self.control, self.events, self.scheduler, self.image
+        )
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
         self.metrics = Metrics(self._metrics_sources())

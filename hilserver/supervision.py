@@ -4,16 +4,20 @@ Peers that fall silent are acted on while peers have control, also when they get
 client in control may be given a limit as well; overruns become events.
 """
 
-import structlog
-
 from hilserver.config.root import Config
 from hilserver.control import Control, State
 from hilserver.events import Event, EventBus, EventKind
+from hilserver.image import ProcessImage
 from hilserver.inputs import InputGate
 from hilserver.monitoring.logging_setup import log_overrun
+from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
 from hilserver.scheduler import OverrunReport, Scheduler
 
-_log = structlog.get_logger(__name__)
+NOTICES = {
+    X_TWIST_REDUCED: "the twist has two parts: only the larger one is driven (exclusive_twist)",
+    X_SCALED: "the twist asks for more than max_rpm: all wheels are scaled down together",
+}
+"""Places in the plant's state that say how a command is changed, and what to tell then."""
 
 
 class Supervision:
@@ -32,8 +36,11 @@ class Supervision:
         control: Control,
         events: EventBus,
         scheduler: Scheduler,
+        image: ProcessImage,
     ) -> None:
         self.first_ticks_met = False
+        self._plant_state, _ = image.region("x")
+        self._noticed: set[int] = set()
         self._config = config
         self._gate = gate
         self._control = control
@@ -48,6 +55,16 @@ class Supervision:
         self._control.supervise()
         self._watch_first_ticks()
         self._watch_operator()
+        self._watch_command()
+
+    def _watch_command(self) -> None:
+        """Tell, once each time it begins, that the robot drives something else than commanded."""
+        for place, text in NOTICES.items():
+            if not self._plant_state[place]:
+                self._noticed.discard(place)
+            elif place not in self._noticed:
+                self._noticed.add(place)
+                self._events.publish(Event(EventKind.STATE, 300, "plant", text))
 
     def _watch_first_ticks(self) -> None:
         if self.first_ticks_met:
