@@ -20,7 +20,7 @@ from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
-from hilserver.control import Control, State
+from hilserver.control import Control
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.faults import Faults, Line, Play
@@ -39,7 +39,6 @@ from hilserver.monitoring.health_http import HttpServer
 from hilserver.monitoring.logging_setup import (
     RepeatLimiter,
     log_event,
-    log_overrun,
     report_repeats,
 )
 from hilserver.monitoring.metrics import Metrics
@@ -48,7 +47,6 @@ from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
-    OverrunReport,
     RealtimeSettings,
     Scheduler,
     StepFunction,
@@ -56,6 +54,7 @@ from hilserver.scheduler import (
     words_needed,
 )
 from hilserver.snapshot import SnapshotStore
+from hilserver.supervision import Supervision
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S = 0.1
@@ -131,15 +130,20 @@ class Daemon:
         if self._play is not None:
             self.stage.check(self._play)
         self.control.on_reset.append(self._restart_faults)
+        self.supervision = Supervision(
+            config,
+            self.gate,
+            self.control,
+            self.events,
+            self.scheduler,
+            self.image,
+            timeout_is_dead=lambda: self.faults.timeout_is_dead,
+        )
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
         self.metrics = Metrics(self._metrics_sources())
         self.http = self._make_http() if config.metrics.enabled else None
         self._frame: Frame | None = None
-        self._first_ticks_met = False
-        self._overruns_seen = 0
-        self._silent: dict[str, str] = {}
-        self._acted: set[str] = set()
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -166,7 +170,7 @@ class Daemon:
             self._resources.push_async_callback(self.server.stop)
         self.scheduler.on_slice("publish", self._publish)
         self.scheduler.on_slice("supervise", self._supervise)
-        self.scheduler.on_overrun(self._on_overrun)
+        self.scheduler.on_overrun(self.supervision.on_overrun)
         self._resources.push_async_callback(self.scheduler.stop)
         if self._play is not None:
             self.stage.play(self._play.scenario)
@@ -217,9 +221,7 @@ class Daemon:
 
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
-        self.control.supervise()
-        self._watch_first_ticks()
-        self._watch_operator()
+        self.supervision.run()
         if self.server is not None:
             self.server.publish_diagnostics()
         if self._limiter is not None:
@@ -235,39 +237,13 @@ class Daemon:
                 self._publish(self.scheduler.tick, 0)
                 self._supervise(self.scheduler.tick, 0)
 
-    def _watch_first_ticks(self) -> None:
-        """Ready is who met every deadline from one supervise run to the next."""
-        if self._first_ticks_met:
-            return
-        plant = self.scheduler.statistics.slice(self.config.plant.slice)
-        overruns = plant.late_wakes + plant.long_runs
-        self._first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
-        self._overruns_seen = overruns
-
-    def _watch_operator(self) -> None:
-        limit_ms = self.config.control.opcua_stale_after_ms
-        age_s = self.gate.age_s("opcua")
-        if limit_ms is None or age_s is None or self.gate.owner != "opcua":
-            return
-        if self.faults.timeout_is_dead:
-            return
-        if age_s * 1e3 > limit_ms and self.control.state is State.RUNNING:
-            self.gate.mark_stale("opcua")
-            self.control.enter_safe("the OPC UA client in control is silent", cause=None)
-
     # --- what the parts tell each other -----------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
-
         if event.kind is EventKind.STATE:
-            self._act_on_silence()
-
-    def _on_overrun(self, report: OverrunReport) -> None:
-        log_overrun(report)
-        text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
-        self.events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
+            self.supervision.act_on_silence()
 
     def _restart_faults(self) -> None:
         """After a reset: no fault, no force, and the scenario from its beginning."""
@@ -275,38 +251,12 @@ class Daemon:
         if self._play is not None:
             self.stage.play(self._play.scenario)
 
-    def _on_stale(self, peer: str, action: str) -> None:
-        self.gate.mark_stale(f"peer:{peer}")
-        self._silent[peer] = action
-        self._act_on_silence()
-
-    def _on_restored(self, peer: str) -> None:
-        self._silent.pop(peer, None)
-        self._forgive(peer)
-
-    def _act_on_silence(self) -> None:
-        """Act on silent peers while peers have control, also when they get it back."""
-        if self.faults.timeout_is_dead:
-            return
-        for peer, action in self._silent.items():
-            if self.gate.owner != "peer":
-                self._forgive(peer)
-            elif peer not in self._acted:
-                self._acted.add(peer)
-                if action == "zero":
-                    self.gate.stop()
-                elif action == "ramp":
-                    self.control.enter_safe(f"peer '{peer}' is silent", cause=f"peer:{peer}")
-
-    def _forgive(self, peer: str) -> None:
-        self._acted.discard(peer)
-        self.control.clear_cause(f"peer:{peer}")
-
-    def _read_output(self, name: str) -> tuple[float, int, int]:
-        frame, slot = self._frame, self.table.slot(name)
+    def _read_output(self, name: str) -> tuple[float | list[float], int, int]:
+        frame, slots = self._frame, list(self.table[name].slots)
         if frame is None:
             raise LookupError("no frame yet")
-        return float(frame.values[slot]), int(frame.status[slot]), frame.planned_ns
+        values, status = frame.values[slots].tolist(), int(frame.status[slots].max())
+        return values if len(slots) > 1 else values[0], status, frame.planned_ns
 
     def _tell_audit(self) -> None:
         for item in self.audit:
@@ -362,8 +312,8 @@ class Daemon:
         return PeerLink(
             config,
             gate=self.gate,
-            on_stale=self._on_stale,
-            on_restored=self._on_restored,
+            on_stale=self.supervision.on_stale,
+            on_restored=self.supervision.on_restored,
             events=self.events,
             read_output=self._read_output,
             clock=self.clock,
@@ -405,7 +355,7 @@ class Daemon:
         health = HealthSources(
             state=self._state_name,
             heartbeat_ns=lambda: self.scheduler.heartbeat_ns,
-            first_ticks_met=lambda: self._first_ticks_met,
+            first_ticks_met=lambda: self.supervision.first_ticks_met,
         )
         config = self.config.metrics
         return HttpServer(

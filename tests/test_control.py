@@ -110,6 +110,23 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
     assert world.value("wheel.fl.setpoint_rpm") == 0.0, "an old set-point must not come back"
 
 
+async def test_a_reset_does_not_get_into_a_snapshot_being_saved(world):
+    world.image.frame_values[0] = 7.0
+    saving = asyncio.create_task(world.control.save_snapshot("now"))
+    await asyncio.sleep(0.01)
+    with pytest.raises(ControlRefused, match="has to wait"):
+        world.control.reset()
+    world.latch()
+    await saving
+    world.image.frame_values[0] = 0.0
+    loading = asyncio.create_task(world.control.load_snapshot("now"))
+    while not loading.done():
+        world.latch()
+        await asyncio.sleep(0.005)
+    await loading
+    assert world.image.frame_values[0] == 7.0
+
+
 def test_in_the_safe_state_nobody_enables_the_drive(world):
     control = world.control
     control.stop()

@@ -33,15 +33,20 @@ def configuration(*, scheduler=None, **sections):
 
 
 @asynccontextmanager
-async def running(config, folder=None):
+async def serving(assembly):
     """A daemon that runs, and a client of its OPC UA server."""
-    async with Daemon(assemble_config(config, folder)) as daemon:
+    async with Daemon(assembly) as daemon:
         client = RobotClient(daemon.server.url)
         await client.connect()
         try:
             yield daemon, client
         finally:
             await client.disconnect()
+
+
+def running(config, folder=None):
+    """Like `serving`, from a configuration."""
+    return serving(assemble_config(config, folder))
 
 
 async def wait_until(condition, timeout_s=10.0):
