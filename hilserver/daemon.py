@@ -6,6 +6,7 @@ a frame, the publish slice hands the frame to OPC UA and the peers.
 """
 
 import asyncio
+import dataclasses
 import os
 import time
 from contextlib import AsyncExitStack
@@ -24,9 +25,11 @@ from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import Frame, ProcessImage
 from hilserver.image.layout import W_HEARTBEAT
+from hilserver.image.state_request import take_request
 from hilserver.inputs import InputGate
 from hilserver.io.opcua_client import PeerLink
 from hilserver.io.opcua_server import OpcUaServer
+from hilserver.io.recorder.launch import running_recorder
 from hilserver.kernel import compose, watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.health import HealthSources
@@ -89,6 +92,7 @@ class Daemon:
             | {"statistics": words_needed(len(assembly.slices), LINEAR_BINS)},
             base_period_ns=assembly.base_period_ns,
             ring_length=config.image.ring_frames,
+            run=assembly.provenance,
         )
         self._resources.callback(self.image.close)
         self.image.warm_up()
@@ -104,12 +108,17 @@ class Daemon:
             owner=config.control.source or ("peer" if config.peers else "opcua"),
             priority=config.control.priority,
         )
+        self.snapshots = SnapshotStore(
+            self.image, assembly.folder / config.snapshots.folder, dict(assembly.identity)
+        )
+        self.image.tell(identity=self.snapshots.identity)
         self.control = self._make_control()
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
         self.metrics = Metrics(self._metrics_sources())
         self.http = self._make_http() if config.metrics.enabled else None
         self._frame: Frame | None = None
+        self._capture: asyncio.Task[int] | None = None
         self._first_ticks_met = False
         self._overruns_seen = 0
 
@@ -130,6 +139,7 @@ class Daemon:
     async def _start(self) -> None:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
+        await self._start_recorder()
         if self.http is not None:
             await self.http.start()
             self._resources.push_async_callback(self.http.stop)
@@ -143,6 +153,7 @@ class Daemon:
         await self.scheduler.start()
         self.audit = audit(self.scheduler)
         self._tell_audit()
+        self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         for peer in self.peers:
             self.gate.expect(peer.config.read.values())
             await peer.start()
@@ -150,6 +161,14 @@ class Daemon:
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()
+
+    async def _start_recorder(self) -> None:
+        """Attach the recorder before the first tick; it ends after the last one."""
+        if self.config.recording.file is not None:
+            recorder = running_recorder(
+                self.config.recording, self.image.name, self.assembly.folder
+            )
+            await self._resources.enter_async_context(recorder)
 
     async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
         """Run until `asked` is set, time is over or the scheduler ends; return the exit code."""
@@ -190,6 +209,7 @@ class Daemon:
         self.control.supervise()
         self._watch_first_ticks()
         self._watch_operator()
+        self._serve_recorder()
         if self.server is not None:
             self.server.publish_diagnostics()
         if self._limiter is not None:
@@ -211,6 +231,15 @@ class Daemon:
         overruns = plant.late_wakes + plant.long_runs
         self._first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
         self._overruns_seen = overruns
+
+    def _serve_recorder(self) -> None:
+        """Copy the state for a recorder that asks for one to begin with."""
+        if self._capture is not None and self._capture.done():
+            if not self._capture.cancelled() and self._capture.exception() is not None:
+                _log.warning("no state for the recorder", error=str(self._capture.exception()))
+            self._capture = None
+        if self._capture is None and take_request(self.image.name):
+            self._capture = asyncio.create_task(self.snapshots.capture(), name="capture state")
 
     def _watch_operator(self) -> None:
         limit_ms = self.config.control.opcua_stale_after_ms
@@ -262,14 +291,13 @@ class Daemon:
 
     def _make_control(self) -> Control:
         config, assembly = self.config, self.assembly
-        folder = assembly.folder / config.snapshots.folder
         return Control(
             self.table,
             self.image,
             self.gate,
             self.events,
             self.scheduler,
-            SnapshotStore(self.image, folder, dict(assembly.identity)),
+            self.snapshots,
             safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
             reset_statistics=self._reset_statistics,
         )

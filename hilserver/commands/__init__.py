@@ -17,6 +17,8 @@ COMMANDS = {
     "run": "run the daemon",
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
+    "record": "record the signals of a running daemon",
+    "replay": "feed a log through the plant, faster than real time",
     "latency-test": "what this computer can do, before the model is blamed",
     "bench": "measure every figure that the README quotes",
 }

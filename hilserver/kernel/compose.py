@@ -178,9 +178,10 @@ def _source(composition: Composition, image: ProcessImage) -> str:
         "hall": f"values{_piece(regions['hall'])}",
     }
     command, sim = table.slot("internal.command"), table.slot("sim.tick")
+    state = table.slot("internal.state")
     lines = [
         f"if phase == {LATCH}:",
-        f"    return latch(tick, {command}, values, words)",
+        f"    return latch(tick, {command}, {state}, values, words)",
         f"if phase == {PUBLISH}:",
         "    return publish("
         f"tick, planned_ns, {command}, {robot.N_U}, {robot.N_Y}, {sim}, values, words)",
