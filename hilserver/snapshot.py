@@ -50,6 +50,8 @@ class SnapshotStore:
     ----------
     identity : dict
         `parameters`, and version, kernels and signals of this run.
+    initial : ndarray of int64
+        The state before the first tick.
     """
 
     def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
@@ -62,7 +64,7 @@ class SnapshotStore:
             "signals": hashlib.sha256(layout).hexdigest(),
             **parameters,
         }
-        self._initial = self._live.copy()
+        self.initial = self._live.copy()
         self._lock = asyncio.Lock()
 
     @property
@@ -79,7 +81,7 @@ class SnapshotStore:
 
     def reset(self) -> None:
         """Put everything back to the state before the first tick, at tick 0."""
-        self._shadow[:] = self._initial
+        self._shadow[:] = self.initial
         post_request(REQUEST_LOAD, 0, self._image.words)
 
     async def save(self, name: str) -> Path:

@@ -232,8 +232,15 @@ class ProcessImage(ImageReader):
         """Hand rows to the ticks they name (rising); False if the queue has no room."""
         return self._push(rows, lay.W_TIMED_BASE)
 
+    def push_timed_table(self, table: NDArray[np.float64]) -> bool:
+        """Like `push_timed`; columns are tick, slot, value and status, shape (n, 4)."""
+        return self._push_table(table, lay.W_TIMED_BASE)
+
     def _push(self, rows: Iterable[Row], word: int) -> bool:
         table = np.array([(r.tick, r.slot, r.value, r.status) for r in rows], dtype=np.float64)
+        return self._push_table(table, word)
+
+    def _push_table(self, table: NDArray[np.float64], word: int) -> bool:
         if table.size == 0:
             return True
         base, capacity = int(self.words[word]), int(self.words[word + 1])

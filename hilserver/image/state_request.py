@@ -56,7 +56,7 @@ class ShadowReader:
             return None
         copies = [self._copy(), self._copy()]
         kind, tick = (int(self._words[w]) for w in (lay.W_REQUEST_KIND, lay.W_REQUEST_TICK))
-        if int(self._words[lay.W_REQUEST]) != done or not np.array_equal(*copies):
+        if int(self._words[lay.W_REQUEST]) != done or not np.array_equal(copies[0], copies[1]):
             return None
         self._seen = done
         return kind, tick, copies[0]

@@ -56,8 +56,8 @@ class _Table:
 
     path: Path
     header: list[str]
-    numbers: array[float] = field(default_factory=lambda: array("d"))
-    lines: array[int] = field(default_factory=lambda: array("q"))
+    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+    lines: "array[int]" = field(default_factory=lambda: array("q"))
     notices: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> NDArray[np.float64]:

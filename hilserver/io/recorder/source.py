@@ -104,7 +104,7 @@ class Source:
         self._gap = True
 
     def _segmented(self, batch: FrameBatch, *, after_gap: bool) -> Segmented:
-        """Number the segments: a new one where ticks do not follow although no frame is missing."""
+        """Begin a new segment where ticks do not follow although no frame is missing."""
         ticks = batch.ticks
         before = ticks[0] - 1 if self._last_tick is None else self._last_tick
         jumps = np.diff(ticks, prepend=before) != 1
