@@ -4,6 +4,7 @@ import csv
 import difflib
 import json
 import math
+import zlib
 from array import array
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -71,7 +72,7 @@ class _Table:
         wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
         if wrong.size:
             where = _where(self.path, self.lines[wrong[0]], self.header, name)
-            raise LogError(f"{where}: {numbers[wrong[0]]!r} is no whole number; write one")
+            raise LogError(f"{where}: {float(numbers[wrong[0]])!r} is no whole number; write one")
         return numbers.astype(np.int64)
 
 
@@ -219,8 +220,8 @@ def _check_time(
         row = fall[0] + 1
         where = _where(path, table.lines[row], table.header, TIME)
         raise LogError(
-            f"{where}: {t_s[row]!r} does not rise after {t_s[row - 1]!r}; sort the rows, or tell"
-            " runs apart by a column 'segment'"
+            f"{where}: {float(t_s[row])!r} does not rise after {float(t_s[row - 1])!r}; sort the"
+            " rows, or tell runs apart by a column 'segment'"
         )
 
 
@@ -235,7 +236,7 @@ def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
             raise LogError(f"{beside}: is not of schema {SCHEMA}")
         states = [unpack_state(entry) for entry in run.pop("states")]
         _ = [signal["name"] for signal in run["signals"]], int(run["base_period_ns"])
-    except (ValueError, KeyError, TypeError, OSError, ArithmeticError):
+    except (ValueError, KeyError, TypeError, AttributeError, OSError, zlib.error):
         raise LogError(
             f"{beside}: is damaged; remove it to read {path.name} as a log of others"
         ) from None

@@ -31,7 +31,14 @@ from hilserver.logs.mcap_writer import (
 from hilserver.logs.provenance import SCHEMA
 
 BAD = 0x8000_0000
-_TEXTS = ("schema", "version", "kernels", "config_sha256", "config_folder", "configuration")
+_TEXTS = (
+    "schema",
+    "version",
+    "kernels",
+    "config_sha256",
+    "config_folder",
+    "replay_of",
+)
 _READ = {
     Opcode.CHANNEL: rec.Channel.read,
     Opcode.CHUNK: rec.Chunk.read,

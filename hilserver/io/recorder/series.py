@@ -9,6 +9,7 @@ from typing import Any
 from hilserver.errors import FailedError
 from hilserver.logs import LogWriter, open_writer
 from hilserver.logs.csv_writer import meta_path
+from hilserver.logs.writing import reason
 
 
 class FileSeries:
@@ -34,7 +35,10 @@ class FileSeries:
         FailedError
             If it cannot be made.
         """
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FailedError(f"{self._path}: cannot be written: {reason(error)}") from None
         if self._rotate_bytes is not None:
             number = max(self._numbers(), default=0) + 1
             if number > 999_999:

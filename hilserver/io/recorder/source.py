@@ -130,7 +130,9 @@ class Source:
         return State(segment, tick, words)
 
     def daemon_is_gone(self) -> bool:
-        """Return whether the daemon has ended: it holds a lock on the image while it lives."""
+        """Return whether the daemon has removed its image, or lost the lock by dying."""
+        if os.fstat(self._fd).st_nlink == 0:
+            return True
         try:
             fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except OSError:
