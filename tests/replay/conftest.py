@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from asyncua import ua
 
+from hilserver.commands import main
 from tests.helpers.daemons import (
     RunningDaemon,
     finish,
@@ -22,6 +23,20 @@ CONFIG = """
 sensors: {nav: {enabled: true}}
 plant: {seed: 5}
 """
+
+
+@pytest.fixture
+def replay_here(tmp_path, monkeypatch, capsys):
+    """`hilserver replay` in this process, in a folder of its own; returns what it says."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words, code=0):
+        found = main(["replay", *map(str, words)])
+        said = capsys.readouterr()
+        assert found == code, said
+        return said.out + said.err
+
+    return run
 
 
 @dataclass

@@ -97,7 +97,7 @@ def test_a_snapshot_in_the_middle_continues_to_the_bit(recorded, tmp_path):
     assert outputs_from(again) == outputs_from(read_log(recorded.middle), tick=first)
 
 
-def test_one_altered_input_sample_is_found_at_its_tick(recorded, tmp_path):
+def test_one_altered_input_sample_is_found_at_its_tick(replay_here, recorded, tmp_path):
     log = read_log(recorded.middle)
     row = len(log) // 2
     lines = recorded.middle.read_text().splitlines(keepends=True)
@@ -107,57 +107,55 @@ def test_one_altered_input_sample_is_found_at_its_tick(recorded, tmp_path):
     lines[row + 1] = ",".join(fields)
     (tmp_path / "altered.csv").write_text("".join(lines))
     shutil.copy(meta_path(recorded.middle), meta_path(tmp_path / "altered.csv"))
-    text = replay(
-        tmp_path / "altered.csv", "-o", tmp_path / "again.csv", "--check", cwd=tmp_path, code=1
-    )
+    text = replay_here(tmp_path / "altered.csv", "-o", tmp_path / "again.csv", "--check", code=1)
     tick = int(re.search(r"outputs differ, first \S+ in tick (\d+)", text).group(1))
     altered_tick = int(log.ticks(PERIOD_NS)[row])
     assert altered_tick <= tick <= altered_tick + 1024  # differences are sought batch by batch
 
 
-def test_another_configuration_is_named(recorded, tmp_path):
+def test_another_configuration_is_named(replay_here, recorded, tmp_path):
     (tmp_path / "other.yaml").write_text("plant: {seed: 6}\nsensors: {nav: {enabled: true}}\n")
     words = (recorded.full, "-c", "other.yaml", "-o", "again.csv")
-    text = replay(*words, cwd=tmp_path, code=78)
+    text = replay_here(*words, code=78)
     assert "was made with parameters" in text
     assert "use the configuration of its run" in text
-    replay(*words, "--as-inputs", cwd=tmp_path)
+    replay_here(*words, "--as-inputs")
 
 
-def test_other_kernels_are_named(recorded, tmp_path):
+def test_other_kernels_are_named(replay_here, recorded, tmp_path):
     shutil.copy(recorded.middle, tmp_path / "old.csv")
     text = meta_path(recorded.middle).read_text()
     old = re.sub(r'("kernels": )"\w+"', r'\1"0123456789abcdef"', text)
     meta_path(tmp_path / "old.csv").write_text(old)
-    said = replay(tmp_path / "old.csv", "-o", "again.csv", cwd=tmp_path, code=2)
+    said = replay_here(tmp_path / "old.csv", "-o", "again.csv", code=2)
     assert "was made with kernels 0123456789abcdef, here it is" in said
 
 
-def test_a_snapshot_of_another_time_is_named(recorded, tmp_path):
+def test_a_snapshot_of_another_time_is_named(replay_here, recorded, tmp_path):
     log = read_log(recorded.middle)
     lines = recorded.middle.read_text().splitlines(keepends=True)
     (tmp_path / "short.csv").write_text("".join(lines[:100]))
     shutil.copy(meta_path(recorded.middle), meta_path(tmp_path / "short.csv"))
     words = ("short.csv", "--from", recorded.snapshot, "-o", "again.csv")
-    text = replay(*words, cwd=tmp_path, code=2)
+    text = replay_here(*words, code=2)
     assert "has no frame of tick" in text
     assert f"from tick {log.ticks(PERIOD_NS)[0]} to" in text
 
 
-def test_what_cannot_be_replayed_is_one_sentence(recorded, tmp_path):
+def test_what_cannot_be_replayed_is_one_sentence(replay_here, recorded, tmp_path):
     for words, code, complaint in (
         ((recorded.full, "-o", recorded.full), 1, "is the log itself"),
         (("nothing.mcap", "-o", "a.csv"), 2, "no such file"),
         ((recorded.full, "-o", "a.txt"), 1, "a log ends in .mcap or .csv"),
         ((recorded.full, "--from", "none.npz", "-o", "a.csv"), 2, "there is no snapshot"),
     ):
-        text = replay(*words, cwd=tmp_path, code=code)
+        text = replay_here(*words, code=code)
         assert complaint in text
         assert len(text.splitlines()) == 1
 
 
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
-def test_a_replay_can_be_replayed(recorded, tmp_path, suffix):
+def test_a_replay_can_be_replayed(replay_here, recorded, tmp_path, suffix):
     out = tmp_path / f"again.{suffix}"
-    replay(recorded.middle, "-o", out, cwd=tmp_path)
-    assert "bit for bit" in replay(out, "-o", tmp_path / "more.csv", "--check", cwd=tmp_path)
+    replay_here(recorded.middle, "-o", out)
+    assert "bit for bit" in replay_here(out, "-o", tmp_path / "more.csv", "--check")
