@@ -6,6 +6,6 @@ from, see `Log.run` and `Log.states`.
 
 from hilserver.logs.log import Log, State
 from hilserver.logs.reading import read_log
-from hilserver.logs.writing import LogWriter, Writable, open_writer
+from hilserver.logs.writing import LogWriter, Segmented, open_writer
 
-__all__ = ["Log", "LogWriter", "State", "Writable", "open_writer", "read_log"]
+__all__ = ["Log", "LogWriter", "Segmented", "State", "open_writer", "read_log"]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hilserver.logs.log import State
-from hilserver.logs.writing import WholeFile, Writable
+from hilserver.logs.writing import Segmented, WholeFile
 
 BAD = 0x8000_0000
 """A status code with this bit has no usable value."""
@@ -43,7 +43,7 @@ class CsvWriter:
         """Size of the file so far."""
         return self._file.size
 
-    def write(self, batch: Writable) -> None:
+    def write(self, batch: Segmented) -> None:
         """Append a row for each frame."""
         frames = batch.frames
         values = frames.values[:, self._slots]

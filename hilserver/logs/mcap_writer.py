@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.logs.log import State
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout, payload_dtype
-from hilserver.logs.writing import WholeFile, Writable
+from hilserver.logs.writing import Segmented, WholeFile
 
 TOPIC = "/hilserver/frame"
 METADATA = "hilserver"
@@ -32,6 +32,7 @@ CONFIG_ATTACHMENT = "config.yaml"
 STATE_ATTACHMENT = "state"
 CHANNEL = 1
 CHUNK_BYTES = 1 << 20
+CHUNKS_FOR_INDEX = 5
 
 
 def record_dtype(n_signals: int) -> np.dtype[np.void]:
@@ -79,7 +80,7 @@ class McapWriter:
         """Size of the file so far, with what waits for its chunk."""
         return self._file.size + self._pending_bytes
 
-    def write(self, batch: Writable) -> None:
+    def write(self, batch: Segmented) -> None:
         """Append a message for each frame."""
         frames = batch.frames
         table = np.zeros(len(frames), dtype=self._dtype)
@@ -143,10 +144,21 @@ class McapWriter:
         self._file.sync()
 
     def close(self) -> None:
-        """Write the last chunk, the index and the end; close the file in any case."""
+        """Write the last chunk, the index and the end; close the file in any case.
+
+        On a full disk up to a second of the recording makes room for the index.
+        """
         try:
             self.flush()
-            self._file.append(self._summary.encode(self._file.size, self._schema, self._channel))
+            for left in reversed(range(CHUNKS_FOR_INDEX + 1)):
+                index = self._summary.encode(self._file.size, self._schema, self._channel)
+                try:
+                    self._file.append(index)
+                    return
+                except OSError:
+                    if not left or not self._summary.chunks:
+                        raise
+                    self._file.cut(self._summary.drop_last())
         finally:
             self._file.close()
 
@@ -158,7 +170,7 @@ class _Summary:
         self.chunks: list[rec.ChunkIndex] = []
         self.metadata: list[rec.MetadataIndex] = []
         self.attachments: list[rec.AttachmentIndex] = []
-        self._n_messages = 0
+        self._n_messages: list[int] = []
         self._compressor = zstandard.ZstdCompressor(level=1)
 
     def add(self, file: WholeFile, table: NDArray[np.void]) -> None:
@@ -183,16 +195,24 @@ class _Summary:
                 uncompressed_size=len(data),
             )
         )
-        self._n_messages += len(table)
+        self._n_messages.append(len(table))
+
+    def drop_last(self) -> int:
+        """Forget the last chunk and what stands behind it; return where it begins."""
+        start = self.chunks.pop().chunk_start_offset
+        self._n_messages.pop()
+        self.metadata = [m for m in self.metadata if m.offset < start]
+        self.attachments = [a for a in self.attachments if a.offset < start]
+        return start
 
     def encode(self, position: int, schema: rec.Schema, channel: rec.Channel) -> bytes:
         """Return everything from the end of the data to the end of the file."""
         statistics = rec.Statistics(
             attachment_count=len(self.attachments),
             channel_count=1,
-            channel_message_counts={CHANNEL: self._n_messages},
+            channel_message_counts={CHANNEL: sum(self._n_messages)},
             chunk_count=len(self.chunks),
-            message_count=self._n_messages,
+            message_count=sum(self._n_messages),
             message_end_time=max((c.message_end_time for c in self.chunks), default=0),
             message_start_time=min((c.message_start_time for c in self.chunks), default=0),
             metadata_count=len(self.metadata),

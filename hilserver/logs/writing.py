@@ -17,18 +17,6 @@ from hilserver.logs.log import State
 SUFFIXES = (".mcap", ".csv")
 
 
-class Writable(Protocol):
-    """Frames with the segment each belongs to."""
-
-    @property
-    def frames(self) -> FrameBatch:
-        """The frames."""
-
-    @property
-    def segments(self) -> NDArray[np.int64]:
-        """Segment of each frame, shape (n,)."""
-
-
 @dataclass(frozen=True, slots=True)
 class Segmented:
     """Frames with the segment each belongs to; what writers take."""
@@ -44,7 +32,7 @@ class LogWriter(Protocol):
     def n_bytes(self) -> int:
         """Size of the file so far."""
 
-    def write(self, batch: Writable) -> None:
+    def write(self, batch: Segmented) -> None:
         """Append frames."""
 
     def add_state(self, state: State) -> None:
@@ -125,10 +113,15 @@ class WholeFile:
             while done < len(view):
                 done += os.write(self._fd, view[done:])
         except OSError:
-            os.ftruncate(self._fd, self.size)
-            os.lseek(self._fd, self.size, os.SEEK_SET)
+            self.cut(self.size)
             raise
         self.size += done
+
+    def cut(self, size: int) -> None:
+        """Cut the file off behind `size` bytes."""
+        os.ftruncate(self._fd, size)
+        os.lseek(self._fd, size, os.SEEK_SET)
+        self.size = size
 
     def sync(self) -> None:
         """Hand everything to the disk."""

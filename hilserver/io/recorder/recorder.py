@@ -158,7 +158,7 @@ class Recorder:
         error = self._writing.error
         counts = f"{self._writing.written} frames in {self.path}"
         if isinstance(error, OSError):
-            raise FailedError(f"{self.path}: recording ended: {reason(error)}; {counts}")
+            raise FailedError(f"{self.path}: recording ended: {reason(error)}")
         if error is not None:
             raise error
         if not in_time:

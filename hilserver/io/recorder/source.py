@@ -12,7 +12,7 @@ from hilserver.errors import FailedError
 from hilserver.image import FrameBatch, ImageReader, read_frames
 from hilserver.image.layout import REQUEST_LOAD, W_RING_LENGTH
 from hilserver.image.shared_file import path_of
-from hilserver.image.state_request import ShadowReader, ask_for_state, live_state
+from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
 from hilserver.logs.log import State
 from hilserver.logs.writing import Segmented
 
@@ -141,5 +141,6 @@ class Source:
         return True
 
     def close(self) -> None:
-        """Let go of the image."""
+        """Let go of the image, and of a request that nobody has answered."""
+        take_request(self._name)
         os.close(self._fd)
