@@ -40,7 +40,11 @@ class Terminal(io.StringIO):
 def logging_as_before() -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
+    library = logging.getLogger("asyncua.server")  # silenced by whoever ran a server before
+    library_level = library.level
+    library.setLevel(logging.NOTSET)
     yield
+    library.setLevel(library_level)
     structlog.reset_defaults()
     root.handlers[:], root.level = handlers, level
 

@@ -42,6 +42,13 @@ def test_exclusive_mode_drives_the_larger_part_and_says_so(v, om, driven):
     assert rig.x[at.X_TWIST_REDUCED] == (driven is not None)
 
 
+def test_notes_of_a_twist_do_not_outlive_it():
+    rig = Rig(exclusive_twist=True).twist(5.0, 1.0).step()
+    assert (rig.x[at.X_TWIST_REDUCED], rig.x[at.X_SCALED]) == (1.0, 1.0)
+    rig.wheels(1, 1, 1, 1).step()
+    assert (rig.x[at.X_TWIST_REDUCED], rig.x[at.X_SCALED]) == (0.0, 0.0)
+
+
 def test_disabled_drive_brakes_to_rest():
     rig = Rig().wheels(50, 50, -50, -50).step(500)
     rig.u[at.U_ENABLE] = 0.0

@@ -15,7 +15,7 @@ from hilserver.errors import ConfigError
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import balance
 from hilserver.plant.hall import load_hall
-from hilserver.plant.parameters import Battery, Controller, Navigation, RobotParameters
+from hilserver.plant.parameters import Battery, Controller, Navigation, Process, RobotParameters
 from tests.plant.rig import Rig
 
 PERIODS = {"plant": 0.001, "sensors": 0.01}
@@ -29,6 +29,8 @@ PERIODS = {"plant": 0.001, "sensors": 0.01}
         ({"period_s": 0.0046, "discretization": "euler"}, r"less than 2 T2 = 4.6 ms"),
         ({"controller": Controller(k_p=1e4)}, "unstable from"),
         ({"controller": Controller(k_p=0.0, k_d=0.1)}, "k_p: must be above 0"),
+        ({"process": Process(t1_s=1e-200)}, "no period is stable"),
+        ({"controller": Controller(k_i=1e300)}, "no period is stable"),
         ({"icr_offset_m": 0.125}, "half the wheelbase, 0.125 m"),
         ({"icr_offset_m": -0.2}, "half the wheelbase"),
         ({"wheel_radius_m": math.nan}, "finite"),

@@ -34,7 +34,7 @@ _log = structlog.get_logger(__name__)
 class Backoff:
     """Pauses between attempts, measured from start to start, doubling up to a limit [s]."""
 
-    def __init__(self, first_s: float = 0.1, limit_s: float = 1.0) -> None:
+    def __init__(self, first_s: float = 0.1, limit_s: float = 0.5) -> None:
         self._first_s = first_s
         self._limit_s = limit_s
         self._next_s = first_s

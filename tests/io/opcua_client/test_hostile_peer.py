@@ -35,14 +35,19 @@ async def error_message(reader, writer):
     await reader.read(-1)
 
 
+SENT_MIB: list[int] = []
+
+
 async def endless(reader, writer):
-    """Announce two gigabytes and send them as fast as they are taken."""
+    """Announce two gigabytes and send what a link of a gigabit would carry."""
     await reader.read(32)
     writer.write(b"ACKF" + struct.pack("<I", 2**31 - 1))
     block = bytes(1024 * 1024)
     for _ in range(2048):
         writer.write(block)
         await writer.drain()
+        SENT_MIB.append(1)
+        await asyncio.sleep(0.008)
 
 
 @pytest.mark.parametrize("behaviour", [silent, hangs_up, garbage, error_message, endless])
@@ -67,6 +72,7 @@ async def test_link_survives(behaviour):
         assert "Traceback" not in harness.status.last_error
         assert not harness.status.connected
         assert Holdings.of().memory_kib - before.memory_kib < 120 * 1024
+        assert len(SENT_MIB) < 40 * connections
     finally:
         await harness.link.stop()
         server.close()
