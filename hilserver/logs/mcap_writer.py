@@ -33,6 +33,7 @@ STATE_ATTACHMENT = "state"
 CHANNEL = 1
 CHUNK_BYTES = 1 << 20
 CHUNKS_FOR_INDEX = 5
+USUAL_COMPRESSION = 8
 
 
 def record_dtype(n_signals: int) -> np.dtype[np.void]:
@@ -77,8 +78,8 @@ class McapWriter:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the file so far, with what waits for its chunk."""
-        return self._file.size + self._pending_bytes
+        """Size of the file so far, with about what the chunk to come will take."""
+        return self._file.size + self._pending_bytes // USUAL_COMPRESSION
 
     def write(self, batch: Segmented) -> None:
         """Append a message for each frame."""

@@ -148,3 +148,17 @@ def test_the_daemon_killed_the_recorder_completes_the_file(tmp_path):
         assert_gapless(log)
         assert log.ticks(PERIOD_NS)[-1] >= killed_at
     assert read_log(tmp_path / "run.mcap").ticks(PERIOD_NS)[0] == 0
+
+
+def test_every_file_of_a_rotation_has_a_state_of_its_own(daemon, tmp_path):
+    process = recorder(daemon, tmp_path / "run.mcap", "--rotate-mb", "0.1", "--duration", "4")
+    code, text = finish(process)
+    assert code == 0, text
+    files = sorted(tmp_path.glob("run_*.mcap"))
+    assert len(files) >= 3
+    logs = [read_log(path) for path in files]
+    ticks = np.concatenate([log.ticks(PERIOD_NS) for log in logs])
+    assert (np.diff(ticks) == 1).all(), "nothing is lost between two files"
+    for log in logs[:-1]:
+        first, last = log.ticks(PERIOD_NS)[[0, -1]]
+        assert any(first <= state.tick <= last for state in log.states)
