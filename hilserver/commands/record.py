@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rotate-mb",
-        type=_positive,
+        type=_megabytes,
         metavar="N",
         help="begin a new file OUT_0001, OUT_0002 ... after N megabytes",
     )
@@ -62,6 +62,13 @@ def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < 1e9:
         raise argparse.ArgumentTypeError(f"{text} is no positive number")
+    return value
+
+
+def _megabytes(text: str) -> float:
+    value = _positive(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} MB are too few, a state takes a tenth of one")
     return value
 
 

@@ -17,7 +17,7 @@ class RecordingConfig(Section):
         ("*",), min_length=1, description="Signals to record, as patterns with * and ?"
     )
     rotate_mb: float | None = Field(
-        None, gt=0, description="Begin a new file after so many megabytes; null: never"
+        None, ge=1, description="Begin a new file after so many megabytes; null: never"
     )
     keep: int | None = Field(
         None, ge=1, description="Keep so many files of a rotation, the newest; null: all"
