@@ -19,6 +19,7 @@ from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
+from hilserver.config.timing import LimitsConfig
 from hilserver.control import Control, State
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
@@ -69,6 +70,10 @@ class Daemon:
     peers : list of PeerLink
     end_to_end : Histogram125
         Set-point change to the first published output that contains it.
+    first_ticks_met : bool
+        The first ticks after the warm-up met their deadlines.
+    limiter, opcua_stale_after_ms
+        What a reload may replace while running.
     """
 
     def __init__(self, assembly: Assembly, limiter: RepeatLimiter | None = None) -> None:
@@ -76,7 +81,8 @@ class Daemon:
         self.assembly, self.config, self.table = assembly, config, assembly.table
         self.end_to_end = Histogram125()
         self.audit: list[AuditItem] = []
-        self._limiter = limiter
+        self.limiter = limiter
+        self.opcua_stale_after_ms = config.control.opcua_stale_after_ms
         self._resources = AsyncExitStack()
         is_virtual = config.scheduler.backend == "virtual"
         self.clock = UtcClock(simulated=is_virtual)
@@ -110,7 +116,7 @@ class Daemon:
         self.metrics = Metrics(self._metrics_sources())
         self.http = self._make_http() if config.metrics.enabled else None
         self._frame: Frame | None = None
-        self._first_ticks_met = False
+        self.first_ticks_met = False
         self._overruns_seen = 0
 
     # --- start and stop ---------------------------------------------------------------------------
@@ -192,8 +198,8 @@ class Daemon:
         self._watch_operator()
         if self.server is not None:
             self.server.publish_diagnostics()
-        if self._limiter is not None:
-            report_repeats(self._limiter)
+        if self.limiter is not None:
+            report_repeats(self.limiter)
 
     async def _idle(self) -> None:
         """Keep publishing while the plant stands still: no tick makes a slice due then."""
@@ -205,15 +211,15 @@ class Daemon:
 
     def _watch_first_ticks(self) -> None:
         """Ready is who met every deadline from one supervise run to the next."""
-        if self._first_ticks_met:
+        if self.first_ticks_met:
             return
         plant = self.scheduler.statistics.slice(self.config.plant.slice)
         overruns = plant.late_wakes + plant.long_runs
-        self._first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
+        self.first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
         self._overruns_seen = overruns
 
     def _watch_operator(self) -> None:
-        limit_ms = self.config.control.opcua_stale_after_ms
+        limit_ms = self.opcua_stale_after_ms
         age_s = self.gate.age_s("opcua")
         if limit_ms is None or age_s is None or self.gate.owner != "opcua":
             return
@@ -326,7 +332,7 @@ class Daemon:
         health = HealthSources(
             state=self._state_name,
             heartbeat_ns=lambda: self.scheduler.heartbeat_ns,
-            first_ticks_met=lambda: self._first_ticks_met,
+            first_ticks_met=lambda: self.first_ticks_met,
         )
         config = self.config.metrics
         return HttpServer(
@@ -338,9 +344,17 @@ def _image_name(name: str) -> str:
     return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
 
 
+def overrun_limits(limits: LimitsConfig) -> OverrunLimits:
+    """Return the limits as the scheduler takes them: null switches one off."""
+    return OverrunLimits(
+        single_ns=round((limits.single_overrun_ms or 0) * 1e6),
+        consecutive=limits.consecutive_overruns or 0,
+    )
+
+
 def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction) -> Scheduler:
     config = assembly.config.scheduler
-    limits, realtime = config.limits, config.realtime
+    realtime = config.realtime
     _, statistics = image.region("statistics")
     return Scheduler(
         base_period_ns=assembly.base_period_ns,
@@ -350,10 +364,7 @@ def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction)
         words=image.words,
         backend=config.backend,
         policy=OverrunPolicy(config.policy, config.catch_up_limit),
-        limits=OverrunLimits(
-            single_ns=round((limits.single_overrun_ms or 0) * 1e6),
-            consecutive=limits.consecutive_overruns or 0,
-        ),
+        limits=overrun_limits(config.limits),
         realtime=RealtimeSettings(
             priority=realtime.priority,
             cpu=realtime.cpu,

@@ -18,6 +18,7 @@ COMMANDS = {
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
     "latency-test": "what this computer can do, before the model is blamed",
+    "install-service": "install the daemon as a systemd service",
     "bench": "measure every figure that the README quotes",
 }
 
