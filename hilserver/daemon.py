@@ -323,6 +323,7 @@ class Daemon:
             rejected=lambda: self.gate.rejected,
             end_to_end=self.end_to_end,
             gc_pause=self.scheduler.gc_pauses.pauses,
+            model_gap=lambda: figures.model_gap(self.gate, self.table, self._frame),
             audit=lambda: {item.name: item.ok for item in self.audit},
             kernel_hash=kernel_hash(),
             config_sha256=self.config.sha256,
