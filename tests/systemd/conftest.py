@@ -1,4 +1,4 @@
-"""One container for all tests of this folder; without the tools they fail and say what to install."""
+"""One container for all tests of this folder; without the tools they fail and say why."""
 
 from collections.abc import Iterator
 

@@ -1,7 +1,7 @@
 """A container with systemd as process 1, in which the tests install and drive the service.
 
 The file system is made once with debootstrap and kept (``HILSERVER_TEST_CACHE``, else
-``~/.cache/hilserver-test``). Every boot lays a volatile layer over it, so nothing a test does stays.
+``~/.cache/hilserver-test``). Every boot lays a volatile layer over it: nothing a test does stays.
 The interpreter, its packages and this repository are mounted into it read-only: below /opt, because
 a hardened service sees neither /home nor /root. The cache of compiled kernels is kept, too.
 """

@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
@@ -137,8 +138,8 @@ def pacing_has_priority(service: Service) -> bool:
 
 def can_raise_limits() -> bool:
     """Whether this machine lets process 1 raise limits (CAP_SYS_RESOURCE)."""
-    with open("/proc/self/status") as status:
-        [line] = [line for line in status if line.startswith("CapEff:")]
+    status = Path("/proc/self/status").read_text().splitlines()
+    [line] = [line for line in status if line.startswith("CapEff:")]
     return bool(int(line.split()[1], 16) >> 24 & 1)
 
 
@@ -170,8 +171,8 @@ def test_two_capabilities_do_where_limits_cannot_be_raised(service: Service) -> 
 
 def test_the_service_is_no_root_and_sees_no_home(service: Service) -> None:
     pid = service.container.pid_here(service.main_pid)
-    assert os.stat(f"/proc/{pid}").st_uid != 0
-    assert not any(os.scandir(f"/proc/{pid}/root/root"))
+    assert Path(f"/proc/{pid}").stat().st_uid != 0
+    assert not any(Path(f"/proc/{pid}/root/root").iterdir())
     os.kill(pid, signal.SIGTERM)
     wait_until(lambda: service.show("ActiveState") == "inactive", 20, "SIGTERM ends it")
     assert service.restarts == 0

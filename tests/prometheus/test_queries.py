@@ -1,0 +1,240 @@
+"""Every query of the dashboard returns data from a running daemon, and moves when it should.
+
+The stimuli come one after the other; each names the panels that it has to move, and how. A panel
+without a stimulus fails the test.
+"""
+
+import asyncio
+import functools
+import gc
+import json
+import math
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from asyncua import Client, ua
+
+from hilserver.controller.nodes import NAMESPACE
+from hilserver.daemon import Daemon
+from tests.node_red.node_red import shipped_flow
+from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
+from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until
+
+pytestmark = [pytest.mark.prometheus, pytest.mark.node_red, pytest.mark.timeout(400)]
+
+DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
+HOLD_S = 3.0
+"""How long a stimulus lasts: more than the range of the rates."""
+
+Act = Callable[[Rig], Awaitable[None]]
+
+
+async def burn(rig: Rig) -> None:
+    """Let the plant take several ticks' time."""
+    rig.daemon.gate.take("page")
+    rig.daemon.gate.write("page", {"lights.red": 255})
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.gate.write("page", {"lights.red": 0})
+    rig.daemon.gate.take("peer")
+
+
+async def pause(rig: Rig) -> None:
+    rig.daemon.control.pause()
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.control.start()
+
+
+async def command_out_of_range(rig: Rig) -> None:
+    for _ in range(int(HOLD_S / 0.1)):
+        rig.daemon.gate.write("page", {"measured.wheel.fl.speed_rpm": 1e6})
+        await asyncio.sleep(0.1)
+
+
+async def measure(rig: Rig) -> None:
+    """A real robot that stands still beside the simulated one that drives."""
+    for _ in range(int(HOLD_S / 0.1)):
+        rig.daemon.gate.write("page", {"measured.wheel.fl.speed_rpm": 150.0})
+        await asyncio.sleep(0.1)
+
+
+async def hold_up_the_loop(rig: Rig) -> None:
+    """Stop the communication for 30 ms, again and again: set-points arrive and leave late."""
+    for _ in range(int(HOLD_S / 0.06)):
+        time.sleep(0.03)  # noqa: ASYNC251 (it is the stimulus)
+        await asyncio.sleep(0.03)
+
+
+async def make_garbage(rig: Rig) -> None:
+    rings = []
+    for _ in range(int(HOLD_S / 0.1)):
+        for _ in range(20_000):
+            ring: list[object] = []
+            ring.append(ring)
+            rings.append(ring)
+        gc.collect()
+        await asyncio.sleep(0.1)
+
+
+async def fill_memory(rig: Rig) -> None:
+    ballast = bytearray(64_000_000)
+    ballast[::4096] = b"x" * len(ballast[::4096])
+    await asyncio.sleep(HOLD_S)
+
+
+async def lie(rig: Rig) -> None:
+    """Put NaN with status Good into the peer, as a client of its own."""
+    async with Client(rig.peer.endpoint) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+        node = client.get_node(ua.NodeId("rpm_set_FL", index))
+        for _ in range(int(HOLD_S / 0.02)):
+            await node.write_value(ua.DataValue(ua.Variant(math.nan, ua.VariantType.Double)))
+            await asyncio.sleep(0.02)
+
+
+async def kill_the_peer(rig: Rig) -> None:
+    await rig.peer.kill()
+    await asyncio.sleep(HOLD_S)
+
+
+async def restart_the_peer_with_another_clock(rig: Rig) -> None:
+    """The controller comes back, three seconds in the past."""
+    shift = rig.peer.home / "shift.cjs"
+    shift.write_text("const now = Date.now; Date.now = () => now() - 3000;\n" + SHIFTED_DATE)
+    rig.peer.environment["NODE_OPTIONS"] = f"--require {shift}"
+    await rig.peer.start()
+    await until(lambda: rig.is_fresh, 15, "the peer delivers again")
+    rig.daemon.control.reset()
+    await asyncio.sleep(HOLD_S)
+
+
+SHIFTED_DATE = """
+const Real = Date;
+globalThis.Date = class extends Real {
+  constructor(...words) { super(...(words.length ? words : [Real.now()])); }
+};
+"""
+
+
+async def restart_on_a_core_that_is_not_there(rig: Rig) -> None:
+    await rig.daemon.__aexit__(None, None, None)
+    rig.daemon = Daemon(rig.assembly(cpu=NO_SUCH_CORE))
+    await rig.daemon.__aenter__()
+    await until(lambda: rig.is_fresh, 30, "the peer delivers")
+    await asyncio.sleep(HOLD_S)
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """What is done, and the panels that have to show it: up, down, or appears (a new series)."""
+
+    act: Act
+    up: tuple[str, ...] = ()
+    down: tuple[str, ...] = ()
+    appears: tuple[str, ...] = ()
+
+
+STIMULI = (
+    Stimulus(
+        burn,
+        up=(
+            "Execution of the plant",
+            "Execution",
+            "Overruns by cause",
+            "Missed ticks",
+            "Wake latency p99",
+            "Wake latency of the plant",
+            "Wake latency by slice",
+            "Jitter",
+        ),
+        down=("Margin", "Margin of the plant", "Real-time factor"),
+    ),
+    Stimulus(pause, appears=("State",)),
+    Stimulus(command_out_of_range, up=("Refused values",)),
+    Stimulus(measure, appears=("Model gap",)),
+    Stimulus(hold_up_the_loop, up=("End to end", "Interval", "Round trip", "One way")),
+    Stimulus(make_garbage, up=("Garbage collector",)),
+    Stimulus(fill_memory, up=("Memory",)),
+    Stimulus(lie, up=("Reconnects and faults",)),
+    Stimulus(kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected")),
+    Stimulus(
+        restart_the_peer_with_another_clock,
+        up=("Reconnects and faults",),
+        down=("Clock offset",),
+    ),
+    Stimulus(restart_on_a_core_that_is_not_there, appears=("Real-time audit",)),
+)
+
+
+def panels() -> list[tuple[str, list[str]]]:
+    dashboard = json.loads(DASHBOARD.read_text(encoding="utf-8"))
+    return [
+        (panel["title"], [filled(target["expr"]) for target in panel["targets"]])
+        for panel in dashboard["panels"]
+        if panel["type"] != "row"
+    ]
+
+
+def filled(expression: str) -> str:
+    for variable, value in (
+        ("$__rate_interval", f"{RATE_S}s"),
+        ("$__range", "60s"),
+        ("$instance", ".+"),
+    ):
+        expression = expression.replace(variable, value)
+    assert "$" not in expression
+    return expression
+
+
+def moved(how: str, before: Series, during: Series) -> bool:
+    """Whether any series went beyond what it showed before the stimulus."""
+    if how == "appears":
+        return bool(during.keys() - before.keys())
+    beyond = (
+        (lambda new, old: max(new) > max(old))
+        if how == "up"
+        else (lambda new, old: min(new) < min(old))
+    )
+    return any(
+        beyond(values, before.get(labels, [-math.inf if how == "up" else math.inf]))
+        for labels, values in during.items()
+    )
+
+
+def test_every_panel_has_a_stimulus() -> None:
+    named = {title for s in STIMULI for title in (*s.up, *s.down, *s.appears)}
+    assert named == {title for title, _ in panels()}
+
+
+async def queries_that_stand_still(
+    rig: Rig, stimulus: Stimulus, begin_s: float, end_s: float
+) -> list[str]:
+    still = []
+    for how in ("up", "down", "appears"):
+        titles = getattr(stimulus, how)
+        for title, expressions in panels():
+            for expression in expressions if title in titles else ():
+                ask = functools.partial(asyncio.to_thread, rig.prometheus.range, expression)
+                before = await ask(begin_s - 1.5, begin_s)
+                during = await ask(begin_s + SCRAPE_S, end_s)
+                if not moved(how, before, during):
+                    name = stimulus.act.__name__
+                    still.append(f"{name}: {title} not {how}: {expression}: {before} {during}")
+    return still
+
+
+async def test_every_query_moves_under_its_stimulus(node_red, tmp_path) -> None:
+    if sentence := missing():
+        pytest.fail(sentence, pytrace=False)
+    still: list[str] = []
+    async with running_rig(node_red(shipped_flow()), tmp_path, blocks=True) as rig:
+        await asyncio.sleep(RATE_S + 1.5)
+        for stimulus in STIMULI:
+            begin_s = time.time()
+            await stimulus.act(rig)
+            still += await queries_that_stand_still(rig, stimulus, begin_s, time.time())
+            await asyncio.sleep(RATE_S + 1)
+        await rig.daemon.__aexit__(None, None, None)
+    assert not still, "\n".join(still)
