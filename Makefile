@@ -11,7 +11,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json))
 
 # What the tests call, and the Debian package it comes from.
-TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc
+TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
+    systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
+    nsenter:util-linux promtool:prometheus
 export PATH := $(PATH):/usr/sbin:/sbin
 
 .PHONY: help
