@@ -230,7 +230,8 @@ async def queries_that_stand_still(
         for title, expressions in panels():
             for expression in expressions if title in titles else ():
                 ask = functools.partial(asyncio.to_thread, rig.prometheus.range, expression)
-                before = await ask(begin_s - BEFORE_S, begin_s)
+                # A scrape that began before the stimulus may have read after it.
+                before = await ask(begin_s - BEFORE_S - SCRAPE_S, begin_s - SCRAPE_S)
                 during = await ask(begin_s + SCRAPE_S, end_s)
                 if not moved(how, before, during):
                     name = stimulus.act.__name__
@@ -243,11 +244,11 @@ async def test_every_query_moves_under_its_stimulus(node_red, tmp_path) -> None:
         pytest.fail(sentence, pytrace=False)
     still: list[str] = []
     async with running_rig(node_red(shipped_flow()), tmp_path, blocks=True) as rig:
-        await asyncio.sleep(RATE_S + BEFORE_S)
+        await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
         for stimulus in STIMULI:
             begin_s = time.time()
             await stimulus.act(rig)
             still += await queries_that_stand_still(rig, stimulus, begin_s, time.time())
-            await asyncio.sleep(RATE_S + BEFORE_S)
+            await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
         await rig.daemon.__aexit__(None, None, None)
     assert not still, "\n".join(still)

@@ -48,7 +48,9 @@ def test_killed_and_restarted(service: Service) -> None:
     assert service.get("/readyz")[0] == 200
 
 
-@pytest.mark.parametrize("victim", ["pacing thread", "event loop"])
+@pytest.mark.parametrize(
+    "victim", ["pacing thread", pytest.param("event loop", marks=pytest.mark.long)]
+)
 def test_one_frozen_thread_is_enough_for_the_watchdog(service: Service, victim: str) -> None:
     pid, since = service.main_pid, service.container.cursor()
     is_plant = victim == "pacing thread"
