@@ -57,7 +57,7 @@ def _use_limits(daemon: Daemon, config: Config) -> None:
 
 
 def _use_operator_limit(daemon: Daemon, config: Config) -> None:
-    daemon.opcua_stale_after_ms = config.control.opcua_stale_after_ms
+    daemon.supervision.opcua_stale_after_ms = config.control.opcua_stale_after_ms
 
 
 RELOADABLE: dict[str, Callable[[Daemon, Config], None]] = {

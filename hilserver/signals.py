@@ -15,6 +15,9 @@ from typing import Literal
 WHEELS = ("fl", "rl", "fr", "rr")
 """Wheel names in the order of every array (spec "Frame and signs")."""
 
+RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", "internal"))
+"""First parts of names that belong to the daemon itself; no block may have them."""
+
 RANGE_FINDERS = ("fl", "fr", "rl", "rr")
 """Range finders in EduArt's order."""
 
@@ -108,7 +111,9 @@ class SignalTable:
         self._by_name = {signal.name: signal for signal in self._signals}
         self._by_slot = {s.slots[0]: s for s in self._signals if not s.is_array}
         if len(self._by_name) != len(self._signals):
-            raise ValueError("two signals have the same name")
+            names = [signal.name for signal in self._signals]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"two signals have the name '{twice}'")
         if sorted(self._by_slot) != list(range(len(self._by_slot))):
             raise ValueError("the slots of the scalars are not 0 .. n-1")
 

@@ -78,7 +78,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
             "scheduler.limits.single_overrun_ms": "reload: changed",
         }
         assert given == [OverrunLimits(single_ns=0, consecutive=7)]
-        assert daemon.opcua_stale_after_ms == 250.0
+        assert daemon.supervision.opcua_stale_after_ms == 250.0
 
         with structlog.testing.capture_logs() as said:  # what waits for a restart is told again
             assert await reloader.reload()

@@ -77,7 +77,7 @@ def _make_watchdog(daemon: Daemon) -> Watchdog:
     control = daemon.control
     return Watchdog(
         heartbeat_ns=lambda: daemon.scheduler.heartbeat_ns,
-        ready=lambda: daemon.first_ticks_met,
+        ready=lambda: daemon.supervision.first_ticks_met,
         status=lambda: f"{control.state.name.lower()}: {control.reason}",
     )
 

@@ -20,7 +20,7 @@ from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure, Provider, Table
 from hilserver.io.opcua_server.door import WriteDoor
 from hilserver.io.opcua_server.guard import RobotInternalServer
-from hilserver.io.opcua_server.logs import log, tame_library_log
+from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.methods import Methods
 from hilserver.io.opcua_server.robot_events import RobotEvents
@@ -127,7 +127,6 @@ class OpcUaServer:
         FailedError
             If the address cannot be listened on.
         """
-        tame_library_log()
         iserver = RobotInternalServer(self._config, self._access)
         server = RobotUaServer(iserver=iserver)
         await self._name_server(server)
