@@ -89,7 +89,7 @@ class Service:
         status, _, body = done.stdout.partition("\n")
         return int(status), body
 
-    def wait_restarted(self, old_pid: int, limit_s: float = START_LIMIT_S) -> float:
+    def wait_restarted(self, old_pid: int, limit_s: float = 60) -> float:
         def restarted() -> bool:
             return self.is_active and self.main_pid not in (0, old_pid)
 
