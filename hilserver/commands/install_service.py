@@ -15,7 +15,7 @@ from pathlib import Path
 
 from hilserver.errors import EXIT_DONE, FailedError
 
-EXAMPLE = "sudo /opt/hilserver/.venv/bin/hilserver install-service --dry-run"
+EXAMPLE = "hilserver install-service --dry-run"
 
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}")
 _HIDDEN = ("/tmp", "/var/tmp", "/dev/shm")  # noqa: S108 (PrivateTmp= and the like hide them)
