@@ -21,6 +21,7 @@ from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
+from hilserver.config.timing import LimitsConfig
 from hilserver.control import Control
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
@@ -79,7 +80,7 @@ class Daemon:
         self.assembly, self.config, self.table = assembly, config, assembly.table
         self.end_to_end = Histogram125()
         self.audit: list[AuditItem] = []
-        self._limiter = limiter
+        self.limiter = limiter
         self._resources = AsyncExitStack()
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.events = EventBus()
@@ -216,8 +217,8 @@ class Daemon:
         self._states.serve()
         if self.server is not None:
             self.server.publish_diagnostics()
-        if self._limiter is not None:
-            report_repeats(self._limiter)
+        if self.limiter is not None:
+            report_repeats(self.limiter)
 
     async def _idle(self) -> None:
         """Keep publishing while the plant stands still: no tick makes a slice due then."""
@@ -316,6 +317,7 @@ class Daemon:
             rejected=lambda: self.gate.rejected,
             end_to_end=self.end_to_end,
             gc_pause=self.scheduler.gc_pauses.pauses,
+            model_gap=lambda: figures.model_gap(self.gate, self.table, self._frame),
             audit=lambda: {item.name: item.ok for item in self.audit},
             kernel_hash=kernel_hash(),
             config_sha256=self.config.sha256,
@@ -337,9 +339,17 @@ def _image_name(name: str) -> str:
     return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
 
 
+def overrun_limits(limits: LimitsConfig) -> OverrunLimits:
+    """Return the limits as the scheduler takes them: null switches one off."""
+    return OverrunLimits(
+        single_ns=round((limits.single_overrun_ms or 0) * 1e6),
+        consecutive=limits.consecutive_overruns or 0,
+    )
+
+
 def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction) -> Scheduler:
     config = assembly.config.scheduler
-    limits, realtime = config.limits, config.realtime
+    realtime = config.realtime
     _, statistics = image.region("statistics")
     return Scheduler(
         base_period_ns=assembly.base_period_ns,
@@ -349,10 +359,7 @@ def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction)
         words=image.words,
         backend=config.backend,
         policy=OverrunPolicy(config.policy, config.catch_up_limit),
-        limits=OverrunLimits(
-            single_ns=round((limits.single_overrun_ms or 0) * 1e6),
-            consecutive=limits.consecutive_overruns or 0,
-        ),
+        limits=overrun_limits(config.limits),
         realtime=RealtimeSettings(
             priority=realtime.priority,
             cpu=realtime.cpu,
