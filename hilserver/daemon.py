@@ -6,6 +6,7 @@ a frame, the publish slice hands the frame to OPC UA and the peers.
 """
 
 import asyncio
+import dataclasses
 import math
 import os
 import time
@@ -20,6 +21,7 @@ from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
+from hilserver.config.timing import LimitsConfig
 from hilserver.control import Control
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
@@ -32,6 +34,8 @@ from hilserver.image.layout import W_HEARTBEAT
 from hilserver.inputs import InputGate
 from hilserver.io.opcua_client import PeerLink
 from hilserver.io.opcua_server import OpcUaServer
+from hilserver.io.recorder.launch import running_recorder
+from hilserver.io.recorder.state_service import StateService
 from hilserver.kernel import compose, limit_silence, watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.health import HealthSources
@@ -88,7 +92,7 @@ class Daemon:
         self.assembly, self.config, self.table = assembly, config, assembly.table
         self.end_to_end = Histogram125()
         self.audit: list[AuditItem] = []
-        self._limiter = limiter
+        self.limiter = limiter
         self._play, self._paused = play, paused
         self._resources = AsyncExitStack()
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
@@ -101,6 +105,7 @@ class Daemon:
             | {"statistics": words_needed(len(assembly.slices), LINEAR_BINS)},
             base_period_ns=assembly.base_period_ns,
             ring_length=config.image.ring_frames,
+            run=assembly.provenance,
         )
         self._resources.callback(self.image.close)
         try:
@@ -123,6 +128,11 @@ class Daemon:
             owner=config.control.source or ("peer" if config.peers else "opcua"),
             priority=config.control.priority,
         )
+        self.snapshots = SnapshotStore(
+            self.image, assembly.folder / config.snapshots.folder, dict(assembly.identity)
+        )
+        self._states = StateService(self.snapshots, self.image.name)
+        self.image.tell(identity=self.snapshots.identity)
         self.control = self._make_control()
         self.lines = {peer.name: Line(peer.name) for peer in config.peers}
         self.faults = self._make_faults()
@@ -162,6 +172,7 @@ class Daemon:
     async def _start(self) -> None:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
+        await self._start_recorder()
         if self.http is not None:
             await self.http.start()
             self._resources.push_async_callback(self.http.stop)
@@ -177,6 +188,7 @@ class Daemon:
         await self.scheduler.start()
         self.audit = audit(self.scheduler)
         self._tell_audit()
+        self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         for peer in self.peers:
             self.gate.expect(peer.config.read.values())
             await peer.start()
@@ -184,6 +196,14 @@ class Daemon:
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()
+
+    async def _start_recorder(self) -> None:
+        """Attach the recorder before the first tick; it ends after the last one."""
+        if self.config.recording.file is not None:
+            recorder = running_recorder(
+                self.config.recording, self.image.name, self.assembly.folder
+            )
+            await self._resources.enter_async_context(recorder)
 
     async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
         """Run until `asked` is set, time is over or the scheduler ends; return the exit code."""
@@ -222,10 +242,11 @@ class Daemon:
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
         self.supervision.run()
+        self._states.serve()
         if self.server is not None:
             self.server.publish_diagnostics()
-        if self._limiter is not None:
-            report_repeats(self._limiter)
+        if self.limiter is not None:
+            report_repeats(self.limiter)
 
     async def _idle(self) -> None:
         """Keep publishing while the plant stands still: no tick makes a slice due then."""
@@ -269,14 +290,13 @@ class Daemon:
 
     def _make_control(self) -> Control:
         config, assembly = self.config, self.assembly
-        folder = assembly.folder / config.snapshots.folder
         return Control(
             self.table,
             self.image,
             self.gate,
             self.events,
             self.scheduler,
-            SnapshotStore(self.image, folder, dict(assembly.identity)),
+            self.snapshots,
             safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
             reset_statistics=self._reset_statistics,
             speed_changed=self._watch_communication,
@@ -345,6 +365,7 @@ class Daemon:
             rejected=lambda: self.gate.rejected,
             end_to_end=self.end_to_end,
             gc_pause=self.scheduler.gc_pauses.pauses,
+            model_gap=lambda: figures.model_gap(self.gate, self.table, self._frame),
             audit=lambda: {item.name: item.ok for item in self.audit},
             faults=self.faults.counts,
             kernel_hash=kernel_hash(),
@@ -367,6 +388,14 @@ def _image_name(name: str) -> str:
     return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
 
 
+def overrun_limits(limits: LimitsConfig) -> OverrunLimits:
+    """Return the limits as the scheduler takes them: null switches one off."""
+    return OverrunLimits(
+        single_ns=round((limits.single_overrun_ms or 0) * 1e6),
+        consecutive=limits.consecutive_overruns or 0,
+    )
+
+
 def _command_limit_ticks(assembly: Assembly) -> int:
     limit_ms = assembly.config.control.command_timeout_ms
     return 0 if limit_ms is None else max(1, round(limit_ms * 1e6 / assembly.base_period_ns))
@@ -376,7 +405,7 @@ def _make_scheduler(
     assembly: Assembly, image: ProcessImage, step: StepFunction, *, paused: bool
 ) -> Scheduler:
     config = assembly.config.scheduler
-    limits, realtime = config.limits, config.realtime
+    realtime = config.realtime
     _, statistics = image.region("statistics")
     return Scheduler(
         base_period_ns=assembly.base_period_ns,
@@ -386,10 +415,7 @@ def _make_scheduler(
         words=image.words,
         backend=config.backend,
         policy=OverrunPolicy(config.policy, config.catch_up_limit),
-        limits=OverrunLimits(
-            single_ns=round((limits.single_overrun_ms or 0) * 1e6),
-            consecutive=limits.consecutive_overruns or 0,
-        ),
+        limits=overrun_limits(config.limits),
         realtime=RealtimeSettings(
             priority=realtime.priority,
             cpu=realtime.cpu,

@@ -14,7 +14,7 @@ from enum import StrEnum
 from hilserver.errors import UserError
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import ProcessImage, Row
-from hilserver.signals import SOURCES, Signal, SignalTable, ValueType
+from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     GOOD,
@@ -250,6 +250,12 @@ class InputGate:
     def sources(self) -> tuple[str, ...]:
         """Every source that has written so far."""
         return tuple(self._last_ns)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Channels of the real robot that some source has written: ``wheel.fl.speed_rpm`` ..."""
+        signals = (self._table.by_slot(slot) for slot in sorted(self._newest))
+        return tuple(s.name.removeprefix(MEASURED) for s in signals if s.is_measured)
 
     def take_change(self, latched_rows: int) -> int | None:
         """Return when the oldest unpublished change came in [ns], once a frame contains it."""

@@ -37,6 +37,9 @@ Source = Literal["scenario", "page", "opcua", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""
 
+MEASURED = "measured."
+"""Beginning of the names under which values of the real robot come in."""
+
 
 class ValueType(StrEnum):
     """OPC UA built-in types that signals use."""
@@ -97,7 +100,7 @@ class Signal:
     @property
     def is_measured(self) -> bool:
         """Whether it is a value of the real robot beside the simulation."""
-        return self.name.startswith("measured.")
+        return self.name.startswith(MEASURED)
 
 
 class SignalTable:
@@ -297,8 +300,9 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
     states = "0 starting, 1 running, 2 paused, 3 safe, 4 stopping"
     b.add("sim.state", "1", out, 0, 4, f"State of the daemon: {states}", type_=ValueType.BYTE)
+    b.add("internal.state", "1", Direction.IN, 0, 4, "What sim.state shows", hidden=True)
     for name, unit, low, high, text in outputs:
-        b.add(f"measured.{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
+        b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for block in blocks:
         b.add(block.name, block.unit, out, block.low, block.high, block.description)
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")

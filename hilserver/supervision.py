@@ -34,6 +34,8 @@ class Supervision:
     ----------
     first_ticks_met : bool
         True once the plant met every deadline from one run to the next.
+    opcua_stale_after_ms : float or None
+        Limit for an OPC UA client in control; a reload may change it.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Supervision:
         timeout_is_dead: Callable[[], bool] = lambda: False,
     ) -> None:
         self.first_ticks_met = False
+        self.opcua_stale_after_ms = config.control.opcua_stale_after_ms
         self._plant_state, _ = image.region("x")
         self._noticed: set[int] = set()
         self._timeout_is_dead = timeout_is_dead
@@ -86,7 +89,7 @@ class Supervision:
         self._overruns_seen = overruns
 
     def _watch_operator(self) -> None:
-        limit_ms = self._config.control.opcua_stale_after_ms
+        limit_ms = self.opcua_stale_after_ms
         age_s = self._gate.age_s("opcua")
         if limit_ms is None or age_s is None or self._gate.owner != "opcua":
             return

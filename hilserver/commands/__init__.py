@@ -18,7 +18,10 @@ COMMANDS = {
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
     "wiring": "commissioning: is every wheel wired to the right input?",
+    "record": "record the signals of a running daemon",
+    "replay": "feed a log through the plant, faster than real time",
     "latency-test": "what this computer can do, before the model is blamed",
+    "install-service": "install the daemon as a systemd service",
     "bench": "measure every figure that the README quotes",
 }
 

@@ -2,9 +2,12 @@
 
 import argparse
 import asyncio
+import contextlib
+import dataclasses
 import json
 import signal
 import sys
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import uvloop
@@ -15,7 +18,10 @@ from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
 from hilserver.errors import EXIT_DONE
 from hilserver.faults.scenario import Play, json_schema, load_scenario
+from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
+from hilserver.monitoring.watchdog import Watchdog
+from hilserver.reload import Reloader
 
 EXAMPLE = "hilserver run --demo"
 
@@ -43,6 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write the JSON Schema of scenarios for editors and stop",
     )
+    parser.add_argument(
+        "--record",
+        type=Path,
+        metavar="OUT",
+        help="record from the first tick on, into a .mcap or .csv file",
+    )
 
 
 def _positive(text: str) -> float:
@@ -59,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         args.scenario_schema.write_text(schema + "\n", encoding="utf-8")
         return EXIT_DONE
     play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
-    assembly = assemble(config_path(args))
+    assembly = _recorded(assemble(config_path(args)), args.record)
     logging = assembly.config.logging
     limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
     main = (
@@ -69,6 +81,15 @@ def run(args: argparse.Namespace) -> int:
     )
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(main)
+
+
+def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
+    if path is None:
+        return assembly
+    check_suffix(path)
+    recording = assembly.config.recording.model_copy(update={"file": str(path.absolute())})
+    config = assembly.config.model_copy(update={"recording": recording})
+    return dataclasses.replace(assembly, config=config)
 
 
 async def _demo(
@@ -86,10 +107,47 @@ async def _run(
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, asked.set)
     async with Daemon(assembly, limiter, play=play) as daemon:
+        watchdog = _make_watchdog(daemon)
         _print_addresses(daemon)
-        code = await daemon.wait(duration_s, asked)
-    report_repeats(limiter, at_end=True)
+        async with watchdog.watching(), _reload_on_hangup(daemon, watchdog):
+            code = await daemon.wait(duration_s, asked)
+    report_repeats(daemon.limiter or limiter, at_end=True)
     return code
+
+
+def _make_watchdog(daemon: Daemon) -> Watchdog:
+    control = daemon.control
+    return Watchdog(
+        heartbeat_ns=lambda: daemon.scheduler.heartbeat_ns,
+        ready=lambda: daemon.supervision.first_ticks_met,
+        status=lambda: f"{control.state.name.lower()}: {control.reason}",
+    )
+
+
+@contextlib.asynccontextmanager
+async def _reload_on_hangup(daemon: Daemon, watchdog: Watchdog) -> AsyncIterator[None]:
+    """Re-read the configuration at SIGHUP; on a terminal, a hang-up ends the daemon as usual."""
+    if sys.stderr.isatty():
+        yield
+        return
+    reloader = Reloader(daemon)
+    asked = asyncio.Event()
+
+    async def answer() -> None:
+        while True:
+            await asked.wait()
+            asked.clear()
+            with watchdog.reloading():
+                await reloader.reload()
+
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGHUP, asked.set)
+    task = asyncio.create_task(answer(), name="reload")
+    try:
+        yield
+    finally:
+        loop.remove_signal_handler(signal.SIGHUP)
+        task.cancel()
 
 
 def _print_addresses(daemon: Daemon) -> None:

@@ -154,6 +154,10 @@ async def pause(robot):
     await robot.daemon.scheduler.wait_paused()
 
 
+async def a_fault(robot):
+    robot.daemon.faults.inject({"fault": "bias", "signal": "nav.x_m", "offset": 1.0})
+
+
 async def heartbeat(_robot):
     await asyncio.sleep(1.3)
 
@@ -171,6 +175,7 @@ async def lying_values(robot):
 
 async def recovered(robot):
     robot.daemon.control.set_speed(1.0)
+    robot.daemon.faults.clear()
     await call(robot.client, "Start")
 
 
@@ -194,6 +199,7 @@ STIMULI = [
     ),
     ("hil_end_to_end_seconds", "_count", {}, setpoint_change, 1),
     ("hil_state", "", {"state": "paused"}, pause, 1),
+    ("hil_faults", "", {"kind": "injected"}, a_fault, 1),
     ("hil_peer_round_trip_seconds", "_count", PEER, heartbeat, 1),
     ("hil_peer_interval_seconds", "_count", PEER, heartbeat, 10),
     ("hil_peer_one_way_latency_seconds", "_count", PEER, heartbeat, 10),
@@ -289,7 +295,7 @@ async def test_the_build_and_the_audit_are_told(robot):
 async def test_health_and_readiness(robot):
     await run_ticks(robot.daemon, 300)
     assert "ok" in (await scrape(robot.daemon, "/healthz")).lower()
-    await wait_until(lambda: robot.daemon._first_ticks_met)
+    await wait_until(lambda: robot.daemon.supervision.first_ticks_met)
     assert await scrape(robot.daemon, "/readyz")
 
 

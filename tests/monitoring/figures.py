@@ -45,6 +45,7 @@ class FakeDaemon:
         self.gc_pause = Histogram125()
         self.model_gap: dict[str, float] = {}
         self.audit: dict[str, bool] = {}
+        self.faults: dict[str, int] = {}
 
     def sources(self) -> MetricsSources:
         return MetricsSources(
@@ -58,6 +59,7 @@ class FakeDaemon:
             gc_pause=self.gc_pause,
             model_gap=lambda: self.model_gap,
             audit=lambda: self.audit,
+            faults=lambda: self.faults,
             kernel_hash="0123456789abcdef",
         )
 
@@ -77,4 +79,5 @@ class FakeDaemon:
             self.input_ages_s[source] = 0.01
             for reason in Refusal:
                 self.rejected[source, reason] = 1
+        self.faults = {"injected": 1, "forced": 1}
         self.audit = {f"item_{number}": True for number in range(15)}
