@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import Final
 
 MAX_MODIFIERS: Final = 32
-MAX_RINGS: Final = 16
+MAX_RINGS: Final = 8  # each is part of every snapshot and recorded state, 8 kB
 RING_TICKS: Final = 1024  # a power of two
 MAX_DELAY_TICKS: Final = RING_TICKS - 1
 FOREVER: Final = 2**62

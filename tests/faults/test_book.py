@@ -85,12 +85,12 @@ async def test_the_table_is_limited():
         rig.faults.clear()
         await rig.advance(1)
         late = {"fault": "delay", "signal": "pose.x_m", "delay_s": 0.1}
-        for i in range(16):
+        for i in range(8):
             rig.faults.inject(late | {"name": f"n{i}"})
-        with pytest.raises(ValueError, match="more than 16 signals"):
+        with pytest.raises(ValueError, match="more than 8 signals"):
             rig.faults.inject(late)
         await rig.advance(1)
-        assert len(rig.faults.active()) == 16
+        assert len(rig.faults.active()) == 8
 
 
 async def test_events_tell_what_was_done():
