@@ -305,6 +305,7 @@ class Daemon:
             statistics=lambda: figures.slice_table(self.scheduler),
             peers=lambda: figures.peer_table(peer.status for peer in self.peers),
             audit=lambda: figures.audit_table(self.audit),
+            folder=self.assembly.folder,
         )
 
     def _metrics_sources(self) -> MetricsSources:
