@@ -17,6 +17,7 @@ COMMANDS = {
     "run": "run the daemon",
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
+    "certs": "certificates, trusted clients and passwords of the OPC UA server",
     "latency-test": "what this computer can do, before the model is blamed",
     "bench": "measure every figure that the README quotes",
 }

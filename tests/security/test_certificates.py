@@ -89,6 +89,20 @@ async def test_certificate_of_another_application(ours: Rig, pki: Pki) -> None:
     assert (pki.trust.folder / "rejected" / file_name(other.certificate)).exists()
 
 
+async def test_server_under_another_name(pki: Pki, tmp_path: Path) -> None:
+    """What a client of ours finds out about a server: a certificate of another host or URI."""
+    trust = TrustList(tmp_path)
+    trust.make_folders()
+    write_private(tmp_path / "trusted" / "server.der", pki.server.der)
+    judge, der, uri = trust.judge_server, pki.server.der, pki.server.uri
+    assert judge(der, "127.0.0.1", uri) is Verdict.GOOD
+    assert judge(der, "LocalHost", uri) is Verdict.GOOD
+    assert judge(der, "192.0.2.1", uri) == "BadCertificateHostNameInvalid"
+    assert judge(der, "127.0.0.1", "urn:else") == "BadCertificateUriInvalid"
+    assert judge(pki.client.der, "127.0.0.1", uri) == "BadCertificateUntrusted"
+    assert judge(der, "127.0.0.1", uri, NOW + timedelta(days=9999)) == "BadCertificateTimeInvalid"
+
+
 async def test_issued_by_an_authority_until_its_list_says_otherwise(ours: Rig, pki: Pki) -> None:
     authority = pki.authority()
     issued = pki.identity("issued", issuer=authority)

@@ -27,7 +27,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, SignatureAlgorithmOID
 
 from hilserver.errors import ConfigError, FailedError
 from hilserver.io.opcua_security.certificate import (
+    application_uris,
     common_name,
+    host_names,
     load_certificate,
     parse_certificate,
     parse_key,
@@ -57,6 +59,8 @@ class Verdict(StrEnum):
     ISSUER_TIME = "BadCertificateIssuerTimeInvalid"
     USE = "BadCertificateUseNotAllowed"
     REVOKED = "BadCertificateRevoked"
+    HOST = "BadCertificateHostNameInvalid"
+    URI = "BadCertificateUriInvalid"
 
 
 @dataclass
@@ -154,6 +158,20 @@ class TrustList:
             return Verdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
             return Verdict.REVOKED
+        return Verdict.GOOD
+
+    def judge_server(
+        self, data: bytes, host: str, application_uri: str, now: datetime | None = None
+    ) -> Verdict:
+        """Judge the certificate of a server that we connect to; the host is the client's check."""
+        verdict = self.judge(data, now)
+        if verdict is not Verdict.GOOD:
+            return verdict
+        certificate = parse_certificate(data)
+        if host.lower() not in (name.lower() for name in host_names(certificate)):
+            return Verdict.HOST
+        if application_uri not in application_uris(certificate):
+            return Verdict.URI
         return Verdict.GOOD
 
     def keep_rejected(self, data: bytes) -> Path | None:
