@@ -230,7 +230,7 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
                 session.touch()
                 response = ua.BrowseNextResponse()
                 params = struct_from_binary(ua.BrowseNextParameters, body)
-                response.Results = await session.browse_next(params)
+                response.Parameters.Results = await session.browse_next(params)
             elif service in _MANAGEMENT:
                 raise ServiceError(_Codes.BadUserAccessDenied)
             elif service not in _SERVED:
