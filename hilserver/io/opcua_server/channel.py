@@ -150,6 +150,9 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         return super().open(params, server)
 
     def _check_sym_header(self, security_hdr: ua.SymmetricAlgorithmHeader) -> None:
+        if security_hdr.TokenId == 0:
+            # asyncua would take it for the token of a renewal that nobody asked for.
+            raise TransportError(_Codes.BadSecureChannelTokenUnknown, "no such token")
         super()._check_sym_header(security_hdr)
         token = self.security_token
         lifetime = timedelta(milliseconds=token.RevisedLifetime * 1.25)
@@ -157,6 +160,8 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
             raise TransportError(_Codes.BadSecureChannelTokenUnknown, "the channel has expired")
 
     def _receive(self, msg: Any) -> ua.Message | None:
+        if msg.MessageHeader.ChunkType == ua.ChunkType.Abort and not self._incoming_parts:
+            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "nothing to abort")
         self._limits.max_message_size = self.max_bytes
         self._limits.max_chunk_count = max(1, self.max_bytes // _MIN_CHUNK_BYTES)
         return super()._receive(msg)
