@@ -4,6 +4,8 @@ import random
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
 
 from asyncua import ua
 from asyncua.ua.ua_binary import struct_to_binary
@@ -13,6 +15,7 @@ from hilserver.bench.wire import frame, hello, open_channel
 STAGES = ("raw", "hello", "channel", "session")
 """What goes before the packet: nothing, Hello, an open channel, an activated session."""
 _HEAD = 24
+_CAPTURED = datetime(2024, 1, 1, tzinfo=UTC)
 _LENGTHS = (-1, 0, 1, -(2**31), 2**31 - 1, 2**16, 2**24)
 _BYTES = (0x00, 0x01, 0x7F, 0x80, 0xFE, 0xFF)
 
@@ -38,9 +41,15 @@ class Packet:
 def captures() -> list[bytes]:
     """Return valid frames: Hello, OpenSecureChannel and one message per service."""
     url = "opc.tcp://127.0.0.1:4840/hilserver"
-    messages = [frame(b"MSG", b"\0" * 16 + struct_to_binary(r)) for r in requests()]
-    close = struct_to_binary(ua.CloseSecureChannelRequest())
+    messages = [frame(b"MSG", b"\0" * 16 + _encoded(r)) for r in requests()]
+    close = _encoded(ua.CloseSecureChannelRequest())
     return [hello(url), open_channel(), frame(b"CLO", b"\0" * 16 + close), *messages]
+
+
+def _encoded(request: Any) -> bytes:
+    """Return a request as it would be captured at a fixed time."""
+    request.RequestHeader.Timestamp = _CAPTURED
+    return bytes(struct_to_binary(request))
 
 
 def requests() -> list[object]:
@@ -60,6 +69,7 @@ def requests() -> list[object]:
     call.Parameters.MethodsToCall = [method]
     browse = ua.BrowseRequest()
     browse.Parameters.NodesToBrowse = [ua.BrowseDescription(NodeId=node, ResultMask=63)] * 2
+    browse.Parameters.View.Timestamp = _CAPTURED
     path = ua.BrowsePath(StartingNode=node)
     path.RelativePath.Elements = [ua.RelativePathElement(TargetName=ua.QualifiedName("EURange"))]
     translate = ua.TranslateBrowsePathsToNodeIdsRequest()
@@ -101,7 +111,7 @@ def packets(count: int, seed: int) -> Iterator[Packet]:
         for _ in range(rng.choice((1, 1, 2, 4))):
             rng.choice(_MUTATIONS)(rng, data, _HEAD if keeps_head else 0, valid)
         keeps_head = keeps_head and data[:3] == b"MSG" and len(data) >= _HEAD
-        yield Packet(STAGES[number % len(STAGES)], bytes(data), keeps_head)
+        yield Packet(STAGES[number % len(STAGES)], bytes(data) or b"\0", keeps_head)
 
 
 def _place(rng: random.Random, data: bytearray, start: int, width: int = 1) -> int:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import struct
+from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -30,8 +31,9 @@ def hello(url: str, buffer_bytes: int = 65_535) -> bytes:
 
 
 def open_channel(sequence: int = 1, policy: str = POLICY_NONE) -> bytes:
-    """Return an OpenSecureChannel message without any security."""
+    """Return an OpenSecureChannel message without any security; the same one every time."""
     request = ua.OpenSecureChannelRequest()
+    request.RequestHeader.Timestamp = datetime(2024, 1, 1, tzinfo=UTC)
     request.Parameters.SecurityMode = ua.MessageSecurityMode.None_
     request.Parameters.RequestedLifetime = 60_000
     request.Parameters.ClientNonce = b""

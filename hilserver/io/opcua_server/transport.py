@@ -63,9 +63,9 @@ class RobotProtocol(asyncio.Protocol):
         """Let go of everything."""
         if self.processor is None:
             return
-        with contextlib.suppress(ValueError):
+        self._server.iserver.asyncio_transports.remove(self._transport)
+        with contextlib.suppress(ValueError):  # who was evicted is off the list already
             self._server.clients.remove(self)
-            self._server.iserver.asyncio_transports.remove(self._transport)
         if self._task is not None:
             self._task.cancel()
         self._server.closing_tasks.append(asyncio.create_task(self.processor.close()))
