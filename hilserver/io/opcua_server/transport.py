@@ -26,6 +26,7 @@ from hilserver.io.opcua_server.processor import RobotProcessor
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0
 _SWEEP_S = 0.2
+_CHEAP_S = 0.005
 _MAX_QUEUED_BYTES = 256 * 1024
 _Codes = ua.StatusCodes
 
@@ -89,6 +90,7 @@ class RobotProtocol(asyncio.Protocol):
         while True:
             kind, frame = await self._frames.get()
             self._queued_bytes -= len(frame)
+            began_s = time.monotonic()
             goes_on = not self._transport.is_closing() and (
                 await self.processor.process_frame(kind, frame)
             )
@@ -99,7 +101,9 @@ class RobotProtocol(asyncio.Protocol):
             if not self._is_reading and self._queued_bytes <= _MAX_QUEUED_BYTES // 2:
                 self._is_reading = True
                 self._transport.resume_reading()
-            await asyncio.sleep(0)  # a client with a full queue does not starve the others
+            # A client that asks for much waits as long again: the others come in between.
+            took_s = time.monotonic() - began_s
+            await asyncio.sleep(took_s if took_s > _CHEAP_S else 0)
 
     def _note_progress(self) -> None:
         assert self.processor is not None
