@@ -11,7 +11,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json))
 
 # What the tests call, and the Debian package it comes from.
-TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc
+TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
+    systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
+    nsenter:util-linux promtool:prometheus
 export PATH := $(PATH):/usr/sbin:/sbin
 
 .PHONY: help
@@ -91,7 +93,10 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	    echo "installing Debian packages:$$missing"; \
 	    export DEBIAN_FRONTEND=noninteractive; \
 	    apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing >/dev/null \
-	        && touch $@; \
+	        || exit 1; \
+	    case "$$missing" in *prometheus*) if [ -d /run/systemd/system ]; then \
+	        systemctl disable --quiet --now prometheus; fi;; esac; \
+	    touch $@; \
 	else \
 	    echo "the tests that use them will fail without these Debian packages:$$missing;" \
 	        "install them with 'sudo apt-get install$$missing'" >&2; \

@@ -22,7 +22,7 @@ from hilserver.plant.blocks import load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
-from hilserver.signals import BlockOutput, Ranges, SignalTable, robot_table
+from hilserver.signals import RESERVED, BlockOutput, Ranges, SignalTable, robot_table
 
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
@@ -57,10 +57,16 @@ class Assembly:
     @property
     def identity(self) -> dict[str, str]:
         """What two runs must share for one to continue the other."""
-        packed = self.composition.parameters.tobytes() + self.composition.hall.tobytes()
+        c = self.composition
+        digest = hashlib.sha256(c.parameters.tobytes() + c.hall.tobytes())
+        for block in c.blocks:
+            wiring = (block.name, block.slice, dict(block.inputs), dict(block.parameters))
+            digest.update(repr(wiring).encode() + block.declaration.source.read_bytes())
+        periods = {s.name: s.period_ticks for s in self.slices if s.compiled}
         return {
-            "parameters": hashlib.sha256(packed).hexdigest(),
+            "parameters": digest.hexdigest(),
             "base_period_ns": str(self.base_period_ns),
+            "slices": repr(periods),
         }
 
 
@@ -105,7 +111,8 @@ class _Builder:
         parts = self._parts(slices)
         robot = self._robot(periods_s)
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
-        table = robot_table(_ranges(robot), [o for block in blocks for o in _outputs(block)])
+        outputs = [output for block in blocks for output in _outputs(block)]
+        table = self._checked(("blocks",), lambda: robot_table(_ranges(robot), outputs))
         self._check_wiring(table, blocks)
         composition = Composition(
             table=table,
@@ -160,6 +167,9 @@ class _Builder:
 
     def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
         here = ("blocks", index)
+        names = [other.name for other in self._config.blocks]
+        if block.name in names[:index] or block.name in RESERVED:
+            raise self._fail((*here, "name"), f"the name '{block.name}' is taken; choose another")
         self._need_compiled((*here, "slice"), block.slice, slices)
         declared = self._checked(
             (*here, "function"), lambda: load_block(block.function, self._folder)

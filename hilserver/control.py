@@ -17,7 +17,7 @@ from typing import Protocol
 
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import ProcessImage, Row
-from hilserver.image.layout import W_FAULT, W_STATE
+from hilserver.image.layout import W_DRIVE_OFF, W_FAULT, W_STATE
 from hilserver.inputs import ControlRefused, InputGate
 from hilserver.signals import SignalTable
 from hilserver.snapshot import SnapshotStore
@@ -64,6 +64,8 @@ class Control:
         Ticks after which the set-points have reached zero and the drive is disabled.
     reset_statistics : callable
         Starts every timing figure anew.
+    speed_changed : callable
+        Told the new speed factor.
     """
 
     def __init__(
@@ -77,11 +79,13 @@ class Control:
         *,
         safe_ramp_ticks: int,
         reset_statistics: Callable[[], None] = lambda: None,
+        speed_changed: Callable[[float], None] = lambda _factor: None,
     ) -> None:
         self.state = State.STARTING
         self.reason = "starting"
         self.speed = 1.0
         self.reset_statistics = reset_statistics
+        self._speed_changed = speed_changed
         self.on_reset: list[Callable[[], None]] = []
         self._table = table
         self._image = image
@@ -181,7 +185,7 @@ class Control:
         if self._causes:
             raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
         self._gate.stop()
-        self._image.words[W_FAULT] = 0
+        self._image.words[W_FAULT] = self._image.words[W_DRIVE_OFF] = 0
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
         self._command(COMMAND_NORMAL)
         self._go(State.RUNNING, "running")
@@ -229,6 +233,7 @@ class Control:
             raise ValueError(f"the speed factor is 0.01 to 100, not {factor}")
         self._pacing.set_speed(factor)
         self.speed = factor
+        self._speed_changed(factor)
 
     def stopping(self, reason: str) -> None:
         """Leave for good."""
@@ -236,11 +241,18 @@ class Control:
 
     def supervise(self) -> None:
         """Finish the safe state's ramp; take over a fault on which the plant has acted already."""
-        if self.state is State.SAFE and self._pacing.tick >= self._disable_at:
-            self._image.push([Row(self._table.slot("drive.enable"), 0.0)])
+        if self.state is State.SAFE:
+            self._insist_on_safe()
         code = int(self._image.words[W_FAULT])
         if code and self.state not in (State.SAFE, State.STOPPING):
             self.enter_safe(FAULTS.get(code, f"fault {code} in the paced loop"), cause=None)
+
+    def _insist_on_safe(self) -> None:
+        slot = self._table.slot("internal.command")
+        if self._image.frame_values[slot] != COMMAND_SAFE:  # the queue was full
+            self._command(COMMAND_SAFE)
+        if self._pacing.tick >= self._disable_at:
+            self._image.words[W_DRIVE_OFF] = 1
 
 
 FAULTS = {

@@ -6,6 +6,7 @@ a frame, the publish slice hands the frame to OPC UA and the peers.
 """
 
 import asyncio
+import math
 import os
 import time
 from contextlib import AsyncExitStack
@@ -19,7 +20,8 @@ from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
-from hilserver.control import Control, State
+from hilserver.config.timing import LimitsConfig
+from hilserver.control import Control
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import Frame, ProcessImage
@@ -34,7 +36,6 @@ from hilserver.monitoring.health_http import HttpServer
 from hilserver.monitoring.logging_setup import (
     RepeatLimiter,
     log_event,
-    log_overrun,
     report_repeats,
 )
 from hilserver.monitoring.metrics import Metrics
@@ -42,7 +43,6 @@ from hilserver.monitoring.metrics_sources import MetricsSources
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
-    OverrunReport,
     RealtimeSettings,
     Scheduler,
     StepFunction,
@@ -50,6 +50,7 @@ from hilserver.scheduler import (
     words_needed,
 )
 from hilserver.snapshot import SnapshotStore
+from hilserver.supervision import Supervision
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S = 0.1
@@ -76,10 +77,9 @@ class Daemon:
         self.assembly, self.config, self.table = assembly, config, assembly.table
         self.end_to_end = Histogram125()
         self.audit: list[AuditItem] = []
-        self._limiter = limiter
+        self.limiter = limiter
         self._resources = AsyncExitStack()
-        is_virtual = config.scheduler.backend == "virtual"
-        self.clock = UtcClock(simulated=is_virtual)
+        self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.events = EventBus()
         self.image = ProcessImage(
             _image_name(config.image.name),
@@ -91,11 +91,17 @@ class Daemon:
             ring_length=config.image.ring_frames,
         )
         self._resources.callback(self.image.close)
+        try:
+            self._wire()
+        except BaseException:
+            self.image.close()
+            raise
+
+    def _wire(self) -> None:
+        assembly, config = self.assembly, self.config
         self.image.warm_up()
         step = compose(assembly.composition, self.image)
-        if not is_virtual:
-            timeout_ns = round(config.scheduler.communication_timeout_ms * 1e6)
-            watch_communication(self.image, -(-timeout_ns // assembly.base_period_ns))
+        self._watch_communication(speed=1.0)
         self.scheduler = _make_scheduler(assembly, self.image, step)
         self.gate = InputGate(
             self.table,
@@ -105,13 +111,14 @@ class Daemon:
             priority=config.control.priority,
         )
         self.control = self._make_control()
+        self.supervision = Supervision(
+            config, self.gate, self.control, self.events, self.scheduler, self.image
+        )
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
         self.metrics = Metrics(self._metrics_sources())
         self.http = self._make_http() if config.metrics.enabled else None
         self._frame: Frame | None = None
-        self._first_ticks_met = False
-        self._overruns_seen = 0
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -138,7 +145,7 @@ class Daemon:
             self._resources.push_async_callback(self.server.stop)
         self.scheduler.on_slice("publish", self._publish)
         self.scheduler.on_slice("supervise", self._supervise)
-        self.scheduler.on_overrun(self._on_overrun)
+        self.scheduler.on_overrun(self.supervision.on_overrun)
         self._resources.push_async_callback(self.scheduler.stop)
         await self.scheduler.start()
         self.audit = audit(self.scheduler)
@@ -187,69 +194,36 @@ class Daemon:
 
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
-        self.control.supervise()
-        self._watch_first_ticks()
-        self._watch_operator()
+        self.supervision.run()
         if self.server is not None:
             self.server.publish_diagnostics()
-        if self._limiter is not None:
-            report_repeats(self._limiter)
+        if self.limiter is not None:
+            report_repeats(self.limiter)
 
     async def _idle(self) -> None:
         """Keep publishing while the plant stands still: no tick makes a slice due then."""
+        timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
+        period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
         while True:
-            await asyncio.sleep(IDLE_PERIOD_S)
+            await asyncio.sleep(period_s)
             if self.scheduler.paused:
                 self._publish(self.scheduler.tick, 0)
                 self._supervise(self.scheduler.tick, 0)
-
-    def _watch_first_ticks(self) -> None:
-        """Ready is who met every deadline from one supervise run to the next."""
-        if self._first_ticks_met:
-            return
-        plant = self.scheduler.statistics.slice(self.config.plant.slice)
-        overruns = plant.late_wakes + plant.long_runs
-        self._first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
-        self._overruns_seen = overruns
-
-    def _watch_operator(self) -> None:
-        limit_ms = self.config.control.opcua_stale_after_ms
-        age_s = self.gate.age_s("opcua")
-        if limit_ms is None or age_s is None or self.gate.owner != "opcua":
-            return
-        if age_s * 1e3 > limit_ms and self.control.state is State.RUNNING:
-            self.gate.mark_stale("opcua")
-            self.control.enter_safe("the OPC UA client in control is silent", cause=None)
 
     # --- what the parts tell each other -----------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
+        if event.kind is EventKind.STATE:
+            self.supervision.act_on_silence()
 
-    def _on_overrun(self, report: OverrunReport) -> None:
-        log_overrun(report)
-        text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
-        self.events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
-
-    def _on_stale(self, peer: str, action: str) -> None:
-        source = f"peer:{peer}"
-        self.gate.mark_stale(source)
-        if self.gate.owner != "peer":
-            return
-        if action == "zero":
-            self.gate.stop()
-        elif action == "ramp":
-            self.control.enter_safe(f"peer '{peer}' is silent", cause=source)
-
-    def _on_restored(self, peer: str) -> None:
-        self.control.clear_cause(f"peer:{peer}")
-
-    def _read_output(self, name: str) -> tuple[float, int, int]:
-        frame, slot = self._frame, self.table.slot(name)
+    def _read_output(self, name: str) -> tuple[float | list[float], int, int]:
+        frame, slots = self._frame, list(self.table[name].slots)
         if frame is None:
             raise LookupError("no frame yet")
-        return float(frame.values[slot]), int(frame.status[slot]), frame.planned_ns
+        values, status = frame.values[slots].tolist(), int(frame.status[slots].max())
+        return values if len(slots) > 1 else values[0], status, frame.planned_ns
 
     def _tell_audit(self) -> None:
         for item in self.audit:
@@ -272,7 +246,14 @@ class Daemon:
             SnapshotStore(self.image, folder, dict(assembly.identity)),
             safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
             reset_statistics=self._reset_statistics,
+            speed_changed=self._watch_communication,
         )
+
+    def _watch_communication(self, speed: float) -> None:
+        """Let the plant count ticks of silence: as many as pass in the time-out at this speed."""
+        if self.config.scheduler.backend != "virtual":
+            timeout_ns = self.config.scheduler.communication_timeout_ms * 1e6 * speed
+            watch_communication(self.image, math.ceil(timeout_ns / self.assembly.base_period_ns))
 
     def _reset_statistics(self) -> None:
         with self.metrics.statistics_reset():
@@ -286,8 +267,8 @@ class Daemon:
         return PeerLink(
             config,
             gate=self.gate,
-            on_stale=self._on_stale,
-            on_restored=self._on_restored,
+            on_stale=self.supervision.on_stale,
+            on_restored=self.supervision.on_restored,
             events=self.events,
             read_output=self._read_output,
             clock=self.clock,
@@ -318,6 +299,7 @@ class Daemon:
             rejected=lambda: self.gate.rejected,
             end_to_end=self.end_to_end,
             gc_pause=self.scheduler.gc_pauses.pauses,
+            model_gap=lambda: figures.model_gap(self.gate, self.table, self._frame),
             audit=lambda: {item.name: item.ok for item in self.audit},
             kernel_hash=kernel_hash(),
             config_sha256=self.config.sha256,
@@ -327,7 +309,7 @@ class Daemon:
         health = HealthSources(
             state=self._state_name,
             heartbeat_ns=lambda: self.scheduler.heartbeat_ns,
-            first_ticks_met=lambda: self._first_ticks_met,
+            first_ticks_met=lambda: self.supervision.first_ticks_met,
         )
         config = self.config.metrics
         return HttpServer(
@@ -339,9 +321,17 @@ def _image_name(name: str) -> str:
     return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
 
 
+def overrun_limits(limits: LimitsConfig) -> OverrunLimits:
+    """Return the limits as the scheduler takes them: null switches one off."""
+    return OverrunLimits(
+        single_ns=round((limits.single_overrun_ms or 0) * 1e6),
+        consecutive=limits.consecutive_overruns or 0,
+    )
+
+
 def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction) -> Scheduler:
     config = assembly.config.scheduler
-    limits, realtime = config.limits, config.realtime
+    realtime = config.realtime
     _, statistics = image.region("statistics")
     return Scheduler(
         base_period_ns=assembly.base_period_ns,
@@ -351,10 +341,7 @@ def _make_scheduler(assembly: Assembly, image: ProcessImage, step: StepFunction)
         words=image.words,
         backend=config.backend,
         policy=OverrunPolicy(config.policy, config.catch_up_limit),
-        limits=OverrunLimits(
-            single_ns=round((limits.single_overrun_ms or 0) * 1e6),
-            consecutive=limits.consecutive_overruns or 0,
-        ),
+        limits=overrun_limits(config.limits),
         realtime=RealtimeSettings(
             priority=realtime.priority,
             cpu=realtime.cpu,

@@ -4,10 +4,13 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 
+from hilserver.image import Frame
 from hilserver.inputs import InputGate
 from hilserver.io.peer_status import PeerStatus
 from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler, SliceFigures
+from hilserver.signals import MEASURED, SignalTable
+from hilserver.status import GOOD
 
 Figure = float | str | bool | int | None
 Table = dict[str, dict[str, Figure]]
@@ -95,3 +98,19 @@ def input_ages_s(gate: InputGate) -> Mapping[str, float]:
     """Return the age of every source that has written [s], at most `MAX_SOURCES` of them."""
     ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
     return {source: age for source, age in ages.items() if age is not None}
+
+
+def model_gap(gate: InputGate, table: SignalTable, frame: Frame | None) -> Mapping[str, float]:
+    """Return measured minus simulated of every channel for which measured values come in.
+
+    Both have to be Good in `frame`; the difference of two headings lies within half a turn.
+    """
+    gaps: dict[str, float] = {}
+    if frame is None:
+        return gaps
+    for channel in gate.measured:
+        measured, simulated = table.slot(f"{MEASURED}{channel}"), table.slot(channel)
+        if frame.status[measured] == GOOD and frame.status[simulated] == GOOD:
+            gap = float(frame.values[measured] - frame.values[simulated])
+            gaps[channel] = math.remainder(gap, math.tau) if channel.endswith("yaw_rad") else gap
+    return gaps

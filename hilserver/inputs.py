@@ -14,7 +14,7 @@ from enum import StrEnum
 from hilserver.errors import UserError
 from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import ProcessImage, Row
-from hilserver.signals import SOURCES, Signal, SignalTable, ValueType
+from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     GOOD,
@@ -110,7 +110,7 @@ class InputGate:
         self._events = events
         self._now_ns = monotonic_ns
         self._last_ns: dict[str, int] = {}
-        self._written: dict[str, dict[int, float]] = {}
+        self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
 
     def write(
@@ -165,11 +165,11 @@ class InputGate:
         return checked
 
     def _remember(self, source: str, groups: Iterable[list[Row]], now_ns: int) -> None:
-        written = self._written.setdefault(source, {})
         changed = False
         for row in (row for group in groups for row in group):
-            changed |= written.get(row.slot) != row.value
-            written[row.slot] = row.value
+            before = self._newest.get(row.slot)
+            changed |= before is None or before[1] != row.value
+            self._newest[row.slot] = source, row.value
         self._last_ns[source] = now_ns
         self.accepted[source] += 1
         if changed and self._change is None:
@@ -199,11 +199,10 @@ class InputGate:
         if kind not in self.priority:
             known = ", ".join(self.priority)
             raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
-        if kind != self.owner:
-            self._events.publish(
-                Event(EventKind.STATE, 300, kind, f"control goes from '{self.owner}' to '{kind}'")
-            )
-        self.owner = kind
+        before, self.owner = self.owner, kind
+        if kind != before:
+            text = f"control goes from '{before}' to '{kind}'"
+            self._events.publish(Event(EventKind.STATE, 300, kind, text))
 
     def outranks(self, kind: str, other: str) -> bool:
         """Whether `kind` stands at least as high as `other` in the priority."""
@@ -223,8 +222,9 @@ class InputGate:
         self.take(kind)
 
     def mark_stale(self, source: str) -> None:
-        """Keep the source's values, with status UncertainLastUsableValue."""
-        self._restamp(source, UNCERTAIN_LAST_USABLE_VALUE)
+        """Keep what the source wrote last, with status UncertainLastUsableValue."""
+        slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]
+        self._image.push([Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots])
 
     def expect(self, names: Iterable[str]) -> None:
         """Mark signals that a configured source will write: BadWaitingForInitialData until then."""
@@ -238,9 +238,8 @@ class InputGate:
     def stop(self) -> None:
         """Set all set-points to zero: what remains of a lost source must not drive on."""
         self._image.push([Row(self._table.slot(name), 0.0, GOOD) for name in SETPOINTS])
-        for written in self._written.values():
-            for name in SETPOINTS:
-                written.pop(self._table.slot(name), None)
+        for name in SETPOINTS:
+            self._newest.pop(self._table.slot(name), None)
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""
@@ -252,13 +251,15 @@ class InputGate:
         """Every source that has written so far."""
         return tuple(self._last_ns)
 
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Channels of the real robot that some source has written: ``wheel.fl.speed_rpm`` ..."""
+        signals = (self._table.by_slot(slot) for slot in sorted(self._newest))
+        return tuple(s.name.removeprefix(MEASURED) for s in signals if s.is_measured)
+
     def take_change(self, latched_rows: int) -> int | None:
         """Return when the oldest unpublished change came in [ns], once a frame contains it."""
         if self._change is None or latched_rows < self._change[1]:
             return None
         received_ns, self._change = self._change[0], None
         return received_ns
-
-    def _restamp(self, source: str, status: int) -> None:
-        written = self._written.get(source, {})
-        self._image.push([Row(slot, value, status) for slot, value in written.items()])

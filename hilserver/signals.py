@@ -15,6 +15,9 @@ from typing import Literal
 WHEELS = ("fl", "rl", "fr", "rr")
 """Wheel names in the order of every array (spec "Frame and signs")."""
 
+RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", "internal"))
+"""First parts of names that belong to the daemon itself; no block may have them."""
+
 RANGE_FINDERS = ("fl", "fr", "rl", "rr")
 """Range finders in EduArt's order."""
 
@@ -33,6 +36,9 @@ LIGHTS = (
 Source = Literal["scenario", "page", "opcua", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""
+
+MEASURED = "measured."
+"""Beginning of the names under which values of the real robot come in."""
 
 
 class ValueType(StrEnum):
@@ -94,7 +100,7 @@ class Signal:
     @property
     def is_measured(self) -> bool:
         """Whether it is a value of the real robot beside the simulation."""
-        return self.name.startswith("measured.")
+        return self.name.startswith(MEASURED)
 
 
 class SignalTable:
@@ -105,7 +111,9 @@ class SignalTable:
         self._by_name = {signal.name: signal for signal in self._signals}
         self._by_slot = {s.slots[0]: s for s in self._signals if not s.is_array}
         if len(self._by_name) != len(self._signals):
-            raise ValueError("two signals have the same name")
+            names = [signal.name for signal in self._signals]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"two signals have the name '{twice}'")
         if sorted(self._by_slot) != list(range(len(self._by_slot))):
             raise ValueError("the slots of the scalars are not 0 .. n-1")
 
@@ -293,7 +301,7 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     states = "0 starting, 1 running, 2 paused, 3 safe, 4 stopping"
     b.add("sim.state", "1", out, 0, 4, f"State of the daemon: {states}", type_=ValueType.BYTE)
     for name, unit, low, high, text in outputs:
-        b.add(f"measured.{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
+        b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for block in blocks:
         b.add(block.name, block.unit, out, block.low, block.high, block.description)
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")

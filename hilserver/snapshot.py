@@ -72,7 +72,15 @@ class SnapshotStore:
         return self._image.words[base : base + length]
 
     def reset(self) -> None:
-        """Put everything back to the state before the first tick, at tick 0."""
+        """Put everything back to the state before the first tick, at tick 0.
+
+        Raises
+        ------
+        ControlRefused
+            While a snapshot is being saved or loaded: both use the shadow copy.
+        """
+        if self._lock.locked():
+            raise ControlRefused("Reset has to wait: a snapshot is being saved or loaded")
         self._shadow[:] = self._initial
         post_request(REQUEST_LOAD, 0, self._image.words)
 

@@ -6,11 +6,10 @@ import pytest
 
 from hilserver.control import Control, State
 from hilserver.events import EventBus, EventKind
+from hilserver.image import Row
 from hilserver.image.layout import W_FAULT, W_STATE
-from hilserver.image.queues import latch_rows
-from hilserver.image.requests import serve_request
 from hilserver.inputs import ControlRefused, InputGate
-from hilserver.kernel.phases import enter_safe
+from hilserver.kernel.phases import enter_safe, latch
 from hilserver.snapshot import SnapshotStore
 from tests.fakes import make_image, make_table
 
@@ -55,8 +54,8 @@ class World:
         self.control.started()
 
     def latch(self):
-        self.pacing.tick = serve_request(self.pacing.tick, self.image.words)
-        latch_rows(self.pacing.tick, self.image.values, self.image.words)
+        slots = self.table.slot("internal.command"), self.table.slot("drive.enable")
+        self.pacing.tick = latch(self.pacing.tick, *slots, self.image.values, self.image.words)
 
     def value(self, name):
         return self.image.frame_values[self.table.slot(name)]
@@ -109,6 +108,48 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
     assert world.value("internal.command") == 0.0
     assert world.value("drive.enable") == 1.0
     assert world.value("wheel.fl.setpoint_rpm") == 0.0, "an old set-point must not come back"
+
+
+async def test_a_reset_does_not_get_into_a_snapshot_being_saved(world):
+    world.image.frame_values[0] = 7.0
+    saving = asyncio.create_task(world.control.save_snapshot("now"))
+    await asyncio.sleep(0.01)
+    with pytest.raises(ControlRefused, match="has to wait"):
+        world.control.reset()
+    world.latch()
+    await saving
+    world.image.frame_values[0] = 0.0
+    loading = asyncio.create_task(world.control.load_snapshot("now"))
+    while not loading.done():
+        world.latch()
+        await asyncio.sleep(0.005)
+    await loading
+    assert world.image.frame_values[0] == 7.0
+
+
+def test_in_the_safe_state_nobody_enables_the_drive(world):
+    control = world.control
+    control.stop()
+    world.pacing.tick = 500
+    control.supervise()
+    assert world.gate.write("opcua", {"drive.enable": True}) == {}
+    world.latch()
+    assert world.value("drive.enable") == 0.0
+    control.reset()
+    world.latch()
+    assert world.value("drive.enable") == 1.0
+
+
+def test_the_safe_state_reaches_the_plant_although_the_queue_was_full(world):
+    rows = [Row(world.table.slot("lights.red"), 1.0)]
+    while world.image.push(rows):
+        pass
+    world.control.stop()
+    world.latch()
+    assert world.value("internal.command") == 0.0, "there was no room for the command"
+    world.control.supervise()
+    world.latch()
+    assert world.value("internal.command") == 2.0
 
 
 def test_a_fault_of_the_paced_loop_is_taken_over(world):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hilserver.events import EventBus, EventKind
 from hilserver.image.queues import latch_rows
 from hilserver.inputs import ControlRefused, InputGate, Refusal, check_value
+from hilserver.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import ManualClock, make_image, make_table
 
 
@@ -147,3 +148,27 @@ def test_stop_zeroes_every_setpoint(world):
     gate.stop()
     assert latched(image, "wheel.rr.setpoint_rpm") == 0.0
     assert latched(image, "twist.linear_m_s") == 0.0
+
+
+def test_a_silent_source_taints_only_what_it_wrote_last(world):
+    gate, image, _, _ = world
+    left, right = (make_table().slot(f"wheel.{w}.setpoint_rpm") for w in ("fl", "fr"))
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 40.0, "wheel.fr.setpoint_rpm": -40.0})
+    gate.take("opcua")
+    gate.write("opcua", {"wheel.fl.setpoint_rpm": 10.0})
+    gate.mark_stale("peer:a")
+    latch_rows(0, image.values, image.words)
+    assert (image.frame_values[left], image.frame_status[left]) == (10.0, GOOD)
+    assert (image.frame_values[right], image.frame_status[right]) == (
+        -40.0,
+        UNCERTAIN_LAST_USABLE_VALUE,
+    )
+
+
+def test_a_silent_source_brings_no_value_back(world):
+    gate, image, _, _ = world
+    gate.write("peer:a", {"wheel.fl.setpoint_rpm": 40.0})
+    assert latched(image, "wheel.fl.setpoint_rpm") == 40.0
+    image.frame_values[:] = 0.0  # the simulation was reset
+    gate.mark_stale("peer:a")
+    assert latched(image, "wheel.fl.setpoint_rpm") == 0.0

@@ -25,6 +25,7 @@ from hilserver.bench.linear_histogram import (
     PERCENTILES,
     median_of_blocks_us,
     percentile_us,
+    ratio_interval,
     sparse,
 )
 from hilserver.bench.report import Result
@@ -59,6 +60,7 @@ class Comparison:
             ratio=value / reference if reference > 0 else None,
             raw={
                 "backend": self.backend,
+                "ratio_interval_95": ratio_interval(self.subject, self.reference, percent),
                 "blocks_us": [percentile_us(block, percent) for block in self.subject],
                 "reference_blocks_us": [percentile_us(block, percent) for block in self.reference],
             },

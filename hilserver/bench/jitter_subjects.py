@@ -49,7 +49,10 @@ class Subject:
         """Return the wake latencies of the next `duration_s` [s] in bins of 1 us."""
         before = self.statistics.linear_counts
         time.sleep(duration_s)
-        return self.statistics.linear_counts - before
+        counts = self.statistics.linear_counts - before
+        if counts.sum() == 0:
+            raise FailedError("the process under measurement does not pace any more")
+        return counts
 
     @property
     def priority(self) -> int:

@@ -19,6 +19,7 @@ COMMANDS = {
     "signals": "print the signal table",
     "certs": "certificates, trusted clients and passwords of the OPC UA server",
     "latency-test": "what this computer can do, before the model is blamed",
+    "install-service": "install the daemon as a systemd service",
     "bench": "measure every figure that the README quotes",
 }
 

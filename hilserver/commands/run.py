@@ -2,8 +2,10 @@
 
 import argparse
 import asyncio
+import contextlib
 import signal
 import sys
+from collections.abc import AsyncIterator
 
 import uvloop
 
@@ -12,6 +14,8 @@ from hilserver.commands.options import add_config, config_path
 from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
+from hilserver.monitoring.watchdog import Watchdog
+from hilserver.reload import Reloader
 
 EXAMPLE = "hilserver run --demo"
 
@@ -61,10 +65,47 @@ async def _run(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | N
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, asked.set)
     async with Daemon(assembly, limiter) as daemon:
+        watchdog = _make_watchdog(daemon)
         _print_addresses(daemon)
-        code = await daemon.wait(duration_s, asked)
-    report_repeats(limiter, at_end=True)
+        async with watchdog.watching(), _reload_on_hangup(daemon, watchdog):
+            code = await daemon.wait(duration_s, asked)
+    report_repeats(daemon.limiter or limiter, at_end=True)
     return code
+
+
+def _make_watchdog(daemon: Daemon) -> Watchdog:
+    control = daemon.control
+    return Watchdog(
+        heartbeat_ns=lambda: daemon.scheduler.heartbeat_ns,
+        ready=lambda: daemon.supervision.first_ticks_met,
+        status=lambda: f"{control.state.name.lower()}: {control.reason}",
+    )
+
+
+@contextlib.asynccontextmanager
+async def _reload_on_hangup(daemon: Daemon, watchdog: Watchdog) -> AsyncIterator[None]:
+    """Re-read the configuration at SIGHUP; on a terminal, a hang-up ends the daemon as usual."""
+    if sys.stderr.isatty():
+        yield
+        return
+    reloader = Reloader(daemon)
+    asked = asyncio.Event()
+
+    async def answer() -> None:
+        while True:
+            await asked.wait()
+            asked.clear()
+            with watchdog.reloading():
+                await reloader.reload()
+
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGHUP, asked.set)
+    task = asyncio.create_task(answer(), name="reload")
+    try:
+        yield
+    finally:
+        loop.remove_signal_handler(signal.SIGHUP)
+        task.cancel()
 
 
 def _print_addresses(daemon: Daemon) -> None:

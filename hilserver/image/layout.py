@@ -46,6 +46,7 @@ W_HEARTBEAT_SEEN = 29
 W_HEARTBEAT_AGE = 30  # ticks since it moved
 W_HEARTBEAT_LIMIT = 31  # ticks; 0: not watched
 W_BASE_PERIOD_NS = 32
+W_DRIVE_OFF = 33  # 1: drive.enable is held at false, whoever writes it
 N_CONTROL_WORDS = 64
 JSON_WORDS = 8192
 

@@ -19,7 +19,7 @@ from hilserver.status import GOOD
 
 
 class Row(NamedTuple):
-    """One write on its way to the plant."""
+    """One write on its way to the plant; a value of NaN leaves the value and sets the status."""
 
     slot: int
     value: float

@@ -3,8 +3,10 @@
 ``now`` holds rows for the next tick, ``timed`` rows for given, rising ticks (scenario, replay).
 One producer (the daemon's event loop), one consumer (the plant's tick), no lock: a group of rows is
 written first and shown by one store of the head, so that a tick latches all of it or nothing.
+A row whose value is NaN changes the status alone; no NaN gets into a frame.
 """
 
+import math
 from typing import Any
 
 from hilserver.compiled import kernel
@@ -52,8 +54,9 @@ def push_rows(
 
 @kernel()
 def _apply(place: int, values: Any, words: Any) -> None:
-    slot = int(values[place + 1])
-    values[words[W_FRAME_BASE] + slot] = values[place + 2]
+    slot, value = int(values[place + 1]), values[place + 2]
+    if not math.isnan(value):
+        values[words[W_FRAME_BASE] + slot] = value
     words[words[W_STATUS_BASE] + slot] = int(values[place + 3])
 
 

@@ -54,6 +54,8 @@ class PeerStatus:
         What the peer granted; sampling is the slowest of all nodes [ms].
     sequence_received, sequence_missed : int
         Sequence numbers that arrived, and that were left out between arrivals.
+    polls_skipped : int
+        Polls left out because the previous one was under way.
     writes, writes_skipped : int
         Multi-write calls answered, and cycles left out because the previous one was under way.
     input_received_ns : dict of str to int
@@ -83,6 +85,7 @@ class PeerStatus:
     granted_sampling_ms: float | None = None
     sequence_received: int = 0
     sequence_missed: int = 0
+    polls_skipped: int = 0
     writes: int = 0
     writes_skipped: int = 0
     input_received_ns: dict[str, int] = field(default_factory=dict)

@@ -177,10 +177,11 @@ def _source(composition: Composition, image: ProcessImage) -> str:
         "q": f"words[{status + robot.N_U} : {status + robot.N_U + robot.N_Y}]",
         "hall": f"values{_piece(regions['hall'])}",
     }
-    command, sim = table.slot("internal.command"), table.slot("sim.tick")
+    command, enable = table.slot("internal.command"), table.slot("drive.enable")
+    sim = table.slot("sim.tick")
     lines = [
         f"if phase == {LATCH}:",
-        f"    return latch(tick, {command}, values, words)",
+        f"    return latch(tick, {command}, {enable}, values, words)",
         f"if phase == {PUBLISH}:",
         "    return publish("
         f"tick, planned_ns, {command}, {robot.N_U}, {robot.N_Y}, {sim}, values, words)",

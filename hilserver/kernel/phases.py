@@ -7,6 +7,7 @@ from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
 from hilserver.image.layout import (
     W_BASE_PERIOD_NS,
+    W_DRIVE_OFF,
     W_FAULT,
     W_FRAME_BASE,
     W_HEARTBEAT,
@@ -46,10 +47,12 @@ def _watch_heartbeat(command_slot: int, values: Any, words: Any) -> None:
 
 
 @kernel()
-def latch(tick: int, command_slot: int, values: Any, words: Any) -> int:
+def latch(tick: int, command_slot: int, enable_slot: int, values: Any, words: Any) -> int:
     """Serve a snapshot request, take the inputs of this tick, return the tick to execute."""
     tick = serve_request(tick, words)
     latch_rows(tick, values, words)
+    if words[W_DRIVE_OFF] != 0:
+        values[words[W_FRAME_BASE] + enable_slot] = 0.0
     if words[W_HEARTBEAT_LIMIT] > 0:
         _watch_heartbeat(command_slot, values, words)
     return int(tick)

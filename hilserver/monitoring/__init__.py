@@ -1,1 +1,1 @@
-"""monitoring."""
+"""What the outside is told: metrics, health, logs, and the audit of the system underneath."""

@@ -29,6 +29,7 @@ EventDict = MutableMapping[str, Any]
 KEYS_MAX = 1024
 TEXT_LENGTH_MAX = 2000
 EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
+TRACING_LIBRARY = "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
 LIBRARIES = ("asyncua", "asyncio")  # their INFO lines tell nothing to somebody who runs a robot
 _NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
 
@@ -252,7 +253,11 @@ class _ToStructlog(logging.Handler):
         except Exception:  # noqa: BLE001 (wrong arguments of a library)
             text = str(record.msg)
         standard = min(max(record.levelno // 10 * 10, logging.DEBUG), logging.CRITICAL)
-        structlog.get_logger(record.name).log(standard, text, exc_info=record.exc_info or None)
+        error = record.exc_info[1] if record.exc_info else None
+        details: dict[str, Any] = {"exc_info": error} if error else {}
+        if error and record.name.partition(".")[0] == TRACING_LIBRARY:
+            details = {"error": f"{type(error).__name__}: {error}".removesuffix(": ")}
+        structlog.get_logger(record.name).log(standard, text, **details)
 
 
 class _ExpectedErrors:

@@ -54,7 +54,6 @@ def inverse_kinematics(p: Any, x: Any, linear_m_s: float, angular_rad_s: float) 
 
     In exclusive mode (5.4) the larger of ``|v|`` and ``|om| l_y/2`` drives alone.
     """
-    x[X_TWIST_REDUCED] = 0.0
     if p[P_EXCLUSIVE] != 0.0 and linear_m_s != 0.0 and angular_rad_s != 0.0:
         x[X_TWIST_REDUCED] = 1.0
         if abs(linear_m_s) >= abs(angular_rad_s) * p[P_HALF_TRACK]:
@@ -75,7 +74,6 @@ def limit_speed(p: Any, x: Any) -> None:
     largest = abs(x[X_COMMANDED])
     for i in range(1, N_WHEELS):
         largest = max(largest, abs(x[X_COMMANDED + i]))
-    x[X_SCALED] = 0.0
     if largest > p[P_MAX_RPM]:
         x[X_SCALED] = 1.0
         factor = p[P_MAX_RPM] / largest
@@ -109,6 +107,8 @@ def command(p: Any, x: Any, u: Any) -> None:
     them as on any other.
     """
     wish = u[U_COMMAND]
+    x[X_TWIST_REDUCED] = 0.0
+    x[X_SCALED] = 0.0
     if wish == COMMAND_SAFE_RAMP:
         safe_ramp(p, x)
     elif wish != COMMAND_NORMAL or u[U_ENABLE] == 0.0:

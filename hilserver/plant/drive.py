@@ -203,8 +203,9 @@ def through_backlash(
     gap = x[X_GAP + i]
     engaged = (gap >= half and speed_rpm > 0.0) or (gap <= -half and speed_rpm < 0.0)
     turned = mean_rpm * RAD_PER_RPM_S * p[P_DT]
-    x[X_GAP + i] = min(max(gap + turned, -half), half)
-    moved = turned - (x[X_GAP + i] - gap)
+    free = gap + turned
+    x[X_GAP + i] = min(max(free, -half), half)
+    moved = free - x[X_GAP + i]  # exactly 0 inside the play
     return speed_rpm if engaged else 0.0, moved / (RAD_PER_RPM_S * p[P_DT])
 
 

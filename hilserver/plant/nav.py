@@ -40,6 +40,7 @@ from hilserver.plant.layout import (
     X_NAV_OU,
     X_NAV_RING,
     X_NAV_SAMPLES,
+    X_NAV_SHOWN,
     X_NAV_WAIT,
     Y_NAV,
     Y_POSE,
@@ -96,19 +97,8 @@ def _yaw(p: Any, x: Any) -> float:
 
 
 @part
-def nav_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
-    """Remember the pose of t_k and, when a sample is due, publish what the tag shows."""
-    if p[P_NAV_ENABLED] == 0.0:
-        for k in range(3):
-            q[Y_NAV + k] = BAD_OUT_OF_SERVICE
-        return
-    row = push(x, X_NAV_RING, 3, X_NAV_HEAD, X_NAV_COUNT)
-    for k in range(3):
-        x[row + k] = y[Y_POSE + k]
-    x[X_NAV_WAIT] -= 1.0
-    if x[X_NAV_WAIT] > 0.0:
-        return
-    x[X_NAV_WAIT] = p[P_NAV_EVERY]
+def _sample(p: Any, x: Any) -> None:
+    """Take one sample: what the tag shows until the next."""
     seed, sample = p[P_SEED], x[X_NAV_SAMPLES]
     px, py = _position(p, x)
     yaw = _yaw(p, x)
@@ -125,6 +115,23 @@ def nav_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (o
         px += p[P_OUTLIER_SIZE] * math.cos(direction)
         py += p[P_OUTLIER_SIZE] * math.sin(direction)
     x[X_NAV_SAMPLES] = sample + 1.0
-    y[Y_NAV], y[Y_NAV + 1], y[Y_NAV + 2] = px, py, wrap(yaw)
+    x[X_NAV_SHOWN], x[X_NAV_SHOWN + 1], x[X_NAV_SHOWN + 2] = px, py, wrap(yaw)
+
+
+@part
+def nav_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+    """Remember the pose of t_k and, when a sample is due, publish what the tag shows."""
+    if p[P_NAV_ENABLED] == 0.0:
+        for k in range(3):
+            q[Y_NAV + k] = BAD_OUT_OF_SERVICE
+        return
+    row = push(x, X_NAV_RING, 3, X_NAV_HEAD, X_NAV_COUNT)
     for k in range(3):
+        x[row + k] = y[Y_POSE + k]
+    x[X_NAV_WAIT] -= 1.0
+    if x[X_NAV_WAIT] <= 0.0:
+        x[X_NAV_WAIT] = p[P_NAV_EVERY]
+        _sample(p, x)
+    for k in range(3):
+        y[Y_NAV + k] = x[X_NAV_SHOWN + k]
         q[Y_NAV + k] = GOOD

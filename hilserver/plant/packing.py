@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hilserver.plant.layout as at
-from hilserver.plant.battery import DUTY_FULL_PCT, open_circuit_voltage
+from hilserver.plant.battery import DUTY_FULL_PCT, HIGHEST_V, LOWEST_V, open_circuit_voltage
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.terms import TERMS, complete
@@ -272,5 +272,5 @@ def initial_state(p: Array) -> Array:
     charge = float(p[at.P_CHARGE_0])
     x[at.X_CHARGE] = charge
     rest_v = open_circuit_voltage.py_func(charge) - p[at.P_RESISTANCE] * p[at.P_IDLE_CURRENT]
-    x[at.X_BATTERY_V] = rest_v
+    x[at.X_BATTERY_V] = min(max(rest_v, LOWEST_V), HIGHEST_V)
     return x

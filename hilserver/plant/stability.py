@@ -1,5 +1,6 @@
 """The sampled wheel speed loop: its matrices, its spectral radius, and the slice it allows."""
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -75,6 +76,8 @@ class Loop:
     def spectral_radius(self, dt_s: float) -> float:
         """Return the largest magnitude of the loop's poles when sampled at `dt_s`."""
         loop = self.matrix(dt_s)
+        if not np.all(np.isfinite(loop)):
+            return math.inf
         if self.k_i == 0.0:  # the integral then stands still and is no pole
             loop = np.delete(np.delete(loop, 2, axis=0), 2, axis=1)
         return float(np.max(np.abs(np.linalg.eigvals(loop))))

@@ -78,8 +78,9 @@ class Communication:
         if self._machine.warming_up:
             return
         execution_ns = end_ns - start_ns
-        latency_ns = 0 if self._simulated else start_ns - planned_ns
         period_ns = part.period_ticks * self._machine.exchange.get(ex.PACED_PERIOD)
+        # A run that stands for several announcements is as late as the first of them.
+        latency_ns = 0 if self._simulated else start_ns - planned_ns + missed * period_ns
         margin_ns = period_ns - latency_ns - execution_ns
         kind = lw.NO_OVERRUN
         if (margin_ns < 0 or missed) and not self._simulated:

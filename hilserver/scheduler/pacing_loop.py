@@ -7,7 +7,7 @@ from numba.core import types
 from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
-from hilserver.compiled.atomics import load_acquire
+from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.libc import monotonic_ns, ring_doorbell, sleep_until
 from hilserver.scheduler import exchange as ex
 from hilserver.scheduler import law as lw
@@ -47,6 +47,7 @@ def pace(
     while load_acquire(control, ex.STOP_REQUEST) == 0:
         now_ns = monotonic_ns(scratch)
         if law[lw.PLANNED] - now_ns > LONGEST_SLEEP_NS:
+            store_release(control, ex.HEARTBEAT, now_ns)
             sleep_until(now_ns + LONGEST_SLEEP_NS, scratch)
             continue
         sleep_until(law[lw.PLANNED], scratch)

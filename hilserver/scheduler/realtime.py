@@ -119,8 +119,8 @@ def request_for_this_thread(settings: RealtimeSettings) -> list[Grant]:
 
 def _timer_slack() -> Grant:
     if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0) != 0:
-        return Grant("thread_timer_slack", False, "1 ns", os.strerror(ctypes.get_errno()))
-    return Grant("thread_timer_slack", True, "1 ns", "1 ns")
+        return Grant("timer_slack", False, "1 ns", os.strerror(ctypes.get_errno()))
+    return Grant("timer_slack", True, "1 ns", "1 ns")
 
 
 def _pin(cpu: int) -> Grant:

@@ -24,6 +24,7 @@ from hilserver.scheduler import exchange as ex
 from hilserver.scheduler.causes import CauseFinder
 from hilserver.scheduler.communication import Communication, SliceCallback
 from hilserver.scheduler.gc_pauses import GcPauses
+from hilserver.scheduler.law import CONSECUTIVE_LIMIT, SINGLE_LIMIT
 from hilserver.scheduler.lockstep import wait_for_peer
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.overruns import OverrunCallback, Overruns
@@ -241,6 +242,11 @@ class Scheduler:
         if not SPEED_LOW <= factor <= SPEED_HIGH:
             raise ValueError(f"the speed factor is {SPEED_LOW:g} to {SPEED_HIGH:g}, not {factor:g}")
         self._exchange.set_paced_period(max(1, round(self.base_period_ns / factor)))
+
+    def set_limits(self, limits: OverrunLimits) -> None:
+        """Bear other overruns from the next tick on; each limit is one word that the law reads."""
+        ex.write_word(self._machine.law, SINGLE_LIMIT, limits.single_ns)
+        ex.write_word(self._machine.law, CONSECUTIVE_LIMIT, limits.consecutive)
 
     def reset_statistics(self) -> None:
         """Start the figures anew, while running."""

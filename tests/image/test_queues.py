@@ -1,5 +1,7 @@
 """The input queues: groups are latched whole, timed rows at their tick."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -31,6 +33,13 @@ def test_timed_rows_wait_for_their_tick(image):
 def test_status_travels_with_the_value(image):
     image.push([Row(3, 1.0, status=0x40900000)])
     latch(image, 0)
+    assert image.frame_status[3] == 0x40900000
+
+
+def test_a_row_without_a_number_sets_the_status_alone(image):
+    image.push([Row(3, 7.0)])
+    image.push([Row(3, math.nan, status=0x40900000)])
+    assert latch(image, 0)[3] == 7.0
     assert image.frame_status[3] == 0x40900000
 
 

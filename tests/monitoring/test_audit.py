@@ -97,6 +97,12 @@ def test_capabilities_replace_limits(tmp_path):
     assert items["memlock_limit"].ok
 
 
+def test_what_the_thread_knows_of_its_slack_replaces_the_file(tmp_path):
+    granted = Grant("timer_slack", ok=True, wanted="1 ns", found="1 ns")
+    items = au.audit(Paced([granted]), tree(tmp_path, TUNED | {"proc/42/timerslack_ns": ""}))
+    assert [item.found for item in items if item.name == "timer_slack"] == ["1 ns"]
+
+
 def test_an_empty_tree_is_no_error(tmp_path):
     items = {item.name: item.ok for item in au.audit(Paced(), tmp_path)}
     assert not items["kernel"]

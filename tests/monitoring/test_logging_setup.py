@@ -40,7 +40,11 @@ class Terminal(io.StringIO):
 def logging_as_before() -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
+    library = logging.getLogger("asyncua.server")  # silenced by whoever ran a server before
+    library_level = library.level
+    library.setLevel(logging.NOTSET)
     yield
+    library.setLevel(library_level)
     structlog.reset_defaults()
     root.handlers[:], root.level = handlers, level
 
@@ -94,6 +98,20 @@ def test_libraries_tell_their_information_only_to_nobody() -> None:
     logging.getLogger("asyncio").debug("left out")
     logging.getLogger("asyncua.server").warning("told")
     assert [line["event"] for line in json_lines(stream)] == ["told"]
+
+
+def test_a_traceback_of_the_opcua_library_is_one_line() -> None:
+    stream = io.StringIO()
+    setup_logging("INFO", "json", stream=stream)
+    try:
+        raise RuntimeError("a client went\naway")
+    except RuntimeError:
+        logging.getLogger("asyncua.server.uaprocessor").exception("answering failed")
+    (line,) = stream.getvalue().splitlines()
+    told = json.loads(line)
+    assert told["event"] == "answering failed"
+    assert told["error"].startswith("RuntimeError: a client went")
+    assert "exception" not in told
 
 
 @pytest.mark.parametrize("error", [ConnectionRefusedError("no peer"), FailedError("port in use")])

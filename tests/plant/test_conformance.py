@@ -26,7 +26,7 @@ def test_every_term_has_a_vector():
 def test_plant_reproduces(name):
     terms, ticks, wanted = vectors.read(name)
     assert terms == vectors.cases()[name]
-    found = {tick: numbers for tick, numbers in vectors.drive(vectors.robot_of(terms))}
+    found = dict(vectors.drive(vectors.robot_of(terms)))
     assert_close(name, np.array([found[t] for t in ticks]), wanted, 1e-12)
 
 

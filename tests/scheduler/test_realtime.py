@@ -28,7 +28,7 @@ def test_core_and_slack_concern_the_thread_alone():
     grants, affinity = in_thread(RealtimeSettings(priority=0, cpu=cpu))
     assert affinity == {cpu}
     assert os.sched_getaffinity(0) == before
-    assert [(g.name, g.ok) for g in grants] == [("thread_timer_slack", True), ("thread_core", True)]
+    assert [(g.name, g.ok) for g in grants] == [("timer_slack", True), ("thread_core", True)]
 
 
 def test_a_core_that_is_not_there_is_named():

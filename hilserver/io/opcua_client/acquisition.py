@@ -15,7 +15,7 @@ from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.io.opcua_client.intake import Intake
-from hilserver.io.opcua_client.session import LinkLostError, Session, read_request
+from hilserver.io.opcua_client.session import Session, read_request
 from hilserver.io.opcua_client.subscription import Grant, Subscription
 from hilserver.io.peer_status import PeerStatus
 
@@ -119,9 +119,7 @@ class Acquisition:
     async def _observe(self, subscription: Subscription, duration_s: float) -> str:
         """Watch the running subscription for a while; return why it is too slow, or nothing."""
         received, missed = self.status.sequence_received, self.status.sequence_missed
-        await asyncio.sleep(duration_s)
-        if subscription.silent():
-            raise LinkLostError("the subscription fell silent")
+        await subscription.watch(duration_s)
         slow = too_many_missed(
             self.status.sequence_received - received, self.status.sequence_missed - missed
         )
@@ -152,7 +150,10 @@ class Acquisition:
                 samples = zip(names, values, strict=True)
                 self.intake.receive(samples, time.monotonic_ns())
 
-        await every(self.config.poll_ms / 1000, cycle)
+        await every(self.config.poll_ms / 1000, cycle, self._skipped)
+
+    def _skipped(self, count: int) -> None:
+        self.status.polls_skipped += count
 
     async def _resolved(self) -> tuple[list[str], list[ua.NodeId]]:
         found = await self.session.resolve(self.nodes)

@@ -1,7 +1,6 @@
 """The link to one peer: a loop that connects, works and waits, for as long as the daemon runs."""
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable
 
@@ -35,7 +34,7 @@ _log = structlog.get_logger(__name__)
 class Backoff:
     """Pauses between attempts, measured from start to start, doubling up to a limit [s]."""
 
-    def __init__(self, first_s: float = 0.1, limit_s: float = 1.0) -> None:
+    def __init__(self, first_s: float = 0.1, limit_s: float = 0.5) -> None:
         self._first_s = first_s
         self._limit_s = limit_s
         self._next_s = first_s
@@ -115,16 +114,14 @@ class PeerLink:
         tasks, self._tasks = self._tasks, []
         for task in tasks:
             task.cancel()
-        for task in tasks:
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+        await asyncio.gather(*tasks, return_exceptions=True)
         self.status.state = LinkState.STOPPED
 
     async def _watch(self) -> None:
         while True:
             now_ns = time.monotonic_ns()
             transition = self._staleness.check(now_ns) if self.config.read else None
-            self.status.stale = self._staleness.stale
+            self.status.stale = self._staleness.stale and bool(self.config.read)
             if transition is not None:
                 self._tell(transition, now_ns)
             self._faults.expire(now_ns)

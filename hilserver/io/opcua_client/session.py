@@ -7,7 +7,7 @@ its own reconnect; and every wait has a limit, because a dead link answers nothi
 import asyncio
 import contextlib
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Any
 
@@ -27,6 +27,10 @@ SESSION_TIMEOUT_MS = 30_000
 
 _NAMESPACE_ARRAY = ua.NodeId(ua.ObjectIds.Server_NamespaceArray)
 _CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
+
+
+RECEIVE_MAX = 16 * 1024 * 1024
+"""Bytes of one incomplete message; the library would collect as many as a header announces."""
 
 
 class LinkLostError(Exception):
@@ -63,6 +67,7 @@ class Session:
         self._client.application_uri = "urn:hilserver:client"
         self._client.session_timeout = SESSION_TIMEOUT_MS
         self._client.connection_lost_callback = self._on_lost
+        self._client.uaclient._make_protocol = self._limited(self._client.uaclient._make_protocol)
         self._lost = asyncio.Event()
         self.services: Any = self._client.uaclient.session
 
@@ -84,6 +89,26 @@ class Session:
         # On a cancelled task the link is fine and the peer deserves a proper good-bye.
         graceful = error is None or isinstance(error, asyncio.CancelledError)
         await self._close(graceful=graceful and not self._lost.is_set())
+
+    @staticmethod
+    def _limited(make_protocol: Callable[[], Any]) -> Callable[[], Any]:
+        """Return a protocol factory whose protocols hang up on endless messages."""
+
+        def make() -> Any:
+            protocol = make_protocol()
+            receive = protocol.data_received
+
+            def data_received(data: bytes) -> None:
+                if len(protocol.receive_buffer or b"") + len(data) > RECEIVE_MAX:
+                    protocol.receive_buffer = None
+                    protocol.transport.abort()
+                else:
+                    receive(data)
+
+            protocol.data_received = data_received
+            return protocol
+
+        return make
 
     async def _on_lost(self, _error: Exception) -> None:
         self._lost.set()

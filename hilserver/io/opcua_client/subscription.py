@@ -5,6 +5,7 @@ repeats a constant set-point with a new stamp is then seen to be alive. Servers 
 this trigger are asked without; a counter makes it superfluous.
 """
 
+import asyncio
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -51,6 +52,7 @@ class Subscription:
         self._silent_after_s = SILENT_AFTER_S
         self._sampling_asked_ms = 0.0
         self._id = 0
+        self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.grant = Grant(0.0, 0.0)
 
     async def create(
@@ -150,6 +152,14 @@ class Subscription:
         return results
 
     def _on_publish(self, result: ua.PublishResult) -> None:
+        # The library swallows what its callback raises; the session must not go on without us.
+        try:
+            self._take(result)
+        except Exception as error:  # noqa: BLE001
+            if not self._failure.done():
+                self._failure.set_exception(error)
+
+    def _take(self, result: ua.PublishResult) -> None:
         now_ns = time.monotonic_ns()
         self._heard_s = now_ns / 1e9
         samples = []
@@ -161,9 +171,19 @@ class Subscription:
                         samples.append((node, item.Value))
         self._intake.receive(samples, now_ns)
 
-    def silent(self) -> bool:
-        """Whether not even keep-alives have come for three of their intervals."""
-        return time.monotonic() - self._heard_s > self._silent_after_s
+    async def watch(self, duration_s: float) -> None:
+        """Wait; raise what went wrong meanwhile.
+
+        Raises
+        ------
+        LinkLostError
+            If not even keep-alives have come for three of their intervals.
+        """
+        await asyncio.wait({self._failure}, timeout=duration_s)
+        if self._failure.done():
+            self._failure.result()
+        if time.monotonic() - self._heard_s > self._silent_after_s:
+            raise LinkLostError("the subscription fell silent")
 
     async def delete(self) -> None:
         """Delete the subscription at the peer."""

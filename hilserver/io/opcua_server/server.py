@@ -22,7 +22,7 @@ from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure, Provider, Table
 from hilserver.io.opcua_server.door import WriteDoor
 from hilserver.io.opcua_server.guard import RobotInternalServer
-from hilserver.io.opcua_server.logs import log, tame_library_log
+from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.methods import Methods
 from hilserver.io.opcua_server.robot_events import RobotEvents
@@ -144,7 +144,6 @@ class OpcUaServer:
         ConfigError
             If certificate or key are missing or cannot be used.
         """
-        tame_library_log()
         needs_certificate = any(policy != "None" for policy in self._config.offered_policies)
         trust = TrustList(self._folder / self._config.certificates) if needs_certificate else None
         iserver = RobotInternalServer(self._config, self._access, trust)

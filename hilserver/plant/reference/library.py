@@ -18,7 +18,7 @@ from hilserver.plant.terms import complete
 N_OUTPUTS: Final = 20
 N_STATES: Final = 12
 N_SENSORS: Final = 7
-FLAGS: Final = ("-std=gnu11", "-O3", "-march=native", "-ffp-contract=off", "-fPIC", "-shared")
+FLAGS: Final = ("-std=gnu11", "-O3", "-march=native", "-fPIC", "-shared")
 
 FIELDS: Final = {
     "process_gain": "a_gain",

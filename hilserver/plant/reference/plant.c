@@ -322,8 +322,9 @@ static void extended_step(struct plant *p, const double *setpoint)
             double turned = p->T * rpm_to_rad_s(mean[i]);
             double old = k->gap, half = p->backlash / 2.0;
             int front = old >= half && n > 0.0, back = old <= -half && n < 0.0;
-            k->gap = clip(old + turned, half);
-            mean[i] = (turned - (k->gap - old)) / (p->T * 2.0 * PI / 60.0);
+            double reach = old + turned; /* what lies beyond the play moves the wheel */
+            k->gap = clip(reach, half);
+            mean[i] = (reach - k->gap) / (p->T * 2.0 * PI / 60.0);
             if (!front && !back)
                 now[i] = rate[i] = 0.0;
         }

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import pytest
+import pytest_asyncio
 from asyncua import Server, ua
 
 from hilserver.clock import UtcClock
@@ -146,6 +147,8 @@ class Peer:
         await self.add("seq", 0, ua.VariantType.UInt32)
         await self.add("light", 0, ua.VariantType.Byte)
         await self.add("label", "", ua.VariantType.String)
+        await self.add("read_only", 0.0, ua.VariantType.Double)
+        await self.nodes["read_only"].set_read_only()
         await self.server.start()
         return self
 
@@ -157,7 +160,7 @@ class Peer:
         self.nodes[name] = node
 
     async def set(self, name: str, value: object, *, stamp: datetime | None = None, status=0):
-        kind = ua.VariantType.UInt32 if name == "seq" else None
+        kind = {"seq": ua.VariantType.UInt32, "light": ua.VariantType.Byte}.get(name)
         data = ua.DataValue(
             ua.Variant(value, kind),
             StatusCode=ua.StatusCode(ua.UInt32(status)),
@@ -182,7 +185,8 @@ class Peer:
     async def stop(self) -> None:
         await self.server.stop()
         # asyncua's server forgets two tasks for every session that it ends itself.
-        left = [t for t in asyncio.all_tasks() if "Internal" in t.get_coro().__qualname__]
+        forgotten = ("InternalSession.", "InternalSubscription.")
+        left = [t for t in asyncio.all_tasks() if t.get_coro().__qualname__.startswith(forgotten)]
         for task in left:
             task.cancel()
         await asyncio.gather(*left, return_exceptions=True)
@@ -193,8 +197,19 @@ def quiet_server():
     logging.getLogger("asyncua.server").setLevel(logging.CRITICAL + 1)
 
 
-@pytest.fixture
-async def peer() -> AsyncIterator[Peer]:
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def shared_peer() -> AsyncIterator[Peer]:
     running = await Peer(free_port()).start()
     yield running
     await running.stop()
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def peer(shared_peer: Peer) -> Peer:
+    """One server per module, as it takes more than a second to start; fresh values per test."""
+    for name in shared_peer.nodes:
+        await shared_peer.set(
+            name, "" if name == "label" else 0 if name in ("seq", "light") else 0.0
+        )
+    shared_peer.sequence = 0
+    return shared_peer

@@ -1,7 +1,6 @@
 """What one client can ask for, life and death of the server, and its log."""
 
 import asyncio
-import logging
 import math
 import socket
 from pathlib import Path
@@ -13,7 +12,6 @@ from pydantic import ValidationError
 
 from hilserver.config.server import OpcUaConfig
 from hilserver.errors import FailedError
-from hilserver.io.opcua_server.logs import OneLineHandler, one_line, tame_library_log
 from tests.io.opcua_server.rig import Rig, RobotClient, connected
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -252,41 +250,3 @@ async def test_open_server_says_so(tmp_path: Path) -> None:
     async with client:
         assert await client.read("audit.opcua_access") is False
     await rig.close()
-
-
-async def test_library_log_is_one_line_and_counted() -> None:
-    now_s = [0.0]
-    handler = OneLineHandler(lambda: now_s[0])
-    logger = logging.getLogger("test_one_line")
-    logger.addHandler(handler)
-    logger.propagate = False
-    with structlog.testing.capture_logs() as logs:
-        for i in range(4):
-            try:
-                raise ValueError("two\nlines")
-            except ValueError:
-                logger.exception("client %s failed", i)
-        now_s[0] = 11.0
-        logger.error("client %s failed", 9)
-        logger.error("odd %s %s", 1)  # noqa: PLE1206
-    assert [entry["detail"] for entry in logs] == [
-        "client 0 failed (ValueError: two lines)", "client 9 failed", "odd %s %s",
-    ]  # fmt: skip
-    assert logs[1]["repeated"] == 3
-    long = logging.LogRecord("x", logging.ERROR, "f", 1, "y" * 1000, (), None)
-    assert len(one_line(long)) == 300
-
-
-async def test_library_log_goes_nowhere_else() -> None:
-    records: list[logging.LogRecord] = []
-    root = logging.getLogger()
-    spy = logging.Handler()
-    spy.emit = records.append
-    tame_library_log()
-    tame_library_log()
-    root.addHandler(spy)
-    with structlog.testing.capture_logs() as logs:
-        logging.getLogger("asyncua.server.uaprocessor").error("a client made a mistake")
-    root.removeHandler(spy)
-    assert not records
-    assert [entry["detail"] for entry in logs] == ["a client made a mistake"]

@@ -1,0 +1,95 @@
+"""Ready, alive, state: what the service manager hears from a running daemon.
+
+The watchdog is fed from the heartbeat of the paced loop, never by the event loop alone: systemd
+hears WATCHDOG=1 only when the plant has woken up since the last time. A frozen plant beside a
+living event loop, and a frozen event loop beside a living plant, both end the process.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+
+from hilserver.monitoring.sd_notify import notify, watchdog_period_s
+
+FEEDS_PER_PERIOD = 4
+LONGEST_LOOK_S = 0.5
+"""State and readiness are looked at this often at least."""
+
+
+class Watchdog:
+    """Tells the service manager what it wants to know.
+
+    Parameters
+    ----------
+    heartbeat_ns : callable
+        When the paced loop last woke up; 0 before its first time.
+    ready : callable
+        True once the plant is compiled and the first ticks met their deadlines.
+    status : callable
+        One line for ``systemctl status``.
+    send : callable
+        ``send(assignment, ...)``; `notify` unless a test listens.
+    """
+
+    def __init__(
+        self,
+        *,
+        heartbeat_ns: Callable[[], int],
+        ready: Callable[[], bool],
+        status: Callable[[], str],
+        send: Callable[..., bool] = notify,
+    ) -> None:
+        self._heartbeat_ns = heartbeat_ns
+        self._ready = ready
+        self._status = status
+        self._send = send
+        self._is_ready = False
+        self._last_beat_ns = 0
+        self._last_status = ""
+
+    def look(self) -> None:
+        """Send what has become true since the last look."""
+        messages = []
+        if not self._is_ready and self._ready():
+            self._is_ready = self._send("READY=1")
+        beat_ns = self._heartbeat_ns()
+        if beat_ns != self._last_beat_ns:
+            self._last_beat_ns = beat_ns
+            messages.append("WATCHDOG=1")
+        status = self._status()
+        if status != self._last_status:
+            self._last_status = status
+            messages.append(f"STATUS={status}")
+        if messages:
+            self._send(*messages)
+
+    @contextlib.contextmanager
+    def reloading(self) -> Iterator[None]:
+        """Enclose a reload: the service manager shows it as such."""
+        if self._is_ready:
+            self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        try:
+            yield
+        finally:
+            if self._is_ready:
+                self._send("READY=1")
+
+    @contextlib.asynccontextmanager
+    async def watching(self) -> AsyncIterator[None]:
+        """Look again and again; at the end say that the daemon is stopping."""
+        period_s = watchdog_period_s()
+        pause_s = LONGEST_LOOK_S
+        if period_s is not None:
+            pause_s = min(pause_s, period_s / FEEDS_PER_PERIOD)
+        task = asyncio.create_task(self._look_on(pause_s), name="watchdog")
+        try:
+            yield
+        finally:
+            task.cancel()
+            self._send("STOPPING=1", "STATUS=stopping")
+
+    async def _look_on(self, pause_s: float) -> None:
+        while True:
+            self.look()
+            await asyncio.sleep(pause_s)

@@ -1,0 +1,132 @@
+"""SIGHUP: the configuration is read again, and what can change in a running robot changes.
+
+Everything is checked before anything changes: a file with a mistake leaves the old configuration in
+force. The plant, its parameters and the signal table stay as they are until a restart, because
+snapshots and recordings name one set of parameters for the whole run.
+"""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from hilserver.assembly import assemble
+from hilserver.config.root import Config
+from hilserver.daemon import Daemon, overrun_limits
+from hilserver.errors import ConfigError
+from hilserver.monitoring.logging_setup import report_repeats, setup_logging
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A key of config.yaml whose value is another one now, such as ``logging.level``."""
+
+    key: str
+    before: Any
+    after: Any
+
+
+def changes(before: Config, after: Config) -> list[Change]:
+    """Return every key that differs; the elements of a list are not told apart."""
+    old, new = (dict(_leaves(config.model_dump(mode="json"))) for config in (before, after))
+    keys = sorted(old.keys() | new.keys())
+    return [Change(k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]
+
+
+def _leaves(section: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in section.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _use_logging(daemon: Daemon, config: Config) -> None:
+    if daemon.limiter is not None:
+        report_repeats(daemon.limiter, at_end=True)
+    logging = config.logging
+    daemon.limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
+
+
+def _use_limits(daemon: Daemon, config: Config) -> None:
+    daemon.scheduler.set_limits(overrun_limits(config.scheduler.limits))
+
+
+def _use_operator_limit(daemon: Daemon, config: Config) -> None:
+    daemon.supervision.opcua_stale_after_ms = config.control.opcua_stale_after_ms
+
+
+RELOADABLE: dict[str, Callable[[Daemon, Config], None]] = {
+    "logging.": _use_logging,
+    "scheduler.limits.": _use_limits,
+    "control.opcua_stale_after_ms": _use_operator_limit,
+}
+"""Beginning of the keys that can change while running -> what makes the change."""
+
+
+class Reloader:
+    """Re-reads the configuration file of a running daemon.
+
+    Attributes
+    ----------
+    config : Config
+        What is in force, as far as it can change while running.
+    """
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon = daemon
+        self.config = daemon.config
+        self._lock = asyncio.Lock()
+
+    async def reload(self) -> bool:
+        """Read the file and apply it; return False if it was refused as a whole."""
+        path = self._daemon.assembly.path
+        if path is None:
+            _log.warning("reload: the daemon runs without a configuration file; nothing to read")
+            return False
+        async with self._lock:
+            try:
+                new = (await asyncio.to_thread(assemble, path)).config
+            except ConfigError as error:
+                for line in str(error).splitlines():
+                    _log.error("reload refused, the old configuration stays", reason=line)
+                return False
+            self._apply(new)
+            return True
+
+    def _apply(self, new: Config) -> None:
+        found = changes(self.config, new)
+        uses: set[str] = set()
+        for change in found:
+            begin = next((key for key in RELOADABLE if change.key.startswith(key)), None)
+            if begin is None:
+                _log.warning(
+                    "reload: needs a restart, the old value stays",
+                    key=change.key,
+                    running=change.before,
+                    file=change.after,
+                )
+            else:
+                uses.add(begin)
+        for begin in sorted(uses):
+            RELOADABLE[begin](self._daemon, new)
+        for change in found:
+            if any(change.key.startswith(begin) for begin in uses):
+                _log.info("reload: changed", key=change.key, before=change.before, now=change.after)
+        if not found:
+            _log.info("reload: the configuration has not changed")
+        self.config = self.config.model_copy(
+            update={
+                "logging": new.logging,
+                "scheduler": self.config.scheduler.model_copy(
+                    update={"limits": new.scheduler.limits}
+                ),
+                "control": self.config.control.model_copy(
+                    update={"opcua_stale_after_ms": new.control.opcua_stale_after_ms}
+                ),
+            }
+        )

@@ -1,0 +1,120 @@
+"""Watches the running parts and tells the state machine: who is silent, who is late, who is ready.
+
+Peers that fall silent are acted on while peers have control, also when they get it back; an OPC UA
+client in control may be given a limit as well; overruns become events.
+"""
+
+from hilserver.config.root import Config
+from hilserver.control import Control, State
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.image import ProcessImage
+from hilserver.inputs import InputGate
+from hilserver.monitoring.logging_setup import log_overrun
+from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
+from hilserver.scheduler import OverrunReport, Scheduler
+
+NOTICES = {
+    X_TWIST_REDUCED: "the twist has two parts: only the larger one is driven (exclusive_twist)",
+    X_SCALED: "the twist asks for more than max_rpm: all wheels are scaled down together",
+}
+"""Places in the plant's state that say how a command is changed, and what to tell then."""
+
+
+class Supervision:
+    """Judges the parts of one daemon; `run` is called by the supervise slice.
+
+    Attributes
+    ----------
+    first_ticks_met : bool
+        True once the plant met every deadline from one run to the next.
+    opcua_stale_after_ms : float or None
+        Limit for an OPC UA client in control; a reload may change it.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        gate: InputGate,
+        control: Control,
+        events: EventBus,
+        scheduler: Scheduler,
+        image: ProcessImage,
+    ) -> None:
+        self.first_ticks_met = False
+        self.opcua_stale_after_ms = config.control.opcua_stale_after_ms
+        self._plant_state, _ = image.region("x")
+        self._noticed: set[int] = set()
+        self._config = config
+        self._gate = gate
+        self._control = control
+        self._events = events
+        self._scheduler = scheduler
+        self._overruns_seen = 0
+        self._silent: dict[str, str] = {}
+        self._acted: set[str] = set()
+
+    def run(self) -> None:
+        """Look at everything that has no event of its own."""
+        self._control.supervise()
+        self._watch_first_ticks()
+        self._watch_operator()
+        self._watch_command()
+
+    def _watch_command(self) -> None:
+        """Tell, once each time it begins, that the robot drives something else than commanded."""
+        for place, text in NOTICES.items():
+            if not self._plant_state[place]:
+                self._noticed.discard(place)
+            elif place not in self._noticed:
+                self._noticed.add(place)
+                self._events.publish(Event(EventKind.STATE, 300, "plant", text))
+
+    def _watch_first_ticks(self) -> None:
+        if self.first_ticks_met:
+            return
+        plant = self._scheduler.statistics.slice(self._config.plant.slice)
+        overruns = plant.late_wakes + plant.long_runs
+        self.first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
+        self._overruns_seen = overruns
+
+    def _watch_operator(self) -> None:
+        limit_ms = self.opcua_stale_after_ms
+        age_s = self._gate.age_s("opcua")
+        if limit_ms is None or age_s is None or self._gate.owner != "opcua":
+            return
+        if age_s * 1e3 > limit_ms and self._control.state is State.RUNNING:
+            self._gate.mark_stale("opcua")
+            self._control.enter_safe("the OPC UA client in control is silent", cause=None)
+
+    def on_overrun(self, report: OverrunReport) -> None:
+        """Log an overrun with its cause and make it an event."""
+        log_overrun(report)
+        text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
+        self._events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
+
+    def on_stale(self, peer: str, action: str) -> None:
+        """Take note that a peer has fallen silent; `action` is its ``on_stale``."""
+        self._gate.mark_stale(f"peer:{peer}")
+        self._silent[peer] = action
+        self.act_on_silence()
+
+    def on_restored(self, peer: str) -> None:
+        """Take note that a peer delivers again."""
+        self._silent.pop(peer, None)
+        self._forgive(peer)
+
+    def act_on_silence(self) -> None:
+        """Act on silent peers while peers have control; called whenever control may have moved."""
+        for peer, action in self._silent.items():
+            if self._gate.owner != "peer":
+                self._forgive(peer)
+            elif peer not in self._acted:
+                self._acted.add(peer)
+                if action == "zero":
+                    self._gate.stop()
+                elif action == "ramp":
+                    self._control.enter_safe(f"peer '{peer}' is silent", cause=f"peer:{peer}")
+
+    def _forgive(self, peer: str) -> None:
+        self._acted.discard(peer)
+        self._control.clear_cause(f"peer:{peer}")

@@ -1,0 +1,93 @@
+"""What the gate gets from any stream of samples."""
+
+import math
+
+from asyncua import ua
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hilserver.events import EventBus
+from hilserver.io.opcua_client.faults import HOLD_NS, FaultBook
+from hilserver.io.opcua_client.intake import Intake
+from hilserver.io.opcua_client.staleness import Staleness
+from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.peer_status import PeerStatus
+from tests.io.opcua_client.conftest import URI, RecordingGate, peer_config
+
+FL, RR, SEQ = (f"nsu={URI};s={name}" for name in ("rpm_set_FL", "rpm_set_RR", "seq"))
+
+
+class Bench:
+    def __init__(self, **changes):
+        config = peer_config(1, **changes)
+        self.status = PeerStatus("iot2050")
+        self.gate, self.events = RecordingGate(), EventBus()
+        self.faults = FaultBook(self.status, self.events.publish)
+        self.staleness = Staleness(300_000_000)
+        self.intake = Intake(
+            config, self.status, self.gate, self.staleness, self.faults, lambda ns: ns
+        )
+        self.now_ns = 0
+
+    def receive(self, *samples):
+        self.now_ns += 10_000_000
+        self.intake.receive([(n, ua.DataValue(v)) for n, v in samples], self.now_ns)
+
+
+VALUES = st.one_of(
+    st.floats(), st.text(max_size=3), st.none(), st.booleans(), st.binary(max_size=3)
+)
+BATCH = st.lists(st.tuples(st.sampled_from([FL, RR]), VALUES), max_size=4)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(BATCH, max_size=20))
+def test_only_finite_numbers_reach_the_gate_and_the_latest_wins(batches):
+    bench, newest = Bench(), {}
+    for number, batch in enumerate(batches):
+        bench.receive(*batch, (SEQ, number))
+        newest |= dict(batch)
+        group = bench.gate.groups[-1]
+        assert group["input.sequence"] == number
+        for node, signal in ((FL, "wheel.fl.setpoint_rpm"), (RR, "wheel.rr.setpoint_rpm")):
+            value = newest.get(node)
+            usable = isinstance(value, int | float) and math.isfinite(value)
+            assert (group[signal] == value) if usable else (signal not in group)
+    assert bench.gate.all_finite
+
+
+def test_a_batch_without_a_newer_number_brings_nothing_in():
+    bench = Bench()
+    bench.receive((FL, 1.0), (SEQ, 1))
+    bench.receive((FL, 2.0), (SEQ, 1))
+    assert bench.gate.values("wheel.fl.setpoint_rpm") == [1.0]
+    bench.receive((SEQ, 2))
+    assert bench.gate.values("wheel.fl.setpoint_rpm") == [1.0, 2.0]
+
+
+def test_without_a_counter_a_keep_alive_attests_what_is_known():
+    bench = Bench(sequence_node=None)
+    bench.receive((FL, 1.0))
+    bench.receive()
+    assert bench.gate.values("wheel.fl.setpoint_rpm") == [1.0, 1.0]
+    assert bench.status.input_age_s(bench.now_ns) == 0.0
+
+
+def test_a_new_session_remembers_no_value_of_the_old_one():
+    bench = Bench()
+    bench.receive((FL, 1.0), (SEQ, 1))
+    bench.intake.begin_session()
+    bench.receive((SEQ, 1))
+    assert "wheel.fl.setpoint_rpm" not in bench.gate.groups[-1]
+
+
+def test_a_fault_is_told_once_and_ends_when_it_was_not_seen_for_long():
+    bench = Bench()
+    for number in range(20):
+        bench.receive((FL, math.nan if number % 2 else 1.0), (SEQ, number))
+    assert bench.status.fault_counts[FaultKind.NOT_FINITE] == 10
+    assert len(bench.events.recent) == 1
+    bench.faults.expire(bench.now_ns + HOLD_NS - 10_000_000)
+    assert bench.status.faults
+    bench.faults.expire(bench.now_ns + HOLD_NS + 1)
+    assert not bench.status.faults

@@ -1,0 +1,91 @@
+"""A blocked event loop: the plant goes to the safe state by itself."""
+
+import asyncio
+import time
+
+import pytest
+import pytest_asyncio
+
+from hilserver.assembly import assemble_config
+from hilserver.control import State
+from hilserver.daemon import Daemon
+from hilserver.image.layout import W_HEARTBEAT, W_HEARTBEAT_LIMIT
+from tests.loopback.rig import (
+    call,
+    column,
+    configuration,
+    frames,
+    inbox,
+    run_ticks,
+    running,
+    scrape,
+    wait_until,
+)
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+TIMEOUT_S = 0.4
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def robot():
+    config = configuration(
+        plant={"safe_ramp_s": 0.2}, scheduler={"communication_timeout_ms": TIMEOUT_S * 1e3}
+    )
+    async with running(config) as pair:
+        yield pair
+
+
+async def test_a_blocked_event_loop_stops_the_robot(robot):
+    daemon, client = robot
+    async with inbox(client) as box:
+        await client.write_doubles(wheel__fl__setpoint_rpm=60.0)
+        await run_ticks(daemon, 400)
+        begin_ns = time.monotonic_ns()
+        time.sleep(TIMEOUT_S + 0.6)  # noqa: ASYNC251 - this is the fault
+        end_ns = time.monotonic_ns()
+        blocked = [f for f in frames(daemon) if begin_ns < f.planned_ns < end_ns]
+        slot = daemon.table.slot
+        safe = [f for f in blocked if f.values[slot("internal.command")] == 2.0]
+        assert safe, "the plant waited for the event loop"
+        silent_s = (safe[0].planned_ns - begin_ns) * 1e-9
+        assert silent_s > TIMEOUT_S - 0.1, "it went too early"
+        assert abs(blocked[-1].values[slot("wheel.fl.speed_rpm")]) < 1.0, "stopped while blocked"
+        await wait_until(lambda: daemon.control.state is State.SAFE)
+        assert "did not answer in time" in daemon.control.reason
+        await wait_until(lambda: box.has("safe_state", "did not answer"))
+    assert 'hil_state{state="safe"} 1.0' in await scrape(daemon)
+    assert await call(client, "Reset") == "Good"
+    first = await run_ticks(daemon, 300)
+    assert daemon.control.state is State.RUNNING
+    assert set(column(daemon, "internal.command", first + 50)) == {0.0}
+
+
+async def test_a_pause_is_no_silence(robot):
+    daemon, client = robot
+    assert await call(client, "Pause") == "Good"
+    await asyncio.sleep(2 * TIMEOUT_S)
+    assert await call(client, "Start") == "Good"
+    await run_ticks(daemon, 150)
+    assert daemon.control.state is State.RUNNING
+
+
+async def test_the_time_out_is_real_time_at_every_speed(robot):
+    daemon, _ = robot
+    limit = daemon.image.words[W_HEARTBEAT_LIMIT]
+    daemon.control.set_speed(50.0)
+    assert daemon.image.words[W_HEARTBEAT_LIMIT] == 50 * limit
+    time.sleep(TIMEOUT_S / 2)  # noqa: ASYNC251 - a hiccup, shorter than the time-out
+    await asyncio.sleep(0.2)
+    daemon.control.set_speed(1.0)
+    assert daemon.control.state is State.RUNNING
+
+
+async def test_the_heartbeat_goes_on_in_a_pause_as_often_as_the_time_out_needs():
+    config = configuration(opcua={"enabled": False}, scheduler={"communication_timeout_ms": 80.0})
+    async with Daemon(assemble_config(config)) as daemon:
+        daemon.image.words[W_HEARTBEAT_LIMIT] = 0  # the beats count here, not who watches them
+        daemon.control.pause()
+        before = int(daemon.image.words[W_HEARTBEAT])
+        await asyncio.sleep(1.0)
+        assert daemon.image.words[W_HEARTBEAT] - before > 20

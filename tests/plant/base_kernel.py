@@ -1,0 +1,82 @@
+"""The base model alone, written and compiled apart from the plant: no term, no switch.
+
+It reads the same packed parameters and the same state, in the order of operations of the contract,
+so that a term at null can be compared with it bit by bit.
+"""
+
+import math
+
+import numba
+
+import hilserver.plant.layout as at
+
+RPM = 2.0 * math.pi / 60.0
+
+
+@numba.njit(error_model="numpy")
+def base_step(p, x, u, y):
+    largest = 0.0
+    for i in range(4):
+        x[at.X_COMMANDED + i] = u[at.U_SETPOINT + i]
+        largest = max(largest, abs(x[at.X_COMMANDED + i]))
+    if largest > p[at.P_MAX_RPM]:
+        scale = p[at.P_MAX_RPM] / largest
+        for i in range(4):
+            x[at.X_COMMANDED + i] *= scale
+    sums = [0.0, 0.0, 0.0, 0.0]
+    nexts = [0.0, 0.0, 0.0, 0.0]
+    motors = [0.0, 0.0, 0.0, 0.0]
+    for i in range(4):
+        n, m = x[at.X_SPEED + i], x[at.X_MOTOR + i]
+        sums[i], motors[i] = n, m
+        y[at.Y_SPEED + i] = n
+        y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
+        e = x[at.X_COMMANDED + i] - n
+        w = p[at.P_KP] * e + x[at.X_INTEGRAL + i]
+        duty = w
+        if duty < -p[at.P_LIMIT]:
+            duty = -p[at.P_LIMIT]
+        if duty > p[at.P_LIMIT]:
+            duty = p[at.P_LIMIT]
+        y[at.Y_DUTY + i] = duty
+        step = p[at.P_KI_STEP] * e + p[at.P_ANTI_WINDUP_STEP] * (duty - w)
+        x[at.X_INTEGRAL + i] = x[at.X_INTEGRAL + i] + step
+        x[at.X_MOTOR + i] = p[at.P_A00] * m + p[at.P_A01] * n + p[at.P_B0] * duty
+        x[at.X_SPEED + i] = p[at.P_A10] * m + p[at.P_A11] * n + p[at.P_B1] * duty
+        nexts[i] = x[at.X_SPEED + i]
+        x[at.X_ANGLE + i] += p[at.P_DT] * (0.5 * RPM) * (n + nexts[i])
+    side = 0.5 * RPM
+    left, right = sums[0] + sums[1], sums[2] + sums[3]
+    w_l, w_r = left * side, right * side
+    dw_l = (motors[0] + motors[1] - left) * p[at.P_INVERSE_T2] * side
+    dw_r = (motors[2] + motors[3] - right) * p[at.P_INVERSE_T2] * side
+    mean_l = 0.5 * (left + (nexts[0] + nexts[1])) * side
+    mean_r = 0.5 * (right + (nexts[2] + nexts[3])) * side
+    r_l, r_r = p[at.P_RADIUS_LEFT], p[at.P_RADIUS_RIGHT]
+    om = p[at.P_YAW_GAIN] * (r_l * w_l + r_r * w_r)
+    v, vy = 0.5 * (r_l * w_l - r_r * w_r), -p[at.P_ICR] * om
+    dom = p[at.P_YAW_GAIN] * (r_l * dw_l + r_r * dw_r)
+    dv, dvy = 0.5 * (r_l * dw_l - r_r * dw_r), -p[at.P_ICR] * dom
+    y[at.Y_VELOCITY], y[at.Y_VELOCITY + 1], y[at.Y_VELOCITY + 2] = v, vy, om
+    x[at.X_ACCEL], x[at.X_ACCEL + 1] = dv - om * vy, dvy + om * v
+    for i in range(3):
+        y[at.Y_POSE + i] = x[at.X_POSE + i]
+    om = p[at.P_YAW_GAIN] * (r_l * mean_l + r_r * mean_r)
+    v, vy = 0.5 * (r_l * mean_l - r_r * mean_r), -p[at.P_ICR] * om
+    half = 0.5 * om * p[at.P_DT]
+    chord = p[at.P_DT]
+    if abs(half) < 0.05:
+        h2 = half * half
+        chord *= 1.0 - h2 * (1.0 / 6.0 - h2 * (1.0 / 120.0 - h2 * (1.0 / 5040.0)))
+    else:
+        chord *= math.sin(half) / half
+    heading = x[at.X_POSE + 2] + half
+    cos, sin = math.cos(heading), math.sin(heading)
+    x[at.X_POSE] += chord * (v * cos - vy * sin)
+    x[at.X_POSE + 1] += chord * (v * sin + vy * cos)
+    heading += half
+    if heading > math.pi:
+        heading -= 2.0 * math.pi
+    elif heading <= -math.pi:
+        heading += 2.0 * math.pi
+    x[at.X_POSE + 2] = heading

@@ -1,0 +1,124 @@
+"""From inputs to set-points: modes, limits, safe ramp, pose request."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hilserver.plant.layout as at
+from tests.plant.rig import Rig
+
+
+def setpoints(rig):
+    return rig.x[at.X_SETPOINT : at.X_SETPOINT + 4].tolist()
+
+
+def test_wheel_mode_takes_the_setpoints_as_they_are():
+    assert setpoints(Rig().wheels(1, 2, -3, -4).step()) == [1, 2, -3, -4]
+
+
+def test_max_rpm_scales_all_wheels_together():
+    rig = Rig().wheels(180, 90, -45, 0).step()
+    assert setpoints(rig) == [90, 45, -22.5, 0]
+    assert rig.x[at.X_SCALED] == 1.0
+    assert rig.wheels(1, 1, 1, 1).step().x[at.X_SCALED] == 0.0
+
+
+def test_scaled_twist_keeps_the_radius():
+    fast, slow = Rig().twist(5.0, 4.0).step(3000), Rig().twist(0.05, 0.04).step(3000)
+    assert fast.velocity[0] / fast.velocity[2] == pytest.approx(
+        slow.velocity[0] / slow.velocity[2], rel=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("v", "om", "driven"),
+    [(0.3, 0.5, (0.3, 0.0)), (0.05, 1.0, (0.0, 1.0)), (-0.3, -0.5, (-0.3, 0.0)), (0.0, 1.0, None)],
+)
+def test_exclusive_mode_drives_the_larger_part_and_says_so(v, om, driven):
+    rig = Rig(exclusive_twist=True).twist(v, om).step()
+    other = Rig().twist(*(driven or (v, om))).step()
+    assert setpoints(rig) == setpoints(other)
+    assert rig.x[at.X_TWIST_REDUCED] == (driven is not None)
+
+
+def test_notes_of_a_twist_do_not_outlive_it():
+    rig = Rig(exclusive_twist=True).twist(5.0, 1.0).step()
+    assert (rig.x[at.X_TWIST_REDUCED], rig.x[at.X_SCALED]) == (1.0, 1.0)
+    rig.wheels(1, 1, 1, 1).step()
+    assert (rig.x[at.X_TWIST_REDUCED], rig.x[at.X_SCALED]) == (0.0, 0.0)
+
+
+def test_disabled_drive_brakes_to_rest():
+    rig = Rig().wheels(50, 50, -50, -50).step(500)
+    rig.u[at.U_ENABLE] = 0.0
+    rig.step()
+    assert setpoints(rig) == [0, 0, 0, 0]
+    assert abs(rig.step(2000).y[at.Y_SPEED]) < 1e-3
+
+
+def test_zero_command():
+    rig = Rig().wheels(50, 50, -50, -50).step(500)
+    rig.u[at.U_COMMAND] = at.COMMAND_ZERO
+    assert setpoints(rig.step()) == [0, 0, 0, 0]
+
+
+def ramp(rig, ticks):
+    rig.u[at.U_COMMAND] = at.COMMAND_SAFE_RAMP
+    return np.array([setpoints(rig.step()) for _ in range(ticks)])
+
+
+def test_safe_ramp_is_linear_and_ends_in_time():
+    rig = Rig(safe_ramp_s=0.1).wheels(50, 40, -30, -20).step(200)
+    rig.wheels(0, 0, 0, 0)  # whatever is written meanwhile
+    rows = ramp(rig, 150)
+    share = np.maximum(1.0 - np.arange(1, 151) / 100, 0.0)
+    assert rows == pytest.approx(np.outer(share, [50, 40, -30, -20]), abs=1e-12)
+    assert not rows[99:].any()
+
+
+def test_safe_ramp_starts_from_a_twist_too_and_ignores_enable():
+    rig = Rig(safe_ramp_s=0.1).twist(0.2, 0.0).step(200)
+    start = np.array(setpoints(rig))
+    rig.u[at.U_ENABLE] = 0.0
+    assert ramp(rig, 50)[-1] == pytest.approx(start / 2)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.001])
+def test_shortest_ramp_stops_at_once(seconds):
+    rig = Rig(safe_ramp_s=seconds).wheels(50, 40, -30, -20).step(10)
+    assert not ramp(rig, 1).any()
+
+
+def test_second_ramp_starts_anew():
+    rig = Rig(safe_ramp_s=0.1).wheels(50, 50, -50, -50).step(10)
+    ramp(rig, 150)
+    rig.u[at.U_COMMAND] = at.COMMAND_NORMAL
+    assert setpoints(rig.step()) == [50, 50, -50, -50]
+    assert ramp(rig, 1)[0][0] == pytest.approx(49.5)
+
+
+def test_pose_request_acts_once_at_the_start_of_the_tick():
+    rig = Rig().wheels(50, 50, -50, -50).step(300)
+    rig.u[at.U_POSE_REQUEST] = 1.0
+    rig.u[at.U_POSE : at.U_POSE + 3] = (1.0, 2.0, math.pi + 1.0)
+    rig.step()
+    assert rig.y[at.Y_POSE : at.Y_POSE + 3].tolist() == pytest.approx([1.0, 2.0, 1.0 - math.pi])
+    rig.step(100)
+    assert abs(rig.pose[0] - 1.0) > 0.01
+
+
+def test_outputs_become_good():
+    rig = Rig().step()
+    assert not rig.q[: at.N_Y_ROBOT].any()
+    assert np.all(rig.q[at.N_Y_ROBOT :] == at.BAD_WAITING_FOR_INITIAL_DATA)
+
+
+def test_outputs_belong_to_the_tick_before_the_move():
+    """y is the state of t_k, x that of t_(k+1)."""
+    rig = Rig().wheels(50, 50, -50, -50).step(100)
+    before = rig.x.copy()
+    rig.step()
+    assert rig.y[: at.Y_DUTY].tolist() == before[at.X_SPEED : at.X_SPEED + 4].tolist()
+    assert rig.y[at.Y_POSE : at.Y_POSE + 3].tolist() == before[at.X_POSE : at.X_POSE + 3].tolist()
+    assert rig.x[at.X_SPEED] != before[at.X_SPEED]

@@ -1,0 +1,235 @@
+"""Terms: null changes no bit, a thousandth beyond null changes one, wrong ones are refused."""
+
+import numpy as np
+import pytest
+
+import hilserver.plant.layout as at
+from hilserver.plant.errors import PlantError
+from hilserver.plant.parameters import Controller, Navigation, RobotParameters
+from hilserver.plant.robot import robot_step
+from hilserver.plant.terms import TERMS, complete
+from tests.plant.base_kernel import base_step
+from tests.plant.rig import Rig
+
+NULLS = {name: term.null for name, term in TERMS.items()}
+STATE = at.X_COMMANDED  # motor, speed, integral, angle, pose (and set-points, compared apart)
+SAMPLES = 10_000
+
+
+def random_states(rng, x, u):
+    x[: at.X_ANGLE] = rng.normal(0.0, 60.0, at.X_ANGLE)
+    x[at.X_ANGLE : at.X_POSE] = rng.normal(0.0, 1e3, 4)
+    x[at.X_POSE : at.X_POSE + 2] = rng.normal(0.0, 10.0, 2)
+    x[at.X_POSE + 2] = rng.uniform(-np.pi, np.pi)
+    u[:4] = rng.uniform(-120.0, 120.0, 4)
+    zeros = rng.random(at.X_POSE + 3) < 0.1  # zeros of both signs must keep theirs
+    signs = np.where(rng.random(zeros.sum()) < 0.5, 0.0, -0.0)
+    x[: at.X_POSE + 3][zeros] = signs
+    u[:4][rng.random(4) < 0.2] = rng.choice([0.0, -0.0])
+
+
+@pytest.mark.parametrize("terms", [{}, NULLS], ids=["no terms", "all terms at null"])
+def test_null_terms_equal_the_separate_base_to_the_bit(terms):
+    rng = np.random.default_rng(1)
+    robot = RobotParameters(terms=terms)
+    p = robot.pack()
+    u, q = np.zeros(at.N_U), np.zeros(at.N_Y, dtype=np.int64)
+    u[at.U_ENABLE] = 1.0
+    x, y, y_base = robot.initial_state(), np.zeros(at.N_Y), np.zeros(at.N_Y)
+    for _ in range(SAMPLES):
+        random_states(rng, x, u)
+        x_base = x[: at.X_DUTY + 10].copy()
+        robot_step(p, x, u, y, q)
+        base_step(p, x_base, u, y_base)
+        assert y.tobytes() == y_base.tobytes()
+        assert x[: at.X_SETPOINT].tobytes() == x_base[: at.X_SETPOINT].tobytes()
+        accel = slice(at.X_ACCEL, at.X_ACCEL + 2)
+        assert x[accel].tobytes() == x_base[accel].tobytes()
+
+
+def test_null_terms_pack_to_the_same_bits():
+    assert RobotParameters(terms=NULLS).pack().tobytes() == RobotParameters().pack().tobytes()
+    assert RobotParameters(terms={"control_period": 0.001}).pack()[at.P_DRIVE_TERMS] == 0.0
+
+
+def lively(terms):
+    """A run that speeds up, saturates, turns, reverses and creeps, with every sensor on."""
+    rig = Rig(terms=terms, nav=Navigation(enabled=True), controller=Controller(limit_pct=90.0))
+    outputs = []
+    for setpoints, ticks in (
+        ((60, 60, -30, -30), 120),
+        ((-9, -9, -9, -9), 200),
+        ((0.02, 0.02, 0.02, 0.02), 300),
+        ((80, 80, -80, -80), 60),
+    ):
+        rig.wheels(*setpoints)
+        for _ in range(ticks):
+            rig.drive(1)
+            outputs.append(rig.y.copy())
+    # long enough for one sample in a thousand
+    long = 20_000 if "nav_outliers.share" in terms or not terms else 0
+    outputs += [rig.sense().y.copy() for _ in range(long)]
+    return np.array(outputs)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return lively({})
+
+
+def companions(term):
+    """Shape parameters act only with the rest of their cause on."""
+    if not term.shape:
+        return {}
+    mains = [t for t in TERMS.values() if t.cause == term.cause and not t.shape]
+    sizes = {"nav_outliers.share": 0.5, "friction_anisotropy.ratio": 1.5}
+    return {t.name: sizes.get(t.name, 0.3) for t in mains}
+
+
+def beyond_null(term):
+    if term.name == "control_period":
+        return 0.002
+    if term.name == "setpoint_rate_limit":
+        return 0.001
+    if term.name == "wheel_load.wheel":
+        return 1.0
+    if term.name.startswith("surface_change.") and term.shape:
+        edges = {"x_min": 0.001, "x_max": 0.05, "y_min": -0.001, "y_max": -0.001}
+        return edges[term.name.partition(".")[2]]  # on the robot's way
+    assert term.null is not None
+    return term.null + 0.001
+
+
+@pytest.mark.parametrize("name", list(TERMS))
+def test_a_thousandth_changes_a_bit(name, plain):
+    term = TERMS[name]
+    others = companions(term)
+    reference = lively(others) if others else plain
+    changed = lively({**others, name: beyond_null(term)})
+    assert changed.tobytes() != reference[: len(changed)].tobytes()
+    assert np.all(np.isfinite(changed))
+
+
+@pytest.mark.parametrize(
+    ("terms", "words"),
+    [
+        ({"rotation_gian": 0.1}, "no such term"),
+        ({"rotation_gain": float("nan")}, "outside"),
+        ({"dead_zone": -1.0}, "outside"),
+        ({"wheel_load": 1.0, "wheel_load.f": 2.0}, "given twice"),
+        ({"wheel_load.wheel": 1.5}, "0 fl, 1 rl"),
+        ({"actuation_delay": 1.1}, "1023 runs"),
+        ({"imu_latency": 11.0}, "1022 runs"),
+        ({"control_period": 0.0005}, "below the plant slice"),
+        ({"friction_anisotropy.offset": 0.13}, "half the wheelbase"),
+    ],
+)
+def test_refused_terms(terms, words):
+    with pytest.raises(PlantError, match=words) as caught:
+        RobotParameters(terms=terms).pack()
+    assert "\n" not in str(caught.value)
+    assert "plant.terms." in str(caught.value)
+
+
+def test_bare_cause_means_its_first_part():
+    assert complete({"wheel_load": 3.0})["wheel_load.f"] == 3.0
+    assert complete({"stribeck_friction": 4.0})["stribeck_friction.f_s"] == 4.0
+    assert complete({"surface_change": 0.3})["surface_change.k_om"] == 0.3
+
+
+def test_vocabulary_of_causes():
+    """Every physical cause of the diagnosis is a term of the plant."""
+    drive = """process_gain time_constant saturation_limit coulomb_friction viscous_load dead_zone
+        stribeck_friction wheel_load battery_sag actuation_delay setpoint_rate_limit control_period
+        controller_gains encoder_filter encoder_quantization backlash"""
+    kinematics = """wheel_radius wheel_radius_difference rotation_gain rotation_gain_speed
+        rotation_gain_radius longitudinal_slip acceleration_slip side_slip icr_offset
+        wheel_misalignment floor_slope surface_change wheel_runout friction_anisotropy"""
+    navigation = """nav_frame_yaw nav_lever_arm nav_latency yaw_latency nav_scale nav_position_bias
+        nav_outliers heading_distortion"""
+    inertial = "gyro_bias gyro_scale imu_latency"
+    wanted = {
+        "drive": drive.split(),
+        "kinematics": kinematics.split(),
+        "navigation": navigation.split(),
+        "inertial": inertial.split(),
+    }
+    found = {block: [] for block in wanted}
+    for term in TERMS.values():
+        if term.cause not in found[term.block]:
+            found[term.block].append(term.cause)
+    assert found == wanted
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ({"icr_offset": 0.03}, {"nav_lever_arm.x": -0.03}),
+        ({"wheel_radius": 0.04}, {"nav_scale": 0.04, "rotation_gain": 0.04}),
+    ],
+)
+def test_exact_twins(a, b):
+    """What the specification calls exact twins cannot be told apart from the tag's track."""
+    quiet = Navigation(enabled=True, white_noise_m=0, correlated_noise_m=0, yaw_noise_rad=0)
+    tracks = []
+    for terms in (a, b):
+        rig, track = Rig(nav=quiet, icr_offset_m=0.0, terms=terms).twist(0.2, 0.5), []
+        for _ in range(2000):
+            rig.drive(1)
+            track.append(rig.y[at.Y_NAV : at.Y_NAV + 3].copy())
+        tracks.append(np.array(track) - track[0])
+    assert np.max(np.abs(tracks[0])) > 0.2
+    assert tracks[0] == pytest.approx(tracks[1], abs=2e-6)
+
+
+def test_steady_friction_is_paid_in_duty():
+    plain, dragging = (
+        Rig(terms=t).wheels(30, 30, -30, -30).step(4000) for t in ({}, {"coulomb_friction": 10.0})
+    )
+    assert dragging.y[at.Y_SPEED] == pytest.approx(30.0, abs=1e-6)
+    extra = dragging.y[at.Y_DUTY : at.Y_DUTY + 4] - plain.y[at.Y_DUTY : at.Y_DUTY + 4]
+    assert extra.tolist() == pytest.approx([10, 10, -10, -10], abs=1e-6)
+
+
+def test_friction_holds_at_rest():
+    rig = (
+        Rig(terms={"wheel_load.f": 30.0, "wheel_load.wheel": 2}).wheels(0.05, 0, -0.05, 0).step(20)
+    )
+    assert rig.y[at.Y_SPEED + 2] == 0.0
+    assert rig.y[at.Y_SPEED] > 0.0
+
+
+@pytest.mark.parametrize(("tau_s", "ticks"), [(0.003, 3), (0.0025, 3), (0.0021, 3), (0.002, 2)])
+def test_actuation_delay_takes_the_setpoint_valid_then(tau_s, ticks):
+    rig = Rig(terms={"actuation_delay": tau_s}).wheels(10, 10, -10, -10)
+    seen = [rig.step().x[at.X_SETPOINT] for _ in range(6)]
+    assert seen == [0.0] * ticks + [10.0] * (6 - ticks)
+
+
+def test_longest_delay():
+    rig = Rig(terms={"actuation_delay": 1.023}).wheels(10, 10, -10, -10)
+    seen = [rig.step().x[at.X_SETPOINT] for _ in range(1030)]
+    assert seen[1022:1025] == [0.0, 10.0, 10.0]
+
+
+def test_rate_limit():
+    rig = Rig(terms={"setpoint_rate_limit": 100.0}).wheels(1, -1, 0.05, 0)
+    rig.step(5)
+    assert rig.x[at.X_SETPOINT :][:4].tolist() == pytest.approx([0.5, -0.5, 0.05, 0.0])
+
+
+@pytest.mark.parametrize(("period_s", "runs"), [(0.002, 50), (0.01, 10), (0.0025, 40)])
+def test_control_period_holds_the_duty(period_s, runs):
+    rig = Rig(terms={"control_period": period_s}).wheels(2, 2, -2, -2)
+    duties = [rig.step().y[at.Y_DUTY] for _ in range(100)]
+    assert 1 + np.count_nonzero(np.diff(duties)) == runs
+
+
+def test_backlash_lets_the_motor_turn_alone():
+    rig = Rig(terms={"backlash": 0.2}).wheels(20, 20, -20, -20)
+    while rig.x[at.X_ANGLE] < 0.0999:
+        rig.step()
+        assert rig.pose[0] == 0.0 or rig.x[at.X_ANGLE] > 0.1
+    rig.step(500)
+    lost = 0.085 * 0.1
+    assert rig.pose[0] == pytest.approx(0.085 * rig.x[at.X_ANGLE] - lost, abs=1e-9)

@@ -1,0 +1,74 @@
+"""A daemon in this process with Node-RED as its peer, scraped by a real Prometheus."""
+
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hilserver.assembly import Assembly, assemble_config
+from hilserver.config.root import Config
+from hilserver.controller.nodes import demo_peer
+from hilserver.daemon import Daemon
+from tests.io.opcua_client.conftest import free_port
+from tests.node_red.node_red import NodeRed
+from tests.prometheus.server import Prometheus, running_prometheus, until
+
+HERE = Path(__file__).parent
+NO_SUCH_CORE = 4095
+
+
+@dataclass
+class Rig:
+    daemon: Daemon
+    peer: NodeRed
+    prometheus: Prometheus
+    port: int
+    blocks: bool
+
+    def assembly(self, **realtime: object) -> Assembly:
+        return assembly(self.peer.endpoint, self.port, blocks=self.blocks, **realtime)
+
+    @property
+    def is_connected(self) -> bool:
+        return self.daemon.peers[0].status.connected
+
+    @property
+    def is_fresh(self) -> bool:
+        return self.is_connected and not self.daemon.peers[0].status.stale
+
+
+def assembly(endpoint: str, port: int, *, blocks: bool, **realtime: object) -> Assembly:
+    burn = {
+        "name": "burn",
+        "function": "burn.py:burn",
+        "slice": "plant",
+        "inputs": {"red": "lights.red"},
+    }
+    config = Config.model_validate(
+        {
+            "image": {"name": "auto"},
+            "opcua": {"enabled": False},
+            "metrics": {"port": port},
+            "scheduler": {
+                "policy": "skip",
+                "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
+                "realtime": realtime,
+            },
+            "peers": [demo_peer(endpoint, name="iot2050").model_dump(mode="json")],
+            "blocks": [burn] if blocks else [],
+        }
+    )
+    return assemble_config(config, HERE)
+
+
+@contextlib.asynccontextmanager
+async def running_rig(peer: NodeRed, folder: Path, *, blocks: bool = False) -> AsyncIterator[Rig]:
+    port = free_port()
+    await peer.start()
+    built = assembly(peer.endpoint, port, blocks=blocks)
+    with running_prometheus(folder, f"127.0.0.1:{port}") as prometheus:
+        async with Daemon(built) as daemon:
+            rig = Rig(daemon, peer, prometheus, port, blocks)
+            await until(lambda: rig.is_fresh, 30, "the peer delivers")
+            await until(prometheus.target_is_up, 30, "Prometheus scrapes the daemon")
+            yield rig

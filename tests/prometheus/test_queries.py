@@ -1,0 +1,254 @@
+"""Every query of the dashboard returns data from a running daemon, and moves when it should.
+
+The stimuli come one after the other; each names the panels that it has to move, and how. A panel
+without a stimulus fails the test.
+"""
+
+import asyncio
+import functools
+import gc
+import json
+import math
+import signal
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from hilserver.daemon import Daemon
+from tests.node_red.node_red import shipped_flow, test_flow
+from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
+from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until
+
+pytestmark = [pytest.mark.prometheus, pytest.mark.node_red, pytest.mark.timeout(400)]
+
+DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
+HOLD_S = 2.5
+"""How long a stimulus lasts: more than the range of the rates."""
+
+BEFORE_S = 1.0
+"""What a stimulus is compared with."""
+
+Act = Callable[[Rig], Awaitable[None]]
+
+
+async def burn(rig: Rig) -> None:
+    """Let the plant take several ticks' time."""
+    rig.daemon.gate.take("page")
+    rig.daemon.gate.write("page", {"lights.red": 255})
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.gate.write("page", {"lights.red": 0})
+    rig.daemon.gate.take("peer")
+
+
+async def pause(rig: Rig) -> None:
+    rig.daemon.control.pause()
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.control.start()
+
+
+async def command_out_of_range(rig: Rig) -> None:
+    for _ in range(int(HOLD_S / 0.1)):
+        rig.daemon.gate.write("page", {"measured.wheel.fl.speed_rpm": 1e6})
+        await asyncio.sleep(0.1)
+
+
+async def measure(rig: Rig) -> None:
+    """A real robot that stands still beside the simulated one that drives."""
+    for _ in range(int(HOLD_S / 0.1)):
+        rig.daemon.gate.write("page", {"measured.wheel.fl.speed_rpm": 150.0})
+        await asyncio.sleep(0.1)
+
+
+async def slow_motion(rig: Rig) -> None:
+    """Simulate at a tenth of real time: what a set-point changes is published ten times as late."""
+    rig.daemon.control.set_speed(0.1)
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.control.set_speed(1.0)
+
+
+async def let_the_peer_stutter(rig: Rig) -> None:
+    """Stop the controller for a quarter of a second, again and again."""
+    assert rig.peer.process is not None
+    for _ in range(20):
+        rig.peer.process.send_signal(signal.SIGSTOP)
+        await asyncio.sleep(0.25)
+        rig.peer.process.send_signal(signal.SIGCONT)
+        await asyncio.sleep(0.03)
+
+
+async def make_garbage(rig: Rig) -> None:
+    rings = []
+    for _ in range(int(HOLD_S / 0.1)):
+        for _ in range(20_000):
+            ring: list[object] = []
+            ring.append(ring)
+            rings.append(ring)
+        gc.collect()
+        await asyncio.sleep(0.1)
+
+
+async def fill_memory(rig: Rig) -> None:
+    ballast = bytearray(64_000_000)
+    ballast[::4096] = b"x" * len(ballast[::4096])
+    await asyncio.sleep(HOLD_S)
+
+
+async def kill_the_peer(rig: Rig) -> None:
+    await rig.peer.kill()
+    await asyncio.sleep(HOLD_S)
+
+
+async def return_as_a_liar(rig: Rig) -> None:
+    """The controller comes back and sends NaN with status Good."""
+    rig.peer.flow = test_flow("lying")
+    await rig.peer.start()
+    status = rig.daemon.peers[0].status
+    await until(lambda: sum(status.fault_counts.values()) > 0, 20, "the lie is noticed")
+    await asyncio.sleep(HOLD_S)
+    await rig.peer.kill()
+    rig.peer.flow = shipped_flow()
+
+
+async def restart_the_peer_with_another_clock(rig: Rig) -> None:
+    """The controller comes back, three seconds in the past."""
+    shift = rig.peer.home / "shift.cjs"
+    shift.write_text("const now = Date.now; Date.now = () => now() - 3000;\n" + SHIFTED_DATE)
+    rig.peer.environment["NODE_OPTIONS"] = f"--require {shift}"
+    await rig.peer.start()
+    await until(lambda: rig.is_fresh, 15, "the peer delivers again")
+    rig.daemon.control.reset()
+    await asyncio.sleep(HOLD_S)
+
+
+SHIFTED_DATE = """
+const Real = Date;
+globalThis.Date = class extends Real {
+  constructor(...words) { super(...(words.length ? words : [Real.now()])); }
+};
+"""
+
+
+async def restart_on_a_core_that_is_not_there(rig: Rig) -> None:
+    await rig.daemon.__aexit__(None, None, None)
+    rig.daemon = Daemon(rig.assembly(cpu=NO_SUCH_CORE))
+    await rig.daemon.__aenter__()
+    await until(lambda: rig.is_fresh, 30, "the peer delivers")
+    await asyncio.sleep(HOLD_S)
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """What is done, and the panels that have to show it: up, down, or appears (a new series)."""
+
+    act: Act
+    up: tuple[str, ...] = ()
+    down: tuple[str, ...] = ()
+    appears: tuple[str, ...] = ()
+
+
+STIMULI = (
+    Stimulus(
+        burn,
+        up=(
+            "Execution",
+            "Overruns by cause",
+            "Missed ticks",
+            "Wake latency p99",
+            "Wake latency by slice",
+            "Jitter",
+        ),
+        down=(
+            "Margin",
+            "Margin of the plant",
+            "Execution of the plant",
+            "Wake latency of the plant",
+        ),
+    ),
+    Stimulus(pause, appears=("State",)),
+    Stimulus(command_out_of_range, up=("Refused values",)),
+    Stimulus(measure, appears=("Model gap",)),
+    Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",)),
+    Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way")),
+    Stimulus(make_garbage, up=("Garbage collector",)),
+    Stimulus(fill_memory, up=("Memory",)),
+    Stimulus(kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected")),
+    Stimulus(return_as_a_liar, up=("Reconnects and faults",)),
+    Stimulus(restart_the_peer_with_another_clock, down=("Clock offset",)),
+    Stimulus(restart_on_a_core_that_is_not_there, appears=("Real-time audit",)),
+)
+
+
+def panels() -> list[tuple[str, list[str]]]:
+    dashboard = json.loads(DASHBOARD.read_text(encoding="utf-8"))
+    return [
+        (panel["title"], [filled(target["expr"]) for target in panel["targets"]])
+        for panel in dashboard["panels"]
+        if panel["type"] != "row"
+    ]
+
+
+def filled(expression: str) -> str:
+    for variable, value in (
+        ("$__rate_interval", f"{RATE_S}s"),
+        ("$__range", "60s"),
+        ("$instance", ".+"),
+    ):
+        expression = expression.replace(variable, value)
+    assert "$" not in expression
+    return expression
+
+
+def moved(how: str, before: Series, during: Series) -> bool:
+    """Whether any series went beyond what it showed before the stimulus."""
+    if how == "appears":
+        return bool(during.keys() - before.keys())
+    beyond = (
+        (lambda new, old: max(new) > max(old))
+        if how == "up"
+        else (lambda new, old: min(new) < min(old))
+    )
+    return any(
+        beyond(values, before.get(labels, [-math.inf if how == "up" else math.inf]))
+        for labels, values in during.items()
+    )
+
+
+def test_every_panel_has_a_stimulus() -> None:
+    named = {title for s in STIMULI for title in (*s.up, *s.down, *s.appears)}
+    assert named == {title for title, _ in panels()}
+
+
+async def queries_that_stand_still(
+    rig: Rig, stimulus: Stimulus, begin_s: float, end_s: float
+) -> list[str]:
+    still = []
+    for how in ("up", "down", "appears"):
+        titles = getattr(stimulus, how)
+        for title, expressions in panels():
+            for expression in expressions if title in titles else ():
+                ask = functools.partial(asyncio.to_thread, rig.prometheus.range, expression)
+                # A scrape that began before the stimulus may have read after it.
+                before = await ask(begin_s - BEFORE_S - SCRAPE_S, begin_s - SCRAPE_S)
+                during = await ask(begin_s + SCRAPE_S, end_s)
+                if not moved(how, before, during):
+                    name = stimulus.act.__name__
+                    still.append(f"{name}: {title} not {how}: {expression}: {before} {during}")
+    return still
+
+
+async def test_every_query_moves_under_its_stimulus(node_red, tmp_path) -> None:
+    if sentence := missing():
+        pytest.fail(sentence, pytrace=False)
+    still: list[str] = []
+    async with running_rig(node_red(shipped_flow()), tmp_path, blocks=True) as rig:
+        await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
+        for stimulus in STIMULI:
+            begin_s = time.time()
+            await stimulus.act(rig)
+            still += await queries_that_stand_still(rig, stimulus, begin_s, time.time())
+            await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
+        await rig.daemon.__aexit__(None, None, None)
+    assert not still, "\n".join(still)

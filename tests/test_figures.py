@@ -1,0 +1,35 @@
+"""The gap between robot and model, from the frame that holds both."""
+
+import math
+
+from hilserver.assembly import assemble_config
+from hilserver.config.root import Config
+from hilserver.daemon import Daemon
+from hilserver.figures import model_gap
+from tests.io.opcua_client.conftest import wait_until
+
+
+async def test_model_gap_is_measured_minus_simulated_of_what_is_measured() -> None:
+    config = Config.model_validate(
+        {
+            "image": {"name": "auto"},
+            "opcua": {"enabled": False},
+            "metrics": {"enabled": False},
+            "scheduler": {"backend": "virtual"},
+        }
+    )
+    async with Daemon(assemble_config(config)) as daemon:
+
+        def gaps() -> dict[str, float]:
+            return dict(model_gap(daemon.gate, daemon.table, daemon.image.latest()))
+
+        assert gaps() == {}
+        daemon.control.set_pose(0.0, 0.0, 3.0)
+        measured = {"measured.wheel.fl.speed_rpm": 12.5, "measured.pose.yaw_rad": -3.0}
+        assert daemon.gate.write("page", measured) == {}
+        await wait_until(lambda: len(gaps()) == 2 and gaps()["pose.yaw_rad"] > 0)
+        found = gaps()
+        assert found["wheel.fl.speed_rpm"] == 12.5
+        assert math.isclose(found["pose.yaw_rad"], math.tau - 6.0)
+        daemon.gate.mark_stale("page")
+        await wait_until(lambda: gaps() == {})

@@ -1,0 +1,85 @@
+"""A configuration read again: what changes at once, what is named, what is refused."""
+
+import logging
+from pathlib import Path
+
+import pytest
+import structlog
+
+from hilserver.assembly import assemble
+from hilserver.config.root import Config
+from hilserver.daemon import Daemon
+from hilserver.reload import RELOADABLE, Reloader, changes
+from hilserver.scheduler import OverrunLimits
+from tests.commands.test_cli import write_config
+
+
+def test_changes_are_found_key_by_key() -> None:
+    before = Config()
+    after = Config.model_validate(
+        {"logging": {"level": "DEBUG"}, "plant": {"terms": {"rotation_gain": -0.4}}}
+    )
+    found = {c.key: (c.before, c.after) for c in changes(before, after)}
+    assert found["logging.level"] == ("INFO", "DEBUG")
+    assert found["plant.terms.rotation_gain"] == (None, -0.4)
+    assert changes(before, before) == []
+
+
+def test_every_reloadable_key_exists() -> None:
+    keys = [c.key for c in changes(Config(), Config())] + _keys(Config().model_dump(mode="json"))
+    for begin in RELOADABLE:
+        assert any(key.startswith(begin) for key in keys), begin
+
+
+def _keys(section: dict, prefix: str = "") -> list[str]:
+    keys: list[str] = []
+    for name, value in section.items():
+        is_section = isinstance(value, dict) and value
+        keys += _keys(value, f"{prefix}{name}.") if is_section else [f"{prefix}{name}"]
+    return keys
+
+
+@pytest.fixture(autouse=True)
+def logging_as_before():
+    yield
+    structlog.reset_defaults()
+    logging.basicConfig(handlers=[], force=True)
+
+
+async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -> None:
+    path = write_config(tmp_path)
+    good = path.read_text(encoding="utf-8")
+    async with Daemon(assemble(path)) as daemon:
+        reloader = Reloader(daemon)
+        given: list[OverrunLimits] = []
+        monkeypatch.setattr(daemon.scheduler, "set_limits", given.append)
+
+        path.write_text(good + "plant: {max_rmp: 80}\n", encoding="utf-8")
+        with structlog.testing.capture_logs() as said:
+            assert not await reloader.reload()
+        [line] = said
+        assert "config.yaml:4: unknown key 'plant.max_rmp'" in line["reason"]
+        assert reloader.config == daemon.config
+
+        path.write_text(
+            good
+            + "plant: {max_rpm: 80}\n"
+            + "scheduler: {limits: {consecutive_overruns: 7, single_overrun_ms: null}}\n"
+            + "control: {opcua_stale_after_ms: 250.0}\n",
+            encoding="utf-8",
+        )
+        with structlog.testing.capture_logs() as said:
+            assert await reloader.reload()
+        events = {line["key"]: line["event"] for line in said}
+        assert events == {
+            "control.opcua_stale_after_ms": "reload: changed",
+            "plant.max_rpm": "reload: needs a restart, the old value stays",
+            "scheduler.limits.consecutive_overruns": "reload: changed",
+            "scheduler.limits.single_overrun_ms": "reload: changed",
+        }
+        assert given == [OverrunLimits(single_ns=0, consecutive=7)]
+        assert daemon.supervision.opcua_stale_after_ms == 250.0
+
+        with structlog.testing.capture_logs() as said:  # what waits for a restart is told again
+            assert await reloader.reload()
+        assert [line.get("key") for line in said] == ["plant.max_rpm"]
