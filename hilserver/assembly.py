@@ -9,8 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from hilserver import __version__
+from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
@@ -67,6 +69,20 @@ class Assembly:
             "parameters": digest.hexdigest(),
             "base_period_ns": str(self.base_period_ns),
             "slices": repr(periods),
+        }
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What every recording says about the run that made it."""
+        return {
+            "version": __version__,
+            "kernels": kernel_hash(),
+            "configuration": self.config.model_dump(mode="json"),
+            "config_sha256": self.config.sha256,
+            "config_folder": str(self.folder),
+            "patch": None,
+            "seed": self.config.plant.seed,
+            "base_period_ns": self.base_period_ns,
         }
 
 

@@ -6,6 +6,7 @@ a frame, the publish slice hands the frame to OPC UA and the peers.
 """
 
 import asyncio
+import dataclasses
 import math
 import os
 import time
@@ -29,6 +30,8 @@ from hilserver.image.layout import W_HEARTBEAT
 from hilserver.inputs import InputGate
 from hilserver.io.opcua_client import PeerLink
 from hilserver.io.opcua_server import OpcUaServer
+from hilserver.io.recorder.launch import running_recorder
+from hilserver.io.recorder.state_service import StateService
 from hilserver.kernel import compose, watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.health import HealthSources
@@ -89,6 +92,7 @@ class Daemon:
             | {"statistics": words_needed(len(assembly.slices), LINEAR_BINS)},
             base_period_ns=assembly.base_period_ns,
             ring_length=config.image.ring_frames,
+            run=assembly.provenance,
         )
         self._resources.callback(self.image.close)
         try:
@@ -110,6 +114,11 @@ class Daemon:
             owner=config.control.source or ("peer" if config.peers else "opcua"),
             priority=config.control.priority,
         )
+        self.snapshots = SnapshotStore(
+            self.image, assembly.folder / config.snapshots.folder, dict(assembly.identity)
+        )
+        self._states = StateService(self.snapshots, self.image.name)
+        self.image.tell(identity=self.snapshots.identity)
         self.control = self._make_control()
         self.supervision = Supervision(
             config, self.gate, self.control, self.events, self.scheduler, self.image
@@ -137,6 +146,7 @@ class Daemon:
     async def _start(self) -> None:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
+        await self._start_recorder()
         if self.http is not None:
             await self.http.start()
             self._resources.push_async_callback(self.http.stop)
@@ -150,6 +160,7 @@ class Daemon:
         await self.scheduler.start()
         self.audit = audit(self.scheduler)
         self._tell_audit()
+        self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         for peer in self.peers:
             self.gate.expect(peer.config.read.values())
             await peer.start()
@@ -157,6 +168,14 @@ class Daemon:
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()
+
+    async def _start_recorder(self) -> None:
+        """Attach the recorder before the first tick; it ends after the last one."""
+        if self.config.recording.file is not None:
+            recorder = running_recorder(
+                self.config.recording, self.image.name, self.assembly.folder
+            )
+            await self._resources.enter_async_context(recorder)
 
     async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
         """Run until `asked` is set, time is over or the scheduler ends; return the exit code."""
@@ -195,6 +214,7 @@ class Daemon:
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
         self.supervision.run()
+        self._states.serve()
         if self.server is not None:
             self.server.publish_diagnostics()
         if self.limiter is not None:
@@ -236,14 +256,13 @@ class Daemon:
 
     def _make_control(self) -> Control:
         config, assembly = self.config, self.assembly
-        folder = assembly.folder / config.snapshots.folder
         return Control(
             self.table,
             self.image,
             self.gate,
             self.events,
             self.scheduler,
-            SnapshotStore(self.image, folder, dict(assembly.identity)),
+            self.snapshots,
             safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
             reset_statistics=self._reset_statistics,
             speed_changed=self._watch_communication,

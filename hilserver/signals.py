@@ -300,6 +300,7 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
     states = "0 starting, 1 running, 2 paused, 3 safe, 4 stopping"
     b.add("sim.state", "1", out, 0, 4, f"State of the daemon: {states}", type_=ValueType.BYTE)
+    b.add("internal.state", "1", Direction.IN, 0, 4, "What sim.state shows", hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for block in blocks:

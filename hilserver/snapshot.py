@@ -10,6 +10,7 @@ import json
 import os
 import re
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,19 +45,26 @@ class SnapshotStore:
         Where snapshots lie; made when the first one is saved.
     parameters : mapping
         What has to agree between the run that saved and the run that loads, by name.
+
+    Attributes
+    ----------
+    identity : dict
+        `parameters`, and version, kernels and signals of this run.
+    initial : ndarray of int64
+        The state before the first tick.
     """
 
     def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
         self._image = image
         self._folder = folder
         layout = json.dumps(image.description["signals"], sort_keys=True).encode()
-        self._identity = {
+        self.identity: dict[str, Any] = {
             "version": __version__,
             "kernels": kernel_hash(),
             "signals": hashlib.sha256(layout).hexdigest(),
             **parameters,
         }
-        self._initial = self._live.copy()
+        self.initial = self._live.copy()
         self._lock = asyncio.Lock()
 
     @property
@@ -81,7 +89,7 @@ class SnapshotStore:
         """
         if self._lock.locked():
             raise ControlRefused("Reset has to wait: a snapshot is being saved or loaded")
-        self._shadow[:] = self._initial
+        self._shadow[:] = self.initial
         post_request(REQUEST_LOAD, 0, self._image.words)
 
     async def save(self, name: str) -> Path:
@@ -97,7 +105,7 @@ class SnapshotStore:
             await self._serve(REQUEST_SAVE, 0)
             tick = int(self._image.words[W_REQUEST_TICK])
             state = self._shadow.copy()
-        meta = {"schema": SCHEMA, "tick": tick, "identity": self._identity}
+        meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity}
         await asyncio.to_thread(_write, path, state, meta)
         return path
 
@@ -110,20 +118,37 @@ class SnapshotStore:
             If the file is absent, damaged, or was made by a run that differs.
         """
         path = self._path(name)
-        state, meta = await asyncio.to_thread(_read, path)
-        for key, value in self._identity.items():
-            saved = meta["identity"].get(key)
-            if saved != value:
-                raise ControlRefused(
-                    f"snapshot '{name}' was made with {key} {_short(saved)}, this run has"
-                    f" {_short(value)}; use the configuration it was made with"
-                )
+        state, meta = await asyncio.to_thread(read_snapshot, path)
+        if (key := self.differs_in(meta["identity"])) is not None:
+            raise ControlRefused(
+                f"snapshot '{name}' was made with {key} {_short(meta['identity'].get(key))}, this"
+                f" run has {_short(self.identity[key])}; use the configuration it was made with"
+            )
         if state.shape != self._shadow.shape:
             raise ControlRefused(f"snapshot '{name}' holds a state of another size")
+        await self.restore(state, int(meta["tick"]))
+        return int(meta["tick"])
+
+    async def capture(self) -> int:
+        """Leave a copy of the state in shared memory, for a recorder; return its tick."""
+        async with self._lock:
+            await self._serve(REQUEST_SAVE, 0)
+            return int(self._image.words[W_REQUEST_TICK])
+
+    async def restore(self, state: NDArray[np.int64], tick: int) -> None:
+        """Continue from `state`, as a snapshot or a recording holds it, at `tick`."""
         async with self._lock:
             self._shadow[:] = state
-            await self._serve(REQUEST_LOAD, int(meta["tick"]))
-        return int(meta["tick"])
+            await self._serve(REQUEST_LOAD, tick)
+
+    def differs_in(self, identity: Mapping[str, Any]) -> str | None:
+        """Return the first key in which another run's identity differs, None if none does."""
+        return next((k for k, v in self.identity.items() if identity.get(k) != v), None)
+
+    @property
+    def state_words(self) -> int:
+        """Length of a state in words of 8 bytes."""
+        return int(self._image.words[W_LIVE_LENGTH])
 
     def _path(self, name: str) -> Path:
         if not _NAME.fullmatch(name):
@@ -154,7 +179,14 @@ def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:
     partial.replace(path)
 
 
-def _read(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
+def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    """Return state and description of a snapshot file.
+
+    Raises
+    ------
+    ControlRefused
+        If the file is absent or damaged.
+    """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state: NDArray[np.int64] = archive["state"]

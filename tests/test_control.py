@@ -54,7 +54,8 @@ class World:
         self.control.started()
 
     def latch(self):
-        slots = self.table.slot("internal.command"), self.table.slot("drive.enable")
+        names = ("internal.command", "drive.enable", "internal.state")
+        slots = [self.table.slot(name) for name in names]
         self.pacing.tick = latch(self.pacing.tick, *slots, self.image.values, self.image.words)
 
     def value(self, name):

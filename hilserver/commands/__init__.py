@@ -18,6 +18,8 @@ COMMANDS = {
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
     "certs": "certificates, trusted clients and passwords of the OPC UA server",
+    "record": "record the signals of a running daemon",
+    "replay": "feed a log through the plant, faster than real time",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",
     "bench": "measure every figure that the README quotes",

@@ -3,9 +3,11 @@
 import argparse
 import asyncio
 import contextlib
+import dataclasses
 import signal
 import sys
 from collections.abc import AsyncIterator
+from pathlib import Path
 
 import uvloop
 
@@ -13,6 +15,7 @@ from hilserver.assembly import Assembly, assemble
 from hilserver.commands.options import add_config, config_path
 from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
+from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
 from hilserver.reload import Reloader
@@ -31,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="start an embedded controller beside it that drives a figure of eight",
     )
+    parser.add_argument(
+        "--record",
+        type=Path,
+        metavar="OUT",
+        help="record from the first tick on, into a .mcap or .csv file",
+    )
 
 
 def _positive(text: str) -> float:
@@ -42,7 +51,7 @@ def _positive(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Run; return 0 after a clean end, 3 when policy ``fail`` ended it."""
-    assembly = assemble(config_path(args))
+    assembly = _recorded(assemble(config_path(args)), args.record)
     logging = assembly.config.logging
     limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
     main = (
@@ -52,6 +61,15 @@ def run(args: argparse.Namespace) -> int:
     )
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(main)
+
+
+def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
+    if path is None:
+        return assembly
+    check_suffix(path)
+    recording = assembly.config.recording.model_copy(update={"file": str(path.absolute())})
+    config = assembly.config.model_copy(update={"recording": recording})
+    return dataclasses.replace(assembly, config=config)
 
 
 async def _demo(assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None) -> int:

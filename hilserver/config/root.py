@@ -11,6 +11,7 @@ from hilserver.config.loading import load
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
+from hilserver.config.recording import RecordingConfig
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.timing import (
     BlockConfig,
@@ -35,6 +36,7 @@ class Config(Section):
     peers: tuple[PeerConfig, ...] = ()
     blocks: tuple[BlockConfig, ...] = ()
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
+    recording: RecordingConfig = Field(default_factory=RecordingConfig)
     metrics: MetricsConfig = Field(default_factory=MetricsConfig)
     logging: LoggingConfig = Field(default_factory=LoggingConfig)
 

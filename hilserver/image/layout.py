@@ -5,6 +5,7 @@ the control words below; a JSON text that names every signal and region follows,
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,7 +40,7 @@ W_REQUEST = 22  # number of the newest snapshot or restore request
 W_REQUEST_KIND = 23
 W_REQUEST_DONE = 24
 W_REQUEST_TICK = 25
-W_STATE = 26  # state of the daemon, copied into sim.state
+W_STATE = 26  # state of the daemon, latched for sim.state; negative: it comes in rows (replay)
 W_FAULT = 27  # first fault number since the last acknowledge
 W_HEARTBEAT = 28  # counted up by the communication side
 W_HEARTBEAT_SEEN = 29
@@ -48,7 +49,7 @@ W_HEARTBEAT_LIMIT = 31  # ticks; 0: not watched
 W_BASE_PERIOD_NS = 32
 W_DRIVE_OFF = 33  # 1: drive.enable is held at false, whoever writes it
 N_CONTROL_WORDS = 64
-JSON_WORDS = 8192
+JSON_WORDS = 32768
 
 REQUEST_SAVE = 1
 REQUEST_LOAD = 2
@@ -128,7 +129,7 @@ def make_layout(
     return Layout(regions, ring_length, queue_rows, n_slots, position)
 
 
-def describe(table: SignalTable, layout: Layout) -> bytes:
+def describe(table: SignalTable, layout: Layout, run: Mapping[str, Any]) -> bytes:
     """Return the JSON text of the header: what another process needs to read the arena."""
     signals: list[dict[str, Any]] = [
         {
@@ -142,7 +143,10 @@ def describe(table: SignalTable, layout: Layout) -> bytes:
         for s in (*table.scalars, *(s for s in table if s.is_array))
     ]
     regions = {name: [region.base, region.length] for name, region in layout.regions.items()}
-    text = json.dumps({"signals": signals, "regions": regions}).encode()
+    text = json.dumps({"signals": signals, "regions": regions, "run": dict(run)}).encode()
+    if len(text) > JSON_WORDS * 8:  # without its largest part: a replay then needs -c
+        rest = {key: value for key, value in run.items() if key != "configuration"}
+        text = json.dumps({"signals": signals, "regions": regions, "run": rest}).encode()
     if len(text) > JSON_WORDS * 8:
         raise ValueError(f"{len(table)} signals are too many for the header of the process image")
     return text

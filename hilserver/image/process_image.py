@@ -133,6 +133,8 @@ class ProcessImage(ImageReader):
         Base period of the scheduler.
     ring_length, queue_rows : int
         Frames kept and rows that fit into each input queue; powers of two.
+    run : mapping, optional
+        Where the values come from (version, configuration, ...), for recorders.
     """
 
     def __init__(
@@ -145,8 +147,10 @@ class ProcessImage(ImageReader):
         base_period_ns: int,
         ring_length: int = 2048,
         queue_rows: int = 8192,
+        run: Mapping[str, Any] | None = None,
     ) -> None:
         self.name = name
+        self._table, self._run = table, dict(run or {})
         self.layout = lay.make_layout(
             table.n_slots,
             ring_length=ring_length,
@@ -156,19 +160,16 @@ class ProcessImage(ImageReader):
         )
         self._file = SharedFile(name, self.layout.total_words * 8)
         words = np.frombuffer(self._file.map, dtype=np.int64)
-        self._fill_header(words, table, base_period_ns)
+        self._fill_header(words, base_period_ns)
         super().__init__(self._file.map)
         for signal in table.scalars:
             self.frame_values[signal.slots[0]] = signal.initial
 
-    def _fill_header(self, words: NDArray[np.int64], table: SignalTable, period_ns: int) -> None:
+    def _fill_header(self, words: NDArray[np.int64], period_ns: int) -> None:
         layout, region = self.layout, self.layout.regions
-        text = lay.describe(table, layout)
-        start = lay.N_CONTROL_WORDS * 8
-        words.view(np.uint8)[start : start + len(text)] = np.frombuffer(text, dtype=np.uint8)
+        self._describe(words)
         header = {
             lay.W_VERSION: lay.VERSION,
-            lay.W_JSON_BYTES: len(text),
             lay.W_PID: os.getpid(),
             lay.W_N_SLOTS: layout.n_slots,
             lay.W_RING_LENGTH: layout.ring_length,
@@ -188,6 +189,18 @@ class ProcessImage(ImageReader):
         }
         for index, value in header.items():
             words[index] = value
+
+    def _describe(self, words: NDArray[np.int64]) -> None:
+        text = lay.describe(self._table, self.layout, self._run)
+        start = lay.N_CONTROL_WORDS * 8
+        words[lay.W_JSON_BYTES] = 0  # readers take an empty description for one in the making
+        words.view(np.uint8)[start : start + len(text)] = np.frombuffer(text, dtype=np.uint8)
+        words[lay.W_JSON_BYTES] = len(text)
+
+    def tell(self, **run: Any) -> None:
+        """Add to what recorders read about the run, once it is known."""
+        self._run |= run
+        self._describe(self.words)
 
     @property
     def frame_values(self) -> NDArray[np.float64]:
@@ -219,8 +232,15 @@ class ProcessImage(ImageReader):
         """Hand rows to the ticks they name (rising); False if the queue has no room."""
         return self._push(rows, lay.W_TIMED_BASE)
 
+    def push_timed_table(self, table: NDArray[np.float64]) -> bool:
+        """Like `push_timed`; columns are tick, slot, value and status, shape (n, 4)."""
+        return self._push_table(table, lay.W_TIMED_BASE)
+
     def _push(self, rows: Iterable[Row], word: int) -> bool:
         table = np.array([(r.tick, r.slot, r.value, r.status) for r in rows], dtype=np.float64)
+        return self._push_table(table, word)
+
+    def _push_table(self, table: NDArray[np.float64], word: int) -> bool:
         if table.size == 0:
             return True
         base, capacity = int(self.words[word]), int(self.words[word + 1])

@@ -72,6 +72,22 @@ def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words:
 
 
 @kernel()
+def copy_frames(first: int, values: Any, words: Any, out_values: Any, out_words: Any) -> int:
+    """Copy frames from `first` on until one is not there (yet, or any more); return how many.
+
+    Parameters
+    ----------
+    out_values : ndarray of float64, shape (n, n_slots)
+    out_words : ndarray of int64, shape (n, 3 + n_slots)
+        Like those of `copy_frame`, a frame each row.
+    """
+    for row in range(out_values.shape[0]):
+        if copy_frame(first + row, values, words, out_values[row], out_words[row]) != 0:
+            return row
+    return int(out_values.shape[0])
+
+
+@kernel()
 def copy_latest(values: Any, words: Any, out_values: Any, out_words: Any) -> int:
     """Copy the newest complete frame; return its number, -1 before the first, -2 if overrun.
 

@@ -178,10 +178,10 @@ def _source(composition: Composition, image: ProcessImage) -> str:
         "hall": f"values{_piece(regions['hall'])}",
     }
     command, enable = table.slot("internal.command"), table.slot("drive.enable")
-    sim = table.slot("sim.tick")
+    sim, state = table.slot("sim.tick"), table.slot("internal.state")
     lines = [
         f"if phase == {LATCH}:",
-        f"    return latch(tick, {command}, {enable}, values, words)",
+        f"    return latch(tick, {command}, {enable}, {state}, values, words)",
         f"if phase == {PUBLISH}:",
         "    return publish("
         f"tick, planned_ns, {command}, {robot.N_U}, {robot.N_Y}, {sim}, values, words)",

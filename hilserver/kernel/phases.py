@@ -47,9 +47,17 @@ def _watch_heartbeat(command_slot: int, values: Any, words: Any) -> None:
 
 
 @kernel()
-def latch(tick: int, command_slot: int, enable_slot: int, values: Any, words: Any) -> int:
-    """Serve a snapshot request, take the inputs of this tick, return the tick to execute."""
+def latch(
+    tick: int, command_slot: int, enable_slot: int, state_slot: int, values: Any, words: Any
+) -> int:
+    """Serve a snapshot request, take the inputs of this tick, return the tick to execute.
+
+    The daemon's state is an input like others, so that a replay shows it at the same ticks; a
+    replay brings it in rows and sets the word negative.
+    """
     tick = serve_request(tick, words)
+    if words[W_STATE] >= 0:
+        values[words[W_FRAME_BASE] + state_slot] = words[W_STATE]
     latch_rows(tick, values, words)
     if words[W_DRIVE_OFF] != 0:
         values[words[W_FRAME_BASE] + enable_slot] = 0.0
@@ -76,12 +84,12 @@ def publish(
     first_output, n_outputs : int
         Slots whose quality is Uncertain in the safe state.
     sim_slot : int
-        Slot of ``sim.tick``; ``sim.time_s`` and ``sim.state`` follow it.
+        Slot of ``sim.tick``; ``sim.time_s``, ``sim.state`` and ``internal.state`` follow it.
     """
     frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
     values[frame + sim_slot] = tick
     values[frame + sim_slot + 1] = tick * (words[W_BASE_PERIOD_NS] * 1e-9)
-    values[frame + sim_slot + 2] = words[W_STATE]
+    values[frame + sim_slot + 2] = values[frame + sim_slot + 3]
     if values[frame + command_slot] == COMMAND_SAFE:
         for slot in range(first_output, first_output + n_outputs):
             if words[status + slot] == GOOD:

@@ -1,0 +1,111 @@
+"""Record the signals of a running daemon to MCAP or CSV, every tick, in a process of its own.
+
+A killed recorder loses less than the last second. The file carries version, configuration, kernels,
+seed, audit and a state, so that `hilserver replay` reproduces it bit for bit.
+"""
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+
+from hilserver.commands.options import add_config, config_path
+from hilserver.config.root import load_config
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.io.recorder import Recorder, Settings
+
+EXAMPLE = "hilserver record -o run.mcap --duration 60"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="file to write, .mcap (Foxglove, PlotJuggler) or .csv",
+    )
+    add_config(parser)
+    parser.add_argument(
+        "--image", metavar="NAME", help="process image of the daemon; default: that of the -c file"
+    )
+    parser.add_argument(
+        "--duration", type=_positive, metavar="S", help="stop after so many seconds"
+    )
+    parser.add_argument(
+        "--signals",
+        action="append",
+        metavar="PATTERN",
+        help="signals to record, with * and ?; may be given again; default: all",
+    )
+    parser.add_argument(
+        "--rotate-mb",
+        type=_megabytes,
+        metavar="N",
+        help="begin a new file OUT_0001, OUT_0002 ... after N megabytes",
+    )
+    parser.add_argument(
+        "--keep", type=_count, metavar="N", help="keep the newest N files of a rotation"
+    )
+    parser.add_argument(
+        "--buffer-mb",
+        type=_positive,
+        default=64.0,
+        metavar="N",
+        help="memory for what a slow disk has not taken yet; default: 64",
+    )
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no positive number")
+    return value
+
+
+def _megabytes(text: str) -> float:
+    value = _positive(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} MB are too few, a state takes a tenth of one")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 999_999:
+        raise argparse.ArgumentTypeError(f"{text} is no count from 1 on")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until Ctrl-C, SIGTERM, ``--duration`` or the end of the daemon."""
+    if args.keep is not None and args.rotate_mb is None:
+        raise FailedError("--keep counts the files of a rotation; give --rotate-mb as well")
+    recorder = Recorder(
+        _image(args),
+        Settings(
+            path=args.out,
+            signals=args.signals or ("*",),
+            rotate_bytes=None if args.rotate_mb is None else round(args.rotate_mb * 1e6),
+            keep=args.keep,
+            buffer_bytes=round(args.buffer_mb * 1e6),
+        ),
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: recorder.stop.set())
+    print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
+    if recorder.lacks_inputs:
+        print("hilserver: without all inputs it cannot be replayed", file=sys.stderr, flush=True)
+    print(recorder.run(args.duration), file=sys.stderr, flush=True)
+    return EXIT_DONE
+
+
+def _image(args: argparse.Namespace) -> str:
+    if args.image is not None:
+        return str(args.image)
+    name = load_config(config_path(args)).image.name
+    if name == "auto":
+        raise FailedError("image.name is 'auto'; name the process image with --image")
+    return name

@@ -1,0 +1,179 @@
+"""Feed the inputs of a log through the plant, faster than real time, and write what comes out.
+
+A recording of ours is reproduced bit for bit, from its first state on or from a snapshot. From a
+log of others the set-points are taken; each holds until the next row.
+"""
+
+import argparse
+import asyncio
+import sys
+import time
+from pathlib import Path
+
+from hilserver.assembly import Assembly, assemble
+from hilserver.commands.options import add_config, config_path
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, UserError
+from hilserver.logs import Log, State, open_writer, read_log
+from hilserver.logs.provenance import make_run
+from hilserver.logs.writing import check_suffix, reason
+from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
+from hilserver.snapshot import read_snapshot
+
+EXAMPLE = "hilserver replay run.mcap -o again.csv"
+PROGRESS_AFTER_S = 2.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="log to replay, .mcap or .csv")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="file for all signals of the replay, .mcap or .csv",
+    )
+    add_config(parser)
+    parser.add_argument(
+        "--from",
+        dest="start",
+        type=Path,
+        metavar="SNAPSHOT",
+        help="begin with this snapshot (.npz) of the recorded run",
+    )
+    parser.add_argument(
+        "--as-inputs",
+        action="store_true",
+        help="take a recording of ours for a log of others: its set-points, from a fresh start",
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="exit code 1 if the outputs differ from those in the log by a single bit",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay; return 0, or 1 if ``--check`` finds a difference."""
+    check_suffix(args.out)
+    if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
+        raise FailedError(f"{args.out}: is the log itself; choose another file for the replay")
+    log, assembly = _open(args)
+    return asyncio.run(_Replay(args, log, assembly).run())
+
+
+def _open(args: argparse.Namespace) -> tuple[Log, Assembly]:
+    """Read the log and build the plant: that of -c, or that of the log, or the default."""
+    if args.config is not None:
+        assembly = assemble(args.config)
+        return read_log(args.log, _names(assembly)), assembly
+    log = read_log(args.log)
+    if log.is_ours:
+        return log, assembly_of(log)
+    assembly = assemble(config_path(args))
+    return read_log(args.log, _names(assembly)), assembly
+
+
+def _names(assembly: Assembly) -> list[str]:
+    return [signal.name for signal in assembly.table.scalars]
+
+
+class _Replay:
+    """One replay from start to end."""
+
+    def __init__(self, args: argparse.Namespace, log: Log, assembly: Assembly) -> None:
+        self._args, self._log, self._assembly = args, log, assembly
+        self._exact = log.is_ours and not args.as_inputs
+        if args.start is not None and not self._exact:
+            raise LogError(f"{log.path}: a snapshot fits only to a recording of its own run")
+
+    async def run(self) -> int:
+        async with Engine(self._assembly) as engine:
+            plan = self._plan(engine)
+            for notice in (*self._log.notices, *plan.notices):
+                print(f"hilserver: {notice}", file=sys.stderr)
+            comparison = Comparison(self._log, engine.table, self._assembly.base_period_ns)
+            try:
+                seconds = await self._play(engine, plan, comparison if self._exact else None)
+            except OSError as error:
+                raise FailedError(f"{self._args.out}: replay ended: {reason(error)}") from None
+        simulated = plan.n_ticks * self._assembly.base_period_ns * 1e-9
+        print(
+            f"replayed {plan.n_ticks} ticks ({simulated:.3f} s) in {seconds:.2f} s into"
+            f" {self._args.out}"
+        )
+        return self._tell(comparison)
+
+    def _plan(self, engine: Engine) -> Plan:
+        log, assembly = self._log, self._assembly
+        if not self._exact:
+            return plan_inputs(log, engine.table, assembly.base_period_ns)
+        identity = (log.run or {}).get("identity", {})
+        start = None if self._args.start is None else self._snapshot(engine)
+        for state in (start,) if start is not None else log.states:
+            engine.check(str(log.path), identity, state.words)
+        return plan_exact(log, engine.table, engine.image.layout, assembly.base_period_ns, start)
+
+    def _snapshot(self, engine: Engine) -> State:
+        path = self._args.start
+        try:
+            words, meta = read_snapshot(path)
+        except UserError as error:
+            raise LogError(f"{path}: {error}") from None
+        engine.check(str(path), meta["identity"], words)
+        return State(0, int(meta["tick"]), words)
+
+    async def _play(self, engine: Engine, plan: Plan, comparison: Comparison | None) -> float:
+        run = make_run(engine.image.description) | {"replay_of": str(self._log.path)}
+        writer = open_writer(self._args.out, run, range(engine.table.n_slots))
+        progress = _Progress(plan.n_ticks)
+        engine.feed_state(in_rows=plan.feeds_state)
+        try:
+            for stretch in plan.stretches:
+                if stretch.state is not None:
+                    writer.add_state(State(stretch.segment, stretch.first_tick, stretch.state))
+                async for batch in engine.play(stretch):
+                    writer.write(batch)
+                    if comparison is not None:
+                        comparison.add(batch)
+                    progress.add(len(batch.frames))
+        finally:
+            writer.close()
+        return progress.end()
+
+    def _tell(self, comparison: Comparison) -> int:
+        if comparison.difference is not None:
+            print(f"outputs differ, first {comparison.difference}")
+            return EXIT_FAILED if self._args.check else EXIT_DONE
+        if comparison.n_ticks:
+            print(
+                f"all {comparison.n_signals} recorded outputs of {comparison.n_ticks} ticks are"
+                " equal, bit for bit"
+            )
+        elif self._args.check:
+            raise LogError(f"{self._log.path}: holds no outputs of ours to compare with")
+        return EXIT_DONE
+
+
+class _Progress:
+    """Says how far it is, on a terminal, if it takes longer than two seconds."""
+
+    def __init__(self, n_ticks: int) -> None:
+        self._n_ticks, self._done = n_ticks, 0
+        self._start_s = self._told_s = time.monotonic()
+        self._shown = False
+
+    def add(self, n_ticks: int) -> None:
+        self._done += n_ticks
+        now_s = time.monotonic()
+        if sys.stderr.isatty() and now_s - max(self._told_s, self._start_s + 1.5) > 0.5:
+            self._told_s, self._shown = now_s, True
+            share = self._done / self._n_ticks
+            bar = "#" * int(40 * share)
+            print(f"\rreplaying [{bar:<40}] {share:4.0%}", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> float:
+        if self._shown:
+            print(file=sys.stderr)
+        return time.monotonic() - self._start_s

@@ -1,0 +1,27 @@
+"""The section ``recording:`` of the configuration."""
+
+from pydantic import Field
+
+from hilserver.config.timing import Section
+
+
+class RecordingConfig(Section):
+    """What a recorder beside the daemon writes, from the first tick on."""
+
+    file: str | None = Field(
+        None,
+        pattern=r".\.(mcap|csv)$",
+        description="Record every run into this .mcap or .csv file; null: no recording",
+    )
+    signals: tuple[str, ...] = Field(
+        ("*",), min_length=1, description="Signals to record, as patterns with * and ?"
+    )
+    rotate_mb: float | None = Field(
+        None, ge=1, description="Begin a new file after so many megabytes; null: never"
+    )
+    keep: int | None = Field(
+        None, ge=1, description="Keep so many files of a rotation, the newest; null: all"
+    )
+    buffer_mb: float = Field(
+        64.0, ge=1, le=4096, description="Memory for what a slow disk has not taken yet [MB]"
+    )

@@ -1,0 +1,64 @@
+"""Many frames at once: what recorders and replays read from the ring."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.image.process_image import ImageReader
+from hilserver.image.ring import copy_frames
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBatch:
+    """Frames that follow each other without a gap.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first frame, see `Frame.number`.
+    words : ndarray of int64, shape (n, 3 + n_slots)
+        Tick, planned start [ns], rows latched, and the OPC UA status codes.
+    values : ndarray of float64, shape (n, n_slots)
+    """
+
+    first: int
+    words: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """Ticks that made the frames, shape (n,)."""
+        return self.words[:, 0]
+
+    @property
+    def planned_ns(self) -> NDArray[np.int64]:
+        """Planned starts of the ticks [ns], CLOCK_MONOTONIC, shape (n,)."""
+        return self.words[:, 1]
+
+    @property
+    def status(self) -> NDArray[np.int64]:
+        """OPC UA status codes, shape (n, n_slots)."""
+        return self.words[:, 3:]
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Numbers of the frames, shape (n,)."""
+        return np.arange(self.first, self.first + len(self), dtype=np.int64)
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory that the frames take."""
+        return self.words.nbytes + self.values.nbytes
+
+
+def read_frames(reader: ImageReader, first: int, limit: int) -> FrameBatch:
+    """Copy up to `limit` frames from `first` on; fewer when the ring has no more, maybe none."""
+    n = max(0, min(limit, reader.head - first))
+    values = np.empty((n, reader.n_slots))
+    words = np.empty((n, reader.n_slots + 3), dtype=np.int64)
+    n = int(copy_frames(first, reader.values, reader.words, values, words)) if n else 0
+    return FrameBatch(first, words[:n], values[:n])

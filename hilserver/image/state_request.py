@@ -1,0 +1,73 @@
+"""How a recorder asks the daemon for a copy of the state, without writing into the image.
+
+The recorder makes an empty file beside the image. The daemon finds it, removes it and has the
+plant copy its state into the shadow region between two ticks; the recorder reads it there.
+"""
+
+import contextlib
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.image import layout as lay
+from hilserver.image.process_image import ImageReader
+from hilserver.image.shared_file import path_of
+
+
+def _path(name: str) -> Path:
+    return path_of(name).with_suffix(path_of(name).suffix + ".wanted")
+
+
+def ask_for_state(name: str) -> None:
+    """Ask the daemon of the image `name` for a copy of its state."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    with contextlib.suppress(OSError):  # not asked: the recording lacks a state, and says so
+        os.close(os.open(_path(name), flags, 0o600))
+
+
+def take_request(name: str) -> bool:
+    """Return whether somebody with the daemon's rights asked; the request is then taken."""
+    path = _path(name)
+    try:
+        mine = path.lstat().st_uid == os.geteuid()
+        path.unlink()
+    except OSError:
+        return False
+    return mine
+
+
+class ShadowReader:
+    """Notices when the shadow region got a new state, and copies it."""
+
+    def __init__(self, reader: ImageReader) -> None:
+        self._words = reader.words
+        self._seen = int(self._words[lay.W_REQUEST_DONE])
+
+    def take(self) -> tuple[int, int, NDArray[np.int64]] | None:
+        """Return kind, tick and state of the newest served request, None if there is no new one.
+
+        The state that a restore brought is as good as one that was saved: the plant went on from
+        it. A copy during which the next request began is dropped; that one comes soon.
+        """
+        done = int(self._words[lay.W_REQUEST_DONE])
+        if done == self._seen:
+            return None
+        copies = [self._copy(), self._copy()]
+        kind, tick = (int(self._words[w]) for w in (lay.W_REQUEST_KIND, lay.W_REQUEST_TICK))
+        if int(self._words[lay.W_REQUEST]) != done or not np.array_equal(copies[0], copies[1]):
+            return None
+        self._seen = done
+        return kind, tick, copies[0]
+
+    def _copy(self) -> NDArray[np.int64]:
+        base, length = int(self._words[lay.W_SHADOW_BASE]), int(self._words[lay.W_LIVE_LENGTH])
+        return self._words[base : base + length].copy()
+
+
+def live_state(reader: ImageReader) -> NDArray[np.int64] | None:
+    """Return the state before the first tick, None once there was one."""
+    base, length = int(reader.words[lay.W_LIVE_BASE]), int(reader.words[lay.W_LIVE_LENGTH])
+    state = reader.words[base : base + length].copy()
+    return state if reader.head == 0 else None

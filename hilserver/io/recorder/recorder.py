@@ -1,0 +1,178 @@
+"""Reads every frame of the process image and hands it to the writing thread."""
+
+import fnmatch
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hilserver.errors import FailedError
+from hilserver.io.recorder.series import FileSeries
+from hilserver.io.recorder.source import Source
+from hilserver.io.recorder.write_behind import WriteBehind
+from hilserver.logs.provenance import make_run
+from hilserver.logs.writing import check_suffix, reason
+
+POLL_S = 0.02
+SUPERVISE_S = 0.25
+REPEAT_S = 5.0
+STATE_WITHIN_S = 2.0
+CLOSE_WITHIN_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What to record, and where to.
+
+    Attributes
+    ----------
+    signals : sequence of str
+        Patterns; inputs (hidden ones too) are needed for a replay.
+    rotate_bytes, keep : int or None
+        See `FileSeries`.
+    buffer_bytes : int
+        See `WriteBehind`.
+    """
+
+    path: Path
+    signals: Sequence[str] = ("*",)
+    rotate_bytes: int | None = None
+    keep: int | None = None
+    buffer_bytes: int = 64_000_000
+
+
+class Recorder:
+    """Records the image `name` until it is stopped or the daemon has ended.
+
+    Raises
+    ------
+    FailedError
+        If there is no such daemon, no such signal, or the file cannot be made.
+    """
+
+    def __init__(self, name: str, settings: Settings) -> None:
+        check_suffix(settings.path)
+        self.stop = threading.Event()
+        self._source = Source(name)
+        self._run = make_run(self._source.description)
+        self._slots = self._choose(settings.signals)
+        self._utc_ns = time.time_ns() - time.monotonic_ns()
+        self._series = FileSeries(
+            settings.path, rotate_bytes=settings.rotate_bytes, keep=settings.keep
+        )
+        self._writing = WriteBehind(
+            lambda: self._series.open(self._run, self._slots, self._utc_ns),
+            self._series.is_full,
+            self._want_state,
+            settings.buffer_bytes,
+        )
+        self._asked_s: float | None = None
+        self._told = (0, 0)
+        self._told_s = 0.0
+        first = self._source.first_state()
+        if first is None:
+            self._want_state()
+        else:
+            self._writing.put(first)
+
+    def _choose(self, patterns: Sequence[str]) -> list[int]:
+        names = [signal["name"] for signal in self._run["signals"]]
+        for pattern in patterns:
+            if not fnmatch.filter(names, pattern):
+                raise FailedError(
+                    f"no signal fits '{pattern}'; see 'hilserver signals' for the names"
+                )
+        return [
+            slot
+            for slot, name in enumerate(names)
+            if any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+        ]
+
+    @property
+    def path(self) -> Path:
+        """File that is being written."""
+        return self._series.current
+
+    @property
+    def lacks_inputs(self) -> bool:
+        """Whether inputs are left out, so that no replay is possible."""
+        inputs = {i for i, s in enumerate(self._run["signals"]) if s["direction"] == "in"}
+        return not inputs <= set(self._slots)
+
+    def run(self, duration_s: float | None) -> str:
+        """Record; return one line that says what was recorded.
+
+        Raises
+        ------
+        FailedError
+            If the disk is full or the file cannot be written any more.
+        """
+        end_s = None if duration_s is None else time.monotonic() + duration_s
+        next_s = time.monotonic()
+        while not self.stop.is_set() and self._writing.error is None:
+            now_s = time.monotonic()
+            gone = False
+            if now_s >= next_s:
+                gone = self._source.daemon_is_gone()  # before the last look at the ring
+                self._supervise(now_s)
+                next_s = now_s + SUPERVISE_S
+            self._read()
+            if gone or (end_s is not None and now_s >= end_s):
+                break
+            self.stop.wait(POLL_S)
+        self._read()
+        return self._close()
+
+    def _read(self) -> None:
+        if (state := self._source.state()) is not None:
+            self._asked_s = None
+            self._writing.put(state)
+        dropped = False
+        while (batch := self._source.frames()) is not None:
+            dropped |= not self._writing.put(batch)
+        if dropped or self._source.lost > self._told[0]:
+            self._want_state()
+
+    def _want_state(self) -> None:
+        if self._asked_s is None:
+            self._asked_s = time.monotonic()
+            self._source.ask_for_state()
+
+    def _supervise(self, now_s: float) -> None:
+        if self._source.refresh():
+            self._run = make_run(self._source.description)
+            self._writing.put(self._run)
+        if self._asked_s is not None and now_s - self._asked_s > STATE_WITHIN_S:
+            self._asked_s = now_s
+            self._source.ask_for_state()
+        counts = (self._source.lost, self._writing.dropped)
+        if counts != self._told and now_s - self._told_s > REPEAT_S:
+            self._told, self._told_s = counts, now_s
+            _say(f"{_losses(*counts)} so far")
+
+    def _close(self) -> str:
+        in_time = self._writing.close(CLOSE_WITHIN_S)
+        self._source.close()
+        error = self._writing.error
+        counts = f"{self._writing.written} frames in {self.path}"
+        if isinstance(error, OSError):
+            raise FailedError(f"{self.path}: recording ended: {reason(error)}")
+        if error is not None:
+            raise error
+        if not in_time:
+            raise FailedError(
+                f"{self.path}: the disk did not take the rest within {CLOSE_WITHIN_S:g} s; {counts}"
+            )
+        return f"recorded {counts}; {_losses(self._source.lost, self._writing.dropped)}"
+
+
+def _losses(lost: int, dropped: int) -> str:
+    if not lost and not dropped:
+        return "none lost"
+    return f"{lost} frames lost (read too late), {dropped} dropped (disk too slow)"
+
+
+def _say(text: str) -> None:
+    print(f"hilserver: {text}", file=sys.stderr, flush=True)

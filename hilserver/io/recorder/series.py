@@ -1,0 +1,70 @@
+"""The files of one recording: one, or a rotation of which the newest are kept."""
+
+import contextlib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hilserver.errors import FailedError
+from hilserver.logs import LogWriter, open_writer
+from hilserver.logs.csv_writer import meta_path
+from hilserver.logs.writing import reason
+
+
+class FileSeries:
+    """Opens one file after the other.
+
+    Without rotation there is one file, `path`. With it the files are ``name_0001.mcap``,
+    ``name_0002.mcap`` ...; numbers go on after those that lie there already.
+    """
+
+    def __init__(
+        self, path: Path, *, rotate_bytes: int | None = None, keep: int | None = None
+    ) -> None:
+        self._path, self._rotate_bytes, self._keep = path, rotate_bytes, keep
+        self.current = path
+
+    def open(
+        self, run: Mapping[str, Any], slots: Sequence[int], utc_minus_monotonic_ns: int
+    ) -> LogWriter:
+        """Begin the next file and remove the oldest ones beyond `keep`.
+
+        Raises
+        ------
+        FailedError
+            If it cannot be made.
+        """
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FailedError(f"{self._path}: cannot be written: {reason(error)}") from None
+        if self._rotate_bytes is not None:
+            number = max(self._numbers(), default=0) + 1
+            if number > 999_999:
+                raise FailedError(f"{self._path}: too many files of this name; choose another")
+            self.current = self._file(number)
+        writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns)
+        self._remove_old()
+        return writer
+
+    def is_full(self, writer: LogWriter) -> bool:
+        """Return whether it is time for the next file."""
+        return self._rotate_bytes is not None and writer.n_bytes >= self._rotate_bytes
+
+    def _file(self, number: int) -> Path:
+        return self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")
+
+    def _numbers(self) -> list[int]:
+        stem, suffix = re.escape(self._path.stem), re.escape(self._path.suffix)
+        pattern = re.compile(rf"{stem}_(\d{{4,6}}){suffix}")
+        names = (pattern.fullmatch(path.name) for path in self._path.parent.iterdir())
+        return sorted(int(match[1]) for match in names if match)
+
+    def _remove_old(self) -> None:
+        if self._rotate_bytes is None or self._keep is None:
+            return
+        for number in self._numbers()[: -self._keep]:
+            for path in (self._file(number), meta_path(self._file(number))):
+                with contextlib.suppress(OSError):
+                    path.unlink()

@@ -1,0 +1,146 @@
+"""What the recorder reads: every frame once, the states, and whether the daemon still lives."""
+
+import fcntl
+import json
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from hilserver.errors import FailedError
+from hilserver.image import FrameBatch, ImageReader, read_frames
+from hilserver.image.layout import REQUEST_LOAD, W_RING_LENGTH
+from hilserver.image.shared_file import path_of
+from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
+from hilserver.logs.log import State
+from hilserver.logs.writing import Segmented
+
+BATCH_FRAMES = 256
+_MARGIN_FRAMES = 64
+_DESCRIBED_WITHIN_S = 5.0
+
+
+class Source:
+    """The process image of one daemon, as a recorder sees it.
+
+    Attributes
+    ----------
+    lost : int
+        Frames that the ring had dropped before they were read.
+
+    Raises
+    ------
+    FailedError
+        If no daemon runs under that name.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._reader = ImageReader.attach(name)
+        self._fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        if self.daemon_is_gone():
+            self.close()
+            raise FailedError(f"the daemon of the process image '{name}' is not running any more")
+        self.description = self._describe()
+        self._ring_length = int(self._reader.words[W_RING_LENGTH])
+        self._shadow = ShadowReader(self._reader)
+        self._next = max(0, self._reader.head)
+        self._last_tick: int | None = None
+        self._segment = 0
+        self._start_without_state: tuple[int, int] | None = None
+        self._gap = False
+        self.lost = 0
+
+    def _describe(self) -> dict[str, Any]:
+        deadline = time.monotonic() + _DESCRIBED_WITHIN_S
+        while True:
+            try:
+                return self._reader.description
+            except ValueError:  # being written
+                if time.monotonic() > deadline:
+                    raise FailedError(
+                        f"the process image '{self._name}' has no readable description"
+                    ) from None
+                time.sleep(0.01)
+
+    def refresh(self) -> bool:
+        """Read the description again; return whether it has changed (the audit comes late)."""
+        try:
+            new = self._reader.description
+        except (ValueError, json.JSONDecodeError):
+            return False
+        changed = bool(new != self.description)
+        self.description = new
+        return changed
+
+    def first_state(self) -> State | None:
+        """Return the state before the first tick; None if ticks have run already."""
+        words = live_state(self._reader)
+        return None if words is None else State(0, 0, words)
+
+    def ask_for_state(self) -> None:
+        """Let the daemon copy its state; `state` returns it some milliseconds later."""
+        ask_for_state(self._name)
+
+    def frames(self) -> Segmented | None:
+        """Return the next frames, None if there is none yet."""
+        head = self._reader.head
+        if head - self._next > self._ring_length - _MARGIN_FRAMES:
+            self._skip_to(head - self._ring_length + 2 * _MARGIN_FRAMES)
+        batch = read_frames(self._reader, self._next, BATCH_FRAMES)
+        if not len(batch):
+            if self._next < head:
+                self._skip_to(self._next + _MARGIN_FRAMES)
+            return None
+        after_gap = self._last_tick is None or self._gap
+        self._gap = False
+        self._next += len(batch)
+        return self._segmented(batch, after_gap=after_gap)
+
+    def _skip_to(self, number: int) -> None:
+        self.lost += number - self._next
+        self._next = number
+        self._gap = True
+
+    def _segmented(self, batch: FrameBatch, *, after_gap: bool) -> Segmented:
+        """Begin a new segment where ticks do not follow although no frame is missing."""
+        ticks = batch.ticks
+        before = ticks[0] - 1 if self._last_tick is None else self._last_tick
+        jumps = np.diff(ticks, prepend=before) != 1
+        if after_gap and ticks[0] > before:
+            jumps[0] = False
+        segments = self._segment + np.cumsum(jumps)
+        if jumps.any():
+            last = int(np.flatnonzero(jumps)[-1])
+            self._start_without_state = (int(segments[last]), int(ticks[last]))
+        self._segment, self._last_tick = int(segments[-1]), int(ticks[-1])
+        return Segmented(batch, segments)
+
+    def state(self) -> State | None:
+        """Return the newest state that somebody had saved or restored, None if none is new."""
+        taken = self._shadow.take()
+        if taken is None:
+            return None
+        kind, tick, words = taken
+        segment = self._segment
+        if kind == REQUEST_LOAD:
+            start, self._start_without_state = self._start_without_state, None
+            segment = start[0] if start is not None and start[1] == tick else segment + 1
+        return State(segment, tick, words)
+
+    def daemon_is_gone(self) -> bool:
+        """Return whether the daemon has removed its image, or lost the lock by dying."""
+        if os.fstat(self._fd).st_nlink == 0:
+            return True
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return False
+        fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return True
+
+    def close(self) -> None:
+        """Let go of the image, and of a request that nobody has answered."""
+        take_request(self._name)
+        os.close(self._fd)

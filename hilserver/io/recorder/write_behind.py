@@ -1,0 +1,125 @@
+"""A thread that writes, behind a buffer of limited size: a slow disk never stops the reading."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hilserver.logs import LogWriter, State
+from hilserver.logs.writing import Segmented
+
+FLUSH_EVERY_S = 0.2
+SYNC_EVERY_S = 1.0
+
+Item = Segmented | State | Mapping[str, Any]
+
+
+class WriteBehind:
+    """Takes frames, states and descriptions, and writes them in their order.
+
+    Parameters
+    ----------
+    next_writer : callable
+        Opens the first file, and the next one when `is_full` says so of the present one.
+    is_full : callable
+    on_new_file : callable
+        Called in the writing thread after each file but the first was opened.
+    buffer_bytes : int
+        Frames beyond it are dropped and counted.
+
+    Attributes
+    ----------
+    dropped, written : int
+        Frames.
+    error : Exception or None
+        What ended the writing.
+    """
+
+    def __init__(
+        self,
+        next_writer: Callable[[], LogWriter],
+        is_full: Callable[[LogWriter], bool],
+        on_new_file: Callable[[], None],
+        buffer_bytes: int,
+    ) -> None:
+        self._next_writer, self._is_full, self._on_new_file = next_writer, is_full, on_new_file
+        self._limit_bytes = buffer_bytes
+        self._items: deque[Item] = deque()
+        self._held_bytes = 0
+        self._news = threading.Condition()
+        self._closing = False
+        self.dropped = self.written = 0
+        self.error: Exception | None = None
+        self._writer = next_writer()
+        self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
+        self._thread.start()
+
+    def put(self, item: Item) -> bool:
+        """Hand over an item; False: the buffer is full, the item was dropped."""
+        size = item.frames.n_bytes if isinstance(item, Segmented) else 0
+        with self._news:
+            if size and self._held_bytes + size > self._limit_bytes:
+                self.dropped += len(item.frames) if isinstance(item, Segmented) else 0
+                return False
+            self._items.append(item)
+            self._held_bytes += size
+            self._news.notify()
+        return True
+
+    def close(self, timeout_s: float) -> bool:
+        """Write what is held, complete the file; False if that takes longer than `timeout_s`."""
+        with self._news:
+            self._closing = True
+            self._news.notify()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._write_all()
+            self._writer.close()
+        except Exception as error:  # noqa: BLE001 -- handed to the main thread, which ends
+            self.error = error
+            self._close_after_error()
+
+    def _close_after_error(self) -> None:
+        """Complete the file if there is room for its end; without, it is readable all the same."""
+        try:
+            self._writer.close()
+        except OSError:
+            return
+
+    def _write_all(self) -> None:
+        flushed = synced = time.monotonic()
+        while True:
+            with self._news:
+                if not self._items and not self._closing:
+                    self._news.wait(FLUSH_EVERY_S)
+                if not self._items and self._closing:
+                    return
+                item = self._items.popleft() if self._items else None
+            if item is not None:
+                self._write(item)
+            now = time.monotonic()
+            if now - flushed >= FLUSH_EVERY_S:
+                self._writer.flush()
+                flushed = now
+            if now - synced >= SYNC_EVERY_S:
+                self._writer.sync()
+                synced = time.monotonic()
+
+    def _write(self, item: Item) -> None:
+        if isinstance(item, State):
+            self._writer.add_state(item)
+        elif isinstance(item, Segmented):
+            if self._is_full(self._writer):
+                self._writer.close()
+                self._writer = self._next_writer()
+                self._on_new_file()
+            self._writer.write(item)
+            with self._news:
+                self._held_bytes -= item.frames.n_bytes
+            self.written += len(item.frames)
+        else:
+            self._writer.tell(item)

@@ -1,0 +1,11 @@
+"""Logs: tables of signals over time, written and read as CSV and as MCAP.
+
+A recording of hilserver carries in addition where it comes from and the states it can be replayed
+from, see `Log.run` and `Log.states`.
+"""
+
+from hilserver.logs.log import Log, State
+from hilserver.logs.reading import read_log
+from hilserver.logs.writing import LogWriter, Segmented, open_writer
+
+__all__ = ["Log", "LogWriter", "Segmented", "State", "open_writer", "read_log"]

@@ -1,0 +1,97 @@
+"""CSV as the log contract has it, and a file beside it with what CSV has no room for.
+
+``run.csv`` has a header row, ``t_s``, ``segment`` and the signals; every number is written so that
+reading it gives the same bits; ``nan`` where a status code is bad. ``run.csv.meta.json`` says where
+the log comes from and holds the states to replay from.
+"""
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilserver.logs.log import State
+from hilserver.logs.writing import Segmented, WholeFile
+
+BAD = 0x8000_0000
+"""A status code with this bit has no usable value."""
+
+
+def meta_path(path: Path) -> Path:
+    """Return the file beside a CSV log."""
+    return path.with_name(f"{path.name}.meta.json")
+
+
+class CsvWriter:
+    """Writes one CSV log; see `LogWriter`."""
+
+    def __init__(self, path: Path, run: Mapping[str, Any], slots: Sequence[int]) -> None:
+        self._path, self._run, self._slots = path, dict(run), np.asarray(slots, dtype=np.intp)
+        self._period_s = int(run["base_period_ns"]) * 1e-9
+        self._states: list[State] = []
+        self._write_meta()
+        self._file = WholeFile(path)
+        names = [run["signals"][slot]["name"] for slot in slots]
+        self._file.append((",".join(["t_s", "segment", *names]) + "\n").encode())
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the file so far."""
+        return self._file.size
+
+    def write(self, batch: Segmented) -> None:
+        """Append a row for each frame."""
+        frames = batch.frames
+        values = frames.values[:, self._slots]
+        values[(frames.status[:, self._slots] & BAD) != 0] = np.nan
+        times = (frames.ticks * self._period_s).tolist()
+        rows = zip(times, batch.segments.tolist(), values.tolist(), strict=True)
+        lines = [f"{t!r},{segment},{','.join(map(repr, row))}\n" for t, segment, row in rows]
+        self._file.append("".join(lines).encode())
+
+    def add_state(self, state: State) -> None:
+        """Append a state to replay from."""
+        self._states.append(state)
+        self._write_meta()
+
+    def tell(self, run: Mapping[str, Any]) -> None:
+        """Replace what the file says about its run."""
+        self._run = dict(run)
+        self._write_meta()
+
+    def _write_meta(self) -> None:
+        states = [
+            {"segment": s.segment, "tick": s.tick, "zlib_base64": pack_state(s)}
+            for s in self._states
+        ]
+        path = meta_path(self._path)
+        partial = path.with_name(f"{path.name}.part")
+        partial.write_text(json.dumps(self._run | {"states": states}, indent=1), encoding="utf-8")
+        partial.replace(path)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def sync(self) -> None:
+        """Hand everything to the disk."""
+        self._file.sync()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def pack_state(state: State) -> str:
+    """Return the words of a state as text."""
+    return base64.b64encode(zlib.compress(state.words.astype("<i8").tobytes())).decode()
+
+
+def unpack_state(entry: Mapping[str, Any]) -> State:
+    """Return the state that an entry of the file beside the log holds."""
+    data = zlib.decompress(base64.b64decode(entry["zlib_base64"], validate=True))
+    words = np.frombuffer(data, dtype="<i8").astype(np.int64)
+    return State(int(entry["segment"]), int(entry["tick"]), words)

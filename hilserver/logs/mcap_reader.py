@@ -1,0 +1,155 @@
+"""MCAP recordings of hilserver, complete or torn: every whole chunk is read, index or not."""
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import zstandard
+from mcap import records as rec
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from hilserver.errors import LogError
+from hilserver.logs.log import Log, State
+from hilserver.logs.mcap_writer import (
+    CONFIG_ATTACHMENT,
+    METADATA,
+    STATE_ATTACHMENT,
+    TOPIC,
+    record_dtype,
+)
+from hilserver.logs.provenance import SCHEMA
+
+BAD = 0x8000_0000
+_TEXTS = (
+    "schema",
+    "version",
+    "kernels",
+    "config_sha256",
+    "config_folder",
+    "replay_of",
+)
+_READ = {
+    Opcode.CHANNEL: rec.Channel.read,
+    Opcode.CHUNK: rec.Chunk.read,
+    Opcode.METADATA: rec.Metadata.read,
+    Opcode.ATTACHMENT: rec.Attachment.read,
+}
+
+
+@dataclass
+class _Contents:
+    """What the records of a file say."""
+
+    names: list[str] = field(default_factory=list)
+    tables: list[NDArray[np.void]] = field(default_factory=list)
+    run: dict[str, Any] = field(default_factory=dict)
+    configuration: str | None = None
+    states: list[State] = field(default_factory=list)
+    ended: bool = False
+
+    def take(self, record: rec.McapRecord) -> None:
+        if isinstance(record, rec.Channel) and record.topic == TOPIC:
+            self.names = list(json.loads(record.metadata["signals"]))
+        elif isinstance(record, rec.Chunk) and self.names:
+            self.tables.append(_messages(record, len(self.names)))
+        elif isinstance(record, rec.Metadata) and record.name == METADATA:
+            self.run = {
+                key: text if key in _TEXTS else json.loads(text)
+                for key, text in record.metadata.items()
+            }
+        elif isinstance(record, rec.Attachment) and record.name == CONFIG_ATTACHMENT:
+            self.configuration = record.data.decode() or None
+        elif isinstance(record, rec.Attachment) and record.name.startswith(STATE_ATTACHMENT):
+            _, segment, tick = record.name.split("-")
+            words = np.frombuffer(record.data, dtype="<i8").astype(np.int64)
+            self.states.append(State(int(segment), int(tick), words))
+
+
+def _messages(chunk: rec.Chunk, n_signals: int) -> NDArray[np.void]:
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    table = np.frombuffer(stream.read(length), dtype=record_dtype(n_signals))
+    if not (table["opcode"] == Opcode.MESSAGE).all():
+        raise ValueError("foreign records in a chunk")
+    payload: NDArray[np.void] = table["payload"]
+    return payload
+
+
+def read_mcap(path: Path) -> Log:
+    """Read a recording; see `reading.read_log`."""
+    contents = _Contents()
+    with path.open("rb") as file:
+        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise LogError(f"{path}: is no MCAP file; was it cut off at its start?")
+        for offset, opcode, body in _records(file):
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                contents.ended = True
+                break
+            try:
+                if opcode in _READ:
+                    contents.take(_READ[Opcode(opcode)](ReadDataStream(BytesIO(body))))
+            except (ValueError, KeyError, struct.error, zstandard.ZstdError, EndOfFile, zlib.error):
+                raise LogError(
+                    f"{path}: the record at byte {offset} is damaged; cut the file off there, what"
+                    " stands before it can be read"
+                ) from None
+    return _to_log(path, contents)
+
+
+def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
+    """Yield offset, opcode and body of every whole record; a torn last one ends it."""
+    while True:
+        offset = file.tell()
+        head = file.read(9)
+        if len(head) < 9:
+            return
+        opcode, length = struct.unpack("<BQ", head)
+        if opcode == 0 or length > 1 << 32:
+            return
+        body = file.read(length)
+        if len(body) < length:
+            return
+        yield offset, opcode, body
+
+
+def _to_log(path: Path, contents: _Contents) -> Log:
+    run = contents.run
+    if not contents.names or run.get("schema") != SCHEMA:
+        raise LogError(
+            f"{path}: holds no recording of hilserver (no topic {TOPIC}); convert it to CSV"
+        )
+    run["configuration"] = contents.configuration
+    table = (
+        np.concatenate(contents.tables)
+        if contents.tables
+        else np.empty(0, dtype=record_dtype(len(contents.names))["payload"])
+    )
+    values = np.array(table["values"].T, order="C")
+    status = np.array(table["status"].T, dtype=np.int64, order="C")
+    values[(status & BAD) != 0] = np.nan
+    notices = []
+    if not contents.ended:
+        notices.append(f"{path}: the recorder did not close the file; its last part is missing")
+    lost = int((np.diff(table["number"]) - 1).sum()) if len(table) else 0
+    if lost > 0:
+        notices.append(f"{path}: {lost} frames were lost while recording")
+    return Log(
+        path=path,
+        t_s=table["tick"] * (int(run["base_period_ns"]) * 1e-9),
+        segment=table["segment"].astype(np.int64),
+        columns=dict(zip(contents.names, values, strict=True)),
+        status=dict(zip(contents.names, status, strict=True)),
+        run=run,
+        states=contents.states,
+        notices=notices,
+    )

@@ -1,0 +1,256 @@
+"""MCAP, chunked so that a killed recorder loses a fraction of a second.
+
+Whole chunks of messages are built as one NumPy array; the other records come from the package
+``mcap``. Nothing is written that is not complete, so that a file without its end (kill -9, full
+disk) still has every chunk before it. https://mcap.dev/spec
+"""
+
+import json
+import struct
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap import records as rec
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from hilserver import __version__
+from hilserver.logs.log import State
+from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout, payload_dtype
+from hilserver.logs.writing import Segmented, WholeFile
+
+TOPIC = "/hilserver/frame"
+METADATA = "hilserver"
+CONFIG_ATTACHMENT = "config.yaml"
+STATE_ATTACHMENT = "state"
+CHANNEL = 1
+CHUNK_BYTES = 1 << 20
+CHUNKS_FOR_INDEX = 5
+USUAL_COMPRESSION = 8
+
+
+def record_dtype(n_signals: int) -> np.dtype[np.void]:
+    """Return a whole Message record, from opcode to payload, as a packed NumPy record."""
+    head = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
+    times = [("log_time", "<u8"), ("publish_time", "<u8")]
+    return np.dtype([*head, *times, ("payload", payload_dtype(n_signals))])
+
+
+class McapWriter:
+    """Writes one MCAP recording; see `LogWriter`."""
+
+    def __init__(
+        self, path: Path, run: Mapping[str, Any], slots: Sequence[int], utc_minus_monotonic_ns: int
+    ) -> None:
+        signals = [run["signals"][slot] for slot in slots]
+        slot_of = {s["name"]: slot for s, slot in zip(signals, slots, strict=True)}
+        layout = make_layout(list(slot_of))
+        self._slots = np.array([slot_of[name] for name in layout.names], dtype=np.intp)
+        self._dtype = record_dtype(len(layout.names))
+        self._utc_ns = utc_minus_monotonic_ns
+        self._pending: list[NDArray[np.void]] = []
+        self._pending_bytes = 0
+        self._schema = rec.Schema(
+            id=1, data=layout.schema.encode(), encoding="ros2msg", name=SCHEMA_NAME
+        )
+        units = {s["name"]: s["unit"] for s in signals}
+        self._channel = rec.Channel(
+            id=CHANNEL,
+            topic=TOPIC,
+            message_encoding="cdr",
+            schema_id=1,
+            metadata={"signals": json.dumps({name: units[name] for name in layout.names})},
+        )
+        self._summary = _Summary()
+        self._file = WholeFile(path)
+        self._append(rec.Header("", f"hilserver {__version__}"), magic=True)
+        self._append(self._schema)
+        self._append(self._channel)
+        self.tell(run)
+        self._attach(CONFIG_ATTACHMENT, "application/yaml", (run["configuration"] or "").encode())
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the file so far, with about what the chunk to come will take."""
+        return self._file.size + self._pending_bytes // USUAL_COMPRESSION
+
+    def write(self, batch: Segmented) -> None:
+        """Append a message for each frame."""
+        frames = batch.frames
+        table = np.zeros(len(frames), dtype=self._dtype)
+        table["opcode"] = Opcode.MESSAGE
+        table["length"] = self._dtype.itemsize - 9
+        table["channel"] = CHANNEL
+        table["sequence"] = frames.numbers & 0xFFFF_FFFF
+        table["log_time"] = table["publish_time"] = frames.planned_ns + self._utc_ns
+        payload = table["payload"]
+        payload["cdr"] = CDR_LITTLE_ENDIAN
+        payload["number"], payload["segment"] = frames.numbers, batch.segments
+        payload["tick"] = frames.ticks
+        payload["planned_ns"] = frames.planned_ns
+        payload["values"] = frames.values[:, self._slots]
+        payload["status"] = frames.status[:, self._slots]
+        self._pending.append(table)
+        self._pending_bytes += table.nbytes
+        if self._pending_bytes >= CHUNK_BYTES:
+            self.flush()
+
+    def add_state(self, state: State) -> None:
+        """Append a state to replay from."""
+        name = f"{STATE_ATTACHMENT}-{state.segment}-{state.tick}"
+        self._attach(name, "application/octet-stream", state.words.astype("<i8").tobytes())
+
+    def tell(self, run: Mapping[str, Any]) -> None:
+        """Say where the recording comes from; the last word counts."""
+        texts = {
+            key: value if isinstance(value, str) else json.dumps(value)
+            for key, value in run.items()
+            if key != "configuration"
+        }
+        offset = self._file.size
+        length = self._append(rec.Metadata(name=METADATA, metadata=texts))
+        index = rec.MetadataIndex(offset=offset, length=length, name=METADATA)
+        self._summary.metadata.append(index)
+
+    def _attach(self, name: str, media_type: str, data: bytes) -> None:
+        offset, now_ns = self._file.size, time.time_ns()
+        length = self._append(rec.Attachment(now_ns, now_ns, name, media_type, data))
+        self._summary.attachments.append(
+            rec.AttachmentIndex(offset, length, now_ns, now_ns, len(data), name, media_type)
+        )
+
+    def _append(self, record: rec.McapRecord, *, magic: bool = False) -> int:
+        data = _encode(record)
+        self._file.append(MCAP0_MAGIC + data if magic else data)
+        return len(data)
+
+    def flush(self) -> None:
+        """Write what is pending as one chunk."""
+        if not self._pending:
+            return
+        table = np.concatenate(self._pending)
+        self._pending, self._pending_bytes = [], 0
+        self._summary.add(self._file, table)
+
+    def sync(self) -> None:
+        """Hand everything to the disk."""
+        self.flush()
+        self._file.sync()
+
+    def close(self) -> None:
+        """Write the last chunk, the index and the end; close the file in any case.
+
+        On a full disk up to a second of the recording makes room for the index.
+        """
+        try:
+            self.flush()
+            for left in reversed(range(CHUNKS_FOR_INDEX + 1)):
+                index = self._summary.encode(self._file.size, self._schema, self._channel)
+                try:
+                    self._file.append(index)
+                    return
+                except OSError:
+                    if not left or not self._summary.chunks:
+                        raise
+                    self._file.cut(self._summary.drop_last())
+        finally:
+            self._file.close()
+
+
+class _Summary:
+    """The index at the end of the file, collected chunk by chunk."""
+
+    def __init__(self) -> None:
+        self.chunks: list[rec.ChunkIndex] = []
+        self.metadata: list[rec.MetadataIndex] = []
+        self.attachments: list[rec.AttachmentIndex] = []
+        self._n_messages: list[int] = []
+        self._compressor = zstandard.ZstdCompressor(level=1)
+
+    def add(self, file: WholeFile, table: NDArray[np.void]) -> None:
+        """Write a chunk with its message index and remember where it is."""
+        data = table.tobytes()
+        start_ns, end_ns = int(table["log_time"].min()), int(table["log_time"].max())
+        packed = self._compressor.compress(data)
+        chunk = _encode(rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data)))
+        index = _message_index(table)
+        offset = file.size
+        file.append(chunk + index)
+        self.chunks.append(
+            rec.ChunkIndex(
+                chunk_length=len(chunk),
+                chunk_start_offset=offset,
+                compression="zstd",
+                compressed_size=len(packed),
+                message_end_time=end_ns,
+                message_index_length=len(index),
+                message_index_offsets={CHANNEL: offset + len(chunk)},
+                message_start_time=start_ns,
+                uncompressed_size=len(data),
+            )
+        )
+        self._n_messages.append(len(table))
+
+    def drop_last(self) -> int:
+        """Forget the last chunk and what stands behind it; return where it begins."""
+        start = self.chunks.pop().chunk_start_offset
+        self._n_messages.pop()
+        self.metadata = [m for m in self.metadata if m.offset < start]
+        self.attachments = [a for a in self.attachments if a.offset < start]
+        return start
+
+    def encode(self, position: int, schema: rec.Schema, channel: rec.Channel) -> bytes:
+        """Return everything from the end of the data to the end of the file."""
+        statistics = rec.Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=1,
+            channel_message_counts={CHANNEL: sum(self._n_messages)},
+            chunk_count=len(self.chunks),
+            message_count=sum(self._n_messages),
+            message_end_time=max((c.message_end_time for c in self.chunks), default=0),
+            message_start_time=min((c.message_start_time for c in self.chunks), default=0),
+            metadata_count=len(self.metadata),
+            schema_count=1,
+        )
+        data_end = _encode(rec.DataEnd(0))
+        groups: list[tuple[Opcode, Sequence[rec.McapRecord]]] = [
+            (Opcode.SCHEMA, [schema]),
+            (Opcode.CHANNEL, [channel]),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self.chunks),
+            (Opcode.ATTACHMENT_INDEX, self.attachments),
+            (Opcode.METADATA_INDEX, self.metadata),
+        ]
+        start = position + len(data_end)
+        summary, offsets = b"", b""
+        for opcode, group in groups:
+            text = b"".join(_encode(record) for record in group)
+            if text:
+                offsets += _encode(rec.SummaryOffset(opcode, start + len(summary), len(text)))
+            summary += text
+        offset_start = start + len(summary)
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc = zlib.crc32(summary + offsets + head)
+        return data_end + summary + offsets + head + struct.pack("<I", crc) + MCAP0_MAGIC
+
+
+def _encode(record: rec.McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _message_index(table: NDArray[np.void]) -> bytes:
+    entries = np.empty((len(table), 2), dtype="<u8")
+    entries[:, 0] = table["log_time"]
+    entries[:, 1] = np.arange(len(table)) * table.dtype.itemsize
+    data = entries.tobytes()
+    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), CHANNEL, len(data))
+    return head + data

@@ -1,0 +1,20 @@
+"""Replay: the inputs of a log through the plant, as fast as possible.
+
+A log of ours brings every input of every tick and a state to begin with: the plant then goes
+through the same bits. A log of others brings set-points that hold until its next row.
+"""
+
+from hilserver.replay.comparison import Comparison
+from hilserver.replay.engine import Engine
+from hilserver.replay.origin import assembly_of
+from hilserver.replay.plan import Plan, Stretch, plan_exact, plan_inputs
+
+__all__ = [
+    "Comparison",
+    "Engine",
+    "Plan",
+    "Stretch",
+    "assembly_of",
+    "plan_exact",
+    "plan_inputs",
+]

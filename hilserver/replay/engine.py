@@ -1,0 +1,115 @@
+"""The plant alone, in virtual time, fed with rows."""
+
+import os
+import time
+from collections.abc import AsyncIterator, Mapping
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.assembly import Assembly
+from hilserver.errors import ConfigError, LogError
+from hilserver.image import ProcessImage, read_frames
+from hilserver.image.layout import W_STATE
+from hilserver.kernel import compose
+from hilserver.logs.writing import Segmented
+from hilserver.replay.plan import Stretch
+from hilserver.scheduler import RealtimeSettings, Scheduler
+from hilserver.snapshot import SnapshotStore
+
+QUEUE_ROWS = 1 << 17
+RING_FRAMES = 1 << 11
+BATCH_TICKS = 1 << 10
+RUNNING, IN_ROWS = 1, -1
+_OF_THE_CONFIGURATION = ("parameters", "base_period_ns", "slices")
+
+
+class Engine:
+    """Plays stretches through the plant of a configuration; an asynchronous context manager."""
+
+    def __init__(self, assembly: Assembly) -> None:
+        composition = assembly.composition
+        self.assembly, self.table = assembly, assembly.table
+        self.image = ProcessImage(
+            f"replay-{os.getpid()}-{time.monotonic_ns()}",
+            assembly.table,
+            live=composition.live_regions,
+            fixed=composition.fixed_regions,
+            base_period_ns=assembly.base_period_ns,
+            ring_length=RING_FRAMES,
+            queue_rows=QUEUE_ROWS,
+            run=assembly.provenance,
+        )
+        self._scheduler = Scheduler(
+            base_period_ns=assembly.base_period_ns,
+            slices=assembly.slices,
+            step=compose(composition, self.image),
+            values=self.image.values,
+            words=self.image.words,
+            backend="virtual",
+            realtime=RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False),
+            paused=True,
+            freeze_gc=False,
+        )
+        self._store = SnapshotStore(self.image, assembly.folder, dict(assembly.identity))
+        self._fresh = self._store.initial
+        self.image.tell(identity=self._store.identity)
+
+    async def __aenter__(self) -> Self:
+        await self._scheduler.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._scheduler.stop()
+        self.image.close()
+
+    def check(self, what: str, identity: Mapping[str, Any], state: NDArray[np.int64]) -> None:
+        """Refuse what was made by kernels or a configuration that would give other bits.
+
+        Raises
+        ------
+        ConfigError
+            If the configuration differs.
+        LogError
+            If version, kernels or signals differ, or the state is of another size.
+        """
+        key = self._store.differs_in(identity)
+        if key is not None:
+            here, there = (str(i.get(key))[:16] for i in (self._store.identity, identity))
+            kind = ConfigError if key in _OF_THE_CONFIGURATION else LogError
+            mend = (
+                "use the configuration of its run"
+                if kind is ConfigError
+                else "use the hilserver of its run"
+            )
+            raise kind(
+                f"{what}: was made with {key} {there}, here it is {here}; {mend}, or replay its"
+                " set-points with --as-inputs"
+            )
+        if len(state) != self._store.state_words:
+            raise LogError(f"{what}: holds a state of another size; was it cut off?")
+
+    def feed_state(self, *, in_rows: bool) -> None:
+        """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
+        self.image.words[W_STATE] = IN_ROWS if in_rows else RUNNING
+
+    async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
+        """Run through a stretch; give its frames."""
+        state = self._fresh if stretch.state is None else stretch.state
+        await self._store.restore(state, stretch.first_tick)
+        rows, period_ns = stretch.rows, self.assembly.base_period_ns
+        number, done = self.image.head, 0
+        while done < stretch.n_ticks:
+            n = min(BATCH_TICKS, stretch.n_ticks - done)
+            end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + n))
+            if end > QUEUE_ROWS:
+                n, end = 1, int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1))
+            if not self.image.push_timed_table(np.ascontiguousarray(rows[:end])):
+                raise LogError(f"tick {stretch.first_tick + done} has too many rows")
+            rows = rows[end:]
+            await self._scheduler.advance(n)
+            frames = read_frames(self.image, number, n)
+            frames.words[:, 1] = frames.ticks * period_ns  # simulated, not planned, time
+            yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64))
+            number, done = number + n, done + n

@@ -1,0 +1,233 @@
+"""From a log to stretches: from which state, at which ticks which inputs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import LogError
+from hilserver.image.layout import Layout
+from hilserver.logs import Log, State
+from hilserver.signals import Direction, SignalTable
+from hilserver.status import GOOD
+
+MAX_TICKS = 10**9
+_TWIST = ("twist.linear_m_s", "twist.angular_rad_s")
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Ticks that follow each other, and the inputs that change in them.
+
+    Attributes
+    ----------
+    state : ndarray of int64 or None
+        The state to begin with; None: that of a fresh start.
+    rows : ndarray of float64, shape (n, 4)
+        Tick, slot, value, status; ticks rise.
+    """
+
+    segment: int
+    first_tick: int
+    n_ticks: int
+    rows: NDArray[np.float64]
+    state: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a replay does.
+
+    Attributes
+    ----------
+    feeds_state : bool
+        Whether the daemon's state (``sim.state``) comes with the rows.
+    """
+
+    stretches: Sequence[Stretch]
+    feeds_state: bool
+    notices: list[str] = field(default_factory=list)
+
+    @property
+    def n_ticks(self) -> int:
+        """Ticks of all stretches."""
+        return sum(stretch.n_ticks for stretch in self.stretches)
+
+
+def plan_exact(
+    log: Log, table: SignalTable, layout: Layout, base_period_ns: int, start: State | None = None
+) -> Plan:
+    """Plan a replay that gives the bits of the recorded run.
+
+    Parameters
+    ----------
+    log : Log
+        A recording of ours.
+    start : State, optional
+        A snapshot to begin with, in place of the states of the recording; its segment is not used.
+
+    Raises
+    ------
+    LogError
+        If inputs are missing, or there is no state to begin with.
+    """
+    inputs = [s for s in table.scalars if s.direction is Direction.IN]
+    missing = [s.name for s in inputs if s.name not in log.columns]
+    if missing:
+        raise LogError(
+            f"{log.path}: was recorded without the input '{missing[0]}'; record all signals, or"
+            " replay what it has with --as-inputs"
+        )
+    if not len(log):
+        raise LogError(f"{log.path}: holds no frames")
+    ticks = log.ticks(base_period_ns)
+    slots = np.array([s.slots[0] for s in inputs])
+    values = np.stack([log.columns[s.name] for s in inputs], axis=1)
+    status = (
+        np.stack([log.status[s.name] for s in inputs], axis=1)
+        if log.status
+        else np.full(values.shape, GOOD, dtype=np.int64)
+    )
+    stretches = []
+    for first, last in _runs(log.segment, ticks):
+        segment = int(log.segment[first])
+        state = _state_in(log, segment, int(ticks[first]), int(ticks[last]), start)
+        if state is None:
+            continue
+        begin = first + state.tick - int(ticks[first])
+        part = slice(begin, last + 1)
+        rows = _changes(
+            ticks[part], slots, values[part], status[part], _frame_of(state.words, layout)
+        )
+        stretches.append(Stretch(segment, state.tick, last + 1 - begin, rows, state.words))
+        if start is not None:
+            break
+    if not stretches:
+        raise _no_state(log, ticks, start)
+    plan = Plan(stretches, feeds_state=True)
+    if plan.n_ticks < len(log) and start is None:
+        plan.notices.append(
+            f"{log.path}: {len(log) - plan.n_ticks} of {len(log)} rows have no state before them"
+            " and are left out"
+        )
+    return plan
+
+
+def _runs(segment: NDArray[np.int64], ticks: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return first and last row of every run of ticks without a gap."""
+    cuts = np.flatnonzero((np.diff(ticks) != 1) | (np.diff(segment) != 0)) + 1
+    firsts = [0, *cuts.tolist()]
+    return [(f, n - 1) for f, n in zip(firsts, [*firsts[1:], len(ticks)], strict=True)]
+
+
+def _state_in(log: Log, segment: int, low: int, high: int, start: State | None) -> State | None:
+    if start is not None:
+        return start if low <= start.tick <= high else None
+    fitting = [s for s in log.states if s.segment == segment and low <= s.tick <= high]
+    return min(fitting, key=lambda s: s.tick, default=None)
+
+
+def _no_state(log: Log, ticks: NDArray[np.int64], start: State | None) -> LogError:
+    if start is not None:
+        return LogError(
+            f"{log.path}: has no frame of tick {start.tick}, at which the snapshot was taken; it"
+            f" goes from tick {ticks.min()} to {ticks.max()}"
+        )
+    return LogError(
+        f"{log.path}: holds no state to begin with; name a snapshot of its run with --from, or"
+        " replay its set-points with --as-inputs"
+    )
+
+
+def _frame_of(
+    state: NDArray[np.int64], layout: Layout
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return values and status codes of the frame in a state, shapes (n_slots,)."""
+    live, frame, status = (layout.regions[name] for name in ("live", "frame", "status"))
+    at_frame, at_status = frame.base - live.base, status.base - live.base
+    values = state[at_frame : at_frame + frame.length].view(np.float64)
+    return values, state[at_status : at_status + status.length]
+
+
+def _changes(
+    ticks: NDArray[np.int64],
+    slots: NDArray[np.int64],
+    values: NDArray[np.float64],
+    status: NDArray[np.int64],
+    before: tuple[NDArray[np.float64], NDArray[np.int64]],
+) -> NDArray[np.float64]:
+    """Return a row for every input that differs from the tick before, bit by bit."""
+    held = np.vstack([before[0][slots], values])
+    codes = np.vstack([before[1][slots], status])
+    _fill_forward(held)
+    changed = (np.diff(held.view(np.int64), axis=0) != 0) | (np.diff(codes, axis=0) != 0)
+    row, column = np.nonzero(changed)
+    return np.column_stack(
+        [ticks[row], slots[column], held[1:][row, column], codes[1:][row, column]]
+    ).astype(np.float64)
+
+
+def _fill_forward(table: NDArray[np.float64]) -> None:
+    """Replace each NaN by the value above it, in place."""
+    for column in np.flatnonzero(np.isnan(table).any(axis=0)):
+        good = ~np.isnan(table[:, column])
+        last = np.maximum.accumulate(np.where(good, np.arange(len(table)), 0))
+        table[:, column] = table[last, column]
+
+
+def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
+    """Plan a replay that holds the set-points of a log until its next row, from a fresh start.
+
+    Raises
+    ------
+    LogError
+        If the log has no set-points, or would take forever.
+    """
+    names = [
+        n
+        for n in log.columns
+        if n in table and table[n].writable and not table[n].is_measured and not table[n].is_array
+    ]
+    if not any(n.startswith(("wheel.", "twist.")) for n in names):
+        raise LogError(
+            f"{log.path}: has no column with set-points; known are wheel.fl.setpoint_rpm ... and"
+            f" {', '.join(_TWIST)}"
+        )
+    if not len(log):
+        raise LogError(f"{log.path}: holds no rows")
+    plan = Plan([], feeds_state="internal.state" in names)
+    ticks = log.ticks(base_period_ns)
+    clipped = {n: _clipped(log, table, n, plan.notices) for n in names}
+    stretches = []
+    for segment in dict.fromkeys(log.segment.tolist()):
+        mask = log.segment == segment
+        first, last = int(ticks[mask].min()), int(ticks[mask].max())
+        if last - first > MAX_TICKS:
+            raise LogError(f"{log.path}: segment {segment} lasts more than {MAX_TICKS} ticks")
+        parts = [_rows(ticks[mask], table.slot(n), clipped[n][mask]) for n in names]
+        if "control.mode" not in names and not any(n.startswith("wheel.") for n in names):
+            parts.append(np.array([[first, table.slot("control.mode"), 1.0, GOOD]]))
+        rows = np.concatenate(parts)
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        stretches.append(Stretch(segment, first, last - first + 1, rows))
+    return Plan(stretches, plan.feeds_state, plan.notices)
+
+
+def _rows(ticks: NDArray[np.int64], slot: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    good = ~np.isnan(values)
+    rows = np.empty((int(good.sum()), 4))
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = ticks[good], slot, values[good], GOOD
+    return rows
+
+
+def _clipped(log: Log, table: SignalTable, name: str, notices: list[str]) -> NDArray[np.float64]:
+    signal, values = table[name], log.columns[name]
+    limited = np.clip(values, signal.low, signal.high)
+    outside = int((limited != values)[~np.isnan(values)].sum())
+    if outside:
+        notices.append(
+            f"{log.path}: column '{name}': {outside} values outside {signal.low:g} .."
+            f" {signal.high:g} {signal.unit} were limited"
+        )
+    return limited

@@ -1,0 +1,85 @@
+"""A real daemon in a process of its own, on a free port and with an image of its own."""
+
+import contextlib
+import re
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+
+from tests.fakes import image_name
+
+START_LIMIT_S = 90
+
+
+@dataclass
+class RunningDaemon:
+    process: subprocess.Popen
+    image: str
+    url: str
+    folder: object
+
+    def stop(self):
+        """End it as systemd would; return its exit code."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(40)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait(10)
+
+
+@contextlib.contextmanager
+def running_daemon(folder, *options, config=""):
+    """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml."""
+    image = image_name()
+    text = f"image: {{name: {image}}}\nopcua: {{endpoint: 'opc.tcp://127.0.0.1:0/h'}}\n"
+    (folder / "config.yaml").write_text(f"{text}metrics: {{port: 0}}\n{config}", encoding="utf-8")
+    errors = (folder / "daemon.log").open("w+", encoding="utf-8")
+    command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *options]
+    with errors, subprocess.Popen(command, stderr=errors, cwd=folder) as process:
+        try:
+            yield RunningDaemon(process, image, _address(process, folder / "daemon.log"), folder)
+        finally:
+            process.kill()
+
+
+def _address(process, log):
+    for _ in range(START_LIMIT_S * 10):
+        if match := re.search(r"OPC UA +(opc\.tcp://\S+)", log.read_text(encoding="utf-8")):
+            return match.group(1)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.1)
+            break
+    raise AssertionError(log.read_text(encoding="utf-8"))
+
+
+def recorder(daemon, out, *options, **popen):
+    """Start ``hilserver record`` on a daemon's image; return it once it records."""
+    process = start_recorder(daemon, out, *options, **popen)
+    wait_for_start(process)
+    return process
+
+
+def start_recorder(daemon, out, *options, **popen):
+    """Start ``hilserver record`` on a daemon's image."""
+    command = [sys.executable, "-m", "hilserver", "record", "--image", daemon.image]
+    return subprocess.Popen(
+        [*command, "-o", str(out), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **popen,
+    )
+
+
+def wait_for_start(process):
+    """Wait until a recorder records."""
+    line = process.stdout.readline()
+    assert line.startswith("recording to"), process.stderr.read()
+
+
+def finish(process, timeout_s=40):
+    """Wait for a process; return exit code and what it said on stderr."""
+    _, text = process.communicate(timeout=timeout_s)
+    return process.returncode, text

@@ -1,0 +1,89 @@
+"""Logs of others: their set-points hold until the next row, from a fresh start."""
+
+import numpy as np
+import pytest
+
+from hilserver.logs import read_log
+
+WHEELS = ("fl", "rl", "fr", "rr")
+HEADER = ",".join(["t_s", *(f"wheel.{w}.setpoint_rpm" for w in WHEELS)])
+
+
+def write_steps(path, rows, header=HEADER):
+    lines = [header, *(",".join(map(str, row)) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_set_points_at_50_hz_hold_until_the_next_row(replay_here, tmp_path):
+    rows = [(i * 0.02, 10 + i, 10 + i, -10 - i, -10 - i) for i in range(50)]
+    log = write_steps(tmp_path / "log.csv", rows)
+    text = replay_here(log, "-o", "out.csv")
+    assert "replayed 981 ticks (0.981 s)" in text
+    out = read_log(tmp_path / "out.csv")
+    expected = [10 + tick // 20 for tick in range(981)]
+    assert out.columns["wheel.fl.setpoint_rpm"].tolist() == expected
+    assert out.columns["wheel.fl.speed_rpm"][-1] > 20
+    assert out.columns["pose.x_m"][-1] > 0.05
+    assert set(out.columns["sim.state"].tolist()) == {1.0}
+
+
+def test_a_row_between_two_ticks_is_latched_by_the_next_one(replay_here, tmp_path):
+    log = write_steps(
+        tmp_path / "log.csv", [(0, 0, 0, 0, 0), (0.0102, 50, 50, -50, -50), (0.02, *"0000")]
+    )
+    replay_here(log, "-o", "out.csv")
+    values = read_log(tmp_path / "out.csv").columns["wheel.fl.setpoint_rpm"]
+    assert np.flatnonzero(values).tolist() == list(range(11, 20))
+
+
+def test_missing_samples_hold_and_segments_start_anew(replay_here, tmp_path):
+    rows = [
+        (1.0, 5, 40, 40, -40, -40),
+        (1.5, 5, "", "nan", "", ""),
+        (1.0, 6, 40, 40, -40, -40),
+        (1.5, 6, *"    "),
+    ]
+    header = HEADER.replace("t_s", "t_s,segment")
+    log = write_steps(tmp_path / "log.csv", rows, header)
+    replay_here(log, "-o", "out.csv")
+    out = read_log(tmp_path / "out.csv")
+    assert sorted(set(out.segment.tolist())) == [5, 6]
+    first, second = ({n: c[out.segment == s] for n, c in out.columns.items()} for s in (5, 6))
+    for name in ("pose.x_m", "wheel.rr.speed_rpm", "imu.accel_x_m_s2"):
+        assert np.array_equal(first[name], second[name])
+    assert first["wheel.fl.setpoint_rpm"].tolist() == [40.0] * 501
+    assert out.t_s[0] == 1.0
+    assert out.t_s[-1] == 1.5
+
+
+def test_a_twist_alone_switches_to_twist_mode_and_what_is_too_fast_is_limited(
+    replay_here, tmp_path
+):
+    log = write_steps(
+        tmp_path / "log.csv",
+        [(0, 0.2, 0.5), (1, 99, 0)],
+        "t_s,twist.linear_m_s,twist.angular_rad_s",
+    )
+    text = replay_here(log, "-o", "out.csv")
+    assert "column 'twist.linear_m_s': 1 values outside" in text
+    out = read_log(tmp_path / "out.csv")
+    assert set(out.columns["control.mode"].tolist()) == {1.0}
+    assert out.columns["pose.yaw_rad"][-1] > 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("t_s,pose.x_m\n0,1\n", "has no column with set-points"),
+        ("t_s,pose.x\n0,1\n", "row 1, column 2 'pose.x': there is no such signal; did you mean"),
+        ("t_s,twist.linear_m_s\n0,1\n1e9,1\n", "lasts more than 1000000000 ticks"),
+        ("t_s,twist.linear_m_s\n", "holds no rows"),
+        ("t_s,twist.linear_m_s\n0,0.1\nx,0.1\n", "row 3, column 1 't_s': 'x' is no number"),
+    ],
+)
+def test_what_cannot_be_replayed_is_one_sentence(replay_here, tmp_path, text, complaint):
+    (tmp_path / "log.csv").write_text(text)
+    said = replay_here("log.csv", "-o", "out.csv", code=2)
+    assert complaint in said
+    assert len(said.splitlines()) == 1

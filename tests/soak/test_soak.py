@@ -1,0 +1,140 @@
+"""The demonstration with a recorder and a polling client, for as long as patience lasts.
+
+Memory, descriptors and tasks stay flat; simulated time stays with wall time to one period.
+Two minutes in `make test`, an hour in `make test-long`.
+"""
+
+import asyncio
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilserver.image import ImageReader
+from hilserver.logs import read_log
+from tests.helpers.daemons import finish, recorder, running_daemon
+from tests.io.opcua_server.rig import RobotClient
+
+PERIOD_NS = 1_000_000
+SHORT_S, LONG_S = 120.0, 3600.0
+SAMPLE_S = 2.0
+POLL_S = 0.05
+SETTLED = 0.25
+"""Share of the run after which nothing may grow any more."""
+GROWTH_MB_PER_H = 60.0
+NOISE_MB = 3.0
+CONFIG = "scheduler: {catch_up_limit: 10000}\n"
+"""What a busy computer took from the simulation, it gets back: no tick is ever left out."""
+NODES = ("pose.x_m", "pose.y_m", "pose.yaw_rad", "sim.tick", "battery.voltage_v")
+
+
+def rss_mb(pid):
+    words = Path(f"/proc/{pid}/statm").read_text().split()
+    return int(words[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def usage(pid):
+    """Resident memory [MB], descriptors, threads."""
+    return (
+        rss_mb(pid),
+        len(list(Path(f"/proc/{pid}/fd").iterdir())),
+        len(list(Path(f"/proc/{pid}/task").iterdir())),
+    )
+
+
+async def poll(url, duration_s, pids, image):
+    """Read nodes at 20 Hz; sample what the processes use and how time runs."""
+    client = RobotClient(url)
+    await client.connect()
+    reader = ImageReader.attach(image)
+    samples, times_ns, reads = [], [], 0
+    start_s = time.monotonic()
+    try:
+        nodes = [client.path(name) for name in NODES]
+        while (elapsed_s := time.monotonic() - start_s) < duration_s:
+            assert all(v is not None for v in await client.read_values(nodes))
+            reads += 1
+            if elapsed_s >= len(samples) * SAMPLE_S:
+                frame = reader.latest()
+                times_ns.append((frame.tick * PERIOD_NS, frame.planned_ns, time.monotonic_ns()))
+                samples.append([usage(pid) for pid in pids])
+            await asyncio.sleep(POLL_S)
+    finally:
+        await client.disconnect()
+    return np.array(samples, dtype=float), np.array(times_ns), reads
+
+
+def soak(tmp_path, duration_s):
+    with running_daemon(tmp_path, "--demo", config=CONFIG) as daemon:
+        recording = recorder(daemon, tmp_path / "soak.mcap", "--rotate-mb", "20", "--keep", "2")
+        pids = (daemon.process.pid, recording.pid)
+        samples, times_ns, reads = asyncio.run(poll(daemon.url, duration_s, pids, daemon.image))
+        recording.send_signal(signal.SIGTERM)
+        code, text = finish(recording)
+        assert code == 0, text
+        assert daemon.stop() == 0
+    report(samples, times_ns, reads, text, duration_s)
+    assert "none lost" in text
+    assert reads > 0.5 * duration_s / (POLL_S + 0.05)
+    files = sorted(tmp_path.glob("soak_*.mcap"))
+    assert 1 <= len(files) <= 2
+    assert len(read_log(files[-1]))
+    return samples, times_ns
+
+
+def report(samples, times_ns, reads, text, duration_s):
+    """Print the figures that the documentation quotes."""
+    settled = samples[int(SETTLED * len(samples)) :]
+    for index, name in enumerate(("daemon", "recorder")):
+        first, last = settled[0, index], settled[-1, index]
+        print(
+            f"{name}: {first[0]:.1f} -> {last[0]:.1f} MB, descriptors {first[1]:.0f} ->"
+            f" {last[1]:.0f}, tasks {first[2]:.0f} -> {last[2]:.0f}"
+        )
+    grid_ns, wall_ns = deviations_ns(times_ns)
+    print(f"{duration_s:g} s, {reads} reads; {text.splitlines()[-1]}")
+    print(f"simulated against wall time: grid {grid_ns} ns, as seen {wall_ns} ns")
+
+
+def deviations_ns(times_ns):
+    """By how much simulated time left the grid of planned starts, and the wall clock.
+
+    The second is seen from outside through a scheduler of the system: medians of the first and the
+    last quarter are compared.
+    """
+    simulated, planned, wall = times_ns.T
+    late = wall - simulated
+    quarter = len(late) // 4
+    return int(np.ptp(planned - simulated)), int(
+        abs(np.median(late[-quarter:]) - np.median(late[:quarter]))
+    )
+
+
+def assert_flat(samples, duration_s):
+    """No trend: the medians of the last quarter against those of the second."""
+    quarter = len(samples) // 4
+    early, late = samples[quarter : 2 * quarter], samples[-quarter:]
+    growth = np.median(late, axis=0) - np.median(early, axis=0)
+    assert (growth[:, 0] <= NOISE_MB + GROWTH_MB_PER_H * duration_s / 3600 / 2).all(), growth
+    assert (growth[:, 1] <= 0).all(), "descriptors grow"
+    assert (growth[:, 2] <= 0).all(), "tasks grow"
+
+
+@pytest.mark.parametrize(
+    "duration_s",
+    [
+        pytest.param(SHORT_S, marks=pytest.mark.timeout(SHORT_S + 150), id="two_minutes"),
+        pytest.param(
+            LONG_S, marks=[pytest.mark.long, pytest.mark.timeout(LONG_S + 300)], id="one_hour"
+        ),
+    ],
+)
+def test_nothing_grows_and_time_keeps_pace(tmp_path, duration_s):
+    samples, times_ns = soak(tmp_path, duration_s)
+    assert_flat(samples, duration_s)
+    grid_ns, wall_ns = deviations_ns(times_ns)
+    assert grid_ns < PERIOD_NS
+    assert wall_ns < PERIOD_NS
