@@ -10,6 +10,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_security.attempts import FailedAttempts
 from hilserver.io.opcua_security.certificate import first_of_chain, key_to_pem, make_key, to_der
@@ -235,6 +236,15 @@ async def test_roles_write(ours: Rig, pki: Pki) -> None:
             can_write = bool(level.Value.Value & ua.AccessLevel.CurrentWrite.mask)
             assert can_write is (user != "olga")
     assert found == {"olga": "BadUserAccessDenied", "otto": "Good", "emma": "Good"}
+
+
+async def test_recordings_carry_no_password_hashes() -> None:
+    text = hash_password("geheim", log_n=10)
+    users = [{"name": "emma", "password": text, "role": "engineer"}]
+    config = Config.model_validate({"opcua": {"users": users, "policies": ["Basic256Sha256"]}})
+    carried = without_passwords(config)
+    assert text not in str(carried)
+    assert Config.model_validate(carried).opcua.users[0].name == "emma"
 
 
 async def test_passwords() -> None:
