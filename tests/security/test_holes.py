@@ -383,7 +383,7 @@ print((peak_kb() - before) // 1024)
 
 @pytest.mark.parametrize("whose", ["stock", "ours"])
 async def test_five_bytes_that_decode_to_hundreds_of_megabytes(whose: str) -> None:
-    """An array of 20 million Nulls; not in the list of known holes, found by the generator."""
+    """An array of 20 million Nulls; not in the list of known holes: it was found by reading."""
     done = await asyncio.to_thread(
         subprocess.run, [sys.executable, "-c", _DECODE, whose], capture_output=True, text=True
     )
