@@ -16,7 +16,7 @@ from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
-from hilserver.config.root import Config, load_config
+from hilserver.config.root import Config, load_config, without_passwords
 from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
 from hilserver.errors import ConfigError
 from hilserver.kernel import BlockUse, Composition, Part
@@ -77,7 +77,7 @@ class Assembly:
         return {
             "version": __version__,
             "kernels": kernel_hash(),
-            "configuration": self.config.model_dump(mode="json"),
+            "configuration": without_passwords(self.config),
             "config_sha256": self.config.sha256,
             "config_folder": str(self.folder),
             "patch": None,

@@ -353,6 +353,7 @@ class Daemon:
             peers=lambda: figures.peer_table(peer.status for peer in self.peers),
             audit=lambda: figures.audit_table(self.audit),
             faults=self.faults,
+            folder=self.assembly.folder,
         )
 
     def _metrics_sources(self) -> MetricsSources:

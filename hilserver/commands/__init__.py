@@ -18,6 +18,7 @@ COMMANDS = {
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
     "wiring": "commissioning: is every wheel wired to the right input?",
+    "certs": "certificates, trusted clients and passwords of the OPC UA server",
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
     "latency-test": "what this computer can do, before the model is blamed",

@@ -47,6 +47,14 @@ class Config(Section):
         return hashlib.sha256(text.encode()).hexdigest()
 
 
+def without_passwords(config: Config) -> dict[str, Any]:
+    """Return a configuration as recordings carry it: valid, and without password hashes."""
+    data = config.model_dump(mode="json")
+    for user in data["opcua"]["users"]:
+        user["password"] = "$scrypt$removed"  # noqa: S105
+    return data
+
+
 def load_config(path: Path | None) -> Config:
     """Return the configuration of a file, or the defaults without one.
 

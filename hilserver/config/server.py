@@ -1,10 +1,47 @@
 """The `opcua:` section: our OPC UA server."""
 
 import ipaddress
-from typing import Annotated
+import re
+import socket
+from enum import IntEnum
+from pathlib import Path
+from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+Policy = Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"]
+RoleName = Literal["observer", "operator", "engineer"]
+SECURE_POLICIES: tuple[Policy, ...] = (
+    "Basic256Sha256",
+    "Aes128Sha256RsaOaep",
+    "Aes256Sha256RsaPss",
+)
+_PASSWORD_HASH = re.compile(r"\$scrypt\$[A-Za-z0-9+/=,$]+")
+
+
+class Role(IntEnum):
+    """What a user may do; each may do what the ones before may.
+
+    Everybody reads. By default an operator writes inputs and starts and stops the simulation, an
+    engineer calls every method.
+    """
+
+    OBSERVER = 0
+    OPERATOR = 1
+    ENGINEER = 2
+
+
+def _none_is_a_policy(value: object) -> object:
+    if isinstance(value, list):
+        return ["None" if item is None else item for item in value]
+    return value
+
+
+def _check_hash(text: str) -> str:
+    if _PASSWORD_HASH.fullmatch(text) is None:
+        raise ValueError("is no scrypt hash; make one with 'hilserver certs password'")
+    return text
 
 
 def _check_endpoint(text: str) -> str:
@@ -18,6 +55,11 @@ def _check_endpoint(text: str) -> str:
     return text
 
 
+def default_application_uri() -> str:
+    """Return the application URI where none is configured."""
+    return f"urn:{socket.gethostname()}:hilserver"
+
+
 def is_loopback(host: str) -> bool:
     """Whether only programs on this computer reach `host`; a name other than localhost is not."""
     if host == "localhost":
@@ -28,8 +70,44 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+class OpcUaUser(BaseModel):
+    """Somebody who logs in with name and password."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(min_length=1, max_length=64, description="Name to log in with")
+    password: Annotated[str, AfterValidator(_check_hash)] = Field(
+        description="scrypt hash, made with hilserver certs password", repr=False
+    )
+    role: RoleName = Field(default="observer", description="What the user may do")
+
+
+class OpcUaPermissions(BaseModel):
+    """The lowest role that may write a variable or call a method; of several rows the last wins.
+
+    Patterns are those of file names: ``*`` stands for any text.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    write: dict[str, RoleName] = Field(
+        default={"*": "operator"}, description="Pattern of signal names: lowest role that writes"
+    )
+    call: dict[str, RoleName] = Field(
+        default={
+            "*": "engineer",
+            "Start": "operator",
+            "Stop": "operator",
+            "Pause": "operator",
+            "Step": "operator",
+            "Reset": "operator",
+        },
+        description="Pattern of method names: lowest role that calls",
+    )
+
+
 class OpcUaConfig(BaseModel):
-    """Endpoint and limits of the OPC UA server."""
+    """Endpoint, security and limits of the OPC UA server."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -44,10 +122,48 @@ class OpcUaConfig(BaseModel):
         max_length=256,
         description="Application URI; urn:<host name>:hilserver when left out",
     )
+    policies: Annotated[tuple[Policy, ...], BeforeValidator(_none_is_a_policy)] | None = Field(
+        default=None,
+        min_length=1,
+        description="Security policies that clients may choose, all but None with SignAndEncrypt;"
+        " when left out None on loopback, elsewhere the three secure ones",
+    )
+    certificates: Path = Field(
+        default=Path("certificates"),
+        description="Folder with own, trusted, rejected and revoked, made by hilserver certs;"
+        " relative to this file",
+    )
+    private_key: Path | None = Field(
+        default=None, description="Key file elsewhere than own/key.pem of that folder"
+    )
+    users: tuple[OpcUaUser, ...] = Field(default=(), description="Who may log in")
+    anonymous: RoleName | Literal["nobody"] | None = Field(
+        default=None,
+        description="Role of a client without a name; when left out engineer on loopback and"
+        " nobody elsewhere, and nobody as soon as there are users",
+    )
+    permissions: OpcUaPermissions = Field(
+        default_factory=OpcUaPermissions, description="Who may write and call what"
+    )
     allow_insecure_network: bool = Field(
         default=False,
         description="Listen on other addresses than loopback although everyone there may then"
         " read, write and command without a password",
+    )
+    max_failed_logins: int = Field(
+        default=5, ge=1, le=1000, description="Failed log-ins of an address or a name in a minute"
+    )
+    max_message_bytes: int = Field(
+        default=262_144,
+        ge=65_536,
+        le=16_777_216,
+        description="Longest request, all chunks together; 65536 before the log-in",
+    )
+    max_operations: int = Field(
+        default=1000, ge=10, le=10_000, description="Nodes in one request of any service"
+    )
+    max_monitored_items: int = Field(
+        default=10_000, ge=1, le=100_000, description="Monitored items of all sessions together"
     )
     min_publishing_ms: float = Field(
         default=5.0,
@@ -82,11 +198,59 @@ class OpcUaConfig(BaseModel):
         """Whether other computers reach the server."""
         return not is_loopback(self.host)
 
+    @property
+    def offered_policies(self) -> tuple[Policy, ...]:
+        """Security policies that clients may choose."""
+        if self.policies is not None:
+            return self.policies
+        insecure = not self.is_open_to_network or self.allow_insecure_network
+        return ("None",) if insecure else SECURE_POLICIES
+
+    @property
+    def is_secure(self) -> bool:
+        """Whether every session is encrypted and every client known by its certificate."""
+        return "None" not in self.offered_policies
+
+    @property
+    def anonymous_role(self) -> Role | None:
+        """Role of a client that gives no name; None: it is refused."""
+        if self.anonymous is not None:
+            return None if self.anonymous == "nobody" else Role[self.anonymous.upper()]
+        if self.users or (self.is_open_to_network and not self.allow_insecure_network):
+            return None
+        return Role.ENGINEER
+
     @model_validator(mode="after")
     def _closed_to_network(self) -> "OpcUaConfig":
-        if self.enabled and self.is_open_to_network and not self.allow_insecure_network:
+        if not self.enabled or not self.is_open_to_network or self.allow_insecure_network:
+            return self
+        place = f"endpoint '{self.endpoint}' is reachable from the network"
+        if not self.is_secure:
             raise ValueError(
-                f"endpoint '{self.endpoint}' is reachable from the network, and the server has no"
-                " passwords yet: listen on 127.0.0.1, or set allow_insecure_network: true"
+                f"{place}, and policy None is in the clear: remove it from policies, listen on"
+                " 127.0.0.1, or set allow_insecure_network: true"
+            )
+        if self.anonymous_role not in (None, Role.OBSERVER):
+            raise ValueError(
+                f"{place}: anonymous may be nobody or observer there; name users instead, or set"
+                " allow_insecure_network: true"
+            )
+        if not self.users and self.anonymous_role is None:
+            raise ValueError(
+                f"{place}, and nobody may log in: name users (docs/how-to/secure-the-server.md),"
+                " listen on 127.0.0.1, or set allow_insecure_network: true"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _distinct_users(self) -> "OpcUaConfig":
+        names = [user.name for user in self.users]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"user '{twice[0]}' is named twice")
+        if self.users and self.offered_policies == ("None",):
+            raise ValueError(
+                "users need an encrypted connection for their passwords: add a secure policy to"
+                " policies, for example [Basic256Sha256]"
             )
         return self

@@ -2,19 +2,21 @@
 
 import errno
 import os
-import socket
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from asyncua import ua
 
 from hilserver.clock import UtcClock
-from hilserver.config.server import OpcUaConfig
+from hilserver.config.server import OpcUaConfig, Policy, Role, default_application_uri
 from hilserver.control import Control, State
-from hilserver.errors import FailedError
+from hilserver.errors import ConfigError, FailedError
 from hilserver.events import EventBus
 from hilserver.faults import Faults
 from hilserver.image import Frame, ProcessImage
 from hilserver.inputs import InputGate
+from hilserver.io.opcua_security.certificate import application_uris
+from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
@@ -31,6 +33,13 @@ from hilserver.io.opcua_server.values import FixedDataValue, SignalVariables, wr
 from hilserver.signals import SignalTable
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
+_WARN_BEFORE = timedelta(days=30)
+_POLICY_TYPES: dict[Policy, ua.SecurityPolicyType] = {
+    "None": ua.SecurityPolicyType.NoSecurity,
+    "Basic256Sha256": ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
+    "Aes128Sha256RsaOaep": ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
+    "Aes256Sha256RsaPss": ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
+}
 
 
 def _nothing() -> Table:
@@ -48,8 +57,8 @@ class OpcUaServer:
     statistics, peers, audit : callable
         Return plain tables, ``{name: {figure: number, text, Boolean or None}}``. Rows of `peers`
         have the figure "connected", rows of `audit` "ok"; both act on ServiceLevel.
-    access : Access
-        Decides who may do what.
+    folder : Path or None
+        Folder that relative paths of the configuration start from.
 
     Raises
     ------
@@ -70,7 +79,7 @@ class OpcUaServer:
         statistics: Provider = _nothing,
         peers: Provider = _nothing,
         audit: Provider = _nothing,
-        access: Access | None = None,
+        folder: Path | None = None,
         faults: Faults | None = None,
     ) -> None:
         self._config = config
@@ -89,7 +98,8 @@ class OpcUaServer:
         if faults is not None:
             self._providers["faults"] = faults.figures
         self._folders, self._rows = model.describe(table)
-        self._access = access or Access()
+        self._access = Access(config)
+        self._folder = folder or Path.cwd()
         self._server: RobotUaServer | None = None
         self._owner_shown = ""
 
@@ -110,13 +120,18 @@ class OpcUaServer:
 
     def audit(self) -> dict[str, dict[str, Figure]]:
         """Return what this server has to say in the audit."""
-        is_open = self._config.is_open_to_network
+        config = self._config
+        is_open = config.is_open_to_network and not (
+            config.is_secure and config.anonymous_role in (None, Role.OBSERVER)
+        )
+        protection = "certificates" if config.is_secure else "policy None"
+        who = "users" if config.anonymous_role is None else f"{config.anonymous_role.name.lower()}"
         return {
             "opcua_access": {
                 "ok": not is_open,
-                "found": f"{self._config.host}, no password",
-                "wanted": "loopback only",
-                "mend": "let opcua.endpoint listen on 127.0.0.1" if is_open else "",
+                "found": f"{config.host}, {protection}, open to {who}",
+                "wanted": "loopback, or certificates and users",
+                "mend": "see docs/how-to/secure-the-server.md" if is_open else "",
             },
             "opcua_time_stamps": {
                 "ok": True,
@@ -131,10 +146,17 @@ class OpcUaServer:
         ------
         FailedError
             If the address cannot be listened on.
+        ConfigError
+            If certificate or key are missing or cannot be used.
         """
-        iserver = RobotInternalServer(self._config, self._access)
+        needs_certificate = any(policy != "None" for policy in self._config.offered_policies)
+        trust = TrustList(self._folder / self._config.certificates) if needs_certificate else None
+        iserver = RobotInternalServer(self._config, self._access, trust)
         server = RobotUaServer(iserver=iserver)
+        if trust is not None:
+            self._load_certificate(iserver, trust)
         await self._name_server(server)
+        await iserver.tell_limits()
         await self._build(server)
         try:
             await server.start()
@@ -144,7 +166,7 @@ class OpcUaServer:
         self._server = server
         self._robot_events.attach(self._events)
         self.publish_diagnostics()
-        if self._config.is_open_to_network:
+        if not self.audit()["opcua_access"]["ok"]:
             log.warning("opcua open to the network: anyone may command", endpoint=self.url)
         log.info("opcua server listens", endpoint=self.url)
 
@@ -179,11 +201,31 @@ class OpcUaServer:
         server.product_uri = PRODUCT_URI
         server.manufacturer_name = "hilserver"
         server.application_type = ua.ApplicationType.Server
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        server.set_security_policy([_POLICY_TYPES[name] for name in self._config.offered_policies])
         await server.init()
-        uri = self._config.application_uri or f"urn:{socket.gethostname()}:hilserver"
-        await server.set_application_uri(uri)
+        await server.set_application_uri(self.application_uri)
         await server.set_build_info(**build_info())
+
+    @property
+    def application_uri(self) -> str:
+        """URI of this application, which its certificate must name."""
+        return self._config.application_uri or default_application_uri()
+
+    def _load_certificate(self, iserver: RobotInternalServer, trust: TrustList) -> None:
+        trust.make_folders()
+        key = self._config.private_key
+        certificate, private_key = trust.own(None if key is None else self._folder / key)
+        if self.application_uri not in application_uris(certificate):
+            raise ConfigError(
+                f"the certificate in {trust.folder} does not name the application URI"
+                f" {self.application_uri}: make another with 'hilserver certs renew'"
+            )
+        left = certificate.not_valid_after_utc - datetime.now(UTC)
+        if left < _WARN_BEFORE:
+            log.warning(
+                "opcua certificate ends", days_left=left.days, mend="run 'hilserver certs renew'"
+            )
+        iserver.certificate, iserver.private_key = certificate, private_key
 
     async def _build(self, server: RobotUaServer) -> None:
         iserver = server.iserver

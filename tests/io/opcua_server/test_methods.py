@@ -114,7 +114,7 @@ async def test_method_of_another_object(client: RobotClient) -> None:
     request.MethodId = ua.NodeId("methods.Pause", client.index)
     assert (await client.uaclient.call([request]))[0].StatusCode.name == "BadMethodInvalid"
     request.MethodId = ua.NodeId("methods.Explode", client.index)
-    assert (await client.uaclient.call([request]))[0].StatusCode.name == "BadNodeIdInvalid"
+    assert (await client.uaclient.call([request]))[0].StatusCode.name == "BadMethodInvalid"
 
 
 async def test_snapshot_is_saved_and_restored(rig: Rig, client: RobotClient) -> None:

@@ -109,7 +109,9 @@ async def test_subscribers_get_every_change(rig: Rig, client: RobotClient) -> No
 
     rig.set("battery.voltage_v", 0.5)
     subscription = await client.create_subscription(10, Handler())
-    await subscription.subscribe_data_change(client.path("battery.voltage_v"), queuesize=10)
+    await subscription.subscribe_data_change(
+        client.path("battery.voltage_v"), queuesize=10, sampling_interval=0
+    )
     for volts in (1.0, 2.0, 2.0, 3.0, 5.0):
         rig.set("battery.voltage_v", volts)
     await asyncio.wait_for(done.wait(), 5)

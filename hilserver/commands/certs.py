@@ -1,0 +1,223 @@
+"""Make and renew the server's certificate, decide which clients are trusted.
+
+make      a key and a self-signed certificate for this server
+renew     a new certificate, with the same names and key (--new-key: another key)
+list      all certificates, until when they are valid, and how many days that is
+trust     trust a client: a file, or one that was rejected (name or thumbprint, its beginning)
+reject    trust it no longer
+revoke    refuse it whatever is trusted, also when an authority issued it
+password  ask for a password and print the hash for opcua.users
+"""
+
+import argparse
+import getpass
+import socket
+import sys
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cryptography import x509
+
+from hilserver.commands.options import add_config, config_path
+from hilserver.config.root import load_config
+from hilserver.config.server import OpcUaConfig, default_application_uri
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
+from hilserver.io.opcua_security.certificate import (
+    application_uris,
+    common_name,
+    host_names,
+    key_to_pem,
+    load_certificate,
+    make_certificate,
+    make_key,
+    thumbprint,
+    to_der,
+)
+from hilserver.io.opcua_security.passwords import hash_password
+from hilserver.io.opcua_security.trust_list import (
+    FOLDERS,
+    TrustList,
+    file_name,
+    files_in,
+    write_private,
+)
+
+EXAMPLE = "hilserver certs make --host robot.plant.example --host 192.0.2.7"
+_ANYWHERE = {"0.0.0.0", "::", ""}  # noqa: S104 - recognised, not listened on
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the actions."""
+    actions = parser.add_subparsers(title="actions", dest="action", metavar="ACTION", required=True)
+    for name in ("make", "renew"):
+        action = _add(actions, name)
+        action.add_argument("--host", action="append", default=[], help="name or address of this"
+                            " computer as clients call it; may be repeated")  # fmt: skip
+        action.add_argument("--days", type=int, default=730, help="validity (default: 730)")
+        action.add_argument("--new-key", action="store_true", help="make another key, too")
+    listing = _add(actions, "list")
+    listing.add_argument(
+        "--expiring", type=int, metavar="DAYS", default=None,
+        help="only those that end within so many days; exit code 1 if there are any",
+    )  # fmt: skip
+    for name in ("trust", "reject", "revoke"):
+        _add(actions, name).add_argument("certificate", help="file, name or thumbprint")
+    _add(actions, "password")
+
+
+def _add(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str) -> (
+    argparse.ArgumentParser
+):  # fmt: skip
+    action = actions.add_parser(name)
+    add_config(action)
+    return action
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do one action."""
+    if args.action == "password":
+        print(hash_password(_ask_password()))
+        return EXIT_DONE
+    path = config_path(args)
+    config = load_config(path).opcua
+    folder = Path.cwd() if path is None else path.resolve().parent
+    trust = TrustList(folder / config.certificates)
+    trust.make_folders()
+    try:
+        if args.action in ("make", "renew"):
+            return _make(trust, config, args)
+        if args.action == "list":
+            return _list(trust, args.expiring)
+        return _move(trust, args.action, args.certificate)
+    except OSError as error:
+        raise FailedError(f"{error.filename}: {error.strerror}") from None
+
+
+# --- our own ------------------------------------------------------------------------------------
+
+
+def _make(trust: TrustList, config: OpcUaConfig, args: argparse.Namespace) -> int:
+    own = trust.folder / "own"
+    certificate_path, key_path = own / "certificate.der", own / "key.pem"
+    hosts = args.host
+    if args.action == "make":
+        if certificate_path.exists() or key_path.exists():
+            raise FailedError(f"{own} has a certificate already; use 'hilserver certs renew'")
+        key = make_key()
+        hosts = hosts or _hosts_of(config)
+    else:
+        old, key = trust.own(config.private_key)
+        hosts = hosts or host_names(old)
+        key = make_key() if args.new_key else key
+    if args.days < 1:
+        raise FailedError("--days: a certificate is valid for one day at least")
+    uri = config.application_uri or default_application_uri()
+    certificate = make_certificate(key, uri, hosts, days=args.days)
+    # The key first: a certificate without its key would be refused at the next start.
+    if args.action == "make" or args.new_key:
+        write_private(key_path, key_to_pem(key))
+    write_private(certificate_path, to_der(certificate))
+    print(f"{certificate_path}\n{_described(certificate)}")
+    return EXIT_DONE
+
+
+def _hosts_of(config: OpcUaConfig) -> Sequence[str]:
+    hosts = [socket.gethostname(), "localhost", "127.0.0.1"]
+    if config.host not in (*hosts, *_ANYWHERE):
+        hosts.append(config.host)
+    return hosts
+
+
+def _ask_password() -> str:
+    if not sys.stdin.isatty():
+        password = sys.stdin.readline().rstrip("\n")
+    else:
+        password = getpass.getpass("password: ")
+        if getpass.getpass("again: ") != password:
+            raise FailedError("the two passwords differ")
+    if not password:
+        raise FailedError("the password is empty")
+    return password
+
+
+# --- those of others ------------------------------------------------------------------------------
+
+
+def _list(trust: TrustList, expiring_days: int | None) -> int:
+    found = 0
+    for folder, certificate in _all(trust):
+        days = _days_left(certificate)
+        if expiring_days is not None and (days > expiring_days or folder not in FOLDERS[:2]):
+            continue
+        found += 1
+        print(f"{folder:8}  {_described(certificate)}")
+    return EXIT_FAILED if expiring_days is not None and found else EXIT_DONE
+
+
+def _all(trust: TrustList) -> Iterator[tuple[str, x509.Certificate]]:
+    for folder in FOLDERS:
+        for path in files_in(trust.folder / folder):
+            try:
+                yield folder, load_certificate(path)
+            except ValueError:
+                continue  # a key, a revocation list
+
+
+def _days_left(certificate: x509.Certificate) -> int:
+    return (certificate.not_valid_after_utc - datetime.now(UTC)).days
+
+
+def _described(certificate: x509.Certificate) -> str:
+    days = _days_left(certificate)
+    left = f"{days} days left" if days >= 0 else "EXPIRED"
+    if certificate.not_valid_before_utc > datetime.now(UTC):
+        left = f"not valid before {certificate.not_valid_before_utc:%Y-%m-%d}"
+    names = [*application_uris(certificate), *host_names(certificate)]
+    return (
+        f"{thumbprint(certificate)}  until {certificate.not_valid_after_utc:%Y-%m-%d} ({left})"
+        f"  {common_name(certificate)}  {' '.join(names)}"
+    )
+
+
+def _move(trust: TrustList, action: str, name: str) -> int:
+    certificate, source = _find(trust, name, action)
+    target = {"trust": "trusted", "reject": "rejected", "revoke": "revoked"}[action]
+    path = trust.folder / target / file_name(certificate)
+    write_private(path, to_der(certificate))
+    leaves = ("rejected", "revoked") if action == "trust" else ("trusted", "rejected")
+    for folder in leaves:
+        for other in files_in(trust.folder / folder):
+            if other != path and _is_same(other, certificate):
+                other.unlink()
+    print(f"{source}: now {target}\n{_described(certificate)}")
+    return EXIT_DONE
+
+
+def _is_same(path: Path, certificate: x509.Certificate) -> bool:
+    try:
+        return load_certificate(path) == certificate
+    except ValueError:
+        return False
+
+
+def _find(trust: TrustList, name: str, action: str) -> tuple[x509.Certificate, str]:
+    if Path(name).is_file():
+        try:
+            return load_certificate(Path(name)), name
+        except ValueError as error:
+            raise FailedError(f"{name} is no certificate: {error}") from None
+    found = {
+        thumbprint(certificate): certificate
+        for folder, certificate in _all(trust)
+        if folder != "own"
+        and (
+            common_name(certificate) == name
+            or thumbprint(certificate).startswith(name.upper().replace(":", ""))
+        )
+    }
+    if not found:
+        raise FailedError(f"no certificate '{name}' to {action}; 'hilserver certs list' shows all")
+    if len(found) > 1:
+        raise FailedError(f"'{name}' fits {len(found)} certificates; give more of the thumbprint")
+    return next(iter(found.values())), name

@@ -1,0 +1,50 @@
+"""Failed log-ins: after a few of them an address or a name has to wait."""
+
+from collections import OrderedDict, deque
+from collections.abc import Hashable
+
+_MOST_KEYS = 1000
+
+
+class FailedAttempts:
+    """Counts failures per key in a sliding window.
+
+    Parameters
+    ----------
+    limit : int
+        Failures within the window after which `is_blocked`.
+    window_s : float
+        Time after which a failure is forgotten [s].
+
+    Notes
+    -----
+    The keys are bounded: the one that has been quiet longest is forgotten first.
+    """
+
+    def __init__(self, limit: int, window_s: float) -> None:
+        self._limit = limit
+        self._window_s = window_s
+        self._failures: OrderedDict[Hashable, deque[float]] = OrderedDict()
+
+    def is_blocked(self, key: Hashable, now_s: float) -> bool:
+        """Whether `key` has to wait."""
+        failures = self._failures.get(key)
+        if failures is None:
+            return False
+        while failures and now_s - failures[0] >= self._window_s:
+            failures.popleft()
+        if not failures:
+            del self._failures[key]
+        return len(failures) >= self._limit
+
+    def failed(self, key: Hashable, now_s: float) -> None:
+        """Count one failure."""
+        failures = self._failures.setdefault(key, deque(maxlen=self._limit))
+        failures.append(now_s)
+        self._failures.move_to_end(key)
+        while len(self._failures) > _MOST_KEYS:
+            self._failures.popitem(last=False)
+
+    def succeeded(self, key: Hashable) -> None:
+        """Forget the failures of `key`."""
+        self._failures.pop(key, None)

@@ -1,0 +1,95 @@
+"""`hilserver bench attack` in small: a real daemon, 2,000 malformed packets and all floods."""
+
+import asyncio
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from hilserver.bench.attack_floods import FLOODS
+from hilserver.bench.attack_packets import STAGES, captures, packets
+from hilserver.bench.poisson import rate_ratio_interval
+from hilserver.bench.wire import Wire
+from tests.io.opcua_server.rig import Rig
+
+
+def campaign(path: Path, *sizes: str, timeout_s: float) -> dict[str, dict]:
+    """Run the bench; a crash of the daemon ends it with an error."""
+    command = [sys.executable, "-m", "hilserver", "bench", "attack", "--json", str(path), *sizes]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
+    assert done.returncode == 0, done.stderr
+    return {row["name"]: row for row in json.loads(path.read_text())["results"]}
+
+
+def check(found: dict[str, dict], count: int) -> None:
+    raw = found["malformed_packets"]["raw"]
+    assert found["malformed_packets"]["value"] == count
+    assert set(raw["sent"]) == set(STAGES)
+    assert raw["not_sent"] == 0
+    assert raw["unanswered"] == []
+    assert found["memory_growth_mb"]["value"] < 50
+    assert {block["name"] for block in raw["blocks"]} == {"idle", "packets", *FLOODS}
+    # A healthy client was served in every block.
+    assert all(block["reads"] > 0 for block in raw["blocks"])
+
+
+def test_two_thousand_packets_and_the_floods(tmp_path: Path) -> None:
+    sizes = ("--packets", "2000", "--idle-s", "0.5", "--flood-s", "1")
+    check(campaign(tmp_path / "attack.json", *sizes, timeout_s=110), 2000)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+def test_the_whole_campaign(tmp_path: Path) -> None:
+    found = campaign(tmp_path / "attack.json", timeout_s=1100)
+    check(found, 20_000)
+    # The plant misses no more ticks than at rest (spec 3).
+    assert found["missed_ticks_rate_ratio_low"]["value"] <= 1.0
+
+
+def test_the_same_seed_makes_the_same_packets() -> None:
+    first, again = list(packets(500, 7)), list(packets(500, 7))
+    assert first == again
+    assert first != list(packets(500, 8))
+    assert {packet.stage for packet in first} == set(STAGES)
+    valid = set(captures())
+    changed = [packet for packet in first if packet.data not in valid]
+    assert len(changed) > 0.9 * len(first)
+    assert all(packet.data for packet in first)
+
+
+@pytest.mark.asyncio
+async def test_the_captures_are_valid(tmp_path: Path) -> None:
+    """Unchanged, every request is answered in its session, so that mutations start from there."""
+    rig = Rig(tmp_path)
+    await rig.server.start()
+    try:
+        for data in captures():
+            if data[:3] != b"MSG":
+                continue
+            async with Wire(rig.server.url) as wire:
+                await wire.log_in()
+                await wire.send(wire.message(data[24:]))
+                kind, _ = await asyncio.wait_for(wire.receive(), 5)
+                assert kind == b"MSG"
+    finally:
+        await rig.close()
+
+
+@given(count=st.integers(0, 60), reference=st.integers(0, 60), factor=st.floats(0.2, 5.0))
+def test_interval_is_that_of_clopper_and_pearson(count: int, reference: int, factor: float) -> None:
+    low, high = rate_ratio_interval(count, 10.0 * factor, reference, 10.0)
+    total = count + reference
+    p_low = stats.beta.ppf(0.025, count, total - count + 1) if count else 0.0
+    p_high = stats.beta.ppf(0.975, count + 1, total - count) if reference else 1.0
+    assert low == pytest.approx(p_low / (1 - p_low) / factor, rel=1e-6, abs=1e-12)
+    if reference:
+        assert high == pytest.approx(p_high / (1 - p_high) / factor, rel=1e-6)
+    else:
+        assert math.isinf(high)

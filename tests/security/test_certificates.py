@@ -1,0 +1,275 @@
+"""Certificates: who is refused, with which status code, and what is kept of it."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from asyncua import ua
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilserver.config.root import Config, without_passwords
+from hilserver.errors import ConfigError
+from hilserver.io.opcua_security.attempts import FailedAttempts
+from hilserver.io.opcua_security.certificate import first_of_chain, key_to_pem, make_key, to_der
+from hilserver.io.opcua_security.passwords import check_hash, hash_password, is_password
+from hilserver.io.opcua_security.trust_list import (
+    MAX_REJECTED,
+    TrustList,
+    Verdict,
+    file_name,
+    files_in,
+    write_private,
+)
+from tests.io.opcua_server.rig import Rig, RobotClient
+from tests.security.pki import POLICIES, Identity, Pki
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+NOW = datetime.now(UTC)
+
+
+async def refusal(rig: Rig, pki: Pki, identity: Identity, policy: str = "Basic256Sha256") -> str:
+    """Return the name of the status code with which a connection is refused."""
+    client = await pki.secure(RobotClient(rig.server.url), "emma", policy, identity)
+    try:
+        await client.connect()
+    except ua.UaStatusCodeError as error:
+        return str(ua.StatusCode(error.code).name)
+    await client.disconnect()
+    return "Good"
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+async def test_trusted_client_connects_with_every_policy(ours: Rig, pki: Pki, policy: str) -> None:
+    client = await pki.secure(RobotClient(ours.server.url), "emma", policy)
+    async with client:
+        ours.set("pose.x_m", 0.25)
+        assert await client.read("pose.x_m") == 0.25
+        assert await client.write_doubles(wheel__fl__setpoint_rpm=3.0) == ["Good"]
+        mode = client.security_policy.Mode
+        assert mode is ua.MessageSecurityMode.SignAndEncrypt
+
+
+async def test_untrusted_is_refused_kept_and_let_in_once_trusted(ours: Rig, pki: Pki) -> None:
+    stranger = pki.identity("stranger")
+    # OPC 10000-4, 6.1.3: who is not trusted learns no more than BadSecurityChecksFailed.
+    assert await refusal(ours, pki, stranger) == "BadSecurityChecksFailed"
+    kept = pki.trust.folder / "rejected" / file_name(stranger.certificate)
+    assert kept.read_bytes() == stranger.der
+    kept.rename(pki.trust.folder / "trusted" / kept.name)
+    assert await refusal(ours, pki, stranger) == "Good"
+
+
+async def test_expired(ours: Rig, pki: Pki) -> None:
+    old = pki.identity("old", not_before=NOW - timedelta(days=3), days=2)
+    pki.trust_it(old)
+    assert await refusal(ours, pki, old) == "BadCertificateTimeInvalid"
+
+
+async def test_not_yet_valid(ours: Rig, pki: Pki) -> None:
+    early = pki.identity("early", not_before=NOW + timedelta(days=2))
+    pki.trust_it(early)
+    assert await refusal(ours, pki, early) == "BadCertificateTimeInvalid"
+
+
+async def test_revoked_though_trusted(ours: Rig, pki: Pki) -> None:
+    lost = pki.identity("lost")
+    pki.trust_it(lost)
+    assert await refusal(ours, pki, lost) == "Good"
+    pki.revoke(lost)
+    assert await refusal(ours, pki, lost) == "BadCertificateRevoked"
+
+
+async def test_certificate_of_another_application(ours: Rig, pki: Pki) -> None:
+    other = pki.identity("other", uri="urn:tests:other")
+    pki.trust_it(other)
+    other.uri = "urn:tests:pretended"
+    assert await refusal(ours, pki, other) == "BadCertificateUriInvalid"
+    assert (pki.trust.folder / "rejected" / file_name(other.certificate)).exists()
+
+
+async def test_server_under_another_name(pki: Pki, tmp_path: Path) -> None:
+    """What a client of ours finds out about a server: a certificate of another host or URI."""
+    trust = TrustList(tmp_path)
+    trust.make_folders()
+    write_private(tmp_path / "trusted" / "server.der", pki.server.der)
+    judge, der, uri = trust.judge_server, pki.server.der, pki.server.uri
+    assert judge(der, "127.0.0.1", uri) is Verdict.GOOD
+    assert judge(der, "LocalHost", uri) is Verdict.GOOD
+    assert judge(der, "192.0.2.1", uri) == "BadCertificateHostNameInvalid"
+    assert judge(der, "127.0.0.1", "urn:else") == "BadCertificateUriInvalid"
+    assert judge(pki.client.der, "127.0.0.1", uri) == "BadCertificateUntrusted"
+    assert judge(der, "127.0.0.1", uri, NOW + timedelta(days=9999)) == "BadCertificateTimeInvalid"
+
+
+async def test_issued_by_an_authority_until_its_list_says_otherwise(ours: Rig, pki: Pki) -> None:
+    authority = pki.authority()
+    issued = pki.identity("issued", issuer=authority)
+    assert await refusal(ours, pki, issued) == "Good"
+    revocations = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(authority[0].subject)
+        .last_update(NOW)
+        .next_update(NOW + timedelta(days=1))
+        .add_revoked_certificate(
+            x509.RevokedCertificateBuilder()
+            .serial_number(issued.certificate.serial_number)
+            .revocation_date(NOW)
+            .build()
+        )
+    )
+    path = pki.trust.folder / "revoked" / "authority.crl"
+    forged = revocations.sign(make_key(), hashes.SHA256())
+    write_private(path, forged.public_bytes(serialization.Encoding.DER))
+    assert await refusal(ours, pki, issued) == "Good"
+    genuine = revocations.sign(authority[1], hashes.SHA256())
+    write_private(path, genuine.public_bytes(serialization.Encoding.PEM))
+    assert await refusal(ours, pki, issued) == "BadCertificateRevoked"
+    (pki.trust.folder / "trusted" / "authority.der").unlink()
+    assert await refusal(ours, pki, issued) == "BadSecurityChecksFailed"
+
+
+async def test_stolen_certificate_without_its_key(ours: Rig, pki: Pki) -> None:
+    thief = pki.identity("client-copy")
+    write_private(thief.certificate_path, pki.client.der)
+    write_private(thief.key_path, key_to_pem(make_key()))
+    assert await refusal(ours, pki, thief) == "BadSecurityChecksFailed"
+
+
+async def test_weak_keys_and_other_uses_are_refused(pki: Pki) -> None:
+    weak = pki._store("weak", "urn:x", make_key(1024))
+    pki.trust_it(weak)
+    assert pki.trust.judge(weak.der) is Verdict.POLICY
+    assert pki.trust.judge(b"") is Verdict.INVALID
+    assert pki.trust.judge(weak.der[:-1]) is Verdict.INVALID
+
+
+async def test_chain_counts_by_its_first_certificate(pki: Pki) -> None:
+    assert first_of_chain(pki.client.der + pki.server.der) == pki.client.der
+    assert pki.trust.judge(pki.client.der + pki.server.der) is Verdict.GOOD
+
+
+@given(data=st.binary(max_size=300))
+async def test_no_bytes_are_a_certificate_by_chance(data: bytes) -> None:
+    assert TrustList(Path("/nonexistent")).judge(b"0\x82" + data) is Verdict.INVALID
+
+
+async def test_rejected_folder_does_not_grow_without_end(pki: Pki, tmp_path: Path) -> None:
+    trust = TrustList(tmp_path)
+    trust.make_folders()
+    rejected = tmp_path / "rejected"
+    for i in range(MAX_REJECTED + 5):
+        write_private(rejected / f"{i:04}.der", b"x")
+    assert trust.keep_rejected(pki.client.der) is not None
+    assert len(list(files_in(rejected))) == MAX_REJECTED
+    assert oct((rejected / file_name(pki.client.certificate)).stat().st_mode & 0o777) == "0o600"
+
+
+async def test_key_that_others_can_read_is_refused(pki: Pki, tmp_path: Path) -> None:
+    trust = TrustList(tmp_path)
+    trust.make_folders()
+    with pytest.raises(ConfigError, match="is missing: make a certificate with 'hilserver certs"):
+        trust.own()
+    own = tmp_path / "own"
+    write_private(own / "certificate.der", to_der(pki.server.certificate))
+    write_private(own / "key.pem", pki.server.key_path.read_bytes())
+    trust.own()
+    (own / "key.pem").chmod(0o640)
+    with pytest.raises(ConfigError, match="can be read by others: run 'chmod 600"):
+        trust.own()
+    write_private(own / "key.pem", pki.client.key_path.read_bytes())
+    with pytest.raises(ConfigError, match="does not belong to the key"):
+        trust.own()
+    write_private(own / "key.pem", b"nothing")
+    with pytest.raises(ConfigError, match=r"key\.pem cannot be used"):
+        trust.own()
+
+
+# --- users ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("user", "password"), [("emma", "wrong"), ("nobody", "all"), ("", "")])
+async def test_wrong_name_or_password(ours: Rig, pki: Pki, user: str, password: str) -> None:
+    client = await pki.secure(RobotClient(ours.server.url), user, password=password)
+    with pytest.raises((ua.uaerrors.BadUserAccessDenied, ua.uaerrors.BadIdentityTokenRejected)):
+        await client.connect()
+
+
+async def test_nobody_is_refused(ours: Rig, pki: Pki) -> None:
+    client = await pki.secure(RobotClient(ours.server.url), None)
+    with pytest.raises(ua.UaError):
+        await client.connect()
+
+
+async def test_guessing_is_slowed_down(pki: Pki, tmp_path: Path) -> None:
+    rig = Rig(tmp_path, max_failed_logins=3, **pki.config())
+    await rig.server.start()
+    try:
+        for password in ("a", "b", "c"):
+            assert await login(rig, pki, password) == "BadUserAccessDenied"
+        # The right one does not help any more: three wrong ones came from this address.
+        assert await login(rig, pki, "all") == "BadUserAccessDenied"
+    finally:
+        await rig.close()
+
+
+async def login(rig: Rig, pki: Pki, password: str) -> str:
+    client = await pki.secure(RobotClient(rig.server.url), "emma", password=password)
+    try:
+        await client.connect()
+    except ua.UaStatusCodeError as error:
+        return str(ua.StatusCode(error.code).name)
+    await client.disconnect()
+    return "Good"
+
+
+async def test_roles_write(ours: Rig, pki: Pki) -> None:
+    found = {}
+    for user in ("olga", "otto", "emma"):
+        async with await pki.secure(RobotClient(ours.server.url), user) as client:
+            (found[user],) = await client.write_doubles(wheel__fl__setpoint_rpm=1.0)
+            level = await client.path("wheel.fl.setpoint_rpm").read_attribute(
+                ua.AttributeIds.UserAccessLevel
+            )
+            can_write = bool(level.Value.Value & ua.AccessLevel.CurrentWrite.mask)
+            assert can_write is (user != "olga")
+    assert found == {"olga": "BadUserAccessDenied", "otto": "Good", "emma": "Good"}
+
+
+async def test_recordings_carry_no_password_hashes() -> None:
+    text = hash_password("geheim", log_n=10)
+    users = [{"name": "emma", "password": text, "role": "engineer"}]
+    config = Config.model_validate({"opcua": {"users": users, "policies": ["Basic256Sha256"]}})
+    carried = without_passwords(config)
+    assert text not in str(carried)
+    assert Config.model_validate(carried).opcua.users[0].name == "emma"
+
+
+async def test_passwords() -> None:
+    text = hash_password("geheim ü", log_n=10)
+    assert check_hash(text) == text
+    assert hash_password("geheim ü", log_n=10) != text
+    assert is_password("geheim ü".encode(), text)
+    assert not is_password(b"geheim", text)
+    with pytest.raises(ValueError, match="no scrypt hash"):
+        check_hash("geheim")
+
+
+@given(
+    failures=st.lists(st.tuples(st.sampled_from("ab"), st.floats(0, 100)), max_size=60),
+    limit=st.integers(1, 5),
+)
+async def test_blocked_is_who_failed_often_in_the_window(
+    failures: list[tuple[str, float]], limit: int
+) -> None:
+    failures.sort(key=lambda row: row[1])
+    attempts = FailedAttempts(limit, 10.0)
+    for key, at_s in failures:
+        attempts.failed(key, at_s)
+    now_s = failures[-1][1] if failures else 0.0
+    for key in "ab":
+        recent = [at for name, at in failures if name == key and now_s - at < 10.0]
+        assert attempts.is_blocked(key, now_s) is (len(recent) >= limit)
+        assert not attempts.is_blocked(key, now_s + 10.1)
