@@ -8,7 +8,6 @@ a frame, the publish slice hands the frame to OPC UA and the peers.
 import asyncio
 import dataclasses
 import math
-import os
 import time
 from contextlib import AsyncExitStack
 from typing import Self
@@ -21,7 +20,7 @@ from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
-from hilserver.config.timing import LimitsConfig
+from hilserver.construction import command_limit_ticks, make_image, make_scheduler
 from hilserver.control import Control
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.events import Event, EventBus, EventKind
@@ -29,7 +28,7 @@ from hilserver.faults import Faults, Line, Play
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.faults.scenario import Stage
-from hilserver.image import Frame, ProcessImage
+from hilserver.image import Frame
 from hilserver.image.layout import W_HEARTBEAT
 from hilserver.inputs import InputGate
 from hilserver.io.opcua_client import PeerLink
@@ -49,20 +48,13 @@ from hilserver.monitoring.metrics import Metrics
 from hilserver.monitoring.metrics_sources import MetricsSources
 from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import (
-    OverrunLimits,
-    OverrunPolicy,
-    RealtimeSettings,
-    Scheduler,
-    StepFunction,
     StopReason,
-    words_needed,
 )
 from hilserver.snapshot import SnapshotStore
 from hilserver.supervision import Supervision
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S = 0.1
-LINEAR_BINS = 10_000
 
 
 class Daemon:
@@ -97,16 +89,7 @@ class Daemon:
         self._resources = AsyncExitStack()
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.events = EventBus()
-        self.image = ProcessImage(
-            _image_name(config.image.name),
-            self.table,
-            live=assembly.composition.live_regions,
-            fixed=assembly.composition.fixed_regions
-            | {"statistics": words_needed(len(assembly.slices), LINEAR_BINS)},
-            base_period_ns=assembly.base_period_ns,
-            ring_length=config.image.ring_frames,
-            run=assembly.provenance,
-        )
+        self.image = make_image(assembly)
         self._resources.callback(self.image.close)
         try:
             self._wire()
@@ -119,8 +102,8 @@ class Daemon:
         self.image.warm_up()
         step = compose(assembly.composition, self.image)
         self._watch_communication(speed=1.0)
-        limit_silence(self.image, _command_limit_ticks(assembly))
-        self.scheduler = _make_scheduler(assembly, self.image, step, paused=self._paused)
+        limit_silence(self.image, command_limit_ticks(assembly))
+        self.scheduler = make_scheduler(assembly, self.image, step, paused=self._paused)
         self.gate = InputGate(
             self.table,
             self.image,
@@ -383,47 +366,3 @@ class Daemon:
         return HttpServer(
             host=config.host, port=config.port, render=self.metrics.render, health=health
         )
-
-
-def _image_name(name: str) -> str:
-    return f"auto-{os.getpid()}-{time.monotonic_ns()}" if name == "auto" else name
-
-
-def overrun_limits(limits: LimitsConfig) -> OverrunLimits:
-    """Return the limits as the scheduler takes them: null switches one off."""
-    return OverrunLimits(
-        single_ns=round((limits.single_overrun_ms or 0) * 1e6),
-        consecutive=limits.consecutive_overruns or 0,
-    )
-
-
-def _command_limit_ticks(assembly: Assembly) -> int:
-    limit_ms = assembly.config.control.command_timeout_ms
-    return 0 if limit_ms is None else max(1, round(limit_ms * 1e6 / assembly.base_period_ns))
-
-
-def _make_scheduler(
-    assembly: Assembly, image: ProcessImage, step: StepFunction, *, paused: bool
-) -> Scheduler:
-    config = assembly.config.scheduler
-    realtime = config.realtime
-    _, statistics = image.region("statistics")
-    return Scheduler(
-        base_period_ns=assembly.base_period_ns,
-        slices=assembly.slices,
-        step=step,
-        values=image.values,
-        words=image.words,
-        backend=config.backend,
-        policy=OverrunPolicy(config.policy, config.catch_up_limit),
-        limits=overrun_limits(config.limits),
-        realtime=RealtimeSettings(
-            priority=realtime.priority,
-            cpu=realtime.cpu,
-            lock_memory=realtime.lock_memory,
-            hold_latency_target=realtime.hold_latency_target,
-        ),
-        statistics_array=statistics,
-        linear_bins=LINEAR_BINS,
-        paused=paused,
-    )

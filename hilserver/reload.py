@@ -14,7 +14,8 @@ import structlog
 
 from hilserver.assembly import assemble
 from hilserver.config.root import Config
-from hilserver.daemon import Daemon, overrun_limits
+from hilserver.construction import overrun_limits
+from hilserver.daemon import Daemon
 from hilserver.errors import ConfigError
 from hilserver.monitoring.logging_setup import report_repeats, setup_logging
 

@@ -135,11 +135,17 @@ async def test_ten_lives_in_one_process_leave_nothing_behind():
     assert await resources() == before
 
 
-async def test_a_daemon_that_cannot_be_made_leaves_no_shared_memory():
-    block = {"name": "peers", "function": "blocks.py:busy", "inputs": {"busy": "lights.blue"}}
+async def test_a_daemon_that_cannot_be_made_leaves_no_shared_memory(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from hilserver.plant.blocks import Output, block\n"
+        "@block(outputs=(Output('length_furlong', unit='furlong'),))\n"
+        "def measure(dt_s, u, y, x, p):\n"
+        "    y[0] = 1.0\n"
+    )
+    block = {"name": "mine", "function": "own.py:measure"}
     before = await resources()
-    with pytest.raises(ConfigError, match="cannot be called 'peers"):
-        Daemon(assemble_config(configuration(blocks=[block]), HERE))
+    with pytest.raises(ConfigError, match="furlong"):
+        Daemon(assemble_config(configuration(blocks=[block]), tmp_path))
     assert (await resources())["shared memory"] == before["shared memory"]
 
 
