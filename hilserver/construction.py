@@ -6,6 +6,7 @@ import time
 from hilserver.assembly import Assembly
 from hilserver.config.timing import LimitsConfig
 from hilserver.image import ProcessImage
+from hilserver.image.shared_file import MADE_UP
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -21,9 +22,9 @@ LINEAR_BINS = 10_000
 def make_image(assembly: Assembly) -> ProcessImage:
     """Return the process image with a region for everything that the assembly runs."""
     image, composition = assembly.config.image, assembly.composition
-    is_auto = image.name == "auto"
+    is_auto = image.name == MADE_UP
     return ProcessImage(
-        f"auto-{os.getpid()}-{time.monotonic_ns()}" if is_auto else image.name,
+        f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}" if is_auto else image.name,
         assembly.table,
         live=composition.live_regions,
         fixed=composition.fixed_regions

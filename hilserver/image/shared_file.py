@@ -5,11 +5,16 @@ import fcntl
 import mmap
 import os
 import re
+import time
 from pathlib import Path
 
 from hilserver.errors import FailedError
 
 _FOLDER = Path("/dev/shm")  # noqa: S108 -- POSIX shared memory on Linux
+MADE_UP = "auto"
+"""First part of the names that nobody chose: nobody would ever take them over."""
+
+_YOUNG_S = 60.0
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 
 
@@ -20,6 +25,28 @@ def path_of(name: str) -> Path:
     return _FOLDER / f"hilserver-{name}"
 
 
+def sweep(now_s: float | None = None) -> int:
+    """Remove what killed daemons with made-up names left behind; return how many files.
+
+    A file whose lock can be had has no owner any more. Young files are spared: their owner may be
+    between making and locking them.
+    """
+    limit_s = (time.time() if now_s is None else now_s) - _YOUNG_S
+    removed = 0
+    for path in _FOLDER.glob(f"hilserver-{MADE_UP}-*"):
+        with contextlib.suppress(OSError):
+            if path.stat().st_mtime > limit_s:
+                continue
+            fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+                removed += 1
+            finally:
+                os.close(fd)
+    return removed
+
+
 class SharedFile:
     """An owned, exclusively locked file in shared memory; removed by `close`.
 
@@ -27,6 +54,7 @@ class SharedFile:
     """
 
     def __init__(self, name: str, n_bytes: int) -> None:
+        sweep()
         self.path = path_of(name)
         self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
         try:
