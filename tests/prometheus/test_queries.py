@@ -62,6 +62,13 @@ async def measure(rig: Rig) -> None:
         await asyncio.sleep(0.1)
 
 
+async def inject_a_fault(rig: Rig) -> None:
+    """Falsify the battery's voltage for a while."""
+    rig.daemon.faults.inject({"fault": "bias", "signal": "battery.voltage_v", "offset": 0.1})
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.faults.clear()
+
+
 async def slow_motion(rig: Rig) -> None:
     """Simulate at a tenth of real time: what a set-point changes is published ten times as late."""
     rig.daemon.control.set_speed(0.1)
@@ -170,6 +177,7 @@ STIMULI = (
     Stimulus(pause, appears=("State",)),
     Stimulus(command_out_of_range, up=("Refused values",)),
     Stimulus(measure, appears=("Model gap",)),
+    Stimulus(inject_a_fault, up=("Faults at work",)),
     Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",)),
     Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way")),
     Stimulus(make_garbage, up=("Garbage collector",)),
