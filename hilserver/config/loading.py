@@ -1,7 +1,8 @@
 """From a YAML file to a validated model; every complaint names file, line and key."""
 
 import difflib
-from collections.abc import Iterator, Sequence
+import stat
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -14,6 +15,26 @@ Model = TypeVar("Model", bound=BaseModel)
 Path_ = Sequence[str | int]
 MAX_BYTES = 1_000_000
 MAX_COMPLAINTS = 20
+MAX_DEPTH = 50
+MAX_VALUES = 100_000
+"""Aliases counted as often as they are used."""
+
+_WANTED = {
+    "model_type": "keys and values",
+    "dict_type": "keys and values",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+}
+"""Kinds of complaints of pydantic in the words of a configuration file."""
+_SECTIONS = ("model_type", "dict_type", "tuple_type", "list_type")
 
 
 def load(path: Path, model: type[Model]) -> Model:
@@ -27,13 +48,18 @@ def load(path: Path, model: type[Model]) -> Model:
     root = _parse(path)
     data = _construct(path, root)
     try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        lines = [
-            f"{path}:{_line(root, e['loc'])}: {_sentence(model, e)}"
-            for e in error.errors(include_url=False)[:MAX_COMPLAINTS]
+        result = model.model_validate(data)
+        complaints = [
+            (location, f"{_key(location)}: {value} does not fit; it should be a number")
+            for location, value in _booleans(data, result)
         ]
-        raise ConfigError("\n".join(lines)) from None
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        complaints = [(e["loc"], _sentence(model, e)) for e in errors]
+    if complaints:
+        lines = [f"{path}:{_line(root, loc)}: {text}" for loc, text in complaints[:MAX_COMPLAINTS]]
+        raise ConfigError("\n".join(lines))
+    return result
 
 
 def place(path: Path | None, location: Path_) -> str:
@@ -46,10 +72,9 @@ def place(path: Path | None, location: Path_) -> str:
 
 def _parse(path: Path) -> yaml.Node | None:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes; is it a configuration?")
-        text = path.read_bytes().decode("utf-8")
-        return yaml.compose(text, Loader=yaml.SafeLoader)
+        return yaml.compose(_read(path).decode("utf-8"), Loader=yaml.SafeLoader)
+    except RecursionError:
+        raise _too_deep(path) from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save it as UTF-8") from None
     except OSError as error:
@@ -61,10 +86,29 @@ def _parse(path: Path) -> yaml.Node | None:
         raise ConfigError(f"{path}: not YAML: {str(error).splitlines()[0]}") from None
 
 
+def _read(path: Path) -> bytes:
+    mode = path.stat().st_mode
+    if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
+        raise ConfigError(f"{path}: no regular file; it is read more than once")
+    with path.open("rb") as file:
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes; is it a configuration?")
+    return content
+
+
+def _too_deep(path: Path) -> ConfigError:
+    return ConfigError(f"{path}: nested more than {MAX_DEPTH} levels deep; flatten it")
+
+
 def _construct(path: Path, root: yaml.Node | None) -> Any:
     if root is None:
         return {}
-    for node in _walk(root):
+    for number, (node, depth) in enumerate(_walk(root)):
+        if depth > MAX_DEPTH:
+            raise _too_deep(path)
+        if number >= MAX_VALUES:
+            raise ConfigError(f"{path}: more than {MAX_VALUES} values; use fewer aliases")
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
             for key, _ in node.value:
@@ -86,16 +130,29 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
         raise ConfigError(f"{path}: a value cannot be read: {error}") from None
 
 
-def _walk(node: yaml.Node, depth: int = 0) -> Iterator[yaml.Node]:
-    if depth > 50:
-        raise ConfigError("the configuration is nested more than 50 levels deep")
-    yield node
+def _walk(node: yaml.Node, depth: int = 0) -> Iterator[tuple[yaml.Node, int]]:
+    """Yield every node with its depth, as often as aliases use it."""
+    yield node, depth
     if isinstance(node, yaml.MappingNode):
         for _, value in node.value:
             yield from _walk(value, depth + 1)
     elif isinstance(node, yaml.SequenceNode):
         for value in node.value:
             yield from _walk(value, depth + 1)
+
+
+def _booleans(data: Any, result: Any, at: Path_ = ()) -> Iterator[tuple[Path_, bool]]:
+    """Yield where a Boolean stands for a number: YAML takes ``yes`` and ``on`` for true."""
+    if isinstance(data, bool):
+        if not isinstance(result, bool):
+            yield at, data
+    elif isinstance(data, dict):
+        for key, value in data.items():
+            inner = result.get(key) if isinstance(result, Mapping) else getattr(result, key, None)
+            yield from _booleans(value, inner, (*at, key))
+    elif isinstance(data, list) and isinstance(result, Sequence):
+        for index, (value, inner) in enumerate(zip(data, result, strict=False)):
+            yield from _booleans(value, inner, (*at, index))
 
 
 def _line(root: yaml.Node | None, location: Path_) -> int:
@@ -135,10 +192,22 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
         return f"unknown key '{key}'; {hint}"
     if kind == "missing":
         return f"key '{key}' is missing"
+    if kind == "invalid_key" or (location and location[-1] == "[key]" and kind == "string_type"):
+        name = ".".join(str(part) for part in location if part != "[key]")
+        return f"key '{name}' is no text; keys are words"
+    if kind in _SECTIONS and error["input"] is None:
+        below = "entries" if _WANTED[kind] == "a list" else "keys"
+        return f"{key}: there is nothing below it; remove it or write its {below}"
+    if kind == "model_type" and not location:
+        found = "a list" if isinstance(error["input"], list) else repr(error["input"])
+        return f"a configuration consists of 'key: value' lines, not of {found:.60}"
     message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     if kind in ("value_error", "assertion_error"):
-        return f"{key}: {message}" if key else message
-    return f"{key}: {error['input']!r:.60} does not fit; it should be {message}"
+        return f"{key}: {message}" if key and not message.startswith(key) else message
+    if kind == "string_pattern_mismatch":
+        message = f"text that matches {error['ctx']['pattern']}"
+    wanted = _WANTED.get(kind, message)
+    return f"{key}: {error['input']!r:.60} does not fit; it should be {wanted}"
 
 
 def _keys_at(model: type[BaseModel], location: Path_) -> list[str]:

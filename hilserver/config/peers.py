@@ -4,8 +4,10 @@ A node is named ``nsu=<namespace URI>;s=<name>`` (looked up again at every conne
 may number its namespaces anew after a restart) or ``ns=<index>;s=<name>``.
 """
 
+import base64
 import difflib
 import re
+import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +17,25 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
+_NAMESPACE_MAX = 2**16 - 1
+_NUMBER_MAX = 2**32 - 1
+
+
+def _wrong_identifier(identifier: str) -> str:
+    """Say what is wrong with ``i=...`` and the like; empty when nothing is."""
+    kind, value = identifier[0], identifier[2:]
+    if kind == "i" and not (
+        value.isascii() and value.isdecimal() and len(value) < 12 and int(value) <= _NUMBER_MAX
+    ):
+        return f"i= needs a number up to {_NUMBER_MAX}"
+    try:
+        if kind == "g":
+            uuid.UUID(value)
+        if kind == "b":
+            base64.b64decode(value, validate=True)
+    except ValueError:
+        return "g= needs a GUID" if kind == "g" else "b= needs base64"
+    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +65,11 @@ class NodeAddress:
                 f"'{text}' is no node id: write nsu=<namespace URI>;s=<name> or ns=<index>;s=<name>"
             )
         identifier = match["identifier"]
-        if identifier.startswith("i=") and not identifier[2:].isdecimal():
-            raise ValueError(f"'{text}' is no node id: i= needs a number")
+        wrong = _wrong_identifier(identifier)
+        if int(match["index"] or 0) > _NAMESPACE_MAX:
+            wrong = f"ns= needs a number up to {_NAMESPACE_MAX}"
+        if wrong:
+            raise ValueError(f"'{text}' is no node id: {wrong}")
         uri = match["uri"]
         return cls(
             namespace_uri=uri.replace("%3B", ";").replace("%25", "%") if uri else None,
@@ -195,6 +219,8 @@ class PeerConfig(_Section):
 class _SignalLike(Protocol):
     @property
     def writable(self) -> bool: ...
+    @property
+    def slots(self) -> tuple[int, ...]: ...
 
 
 class _TableLike(Protocol):
@@ -232,21 +258,33 @@ def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
     list of SignalProblem
         Empty when every name fits.
     """
+    known = {str(getattr(item, "name", item)) for item in table}  # without hidden ones
     problems = []
+    reader: dict[int, str] = {}
     for node, signal in peer.read.items():
-        if signal not in table:
-            problems.append(SignalProblem(("read", node), _unknown(signal, table)))
+        message = ""
+        if signal not in known:
+            message = _unknown(signal, known)
         elif not table[signal].writable:
-            problems.append(
-                SignalProblem(("read", node), f"'{signal}' is an output, so no peer can set it")
-            )
+            message = f"'{signal}' is an output, so no peer can set it"
+        else:
+            slots = table[signal].slots
+            others = {reader.setdefault(slot, signal) for slot in slots} - {signal}
+            if others:
+                part, whole = sorted((signal, min(others)), key=lambda n: len(table[n].slots))
+                message = f"'{part}' is part of '{whole}', which is read, too: keep one of them"
+        if message:
+            problems.append(SignalProblem(("read", node), message))
     for signal in peer.write:
-        if signal not in table:
-            problems.append(SignalProblem(("write", signal), _unknown(signal, table)))
+        message = ""
+        if signal not in known:
+            message = _unknown(signal, known)
         elif table[signal].writable:
-            problems.append(
-                SignalProblem(("write", signal), f"'{signal}' is an input: write sends outputs")
-            )
+            message = f"'{signal}' is an input: write sends outputs"
+        elif len(table[signal].slots) > 1:
+            message = f"'{signal}' is an array: write its parts, each to a node of its own"
+        if message:
+            problems.append(SignalProblem(("write", signal), message))
     return problems
 
 
@@ -266,8 +304,7 @@ def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
     return problems
 
 
-def _unknown(signal: str, table: _TableLike) -> str:
-    names = [str(getattr(item, "name", item)) for item in table]
+def _unknown(signal: str, names: Iterable[str]) -> str:
     close = difflib.get_close_matches(signal, names, n=1)
     hint = f": did you mean '{close[0]}'?" if close else ": see 'hilserver signals'"
     return f"there is no signal '{signal}'{hint}"

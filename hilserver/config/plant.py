@@ -88,6 +88,13 @@ class KinematicsConfig(_Section):
         description="K_om [1/m], or one of " + ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS)),
     )
 
+    @field_validator("rotation_gain", mode="before")
+    @classmethod
+    def _number_or_name(cls, value: object) -> object:
+        if not isinstance(value, str | int | float) or value != value:  # noqa: PLR0124 (NaN)
+            raise ValueError(f"{value!r:.60} does not fit; it should be a number or a name")
+        return value
+
     @field_validator("rotation_gain")
     @classmethod
     def _known_gain(cls, value: str | float) -> str | float:

@@ -3,9 +3,9 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hilserver.config.loading import load
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
@@ -39,6 +39,17 @@ class Config(Section):
     recording: RecordingConfig = Field(default_factory=RecordingConfig)
     metrics: MetricsConfig = Field(default_factory=MetricsConfig)
     logging: LoggingConfig = Field(default_factory=LoggingConfig)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        source = self.control.source or ("peer" if self.peers else "opcua")
+        if source not in self.control.priority:
+            raise ValueError(f"control: source '{source}' does not stand in priority")
+        names = [block.name for block in self.blocks]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"blocks: two blocks have the name '{twice[0]}'")
+        return self
 
     @property
     def sha256(self) -> str:

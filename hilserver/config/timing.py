@@ -11,13 +11,14 @@ from pydantic import (
     model_validator,
 )
 
-from hilserver.signals import SOURCES, Source
+from hilserver.signals import SOURCES, Ranges, Source, robot_table
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 
 COMMUNICATION_SLICES = ("publish", "supervise")
 DEFAULT_SLICES = {"plant": 1.0, "sensors": 10.0, "publish": 20.0, "supervise": 100.0}
 MAX_SLICES = 16
+Period = Annotated[float, Field(le=3_600_000)]
 
 
 class Section(BaseModel):
@@ -52,8 +53,8 @@ class SchedulerConfig(Section):
     backend: Literal["thread", "timerfd", "virtual"] = Field(
         "thread", description="Pacing: own thread, asyncio's timerfd, or as fast as possible"
     )
-    base_period_ms: float = Field(1.0, gt=0, le=1000, description="Base period [ms]")
-    slices: dict[Name, float] = Field(
+    base_period_ms: float = Field(1.0, ge=0.05, le=1000, description="Base period [ms]")
+    slices: dict[Name, Period] = Field(
         default=DEFAULT_SLICES,
         description="Period of every slice [ms], a multiple of the base period; more may be added",
     )
@@ -78,6 +79,16 @@ class SchedulerConfig(Section):
         if len(value) > MAX_SLICES:
             raise ValueError(f"{len(value)} slices are too many, at most {MAX_SLICES} are possible")
         return value
+
+    @model_validator(mode="after")
+    def _timeout_above_publishing(self) -> Self:
+        publish_ms, timeout_ms = self.slices["publish"], self.communication_timeout_ms
+        if 0 < timeout_ms < 2 * publish_ms:
+            raise ValueError(
+                f"communication_timeout_ms is {timeout_ms:g}, but values are published every"
+                f" {publish_ms:g} ms: write at least {2 * publish_ms:g}, or 0"
+            )
+        return self
 
 
 class ControlConfig(Section):
@@ -105,6 +116,11 @@ class ControlConfig(Section):
 
     @model_validator(mode="after")
     def _source_in_priority(self) -> Self:
+        if not self.priority:
+            raise ValueError("priority is empty: name at least one source")
+        twice = [name for name in self.priority if self.priority.count(name) > 1]
+        if twice:
+            raise ValueError(f"priority names '{twice[0]}' twice")
         if self.source is not None and self.source not in self.priority:
             raise ValueError(f"source '{self.source}' does not stand in priority")
         return self
@@ -120,11 +136,30 @@ class ImageConfig(Section):
     )
     ring_frames: int = Field(2048, ge=16, le=65536, description="Frames kept, a power of two")
 
+    @field_validator("ring_frames")
+    @classmethod
+    def _power_of_two(cls, value: int) -> int:
+        below = 1 << (value.bit_length() - 1)
+        if value != below:
+            raise ValueError(f"{value} is no power of two; the nearest are {below} and {2 * below}")
+        return value
+
 
 class SnapshotConfig(Section):
     """Where snapshots lie."""
 
     folder: str = Field("snapshots", description="Folder, relative to the configuration file")
+
+
+_TAKEN = {s.name.partition(".")[0] for s in robot_table(Ranges(1.0, 1.0, 1.0)).scalars} | {
+    "methods",
+    "slices",
+    "peers",
+    "audit",
+    "robot",
+    "wheels",
+}
+"""First parts of the robot's signals and of the folders of the address space."""
 
 
 class BlockConfig(Section):
@@ -135,3 +170,10 @@ class BlockConfig(Section):
     slice: Name = Field("plant", description="Time slice it runs in")
     inputs: dict[str, str] = Field(default={}, description="Input of the block: signal")
     parameters: dict[str, float] = Field(default={}, description="Parameters by name")
+
+    @field_validator("name")
+    @classmethod
+    def _name_is_free(cls, value: str) -> str:
+        if value in _TAKEN:
+            raise ValueError(f"'{value}' is a name of the robot or of the address space")
+        return value

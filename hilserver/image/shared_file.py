@@ -16,6 +16,7 @@ MADE_UP = "auto"
 
 _YOUNG_S = 60.0
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+_OPEN_TRIES = 5
 
 
 def path_of(name: str) -> Path:
@@ -47,6 +48,22 @@ def sweep(now_s: float | None = None) -> int:
     return removed
 
 
+def _open_locked(path: Path) -> int:
+    """Return a locked descriptor of `path`; one that its last owner removed meanwhile is no use."""
+    for _ in range(_OPEN_TRIES):
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.fchmod(fd, 0o600)
+            if os.fstat(fd).st_nlink > 0:
+                return fd
+        except BaseException:
+            os.close(fd)
+            raise
+        os.close(fd)
+    raise BlockingIOError
+
+
 class SharedFile:
     """An owned, exclusively locked file in shared memory; removed by `close`.
 
@@ -56,18 +73,30 @@ class SharedFile:
     def __init__(self, name: str, n_bytes: int) -> None:
         sweep()
         self.path = path_of(name)
-        self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(self._fd)
+            self._fd = _open_locked(self.path)
+        except BlockingIOError:
             raise FailedError(
                 f"another hilserver uses the process image '{name}'; stop it or set image.name"
             ) from None
-        os.fchmod(self._fd, 0o600)
-        os.ftruncate(self._fd, 0)
-        os.ftruncate(self._fd, n_bytes)
-        self.map = mmap.mmap(self._fd, n_bytes)
+        except OSError as error:
+            reason = (error.strerror or "refused").lower()
+            raise FailedError(
+                f"cannot use {self.path}: {reason}; remove it or set image.name"
+            ) from None
+        try:
+            os.ftruncate(self._fd, 0)
+            # A hole would end in a bus error when shared memory is full.
+            os.posix_fallocate(self._fd, 0, n_bytes)
+            self.map = mmap.mmap(self._fd, n_bytes)
+        except OSError as error:
+            self.path.unlink(missing_ok=True)
+            os.close(self._fd)
+            reason = (error.strerror or "refused").lower()
+            raise FailedError(
+                f"the process image needs {n_bytes / 1e6:.0f} MB in {_FOLDER}: {reason};"
+                " give it more (in a container --shm-size) or set a smaller image.ring_frames"
+            ) from None
 
     def close(self) -> None:
         """Remove the file; views of the memory stay valid until they are dropped."""
@@ -86,6 +115,8 @@ def map_read_only(name: str) -> mmap.mmap:
             f"there is no process image '{name}'; is the daemon running under that image.name?"
         ) from None
     try:
+        if os.fstat(fd).st_size < mmap.PAGESIZE:
+            raise FailedError(f"the process image '{name}' is not complete; try again")
         return mmap.mmap(fd, 0, prot=mmap.PROT_READ)
     finally:
         os.close(fd)

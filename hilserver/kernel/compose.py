@@ -42,6 +42,8 @@ _ROBOT_CALLS = {
 
 _HEAD = '''"""Generated: the step of one configuration. Read it, do not edit it."""
 
+from math import nan
+
 from hilserver.compiled import kernel
 from hilserver.kernel.phases import enter_safe, latch, publish, quality
 from hilserver.plant.robot import robot_step
@@ -214,7 +216,7 @@ def _source(composition: Composition, image: ProcessImage) -> str:
         for number, block in enumerate(composition.blocks):
             if block.slice == name:
                 calls += _block_calls(number, block, composition, image)
-        lines += [f"    {call}" for call in calls] + ["    return 0"]
+        lines += [f"    {call}" for call in ("fault = 0", *calls, "return fault")]
     lines.append("return 0")
     return _HEAD + "".join(f"    {line}\n" for line in lines)
 
@@ -231,10 +233,14 @@ def _block_calls(
         f"values[{u.base + i}] = values[{frame + table.slot(block.inputs[name])}]"
         for i, name in enumerate(declared.inputs)
     ]
-    calls.append(
-        f"block_{number}({composition.periods_s[block.slice]!r}, values{_piece(u)},"
-        f" values{_piece(y)}, values{_piece(x)}, values{_piece(p)})"
-    )
+    calls += [
+        "try:",
+        f"    block_{number}({composition.periods_s[block.slice]!r}, values{_piece(u)},"
+        f" values{_piece(y)}, values{_piece(x)}, values{_piece(p)})",
+        "except Exception:",
+        f"    fault = {number + 1}",
+        *(f"    values[{y.base + i}] = nan" for i in range(y.length)),
+    ]
     for i, output in enumerate(declared.outputs):
         slot = table.slot(block.output_signal(output.name))
         calls.append(f"values[{frame + slot}] = values[{y.base + i}]")
@@ -242,10 +248,17 @@ def _block_calls(
     return calls
 
 
+def _identity(declaration: BlockDeclaration) -> str:
+    """Return what tells two functions of one file apart, as the source of the step does not."""
+    function = declaration.source_function
+    enclosed = [cell.cell_contents for cell in function.__closure__ or ()]
+    return f"{declaration.name}:{function.__code__.co_firstlineno}:{enclosed!r}"
+
+
 def _module(source: str, blocks: Sequence[BlockUse]) -> ModuleType:
     """Import the generated source from the cache folder, so that numba can cache its code."""
     own = [block.declaration.source for block in blocks]
-    name = f"step_{hash_of(own, source)}"
+    name = f"step_{hash_of(own, source, *(_identity(block.declaration) for block in blocks))}"
     path = cache_dir() / f"{name}.py"
     if not path.exists():
         partial = path.with_suffix(f".{id(source)}.part")

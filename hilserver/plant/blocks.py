@@ -125,6 +125,9 @@ def block(
     parameters : mapping of str to float
         Names and defaults.
     """
+    if isinstance(inputs, str) or isinstance(state, str):
+        msg = 'inputs and state are tuples of names: one name is written ("name",)'
+        raise TypeError(msg)
     initial = dict(state) if isinstance(state, Mapping) else dict.fromkeys(state, 0.0)
 
     def declare(function: Callable[..., None]) -> Callable[..., None]:
@@ -182,7 +185,7 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
     if not place.endswith(".py"):
         try:
             return importlib.import_module(place)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             msg = f"block {reference!r}: importing {place} failed: {_one_line(error)}."
             raise BlockError(msg) from error
     path = (base_dir / place).resolve()
@@ -198,7 +201,7 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
     sys.modules[module_name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[module_name]
         line = getattr(error, "lineno", None) or _line_of(error, path)
         msg = f"block {reference!r}: {path}:{line} failed on import: {_one_line(error)}."
@@ -223,39 +226,59 @@ def _one_line(error: BaseException) -> str:
 
 
 def _check(declaration: BlockDeclaration, reference: str) -> None:
-    outputs = [output.name for output in declaration.outputs]
+    problem = (
+        _wrong_output(declaration.outputs)
+        or _wrong_name(declaration)
+        or _wrong_number({**declaration.state, **declaration.parameters})
+    )
+    if problem:
+        msg = f"block {reference!r}: {problem}."
+        raise BlockError(msg)
+
+
+def _wrong_output(outputs: Sequence[object]) -> str:
+    """Say what is wrong with the outputs; empty when nothing is."""
+    if not outputs:
+        return "declares no output, so nothing could be seen of it"
+    for output in outputs:
+        if not isinstance(output, Output):
+            return f'{output!r} in outputs is no output; write Output("name")'
+        low, high, texts = output.low, output.high, (output.unit, output.description)
+        if not (_is_finite(low) and _is_finite(high) and low < high):
+            return f"the range of {output.name} must be finite, low below high"
+        if not all(isinstance(text, str) for text in texts):
+            return f"unit and description of {output.name} must be texts"
+    return ""
+
+
+def _wrong_name(declaration: BlockDeclaration) -> str:
     groups: dict[str, Sequence[str]] = {
         "inputs": declaration.inputs,
-        "outputs": outputs,
+        "outputs": [output.name for output in declaration.outputs],
         "state": list(declaration.state),
         "parameters": list(declaration.parameters),
     }
     for group, names in groups.items():
         wrong = [n for n in names if not isinstance(n, str) or not _NAME.fullmatch(n)]
         twice = [n for n in names if list(names).count(n) > 1]
-        problem = None
         if wrong:
-            problem = f"{wrong[0]!r} in {group} is no name of small letters, digits and _"
-        elif twice:
-            problem = f"{twice[0]!r} stands twice in {group}"
-        elif len(names) > MOST_PER_BLOCK:
-            problem = f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
-        if problem:
-            msg = f"block {reference!r}: {problem}."
-            raise BlockError(msg)
-    if not outputs:
-        msg = f"block {reference!r}: declares no output, so nothing could be seen of it."
-        raise BlockError(msg)
-    for output in declaration.outputs:
-        if not (
-            math.isfinite(output.low) and math.isfinite(output.high) and output.low < output.high
-        ):
-            msg = f"block {reference!r}: the range of {output.name} must be finite, low below high."
-            raise BlockError(msg)
-    for name, value in {**declaration.state, **declaration.parameters}.items():
-        if not isinstance(value, int | float) or not math.isfinite(value):
-            msg = f"block {reference!r}: {name} must be a finite number, not {value!r}."
-            raise BlockError(msg)
+            return f"{wrong[0]!r} in {group} is no name of small letters, digits and _"
+        if twice:
+            return f"{twice[0]!r} stands twice in {group}"
+        if len(names) > MOST_PER_BLOCK:
+            return f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
+    return ""
+
+
+def _wrong_number(numbers: Mapping[str, object]) -> str:
+    for name, value in numbers.items():
+        if not _is_finite(value):
+            return f"{name} must be a finite number, not {value!r}"
+    return ""
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
@@ -265,7 +288,8 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
         msg = f"block {reference!r}: {where} must take (dt_s, u, y, x, p)."
         raise BlockError(msg)
     try:
-        compiled = kernel(_SIGNATURE)(code)
+        # A slip of the pen must not write into the robot's memory: it raises, and the step catches.
+        compiled = kernel(_SIGNATURE, boundscheck=True)(code)
     except NumbaError as error:
         line = getattr(getattr(error, "loc", None), "line", None)
         found = re.search(r'File "[^"]*", line (\d+)', str(error))

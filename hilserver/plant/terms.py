@@ -8,6 +8,7 @@ Shape parameters (a phase, a region) act only while another part of their cause 
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.resources import files
 from math import inf, isfinite
 from types import MappingProxyType
@@ -94,8 +95,10 @@ def main_part(name: str) -> str:
     for term in TERMS.values():
         if term.cause == name:
             return term.name
-    causes = ", ".join(dict.fromkeys(term.cause for term in TERMS.values()))
-    msg = f"plant.terms.{name}: there is no such term; the causes are {causes}."
+    causes = list(dict.fromkeys(term.cause for term in TERMS.values()))
+    close = get_close_matches(name, [*causes, *TERMS], n=1)
+    hint = f": did you mean {close[0]!r}?" if close else f"; the causes are {', '.join(causes)}."
+    msg = f"plant.terms.{name}: there is no such term{hint}"
     raise PlantError(msg)
 
 

@@ -35,11 +35,11 @@ class Table(dict):
 
     def __init__(self, **_):
         super().__init__()
-        for name, direction in (
-            ("wheel.fl.setpoint_rpm", Direction.IN),
-            ("wheel.fl.speed_rpm", Direction.OUT),
+        for slot, (name, direction) in enumerate(
+            (("wheel.fl.setpoint_rpm", Direction.IN), ("wheel.fl.speed_rpm", Direction.OUT))
         ):
-            self[name] = type("Signal", (), {"writable": direction is Direction.IN, "name": name})()
+            what = {"writable": direction is Direction.IN, "name": name, "slots": (slot,)}
+            self[name] = type("Signal", (), what)()
 
 
 def test_the_example_of_the_specification():

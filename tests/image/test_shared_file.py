@@ -1,50 +1,76 @@
-"""The file behind the arena: one owner, and nothing left behind by the dead."""
+"""The file behind the arena: what the system refuses is one sentence, never a crash later on."""
 
-import os
-import time
+import fcntl
+from contextlib import closing
 
 import pytest
 
 from hilserver.errors import FailedError
-from hilserver.image.shared_file import SharedFile, map_read_only, path_of, sweep
+from hilserver.image import ImageReader
+from hilserver.image.shared_file import SharedFile, path_of
+from tests.fakes import image_name
+
+N_BYTES = 4096
 
 
-def test_an_owned_file_cannot_be_taken_and_is_not_swept():
-    name = f"auto-{os.getpid()}-owned"
-    owner = SharedFile(name, 4096)
-    with pytest.raises(FailedError, match="another hilserver"):
-        SharedFile(name, 4096)
-    sweep(now_s=time.time() + 1000)
-    assert path_of(name).exists()
-    assert path_of(name).stat().st_mode & 0o777 == 0o600
-    owner.close()
+@pytest.fixture
+def name():
+    name = image_name()
+    yield name
+    path = path_of(name)
+    if path.is_dir() and not path.is_symlink():
+        path.rmdir()
+    else:
+        path.unlink(missing_ok=True)
+
+
+def test_a_file_left_behind_is_replaced(name):
+    path_of(name).write_bytes(b"\xff" * 3 * N_BYTES)
+    with closing(SharedFile(name, N_BYTES)) as file:
+        assert file.map[:] == bytes(N_BYTES)
+        assert path_of(name).stat().st_mode & 0o777 == 0o600
     assert not path_of(name).exists()
 
 
-def test_what_a_killed_daemon_left_is_swept_when_it_is_old():
-    left = path_of(f"auto-{os.getpid()}-left")
-    left.write_bytes(b"x" * 4096)
-    sweep()
-    assert left.exists(), "its owner may be about to lock it"
-    assert sweep(now_s=time.time() + 1000) >= 1
-    assert not left.exists()
+def test_a_second_owner_is_refused(name):
+    with closing(SharedFile(name, N_BYTES)), pytest.raises(FailedError, match=f"image '{name}'"):
+        SharedFile(name, N_BYTES)
 
 
-def test_chosen_names_are_not_swept_but_taken_over():
-    name = f"chosen-{os.getpid()}"
-    path_of(name).write_bytes(b"x" * 10)
-    sweep(now_s=time.time() + 1000)
-    owner = SharedFile(name, 4096)
-    assert path_of(name).stat().st_size == 4096
-    owner.close()
+def test_a_folder_or_a_link_in_its_place_is_named(name, tmp_path):
+    path_of(name).mkdir()
+    with pytest.raises(FailedError, match=f"hilserver-{name}.*directory"):
+        SharedFile(name, N_BYTES)
+    path_of(name).rmdir()
+    path_of(name).symlink_to(tmp_path / "victim")
+    with pytest.raises(FailedError, match=f"hilserver-{name}"):
+        SharedFile(name, N_BYTES)
+    assert not (tmp_path / "victim").exists()
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a b", "x" * 101])
-def test_names_are_plain(name):
-    with pytest.raises(FailedError, match="image name"):
-        path_of(name)
+def test_too_little_shared_memory_is_told_before_the_first_write(name):
+    with pytest.raises(FailedError, match=r"1099512 MB.*no space left.*image\.ring_frames"):
+        SharedFile(name, 2**40)
+    assert not path_of(name).exists()
 
 
-def test_absent_image():
-    with pytest.raises(FailedError, match="is the daemon running"):
-        map_read_only("no-such-image")
+def test_a_file_removed_by_its_last_owner_meanwhile_is_made_anew(name, monkeypatch):
+    lock, calls = fcntl.flock, []
+
+    def late(fd, operation):
+        calls.append(fd)
+        if len(calls) == 1:
+            path_of(name).unlink()
+        lock(fd, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with closing(SharedFile(name, N_BYTES)) as file:
+        assert path_of(name).stat().st_size == len(file.map)
+    assert len(calls) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"HILS"])
+def test_an_image_that_is_not_complete_yet_is_told(name, content):
+    path_of(name).write_bytes(content)
+    with pytest.raises(FailedError, match=f"process image '{name}'"):
+        ImageReader.attach(name)
