@@ -24,7 +24,7 @@ from hilserver.plant.blocks import load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
-from hilserver.signals import RESERVED, BlockOutput, Ranges, SignalTable, robot_table
+from hilserver.signals import BlockOutput, Ranges, SignalTable, robot_table
 
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
@@ -183,9 +183,6 @@ class _Builder:
 
     def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
         here = ("blocks", index)
-        names = [other.name for other in self._config.blocks]
-        if block.name in names[:index] or block.name in RESERVED:
-            raise self._fail((*here, "name"), f"the name '{block.name}' is taken; choose another")
         self._need_compiled((*here, "slice"), block.slice, slices)
         declared = self._checked(
             (*here, "function"), lambda: load_block(block.function, self._folder)

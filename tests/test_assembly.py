@@ -29,9 +29,9 @@ ONE = "name: {}, function: 'own.py:follow', slice: sensors, inputs: {{u: pose.x_
 @pytest.mark.parametrize(
     ("blocks", "complaint"),
     [
-        ([ONE.format("a"), ONE.format("a")], ":3: blocks[1].name: the name 'a' is taken"),
-        ([ONE.format("audit")], ":2: blocks[0].name: the name 'audit' is taken"),
-        ([ONE.format("pose")], ":1: blocks: two signals have the name 'pose.x_m'"),
+        ([ONE.format("a"), ONE.format("a")], ":1: blocks: two blocks have the name 'a'"),
+        ([ONE.format("audit")], ":2: blocks[0].name: 'audit' is a name of"),
+        ([ONE.format("pose")], ":2: blocks[0].name: 'pose' is a name of"),
         ([ONE.format("a").replace("pose.x_m", "pose.z_m")], ":2: blocks[0].inputs.u: there is no"),
         ([ONE.format("a").replace("inputs: {u", "inputs: {v")], ":2: blocks[0].inputs: input 'u'"),
         (

@@ -11,7 +11,7 @@ from pydantic import (
     model_validator,
 )
 
-from hilserver.signals import SOURCES, Ranges, Source, robot_table
+from hilserver.signals import RESERVED, SOURCES, Ranges, Source, robot_table
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 
@@ -151,14 +151,8 @@ class SnapshotConfig(Section):
     folder: str = Field("snapshots", description="Folder, relative to the configuration file")
 
 
-_TAKEN = {s.name.partition(".")[0] for s in robot_table(Ranges(1.0, 1.0, 1.0)).scalars} | {
-    "methods",
-    "slices",
-    "peers",
-    "audit",
-    "robot",
-    "wheels",
-}
+_ROBOT = robot_table(Ranges(1.0, 1.0, 1.0))
+_TAKEN = RESERVED | {signal.name.partition(".")[0] for signal in (*_ROBOT, *_ROBOT.scalars)}
 """First parts of the robot's signals and of the folders of the address space."""
 
 
