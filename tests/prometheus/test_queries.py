@@ -31,6 +31,8 @@ HOLD_S = 2.5
 BEFORE_S = 1.0
 """What a stimulus is compared with."""
 
+TRIES = 3
+
 Act = Callable[[Rig], Awaitable[None]]
 
 
@@ -148,17 +150,22 @@ async def restart_on_a_core_that_is_not_there(rig: Rig) -> None:
 
 @dataclass(frozen=True)
 class Stimulus:
-    """What is done, and the panels that have to show it: up, down, or appears (a new series)."""
+    """What is done, and the panels that have to show it: up, down, or appears (a new series).
+
+    One that measures times is repeatable: a busy computer may have been as slow before it.
+    """
 
     act: Act
     up: tuple[str, ...] = ()
     down: tuple[str, ...] = ()
     appears: tuple[str, ...] = ()
+    repeatable: bool = False
 
 
 STIMULI = (
     Stimulus(
         burn,
+        repeatable=True,
         up=(
             "Execution",
             "Overruns by cause",
@@ -178,9 +185,9 @@ STIMULI = (
     Stimulus(command_out_of_range, up=("Refused values",)),
     Stimulus(measure, appears=("Model gap",)),
     Stimulus(inject_a_fault, up=("Faults at work",)),
-    Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",)),
-    Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way")),
-    Stimulus(make_garbage, up=("Garbage collector",)),
+    Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),
+    Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True),
+    Stimulus(make_garbage, up=("Garbage collector",), repeatable=True),
     Stimulus(fill_memory, up=("Memory",)),
     Stimulus(kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected")),
     Stimulus(return_as_a_liar, up=("Reconnects and faults",)),
@@ -254,9 +261,13 @@ async def test_every_query_moves_under_its_stimulus(node_red, tmp_path) -> None:
     async with running_rig(node_red(shipped_flow()), tmp_path, blocks=True) as rig:
         await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
         for stimulus in STIMULI:
-            begin_s = time.time()
-            await stimulus.act(rig)
-            still += await queries_that_stand_still(rig, stimulus, begin_s, time.time())
-            await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
+            for _ in range(TRIES if stimulus.repeatable else 1):
+                begin_s = time.time()
+                await stimulus.act(rig)
+                standing = await queries_that_stand_still(rig, stimulus, begin_s, time.time())
+                await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
+                if not standing:
+                    break
+            still += standing
         await rig.daemon.__aexit__(None, None, None)
     assert not still, "\n".join(still)
