@@ -83,10 +83,13 @@ def count_frames(copy: Any) -> Any:
     return loop
 
 
-def write_in_process(name: str) -> None:
+def write_in_process(name: str, ready: Any, go: Any) -> None:
     with path_of(name).open("r+b") as file:
         memory = mmap.mmap(file.fileno(), 0)
     values, words = np.frombuffer(memory, np.float64), np.frombuffer(memory, np.int64)
+    write_frames(0, values, words)  # loaded before the race
+    ready.set()
+    assert go.wait(60)
     write_frames(N_FRAMES, values, words)
 
 
@@ -96,10 +99,12 @@ def test_million_frames_between_two_processes(image, copy, locked):
     scratch = np.empty(N_DOUBLES), np.empty(N_DOUBLES + 3, dtype=np.int64)
     loop(0, image.values, image.words, *scratch)  # compile before the race
     write_frames(0, image.values, image.words)
-    writer = multiprocessing.get_context("spawn").Process(
-        target=write_in_process, args=(image.name,)
-    )
+    spawn = multiprocessing.get_context("spawn")
+    ready, go = spawn.Event(), spawn.Event()
+    writer = spawn.Process(target=write_in_process, args=(image.name, ready, go))
     writer.start()
+    assert ready.wait(60)
+    go.set()
     whole, torn = loop(N_FRAMES, image.values, image.words, *scratch)
     writer.join(30)
     assert writer.exitcode == 0
