@@ -1,0 +1,105 @@
+"""Measured data as all stages see them: channels with their own stamps, in segments."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One file of the data."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """One segment: time rises, and the pose at its start is unknown.
+
+    Attributes
+    ----------
+    number : int
+        As it stands in the log; counted on over several logs.
+    block : int or None
+        Unit of held-out splits; None where the log names none.
+    start_s, end_s : float
+        Stamps of its first and last row.
+    """
+
+    number: int
+    block: int | None
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """The samples of one signal; every value is finite.
+
+    Attributes
+    ----------
+    t_s, values : ndarray of float64, shape (n,)
+        Stamps rise within a span.
+    span : ndarray of int64, shape (n,)
+        Index into `MeasuredLog.spans`; does not fall.
+    """
+
+    t_s: Array
+    values: Array
+    span: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def of(self, span: int) -> tuple[Array, Array]:
+        """Return stamps and values of one span."""
+        first, end = np.searchsorted(self.span, [span, span + 1])
+        return self.t_s[first:end], self.values[first:end]
+
+    def with_values(self, values: Array) -> "Channel":
+        """Return the channel with other values at the same stamps."""
+        return replace(self, values=values)
+
+
+@dataclass(frozen=True)
+class MeasuredLog:
+    """Measured data of one machine, from one log or several.
+
+    Attributes
+    ----------
+    channels : mapping of str to Channel
+        By signal name of the signal table (``nav.x_m``; without ``measured.``). Wheels have the
+        plant's signs: driving forward is left > 0, right < 0.
+    has_stamps : bool
+        False: times were made from a rate; delays are not judged.
+    plant : mapping
+        Keys of the plant configuration that the mapping file sets.
+    notices : tuple of str
+        What a reader should be told: rows dropped, the file ends early.
+    """
+
+    sources: tuple[Source, ...]
+    channels: Mapping[str, Channel]
+    spans: tuple[Span, ...]
+    has_stamps: bool = True
+    plant: Mapping[str, object] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.channels
+
+    def __getitem__(self, name: str) -> Channel:
+        return self.channels[name]
+
+    def has(self, *names: str) -> bool:
+        """Return whether all these signals were measured."""
+        return all(name in self.channels for name in names)
+
+    def with_channels(self, changed: Mapping[str, Channel]) -> "MeasuredLog":
+        """Return the log with some channels replaced."""
+        return replace(self, channels={**self.channels, **changed})
