@@ -1,11 +1,11 @@
 """What a diagnosis says: the models of ``findings.json``."""
 
 from enum import StrEnum
-from typing import Literal
+from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA = "hilserver.diagnosis/1"
+SCHEMA: Final = "hilserver.diagnosis/1"
 
 
 class Verdict(StrEnum):
