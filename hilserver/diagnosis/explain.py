@@ -197,6 +197,7 @@ class _Filling:
         texts = [
             f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
             for name, p in self._parameters.items()
+            if self._cause.by_channel or not part_of(name).shape
         ]
         return ", ".join(texts) or "some"
 
