@@ -1,10 +1,13 @@
 """A patch changes a replay while it is named, and leaves nothing behind, in new processes."""
 
+import time
+
 import pytest
 import yaml
 
 from hilserver.config.root import Config
 from hilserver.logs import read_log
+from tests.helpers.daemons import running_daemon
 from tests.replay.test_recordings import outputs_from, replay
 
 PATCH = {
@@ -46,19 +49,30 @@ def test_without_it_the_old_outputs_are_back_to_the_bit(replayed):
     assert gained == pytest.approx(0.53, rel=1e-6)
 
 
-def test_what_is_recorded_with_it_comes_again_without_naming_it(replayed):
-    said = replay("with.mcap", "-o", "again.mcap", "--check", cwd=replayed)
+@pytest.fixture(scope="module")
+def recorded_with_it(replayed):
+    """A second of the daemon under the patch."""
+    words = ("--record", "run.mcap", "--patch", "patch.yaml")
+    with running_daemon(replayed, *words) as daemon:
+        time.sleep(1.0)
+        assert daemon.stop() == 0
+    (replayed / "config.yaml").unlink()
+    return replayed
+
+
+def test_what_is_recorded_with_it_comes_again_without_naming_it(recorded_with_it):
+    said = replay("run.mcap", "-o", "again.mcap", "--check", cwd=recorded_with_it)
     assert "equal, bit for bit" in said
-    told = read_log(replayed / "again.mcap").run["patch"]
+    told = read_log(recorded_with_it / "again.mcap").run["patch"]
     assert told["content"]["terms"]["rotation_gain"]["value"] == -0.47
 
 
-def test_another_patch_over_a_recording_is_refused_with_the_mend(replayed):
+def test_another_patch_over_a_recording_is_refused_with_the_mend(recorded_with_it):
     other = PATCH | {"terms": {"rotation_gain": {"value": 0.1, "unit": "1"}}}
-    (replayed / "other.yaml").write_text(yaml.safe_dump(other), encoding="utf-8")
-    words = ("with.mcap", "-o", "other.mcap", "--patch", "other.yaml")
-    assert "--as-inputs" in replay(*words, cwd=replayed, code=78)
-    replay(*words, "--as-inputs", cwd=replayed)
+    (recorded_with_it / "other.yaml").write_text(yaml.safe_dump(other), encoding="utf-8")
+    words = ("run.mcap", "-o", "other.mcap", "--patch", "other.yaml")
+    assert "--as-inputs" in replay(*words, cwd=recorded_with_it, code=78)
+    replay(*words, "--as-inputs", cwd=recorded_with_it)
 
 
 def test_a_patch_for_another_configuration_is_warned_about(replayed):
