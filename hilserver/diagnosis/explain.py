@@ -23,6 +23,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Keys of a gain: what they are called, and their unit."""
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CHOICE = re.compile(r"\{([^{}|]*)\|([^{}|]*)\}")
 _FIELD = re.compile(r"\{(?:(of):)?(\w+)\}")
 
@@ -66,9 +67,15 @@ def number(value: float, unit: str = "1", *, digits: int = 3) -> str:
     text = f"{value:.{digits}g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
-        text = f"{mantissa}·10^{int(exponent)}" if abs(value) < 1e-3 else f"{value:.0f}"
+        small = f"{mantissa}·{power_of_ten(int(exponent))}"
+        text = small if abs(value) < 1e-3 else f"{value:.0f}"
     text = text.replace("-", MINUS)
     return text if unit == "1" else f"{text}\u00a0{unit}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return ten to a power with a raised exponent."""
+    return "10" + str(exponent).translate(_RAISED)
 
 
 def explain(causes: Iterable[str], parameters: Mapping[str, Parameter]) -> str:
@@ -155,8 +162,7 @@ class _Filling:
         return next(iter(self._parameters.values()), None)
 
     def fill(self, template: str) -> str:
-        text = _FIELD.sub(self._field, _CHOICE.sub(self._choice, template))
-        return text[:1].upper() + text[1:] if template.startswith("{") else text
+        return _FIELD.sub(self._field, _CHOICE.sub(self._choice, template))
 
     def _choice(self, match: re.Match[str]) -> str:
         if self._main is None:

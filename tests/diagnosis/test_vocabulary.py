@@ -97,7 +97,7 @@ def test_structure_outside_the_library_names_what_it_depends_on():
 @pytest.mark.parametrize(
     ("value", "unit", "text"),
     [(-0.47, "1", "-0.47"), (0.0, "m", "0\u00a0m"), (12345.6, "rpm", "12346\u00a0rpm"),
-     (2e-5, "s", "2·10^-5\u00a0s")],
+     (2e-5, "s", "2·10⁻⁵\u00a0s")],
 )  # fmt: skip
 def test_numbers_are_made_for_reading(value, unit, text):
     assert number(value, unit).replace("\N{MINUS SIGN}", "-") == text

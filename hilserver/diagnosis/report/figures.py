@@ -19,7 +19,17 @@ from hilserver.diagnosis.evidence import (
 )
 from hilserver.diagnosis.explain import QUANTITIES, number
 from hilserver.diagnosis.report import markup
-from hilserver.diagnosis.report.svg import MAX_POINTS, Plot, label, picture, span_of
+from hilserver.diagnosis.report.svg import (
+    MARGIN_BOTTOM,
+    MARGIN_LEFT,
+    MARGIN_RIGHT,
+    MARGIN_TOP,
+    MAX_POINTS,
+    Plot,
+    label,
+    picture,
+    span_of,
+)
 
 MAX_PATHS = 4
 MAX_SPANS = 60
@@ -31,7 +41,7 @@ def path(way: Path) -> str:
     """Draw the way over the floor, to scale."""
     tracks = [t for t in (way.measured, way.simulated, way.extended) if t is not None]
     x, y = (span_of(*(t[:, i] for t in tracks), margin=0.05) for i in (0, 1))
-    inner_w, inner_h = 448.0, 342.0
+    inner_w, inner_h = 520.0 - MARGIN_LEFT - MARGIN_RIGHT, 400.0 - MARGIN_TOP - MARGIN_BOTTOM
     width, height = x[1] - x[0], y[1] - y[0]
     if width / inner_w > height / inner_h:
         y = _around(y, width * inner_h / inner_w)
@@ -196,9 +206,9 @@ def likeness(similarity: Similarity) -> str:
             f'<text class="tick" transform="translate({x:.0f} {bottom + 10:.0f}) rotate(-60)"'
             f' text-anchor="end">{name}</text>'
         )
-    width, height = left + len(kept) * size + 10, bottom + 160
+    width, height = left + len(kept) * size + 10, bottom + 130
     svg = (
-        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
+        f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
         f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
     )
     return markup.figure(

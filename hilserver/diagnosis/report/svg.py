@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.explain import MINUS
+from hilserver.diagnosis.explain import MINUS, power_of_ten
 
 Array = NDArray[np.float64]
-MARGIN_LEFT: Final = 58.0
+MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0
 MARGIN_TOP: Final = 14.0
 MARGIN_BOTTOM: Final = 44.0
@@ -86,7 +86,8 @@ def label(value: float) -> str:
     else:
         power = math.floor(math.log10(abs(value)) + 1e-9)
         factor = value / 10.0**power
-        text = f"10^{power}" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·10^{power}"
+        text = "" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·"
+        return text.replace("-", MINUS) + power_of_ten(power)
     return text.replace("-", MINUS)
 
 
@@ -235,7 +236,7 @@ class Plot:
             f'<path class="axis" d="M{x0} {y0}H{x1}"/>'
             f'<text class="axis-label" x="{middle_x}" y="{y0 + 36}" text-anchor="middle">'
             f"{escape(self.x_label)}</text>"
-            f'<text class="axis-label" transform="translate(14 {middle_y}) rotate(-90)"'
+            f'<text class="axis-label" transform="translate(13 {middle_y}) rotate(-90)"'
             f' text-anchor="middle">{escape(self.y_label)}</text>'
         )
         return "".join(parts)

@@ -58,7 +58,7 @@ def screen(rows: Sequence[ScreenRow], number_of_round: int = 0) -> str:
             bar(share / largest, "over" if share > 1 else ""),
             number(item.statistic, digits=3),
             number(item.critical, digits=3),
-            number(item.p_adjusted, digits=2),
+            "&lt; 0.0001" if item.p_adjusted < 1e-4 else number(item.p_adjusted, digits=2),
             f"{number(item.size, digits=2)} ± {number(item.standard_error, item.unit, digits=2)}",
             number(item.dof, digits=3),
         ]
