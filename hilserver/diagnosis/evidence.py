@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.findings import Findings
+
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
 
@@ -256,12 +258,15 @@ class FittedRange:
     ----------
     speed_m_s, wheel_speed_rpm, turn_rate_rad_s, voltage_v : tuple of float or None
         Smallest and largest; None: not excited or not in the log. Speeds carry their sign.
+    conditions : str
+        What else it holds for, in words (floor, load, rate); the logs are named anyway.
     """
 
     speed_m_s: Interval | None = None
     wheel_speed_rpm: Interval | None = None
     turn_rate_rad_s: Interval | None = None
     voltage_v: Interval | None = None
+    conditions: str = ""
 
 
 @dataclass(frozen=True)
@@ -290,3 +295,11 @@ class Evidence:
     fitted: FittedRange = field(default_factory=FittedRange)
     timings_s: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a diagnosis returns: what it says, and what stands behind it."""
+
+    findings: Findings
+    evidence: Evidence = field(default_factory=Evidence)

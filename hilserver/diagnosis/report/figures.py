@@ -229,11 +229,12 @@ def spectrum(row: NoiseRow) -> str:
     f, density = row.frequency_hz[keep], row.density[keep]
     model = None if row.model is None else row.model[keep]
     low, high = (10.0 ** v for v in span_of(np.log10(density)))  # fmt: skip
+    squared = f"({row.unit})²" if "/" in row.unit else f"{row.unit}²"
     plot = Plot(
         (float(f.min()), float(f.max())),
         (low, high),
         "frequency [Hz]",
-        f"density [({row.unit})²/Hz]",
+        f"density [{squared}/Hz]",
         log_x=True,
         log_y=True,
         height=250,
