@@ -76,7 +76,7 @@ def _client(address: str) -> Any:
             "--dask needs the extra 'dask': python -m pip install 'hilserver[dask]'"
         ) from None
     try:
-        return Client(address, timeout=CONNECT_WITHIN_S, set_as_default=False)
+        return Client(address, timeout=CONNECT_WITHIN_S)
     except (OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FailedError(f"--dask {address}: no cluster answers there: {reason}") from None

@@ -34,7 +34,7 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
         conditions=_conditions(diagnosis),
     )
     return ModelPatch(
-        schema=SCHEMA,
+        schema_=SCHEMA,
         made_from=MadeFrom(
             findings_sha256=findings_sha256,
             config_sha256=findings.config_sha256,
