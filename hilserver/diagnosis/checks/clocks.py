@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from hilserver.diagnosis.checks.motion import LEFT, RAD_S_PER_RPM, RIGHT
-from hilserver.diagnosis.checks.support import data_fault
+from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
 from hilserver.plant.parameters import RobotParameters
@@ -22,6 +22,9 @@ FEWEST_CHUNKS = 6
 LEAST_S = 0.06
 SIGMAS = 6.0
 BASELINE_S = 1.0
+ALIKE_S = 0.03
+SLOWEST_WHEELS_S = 0.06
+"""Between slower samples the wheels do too much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,24 +93,22 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
 
 
 def _judge(lags: list[Lag]) -> tuple[str, Lag] | None:
+    """Return the cause and the best estimate; None where a late source explains it as well."""
     if not lags:
         return None
-    if all(lag.drifts for lag in lags) and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
-        return "clock_drift", lags[0]
-    agree = _agree([(g.offset_s, g.offset_sd_s) for g in lags], 0.03)
-    if agree and (
-        (len(lags) > 1 and all(lag.is_off for lag in lags)) or all(lag.is_early for lag in lags)
-    ):
-        best = min(lags, key=lambda lag: lag.offset_sd_s)
-        return "clock_offset", best
-    return None
+    best = min(lags, key=lambda lag: lag.offset_sd_s)
+    if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
+        return "clock_drift", best
+    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], ALIKE_S):
+        return None
+    together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
+    return ("clock_offset", best) if best.is_early or (best.is_off and together) else None
 
 
 def _agree(figures: list[tuple[float, float]], least: float) -> bool:
     values = [value for value, _ in figures]
-    return max(values) - min(values) <= least + 3.0 * float(
-        np.hypot.reduce([s for _, s in figures])
-    )
+    sd = float(np.hypot.reduce([sd for _, sd in figures]))
+    return max(values) - min(values) <= max(least, 2.5 * sd)
 
 
 def _finding(cause: str, source: str, names: list[str], lag: Lag) -> Finding:
@@ -137,12 +138,19 @@ def _wheel_motion(log: MeasuredLog) -> Motion | None:
     names = [f"wheel.{side[0]}.speed_rpm" for side in (LEFT, RIGHT)]
     if not log.has(*names):
         return None
-    left, right = (log[name] for name in names)
-    if len(left) != len(right) or not np.array_equal(left.t_s, right.t_s):
+    left = log[names[0]]
+    if row_period_s(left) > SLOWEST_WHEELS_S:
         return None
-    forward = left.with_values((left.values - right.values) * RAD_S_PER_RPM)
-    turning = left.with_values(-(left.values + right.values) * RAD_S_PER_RPM)
+    right = _at(left, log[names[1]], log[names[1]].values)
+    forward = left.with_values((left.values - right) * RAD_S_PER_RPM)
+    turning = left.with_values(-(left.values + right) * RAD_S_PER_RPM)
     return forward, turning
+
+
+def _at(channel: Channel, other: Channel, values: Array) -> Array:
+    """Return values of another channel at the stamps of this one."""
+    result: Array = np.interp(along(channel), along(other), values)
+    return result
 
 
 def _integral(channel: Channel | None) -> Channel | None:
@@ -158,11 +166,9 @@ def _path(log: MeasuredLog) -> Channel | None:
     if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
         return None
     x, y, yaw = (log[f"nav.{what}"] for what in ("x_m", "y_m", "yaw_rad"))
-    if not len(x) == len(y) == len(yaw):
-        return None
-    heading = np.unwrap(yaw.values)
+    heading = _at(x, yaw, np.unwrap(yaw.values))
     middle = (heading[1:] + heading[:-1]) / 2.0
-    step = np.diff(x.values) * np.cos(middle) + np.diff(y.values) * np.sin(middle)
+    step = np.diff(x.values) * np.cos(middle) + np.diff(_at(x, y, y.values)) * np.sin(middle)
     step[np.diff(x.span) != 0] = 0.0
     return x.with_values(np.concatenate(([0.0], np.cumsum(step))))
 

@@ -115,11 +115,11 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     x, y = x[good], y[good]
     if (np.abs(x) > least).sum() < 10 or not (x**2).sum() or not (y**2).sum():
         return None
-    keep: NDArray[np.bool_] = np.ones(len(x), dtype=np.bool_)
+    keep = np.ones(len(x), dtype=np.bool_)
     for _ in range(4):
         slope = float((x[keep] * y[keep]).sum() / max((x[keep] ** 2).sum(), 1e-300))
         error = np.abs(y - slope * x)
-        keep = np.asarray(error <= np.quantile(error, 0.9))
+        keep[:] = error <= np.quantile(error, 0.9)
     correlation = float(
         (x[keep] * y[keep]).sum()
         / max(np.sqrt((x[keep] ** 2).sum() * (y[keep] ** 2).sum()), 1e-300)
