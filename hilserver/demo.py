@@ -89,4 +89,4 @@ def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     config = assembly.config.model_copy(
         update={"peers": (demo_peer(endpoint),), "control": control}
     )
-    return assemble_config(config, assembly.folder)
+    return assemble_config(config, assembly.folder, assembly.patch)
