@@ -24,6 +24,7 @@ COMMANDS = {
     "diagnose": "what the simulation gets wrong in measured data, why, and what would mend it",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",
+    "scenarios": "sealed logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure every figure that the README quotes",
 }
 
