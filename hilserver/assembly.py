@@ -26,7 +26,7 @@ from hilserver.plant.blocks import load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
-from hilserver.signals import BlockOutput, Ranges, SignalTable, robot_table
+from hilserver.signals import MEASURED, BlockOutput, Ranges, SignalTable, robot_table
 
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
@@ -224,6 +224,12 @@ class _Builder:
         for index, peer in enumerate(self._config.peers):
             for problem in check_signals(peer, table):
                 raise self._fail(("peers", index, *problem.location), problem.message)
+        for name in self._config.shadow.limits:
+            if f"{MEASURED}{name}" not in table:
+                raise self._fail(
+                    ("shadow", "limits", name),
+                    f"nothing measures '{name}'; see the measured.* of 'hilserver signals'",
+                )
         for problem in check_peers(list(self._config.peers)):
             raise self._fail(("peers",), problem.message)
 
