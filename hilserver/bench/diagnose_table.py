@@ -11,7 +11,6 @@ from hilserver.bench.report import Result
 
 Record = dict[str, Any]
 CONFIDENCE = 0.95
-NAMED_GROUPS = ("single", "pair", "twin", "drift", "fault", "outside", "null", "scenario")
 
 
 @dataclass(frozen=True)
@@ -80,11 +79,14 @@ def rows(records: Sequence[Record]) -> list[Row]:
     judged = [v for v in values if v["in_ci95"] is not None]
     sized = [r for r in records if r["group"] == "size"]
     return [
-        row("findings without an effect", "null", lambda r: r["outcome"] != "right", most=0.0),
+        row(
+            "findings without an effect", "null", lambda r: r["outcome"] == "false_alarm", most=0.0
+        ),
         row("right name, single cause", "single", _right, least=0.9),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
         row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
+        row("diagnosis broke off, all tests", "any", lambda r: r["outcome"] == "crashed", most=0.0),
         row("outside the library flagged", "outside", _right, least=0.7),
         row("two effects: both named", "pair", _right, least=0.75),
         row("twins come out as a group", "twin", _right, least=0.9),
@@ -132,8 +134,10 @@ def _seconds(records: Sequence[Record]) -> list[str]:
 
 
 def _each(records: Sequence[Record]) -> list[str]:
-    lines = ["| class | case | right | missed | vague | unknown | false name | value in ci95 |"]
-    lines.append("|---|---|---|---|---|---|---|---|")
+    lines = [
+        "| class | case | right | missed | vague | unknown | broke off | false name | value in ci95 |"
+    ]
+    lines.append("|---|---|---|---|---|---|---|---|---|")
     cases = sorted({(r["group"], r["name"]) for r in records if r["group"] != "pair"})
     for group, name in cases:
         mine = [r for r in records if (r["group"], r["name"]) == (group, name)]
@@ -143,7 +147,7 @@ def _each(records: Sequence[Record]) -> list[str]:
         known = f"{sum(map(bool, inside))} of {len(inside)}" if inside else ""
         lines.append(
             f"| {group} | {name} | {outcomes['right']} of {len(mine)} | {outcomes['missed']} "
-            f"| {outcomes['vague']} | {outcomes['unknown']} | {wrong} | {known} |"
+            f"| {outcomes['vague']} | {outcomes['unknown']} | {outcomes['crashed']} | {wrong} | {known} |"
         )
     return lines
 
