@@ -25,6 +25,7 @@ COMMANDS = {
     "identify": "K_om, step response, update rate, dead zone or noise from a log",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",
+    "scenarios": "sealed logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure every figure that the README quotes",
 }
 
