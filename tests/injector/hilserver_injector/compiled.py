@@ -1,4 +1,4 @@
-"""How the injector's kernels are compiled: no interpreter lock, cached by the text of all of them."""
+"""How the kernels are compiled: no interpreter lock, cached by the text of all sources."""
 
 import hashlib
 import os

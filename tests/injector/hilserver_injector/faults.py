@@ -69,7 +69,7 @@ def _dropouts(table: Table, given: Any, rng: np.random.Generator) -> None:
 
 
 def _clock(table: Table, given: Any, rng: np.random.Generator) -> None:
-    """Give the stamps of one source an offset [s] and a drift; its samples get rows of their own."""
+    """Give one source an offset [s] and a drift; its samples get rows of their own."""
     channel, offset_s, drift = given
     names = _some(table, channel)
     moved = table.t_s * (1.0 + drift) + offset_s
@@ -81,7 +81,8 @@ def _clock(table: Table, given: Any, rng: np.random.Generator) -> None:
     for name, values in table.columns.items():
         both = [empty, values] if name in names else [values, empty]
         table.columns[name] = np.concatenate(both)[order][keep]
-    table.t_s = times[order][keep]
+    rising = 2e-6 * np.arange(int(keep.sum()))  # no two rows with one stamp
+    table.t_s = np.maximum.accumulate(times[order][keep] - rising) + rising
 
 
 FAULTS: Mapping[str, Callable[[Table, Any, np.random.Generator], None]] = {

@@ -1,4 +1,4 @@
-"""The driver: works off a list of moves, looking at the robot's true pose, and stays in the hall."""
+"""The driver: works off a list of moves, looks at the true pose and stays in the hall."""
 
 import math
 from typing import Any
@@ -71,7 +71,7 @@ def drive(s: Any, moves: Any, t: float, x: float, y: float, yaw: float) -> None:
         s[MOVE] = (s[MOVE] + 1.0) % moves.shape[0]
         s[SINCE], s[TURNED], s[PHASE], s[RETURN] = t, 0.0, 0.0, 0.0
         kind = moves[int(s[MOVE])][KIND]
-        if kind == STOP or kind == GO_TO:
+        if kind in (STOP, GO_TO):
             s[WANT_L] = s[WANT_R] = 0.0
 
 

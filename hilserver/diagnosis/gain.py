@@ -1,0 +1,167 @@
+"""What the extension gains on data that took no part in its fit: one step and free runs.
+
+A free run starts at the measured pose of a window and is compared at its end; windows begin at
+every `horizon / 2`. Blocks alternate between training and test, both ways round.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.findings import Gain
+from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
+from hilserver.diagnosis.problem import Point, Problem, fit
+
+Array = NDArray[np.float64]
+
+RESAMPLES = 400
+HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Absolute errors of one quantity and the block each belongs to."""
+
+    values: Array
+    block: NDArray[np.int64]
+
+
+def crossed(problem: Problem, point: Point, model: Model) -> list[Array]:
+    """Return predictions of both folds by parameters fitted on the other fold.
+
+    Element f holds the prediction of all samples by the fit without fold f.
+    """
+    predictions = []
+    for test in (0, 1):
+        train = problem.stack.fold != test
+        if not model.fitted or not train.any():
+            at = fit(problem, model, point, iterations=0)
+        else:
+            at = fit(problem, model, point, rows=train, iterations=3)
+        predictions.append(at.predicted)
+    return predictions
+
+
+def held_out(problem: Problem, predictions: Sequence[Array]) -> Array:
+    """Return every sample's prediction by the fit that did not see its block."""
+    fold = problem.stack.fold[problem.stack.block]
+    return np.where(fold == 0, predictions[0], predictions[1])
+
+
+def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> Errors | None:
+    """Return absolute residuals of some channels."""
+    stack = problem.stack
+    residual = np.abs(problem.residual(predicted))
+    rows = [np.arange(stack.edges[n].start, stack.edges[n].stop) for n in names if n in stack.edges]
+    if not rows:
+        return None
+    rows_ = np.concatenate(rows)
+    return Errors(residual[rows_], stack.block[rows_])
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Pairs of samples of the tag: start and end of free runs, as indices into its channels."""
+
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    horizon_s: float
+
+
+def windows(problem: Problem, horizon_s: float) -> Windows | None:
+    """Return free runs of one length inside segments; whole segments where they are shorter."""
+    stack = problem.stack
+    name = POSITION[0] if POSITION[0] in stack.edges else YAW
+    if name not in stack.edges:
+        return None
+    edge = stack.edges[name]
+    t, segment = stack.t_s[edge], stack.segment[edge]
+    bounds = np.flatnonzero(np.diff(segment)) + 1
+    starts, ends = [], []
+    for a, b in zip([0, *bounds.tolist()], [*bounds.tolist(), len(t)], strict=True):
+        if b - a < 3:
+            continue
+        if t[b - 1] - t[a] < 1.5 * horizon_s:
+            if t[b - 1] - t[a] > 0.6 * horizon_s:
+                starts.append(a)
+                ends.append(b - 1)
+            continue
+        for begin in np.arange(t[a], t[b - 1] - horizon_s, 0.5 * horizon_s):
+            starts.append(a + int(np.searchsorted(t[a:b], begin)))
+            ends.append(min(a + int(np.searchsorted(t[a:b], begin + horizon_s)), b - 1))
+    if len(starts) < 4:
+        return None
+    start, end = np.array(starts), np.array(ends)
+    return Windows(start, end, float(np.mean(t[end] - t[start])))
+
+
+def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
+    """Return errors at the end of free runs that start at the measured pose."""
+    stack, out = problem.stack, {}
+    values = stack.values
+    turn: Array | float = 0.0
+    if YAW in stack.edges:
+        edge = stack.edges[YAW]
+        measured, said = values[edge], predicted[edge]
+        d = (measured[w.end] - said[w.end]) - (measured[w.start] - said[w.start])
+        d = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+        out["yaw_rad"] = Errors(np.abs(d), stack.block[edge][w.end])
+        turn = measured[w.start] - said[w.start]
+    if all(n in stack.edges for n in POSITION):
+        x, y = (stack.edges[n] for n in POSITION)
+        z, s = values[x] + 1j * values[y], predicted[x] + 1j * predicted[y]
+        move = (s[w.end] - s[w.start]) * np.exp(1j * np.asarray(turn))
+        out["position_m"] = Errors(
+            np.abs(z[w.end] - z[w.start] - move), stack.block[x][w.end]
+        )
+    return out
+
+
+def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator) -> Gain:
+    """Return mean errors, their ratio and its bootstrap interval over blocks."""
+    n = int(before.block.max()) + 1
+    sums = np.stack(
+        [np.bincount(e.block, weights=e.values, minlength=n) for e in (before, after)]
+    )
+    sums = sums[:, np.bincount(before.block, minlength=n) > 0]
+    count = sums.shape[1]
+    b, a = float(before.values.mean()), float(after.values.mean())
+    ci = None
+    if count >= 4:
+        picks = rng.integers(0, count, size=(RESAMPLES, count))
+        drawn = sums[:, picks].sum(axis=2)
+        ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
+        ci = (float(np.quantile(ratios, 0.025)), float(np.quantile(ratios, 0.975)))
+    return Gain(horizon_s=horizon_s, before=b, after=a, ratio=b / max(a, 1e-300), ci95=ci)
+
+
+def gains(
+    problem: Problem,
+    before: Array,
+    after: Array,
+    horizon_s: float,
+    rng: np.random.Generator,
+) -> dict[str, Gain]:
+    """Return the gain of every quantity of a stage at one horizon."""
+    out: dict[str, Gain] = {}
+    if problem.stage.name == "pose":
+        w = windows(problem, horizon_s)
+        if w is not None:
+            first, second = (free_run_errors(problem, p, w) for p in (before, after))
+            for key in first:
+                out[key] = compare(first[key], second[key], w.horizon_s, rng)
+        pairs = {"gyro_z_rad_s": (GYRO,)}
+    else:
+        names = problem.stack.channels
+        pairs = {
+            "speed_rpm": tuple(n for n in names if n.endswith("speed_rpm")),
+            "duty_pct": tuple(n for n in names if n.endswith("duty_pct")),
+        }
+    for key, channels in pairs.items():
+        e = [channel_errors(problem, p, channels) for p in (before, after)]
+        if e[0] is not None and e[1] is not None:
+            out[key] = compare(e[0], e[1], horizon_s, rng)
+    return out

@@ -1,0 +1,264 @@
+"""Forward selection with held-out blocks, joint refit, and a swap check against every rival."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.screen import (
+    LEVEL,
+    SQUARE,
+    Blocks,
+    Scores,
+    adjusted,
+    critical,
+    directions,
+    null_maxima,
+    score,
+)
+
+Array = NDArray[np.float64]
+
+MOST_CAUSES = 6
+TRIALS = 8
+"""Candidates of a round that are fitted in full: those with the largest linear gain."""
+RIVAL_COSINE = 0.6
+GROUP_COSINE = 0.95
+TIE = 4.0
+"""Deviance within which two causes explain the data alike, per parameter."""
+
+
+@dataclass
+class Library:
+    """The candidates of one stage with their whitened columns at the base model.
+
+    Attributes
+    ----------
+    raw : list of ndarray, shape (n, 1) or (n, 2)
+        Sensitivities of every candidate.
+    blocks : Blocks
+        Order of the rows of `columns`.
+    columns : ndarray of float32, shape (n, k)
+        All directions, whitened, initial poses projected out.
+    owner : ndarray of int64, shape (k,)
+        Candidate of each direction.
+    norms : list of ndarray
+        Lengths of every candidate's own columns.
+    """
+
+    problem: Problem
+    candidates: list[Candidate]
+    raw: list[NDArray[np.float32]]
+    blocks: Blocks = field(init=False)
+    owner: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    norms: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        stack = self.problem.stack
+        self.blocks = Blocks.of(stack.block, stack.n_blocks)
+        widths = [1 if r.shape[1] == 1 else len(SQUARE) for r in self.raw]
+        self.owner = np.repeat(np.arange(len(self.raw)), widths)
+        self.columns = np.empty((len(stack), int(sum(widths))), dtype=np.float32)
+
+    def rewhiten(self, point: Point) -> None:
+        """Whiten and project all columns with the problem's present noise."""
+        problem, begin = self.problem, 0
+        bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+        self.norms = []
+        for raw in self.raw:
+            white = problem.project(problem.whiten(raw.astype(np.float64)), bases)
+            self.norms.append(np.sqrt((white**2).sum(axis=0)) + 1e-300)
+            spread = directions(white)
+            end = begin + spread.shape[1]
+            self.columns[:, begin:end] = spread[self.blocks.order]
+            begin = end
+
+    def scores(self, point: Point) -> Scores:
+        """Score all candidates at a model."""
+        accepted = accepted_columns(self.problem, point)
+        order = self.blocks.order
+        return score(
+            self.columns,
+            point.left[order].astype(np.float32),
+            self.blocks,
+            None if accepted is None else accepted[order].astype(np.float32),
+        )
+
+
+def accepted_columns(problem: Problem, point: Point) -> Array | None:
+    """Return whitened, projected sensitivities of a model's own parameters."""
+    if not point.model.fitted:
+        return None
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    return problem.project(problem.whiten(problem.columns(point, point.model)), bases)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate fitted together with what is accepted."""
+
+    candidate: Candidate
+    point: Point
+    gain: float
+    t: float
+    p: float
+
+
+@dataclass
+class Selected:
+    """The outcome of one stage.
+
+    Attributes
+    ----------
+    rivals : mapping of str to list of Trial
+        Per accepted cause, those that explain the data as well in its place.
+    p : mapping of str to float
+        Family-wise p of each accepted cause when it was accepted.
+    """
+
+    point: Point
+    rivals: dict[str, list[Trial]] = field(default_factory=dict)
+    p: dict[str, float] = field(default_factory=dict)
+
+
+def physical(point: Point) -> bool:
+    """Return whether every parameter is inside its range, not at its edge, and worth a name."""
+    for f in point.model.fitted:
+        c = f.candidate
+        size = 0.0
+        for value, low, high, null in zip(f.theta, c.low, c.high, c.null, strict=True):
+            size = max(size, abs(value - null))
+            width = high - low
+            margin = 1e-6 * width if np.isfinite(width) else 0.0
+            at_edge = value <= low + margin or value >= high - margin
+            if at_edge and c.n == 1:
+                return False
+        if size < c.least:
+            return False
+    return True
+
+
+def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
+    """Return whether a cause improves the blocks that took no part in its fit, both ways.
+
+    Each half of the blocks is predicted from a fit on the other; the deviance saved must exceed
+    twice its standard error over the blocks.
+    """
+    fold = problem.stack.fold
+    saved = np.zeros(problem.stack.n_blocks)
+    for test in (0, 1):
+        train = fold != test
+        if not train.any() or train.all():
+            continue
+        without = fit(problem, before.model, before, rows=train, iterations=2)
+        point = fit(problem, model, start, rows=train, iterations=2)
+        part = fold == test
+        saved[part] = (without.loss - point.loss)[part]
+    spread_ = np.sqrt(len(saved)) * saved.std(ddof=1)
+    return bool(saved.sum() > 2.0 * spread_ and saved.sum() > 0.0)
+
+
+def best_starts(scores: Scores, library: Library, t_critical: float) -> list[tuple[int, float]]:
+    """Return candidates above the critical value with their best gain, largest first; one each."""
+    found: dict[str, tuple[int, float]] = {}
+    for j, owner in enumerate(library.owner):
+        if abs(scores.t[j]) < t_critical:
+            continue
+        c = library.candidates[owner]
+        if not c.linear and scores.size[j] < 0.15:
+            continue
+        # one best start for every cause; regions and wheels of a cause compete by their gain
+        if c.cause not in found or scores.gain[j] > found[c.cause][1]:
+            found[c.cause] = (int(owner), float(scores.gain[j]))
+    return sorted(found.values(), key=lambda item: -item[1])
+
+
+def start_theta(library: Library, index: int) -> tuple[float, ...]:
+    """Return where the fit of a candidate begins."""
+    return library.candidates[index].start
+
+
+def attempt(
+    problem: Problem, point: Point, library: Library, index: int, t: float, p: float
+) -> Trial | None:
+    """Fit a candidate together with the accepted causes."""
+    c = library.candidates[index]
+    theta = c.start if not c.linear else tuple(n + 1e-3 * s for n, s in zip(c.null, c.step, strict=True))
+    trial = fit(problem, point.model.plus(c, theta), point, iterations=5)
+    if not physical(trial):
+        return None
+    return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+def select(
+    problems: Mapping[str, Problem],
+    libraries: Mapping[str, Library],
+    points: Mapping[str, Point],
+    rng: np.random.Generator,
+    *,
+    log: list[str] | None = None,
+) -> dict[str, Selected]:
+    """Select causes, stage by stage, at one family-wise level."""
+    scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
+    maxima = null_maxima(list(scores.values()), rng)
+    out = {}
+    for name in libraries:
+        other = [s for n, s in scores.items() if n != name]
+        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima, log)
+    return out
+
+
+def _forward(
+    problem: Problem,
+    library: Library,
+    point: Point,
+    other: Sequence[Scores],
+    rng: np.random.Generator,
+    maxima: Array,
+    log: list[str] | None,
+) -> Selected:
+    selected = Selected(point)
+    for round_ in range(MOST_CAUSES):
+        scores = library.scores(point)
+        if round_:
+            maxima = null_maxima([scores, *other], rng)
+        limit = critical(maxima)
+        starts = best_starts(scores, library, limit)[:TRIALS]
+        trials = []
+        for index, _ in starts:
+            mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
+            t = float(mine.max())
+            p = float(adjusted(np.array([t]), maxima)[0])
+            trial = attempt(problem, point, library, index, t, p)
+            if trial is not None:
+                trials.append(trial)
+        trials.sort(key=lambda trial: -(trial.gain - TIE * trial.candidate.n))
+        if log is not None:
+            log.append(
+                f"round {round_}: critical {limit:.2f}: "
+                + ", ".join(f"{t.candidate.label} {t.gain:.0f} {t.point.model.fitted[-1].theta}" for t in trials[:6])
+            )
+        accepted = None
+        for trial in trials[:3]:
+            if trial.gain > 10.0 and holds(problem, point, trial.point.model, trial.point):
+                accepted = trial
+                break
+        if accepted is None:
+            break
+        point = accepted.point
+        selected.p[accepted.candidate.cause] = min(accepted.p, LEVEL)
+        _refresh_noise(problem, library, point)
+        point = fit(problem, point.model, point, iterations=3)
+    selected.point = point
+    return selected
+
+
+def _refresh_noise(problem: Problem, library: Library, point: Point) -> None:
+    """Learn the noise anew from what the extended model leaves."""
+    problem.learn_noise(problem.residual(point.predicted))
+    library.rewhiten(point)
