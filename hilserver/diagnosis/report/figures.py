@@ -111,6 +111,15 @@ def series(item: Series) -> str:
     )
 
 
+def improvement(item: Series) -> float:
+    """Return the mean absolute residual before by that after; 1 without an extension."""
+    if item.extended is None:
+        return 1.0
+    models = (item.simulated, item.extended)
+    before, after = (float(np.nanmean(np.abs(item.measured - model))) for model in models)
+    return before / after if after > 0 else math.inf
+
+
 def _lines(
     plot: Plot, t: Array, y: Array | None, edges: list[slice], role: str, title: str
 ) -> None:
