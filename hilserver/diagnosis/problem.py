@@ -24,6 +24,8 @@ OUTLIER = 6.0
 """Positions whose whitened residual lies beyond this many deviations take no part in fits, ..."""
 MOST_IN_A_ROW = 4
 """... if no more than so many of them follow each other: a longer stretch is an effect."""
+WHITE = 0.05
+"""Largest autocorrelation at the first lags of a channel that is taken for white at once."""
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
 
 
@@ -45,6 +47,21 @@ class View(Protocol):
 
     def residual(self, terms: Mapping[str, float], poses: Array) -> Array: ...
     def predict(self, terms: Mapping[str, float], poses: Array) -> Array: ...
+
+
+def _plain(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
+    """Return white noise where the residuals show no correlation at all; None elsewhere."""
+    pieces = [r for _, r in parts if len(r) > 20]
+    if not pieces:
+        return None
+    power = sum(float(r @ r) for r in pieces)
+    if power <= 0.0:
+        return None
+    for lag in (1, 2, 4, 8, 16):
+        together = sum(float(r[lag:] @ r[:-lag]) for r in pieces)
+        if abs(together) > WHITE * power:
+            return None
+    return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
 
 
 @dataclass(frozen=True)
@@ -239,7 +256,7 @@ class Problem:
             parts = [
                 (self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name
             ]
-            self.noise[name] = fit_noise(parts)
+            self.noise[name] = _plain(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
         for _ in range(2):
             white = self.whiten(raw)

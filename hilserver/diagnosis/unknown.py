@@ -130,7 +130,7 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
                   np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
         families.append(family("place", POSITION, shapes))
     size, spin = np.abs(v) / (np.abs(v).max() + 1e-9), np.abs(om) / (np.abs(om).max() + 1e-9)
-    speed = [m.column(zero, zero, size * on * np.sign(om)), m.column(size * v, zero, zero),
+    speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
              m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
              m.column(zero, zero, v), m.column(zero, zero, size * v),
              m.column(zero, zero, size**2 * om), m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,12 +77,12 @@ class Windows:
         """Median distance of two samples."""
         return max(float(np.median(np.diff(self.t_s)[np.diff(self.t_s) > 0.0])), 1e-6)
 
-    @property
+    @cached_property
     def spread(self) -> float:
         """Robust standard deviation about the windows' lines."""
         return _robust_sd(self._detrended())
 
-    @property
+    @cached_property
     def level_sd(self) -> float:
         """Robust standard deviation of the residuals themselves."""
         return max(_robust_sd(self.r - float(np.median(self.r))), self.spread)

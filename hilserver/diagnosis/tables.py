@@ -1,0 +1,138 @@
+"""Files to tables: CSV, recordings of ours and Parquet, in our names or through a mapping."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.data import Array
+from hilserver.diagnosis.mapping import PER_SECOND, ColumnMap, LogMapping
+from hilserver.diagnosis.names import closest, is_input, known_columns, known_signals
+from hilserver.errors import LogError
+from hilserver.logs import Log, read_log
+from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
+from hilserver.signals import MEASURED
+
+_UNUSABLE = 0xC000_0000
+"""Status codes with one of these bits are Uncertain or Bad."""
+_ABSURD = 1e12
+
+
+@dataclass(frozen=True)
+class Stamped:
+    """Signals with common stamps; NaN where there is no sample.
+
+    Attributes
+    ----------
+    t_s, segment, block : ndarray, shape (n,)
+    columns : mapping of str to ndarray of float64, shape (n,)
+        By signal name.
+    """
+
+    t_s: Array
+    segment: NDArray[np.int64]
+    columns: Mapping[str, Array]
+    block: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What one file holds."""
+
+    path: Path
+    parts: Sequence[Stamped]
+    has_stamps: bool = True
+    notices: Sequence[str] = field(default=())
+
+
+def read_own(path: Path) -> Recording:
+    """Read a table whose columns are signal names: CSV, or a recording of ours."""
+    log = read_log(path, known_columns())
+    for name, values in log.columns.items():
+        _refuse_absurd(values, lambda row, name=name: f"{path}: row {row + 2}, column '{name}'")
+    return Recording(path, [_own_part(log)], notices=list(log.notices))
+
+
+def _own_part(log: Log) -> Stamped:
+    columns = {name: _good(log, name) for name in log.columns}
+    measured = {
+        name.removeprefix(MEASURED): values
+        for name, values in columns.items()
+        if name.startswith(MEASURED) and np.isfinite(values).any()
+    }
+    known = known_signals()
+    own = {name: values for name, values in columns.items() if name in known}
+    if measured:
+        own = {name: values for name, values in own.items() if is_input(name)}
+    return Stamped(log.t_s, log.segment, own | measured, log.block)
+
+
+def _good(log: Log, name: str) -> Array:
+    values = log.columns[name]
+    if name not in log.status:
+        return values
+    return np.where(log.status[name] & _UNUSABLE, np.nan, values)
+
+
+def read_mapped_csv(path: Path, mapping: LogMapping) -> Recording:
+    """Read a foreign CSV table through a mapping."""
+    time = None if mapping.time.rate_hz else mapping.time.column or TIME
+    try:
+        return _map_table(read_table(path, time=time), mapping, time)
+    except OSError as error:
+        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+
+
+def _map_table(table: Table, mapping: LogMapping, time: str | None) -> Recording:
+    n = len(table.lines)
+    segment = _whole_numbers(table, mapping.segment, SEGMENT)
+    if segment is None:
+        segment = np.zeros(n, dtype=np.int64)
+    if time is None:
+        starts = np.flatnonzero(np.diff(segment, prepend=segment[:1] - 1))
+        row = np.arange(n) - np.repeat(starts, np.diff(starts, append=n))
+        t_s = row / float(mapping.time.rate_hz or 1.0)
+    else:
+        check_time(table, time, segment)
+        t_s = table.column(time) * PER_SECOND[mapping.time.unit]
+    columns = {name: _mapped(table, mapping, name) for name in mapping.channels}
+    block = _whole_numbers(table, mapping.block, BLOCK)
+    part = Stamped(t_s, segment, columns, block)
+    return Recording(table.path, [part], time is not None, table.notices)
+
+
+def _whole_numbers(table: Table, named: ColumnMap | None, default: str) -> NDArray[np.int64] | None:
+    if named is not None:
+        _demand(table, named.column, default)
+    return table.integers(default if named is None else named.column)
+
+
+def _demand(table: Table, column: str, key: str) -> None:
+    if column not in table.header:
+        hint = closest(column, table.header, f"the columns are {', '.join(table.header):.200}")
+        raise LogError(
+            f"{table.path}: row 1: there is no column '{column}', which the mapping names for"
+            f" {key}; {hint}"
+        )
+
+
+def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
+    column = str(mapping.channels[name].column)
+    _demand(table, column, name)
+    values = table.column(column)
+    _refuse_absurd(values, lambda row: table.where(row, column))
+    converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
+    return converted
+
+
+def _refuse_absurd(values: Array, where: Any) -> None:
+    wrong = np.flatnonzero(np.abs(values) > _ABSURD)
+    if wrong.size:
+        row = int(wrong[0])
+        raise LogError(
+            f"{where(row)}: {float(values[row]):g} is no value of a robot; write a finite number"
+            " or nothing"
+        )
