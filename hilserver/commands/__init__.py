@@ -5,13 +5,17 @@ the module of the command that was asked for is imported, so that ``--help`` ans
 """
 
 import argparse
+import contextlib
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from types import ModuleType
 
 from hilserver import __version__
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, UserError
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, UserError
 
 COMMANDS = {
     "run": "run the daemon",
@@ -25,6 +29,7 @@ COMMANDS = {
     "install-service": "install the daemon as a systemd service",
     "bench": "measure every figure that the README quotes",
 }
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,20 +38,70 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Errors that a user can mend are printed as sentences, never as tracebacks.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    with _ended_by_signals() as caught:
+        try:
+            return _run(words)
+        except KeyboardInterrupt:
+            return EXIT_DONE
+        except Exception:
+            # What is interrupted in the middle (a compiler, above all) may fail in its own way.
+            if caught:
+                return EXIT_DONE
+            raise
+
+
+def _run(words: Sequence[str]) -> int:
     try:
         args = _parse(words)
         code: int = args.run(args)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except UserError as error:
         for line in str(error).splitlines():
             print(f"hilserver: {line}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return EXIT_FAILED
-    except KeyboardInterrupt:
-        return EXIT_DONE
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"hilserver: {place}{(error.strerror or str(error)).lower()}", file=sys.stderr)
+        _drop_output()
+        return EXIT_FAILED
     return code
+
+
+def _drop_output() -> None:
+    """Keep the interpreter from flushing at its end what nobody takes."""
+    if sys.stdout is not None:
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[list[int]]:
+    """Let SIGTERM end a command as Ctrl-C does, from its first import on; give what has come.
+
+    `run` replaces the handlers when the daemon can be stopped in order.
+    """
+    caught: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield caught
+        return
+
+    def interrupt(number: int, _frame: object) -> None:
+        caught.append(number)
+        sys.unraisablehook = lambda _: None  # an interrupted callback of the compiler is no news
+        raise KeyboardInterrupt
+
+    hook = sys.unraisablehook
+    before = {number: signal.signal(number, interrupt) for number in _ENDING}
+    try:
+        yield caught
+    finally:
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _parse(words: Sequence[str]) -> argparse.Namespace:
@@ -62,7 +117,7 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         if name != asked:
             commands.add_parser(name, help=text)
             continue
-        module = importlib.import_module(f"hilserver.commands.{name.replace('-', '_')}")
+        module = _module(name)
         sub = commands.add_parser(
             name,
             help=text,
@@ -73,3 +128,14 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     return parser.parse_args(words)
+
+
+def _module(command: str) -> ModuleType:
+    try:
+        return importlib.import_module(f"hilserver.commands.{command.replace('-', '_')}")
+    except OSError as error:
+        reason = (error.strerror or "refused").lower()
+        raise FailedError(
+            f"{error.filename}: {reason}; compiled code is kept there: set HILSERVER_CACHE_DIR to"
+            " a folder that you may write to"
+        ) from None

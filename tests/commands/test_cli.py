@@ -109,6 +109,92 @@ def test_signals_end_the_daemon_cleanly(tmp_path, number):
     assert "Traceback" not in "".join(lines) + rest
 
 
+@pytest.mark.parametrize(("number", "after_s"), [(signal.SIGTERM, 1.0), (signal.SIGINT, 3.0)])
+def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
+    """Cold: the kernels are being compiled when the signal comes."""
+    path = write_config(tmp_path)
+    environment = {**os.environ, "HILSERVER_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "hilserver", "run", "-c", str(path), "--demo"]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
+    ) as process:
+        time.sleep(after_s)
+        os.kill(process.pid, number)
+        told = process.stderr.read()
+        assert process.wait(20) == 0, told
+    assert told == ""
+
+
+def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
+    """numba turns an interrupt within its callbacks into an error of its own."""
+
+    def broken(_words):
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr("hilserver.commands._parse", broken)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["run"]) == 0
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("check", "--schema", "absent/schema.json"), "absent/schema.json: no such file"),
+        (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_one_sentence(tmp_path, words, complaint):
+    run = hilserver(*words, cwd=tmp_path)
+    assert run.returncode == 1
+    assert run.stderr.startswith(f"hilserver: cannot write {complaint}")
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_a_figure_file_is_tried_before_the_measurement(tmp_path):
+    start_s = time.monotonic()
+    run = hilserver("bench", "loop", "--json", "absent/x.json", cwd=tmp_path)
+    assert run.returncode == 1
+    assert "absent/x.json: no such file" in run.stderr
+    assert run.stdout == ""
+    assert time.monotonic() - start_s < 20
+
+
+def test_a_cache_that_cannot_be_made_is_one_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    environment = {**os.environ, "HILSERVER_CACHE_DIR": str(tmp_path / "file")}
+    run = subprocess.run(
+        [sys.executable, "-m", "hilserver", "check"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert run.stderr.startswith(f"hilserver: {tmp_path}/file/kernels-")
+    assert "HILSERVER_CACHE_DIR" in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("where", "code"), [(">/dev/full", 1), (">&-", 0)])
+def test_output_that_nobody_takes_is_no_traceback(tmp_path, where, code):
+    command = f"{sys.executable} -m hilserver signals {where}"
+    run = subprocess.run(
+        command, shell=True, capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert run.returncode == code
+    assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize("duration", ["0", "-1", "abc", "nan", "1e400"])
+def test_a_wrong_duration_is_named(tmp_path, duration):
+    run = hilserver("run", "--duration", duration, cwd=tmp_path)
+    assert run.returncode == 2
+    assert f"argument --duration: {duration} is no duration in seconds" in run.stderr
+
+
 def test_a_port_in_use_is_one_sentence_and_exit_1(tmp_path):
     path = write_config(tmp_path)
     with socket.socket() as taken:
