@@ -352,6 +352,7 @@ class Daemon:
             model_gap=lambda: figures.model_gap(self.gate, self.table, self._frame),
             audit=lambda: {item.name: item.ok for item in self.audit},
             faults=self.faults.counts,
+            tasks=lambda: len(asyncio.all_tasks()),
             kernel_hash=kernel_hash(),
             config_sha256=self.config.sha256,
         )

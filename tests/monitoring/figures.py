@@ -46,6 +46,7 @@ class FakeDaemon:
         self.model_gap: dict[str, float] = {}
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
+        self.tasks = 8
 
     def sources(self) -> MetricsSources:
         return MetricsSources(
@@ -60,6 +61,7 @@ class FakeDaemon:
             model_gap=lambda: self.model_gap,
             audit=lambda: self.audit,
             faults=lambda: self.faults,
+            tasks=lambda: self.tasks,
             kernel_hash="0123456789abcdef",
         )
 
