@@ -8,13 +8,12 @@ import argparse
 import contextlib
 import importlib
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from types import ModuleType
 
 from hilserver import __version__
+from hilserver.commands.ending import end_was_asked, ended_by_signals
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, UserError
 
 COMMANDS = {
@@ -29,7 +28,6 @@ COMMANDS = {
     "install-service": "install the daemon as a systemd service",
     "bench": "measure every figure that the README quotes",
 }
-_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,14 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Errors that a user can mend are printed as sentences, never as tracebacks.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with _ended_by_signals() as caught:
+    with ended_by_signals():
         try:
             return _run(words)
-        except KeyboardInterrupt:
-            return EXIT_DONE
-        except Exception:
+        except (Exception, SystemExit):
             # What is interrupted in the middle (a compiler, above all) may fail in its own way.
-            if caught:
+            if end_was_asked():
                 return EXIT_DONE
             raise
 
@@ -76,32 +72,6 @@ def _drop_output() -> None:
     if sys.stdout is not None:
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-@contextlib.contextmanager
-def _ended_by_signals() -> Iterator[list[int]]:
-    """Let SIGTERM end a command as Ctrl-C does, from its first import on; give what has come.
-
-    `run` replaces the handlers when the daemon can be stopped in order.
-    """
-    caught: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield caught
-        return
-
-    def interrupt(number: int, _frame: object) -> None:
-        caught.append(number)
-        sys.unraisablehook = lambda _: None  # an interrupted callback of the compiler is no news
-        raise KeyboardInterrupt
-
-    hook = sys.unraisablehook
-    before = {number: signal.signal(number, interrupt) for number in _ENDING}
-    try:
-        yield caught
-    finally:
-        sys.unraisablehook = hook
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _parse(words: Sequence[str]) -> argparse.Namespace:

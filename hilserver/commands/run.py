@@ -13,6 +13,7 @@ from pathlib import Path
 import uvloop
 
 from hilserver.assembly import Assembly, assemble
+from hilserver.commands.ending import end_was_asked
 from hilserver.commands.options import add_config, config_path, number_within
 from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
@@ -104,6 +105,8 @@ async def _run(
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, asked.set)
+    if end_was_asked():
+        return EXIT_DONE
     async with starting as daemon:
         watchdog = _make_watchdog(daemon)
         _print_addresses(daemon)

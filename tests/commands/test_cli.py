@@ -1,11 +1,14 @@
 """The command line as a user in a hurry meets it: exit codes, one sentence, no traceback."""
 
+import contextlib
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -109,15 +112,29 @@ def test_signals_end_the_daemon_cleanly(tmp_path, number):
     assert "Traceback" not in "".join(lines) + rest
 
 
-@pytest.mark.parametrize(("number", "after_s"), [(signal.SIGTERM, 1.0), (signal.SIGINT, 3.0)])
+def handles(process, number):
+    """Whether the process has taken a signal over from the interpreter and the system."""
+    status = Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8")
+    caught = int(re.search(r"SigCgt:\s*(\w+)", status).group(1), 16)
+    return bool(caught >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize(
+    ("number", "after_s"),
+    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.4), (signal.SIGTERM, 1.0), (signal.SIGINT, 3.0)],
+)
 def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
-    """Cold: the kernels are being compiled when the signal comes."""
+    """Cold: modules are imported, then kernels are being compiled when the signal comes."""
     path = write_config(tmp_path)
     environment = {**os.environ, "HILSERVER_CACHE_DIR": str(tmp_path / "cache")}
     command = [sys.executable, "-m", "hilserver", "run", "-c", str(path), "--demo"]
     with subprocess.Popen(
         command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
     ) as process:
+        while not handles(process, signal.SIGTERM):
+            assert process.poll() is None
+        maps = Path(f"/proc/{process.pid}/maps").read_text(encoding="utf-8")
+        assert "numba" not in maps, "what takes long to import comes after"
         time.sleep(after_s)
         os.kill(process.pid, number)
         told = process.stderr.read()
@@ -136,6 +153,32 @@ def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
     before = signal.getsignal(signal.SIGTERM)
     assert main(["run"]) == 0
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_signal_that_the_compiler_swallowed_ends_the_start_nevertheless(tmp_path, monkeypatch):
+    class Swallowing:
+        def __init__(self, *_, **__):
+            with contextlib.suppress(SystemExit):
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("hilserver.commands.run.Daemon", Swallowing)
+    assert main(["run", "-c", str(write_config(tmp_path))]) == 0
+
+
+def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
+    """The interpreter ends itself by SIGINT when a KeyboardInterrupt came that way."""
+    lines = [
+        "import ctypes, os, signal, sys",
+        "import hilserver.commands as commands",
+        "def run(_):",
+        "    code = b'import os, signal; os.kill(os.getpid(), signal.SIGTERM)'",
+        "    return ctypes.pythonapi.PyRun_SimpleString(code)",
+        "commands._parse = run",
+        "sys.exit(commands.main(['run']))",
+    ]
+    (tmp_path / "interrupted.py").write_text("\n".join(lines), encoding="utf-8")
+    run = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, check=False)
+    assert run.returncode == 0
 
 
 @pytest.mark.parametrize(
