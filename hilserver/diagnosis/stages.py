@@ -95,7 +95,7 @@ def pose_stage(
     dense = None
     if isinstance(drive, DriveStage):
         dense = (drive, drive.simulate(terms)[0])
-    return PoseStage(log, robot, dense, block_s=block_length(total_s, 3.0, 10.0, 40))
+    return PoseStage(log, robot, dense, block_s=block_length(total_s, 3.0, 5.0, 72))
 
 
 def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], dict[str, str]]:
