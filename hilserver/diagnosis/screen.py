@@ -10,11 +10,14 @@ between directions, and between samples of a block.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Real = NDArray[Any]
+"""Of 32 or 64 bits."""
 
 FLIPS = 4999
 LEVEL = 0.002
@@ -75,7 +78,7 @@ class Blocks:
         counts = np.bincount(block, minlength=n_blocks)
         return cls(np.argsort(block, kind="stable"), np.concatenate([[0], np.cumsum(counts)]))
 
-    def products(self, columns: Array, others: Array) -> Array:
+    def products(self, columns: Real, others: Real) -> Array:
         """Return ``columns' others`` of every block; shapes (n, k), (n, m) give (blocks, k, m).
 
         Both must be in the order of the blocks.
@@ -95,7 +98,7 @@ def orthogonal(columns: Array, accepted: Array | None) -> Array:
     return np.asarray(columns - base @ (base.T @ columns))
 
 
-def score(columns: Array, left: Array, blocks: Blocks, accepted: Array | None = None) -> Scores:
+def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = None) -> Scores:
     """Score directions against a whitened residual; all arrays in the order of the blocks.
 
     The accepted causes' columns are projected out of the directions (efficient score); what is left

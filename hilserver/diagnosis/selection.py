@@ -110,6 +110,11 @@ class Trial:
     t: float
     p: float
 
+    @property
+    def theta(self) -> tuple[float, ...]:
+        """Fitted values of the candidate's own parameters."""
+        return self.point.model.fitted[-1].theta
+
 
 @dataclass
 class Selected:
@@ -179,18 +184,12 @@ def best_starts(scores: Scores, library: Library, t_critical: float) -> list[tup
     return sorted(found.values(), key=lambda item: -item[1])
 
 
-def start_theta(library: Library, index: int) -> tuple[float, ...]:
-    """Return where the fit of a candidate begins."""
-    return library.candidates[index].start
-
-
 def attempt(
     problem: Problem, point: Point, library: Library, index: int, t: float, p: float
 ) -> Trial | None:
     """Fit a candidate together with the accepted causes."""
     c = library.candidates[index]
-    theta = c.start if not c.linear else tuple(n + 1e-3 * s for n, s in zip(c.null, c.step, strict=True))
-    trial = fit(problem, point.model.plus(c, theta), point, iterations=5)
+    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=5)
     if not physical(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
@@ -242,7 +241,7 @@ def _forward(
         if log is not None:
             log.append(
                 f"round {round_}: critical {limit:.2f}: "
-                + ", ".join(f"{t.candidate.label} {t.gain:.0f} {t.point.model.fitted[-1].theta}" for t in trials[:6])
+                + ", ".join(f"{t.candidate.label} {t.gain:.0f} {t.theta}" for t in trials[:6])
             )
         accepted = None
         for trial in trials[:3]:

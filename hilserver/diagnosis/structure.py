@@ -1,4 +1,4 @@
-"""Judges unknown structure and drift: what remains after the library, and what changes over time."""
+"""Unknown structure and drift: what remains after the library, and what changes over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ def joint_gain(white: Array, left: Array) -> float:
         return 0.0
     gram = unit.T @ unit + 1e-3 * np.eye(unit.shape[1])
     b = unit.T @ left
-    return float(b @ np.linalg.solve(gram, b)) - unit.shape[1]
+    return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
 
 
 def holds_out(problem: Problem, white: Array, left: Array) -> bool:
