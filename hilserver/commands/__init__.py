@@ -22,6 +22,7 @@ COMMANDS = {
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
     "diagnose": "what the simulation gets wrong in measured data, why, and what would mend it",
+    "identify": "K_om, step response, update rate, dead zone or noise from a log",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",
     "scenarios": "sealed logs of the drives that the thesis says its simulation gets wrong",

@@ -186,15 +186,23 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
     slope = np.gradient(seen, axis=0) * rate
     angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 / rate)
     t = np.concatenate([stage.segments.times(i) for i in range(len(stage.segments))])
-    quiet = np.zeros_like(seen)
+
+    def of_wheel(w: int, speed: Array | None, work: Array | None) -> Array:
+        """Column of one wheel: what is added to its speed and its duty."""
+        column = np.zeros(len(stack))
+        for name, dense in ((SPEEDS[w], speed), (DUTIES[w], work)):
+            if dense is not None and name in stack.edges:
+                edge = stack.edges[name]
+                column[edge] = dense[np.rint(stack.at[edge]).astype(np.int64)]
+        return column
 
     def disturbed(wheels: Sequence[int], shape: Array) -> list[Array]:
         """Columns of a load that needs `shape` more duty: the loop answers, the speed dips."""
-        load, dip = quiet.copy(), quiet.copy()
-        for w in wheels:
-            load[:, w] = shape
-            dip[:, w] = -np.gradient(shape) * rate * 0.005
-        return [stage.sampled(quiet, load), stage.sampled(dip, quiet)]
+        dip = -np.gradient(shape) * rate * 0.005
+        return [
+            np.sum([of_wheel(w, None, shape) for w in wheels], axis=0),
+            np.sum([of_wheel(w, dip, None) for w in wheels], axis=0),
+        ]
 
     families: list[Family] = []
     for source in range(4):
@@ -202,9 +210,7 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
         for w in range(4):
             if w == source:
                 continue
-            follow, work = quiet.copy(), quiet.copy()
-            follow[:, w], work[:, w] = seen[:, source], duty[:, source]
-            columns += [stage.sampled(follow, work)]
+            columns += [of_wheel(w, seen[:, source], duty[:, source])]
             columns += disturbed((w,), seen[:, source])
             columns += disturbed((w,), slope[:, source] / 100.0)
         name = WHEELS[source]
@@ -234,7 +240,6 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
         for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n)):
             columns += disturbed((w,), shape)[:1]
     families.append(Family("speed", SPEEDS, np.stack(columns, axis=1)))
-    del stack
     return [f for f in families if np.abs(f.columns).max() > 0.0]
 
 
