@@ -126,7 +126,6 @@ def compare(
     found = _findings(differences, prepared)
     detectable = _detectable(differences, count)
     findings = Findings(
-        schema="hilserver.diagnosis/1",
         verdict=Overall.DIFFERS if found else Overall.NO_DIFFERENCE,
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in pooled.sources),
         seed=seed,
@@ -245,9 +244,7 @@ def _one(
     return (values[0], values[1]), errors, p, float(gain), float(dof)
 
 
-def _findings(
-    differences: Sequence[Difference], prepared: dict[str, Prepared]
-) -> list[Finding]:
+def _findings(differences: Sequence[Difference], prepared: dict[str, Prepared]) -> list[Finding]:
     """Name the cause that explains the difference best in each stage, with its twins."""
     found = []
     for stage, p in prepared.items():

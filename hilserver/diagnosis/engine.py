@@ -138,7 +138,8 @@ def judge(
     tell("selecting causes", 0.0)
     judged = _judge(prepared, rng)
     lap("selection")
-    found, fitted = list(checked.findings), {}
+    found = list(checked.findings)
+    fitted: dict[int, Fitted] = {}
     for stage, j in judged.items():
         fitted |= _findings(stage, j, found)
     lap("structure")
@@ -153,7 +154,6 @@ def judge(
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = vocabulary_reasons(judged_causes, reasons, set(prepared))
     findings = Findings(
-        schema="hilserver.diagnosis/1",
         verdict=Overall.FINDINGS if found else Overall.NOTHING_FOUND,
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
         seed=seed,
@@ -181,7 +181,8 @@ def judge(
 def _prepare(
     log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell
 ) -> tuple[dict[str, Prepared], dict[str, str]]:
-    prepared, reasons = {}, {}
+    prepared: dict[str, Prepared] = {}
+    reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot).items():
         one, why = prepare(stage, jobs, tell)
         reasons |= why
@@ -200,7 +201,8 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
     )
     out = {}
     for name, p in prepared.items():
-        point, ties = selected[name].point, {}
+        point = selected[name].point
+        ties: dict[str, list[Rival]] = {}
         if point.model.fitted:
             point, ties = settle(p.library, point)
             point = prune(p.problem, point, LEAST_GAIN)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from hilserver.diagnosis.clock import LONGEST_S, Segments, cut
+from hilserver.diagnosis.clock import LONGEST_S, cut
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
 from hilserver.diagnosis.kernels import run_pose, sample, sample_tag
@@ -106,9 +106,7 @@ class PoseStage:
             self._last = (key, dense)
         return dense
 
-    def predict(
-        self, terms: Mapping[str, float], poses: Array, *, keep: bool = False
-    ) -> Array:
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return what the stack's samples would be; yaw follows the measured turns.
 
         With `keep` the run is remembered: predictions that differ from it in sensors alone are
@@ -289,7 +287,7 @@ def paired(log: MeasuredLog) -> MeasuredLog:
         return log
     x, y = (log[n] for n in POSITION)
     keys = [c.span * 1e7 + c.t_s for c in (x, y)]
-    both = np.intersect1d(*keys)
+    both = np.intersect1d(keys[0], keys[1])
     kept = {}
     for name, c, key in zip(POSITION, (x, y), keys, strict=True):
         rows = np.isin(key, both)

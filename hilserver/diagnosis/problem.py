@@ -118,9 +118,7 @@ class Problem:
         return self.stage.stack
 
     # --- predictions ------------------------------------------------------------------------------
-    def predict(
-        self, terms: Mapping[str, float], poses: Array, *, keep: bool = False
-    ) -> Array:
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return the prediction with plant terms and extra structures."""
         if isinstance(self.stage, PoseStage):
             predicted = self.stage.predict(terms, poses, keep=keep)
@@ -199,7 +197,7 @@ class Problem:
         nuisance = self.nuisance(predicted, poses)
         white = self.whiten(self.residual(predicted))
         for _ in range(pose_steps if nuisance is not None else 0):
-            assert nuisance is not None  # noqa: S101 (for the type checker)
+            assert nuisance is not None
             poses = poses + self.pose_step(white, nuisance)
             predicted = self.predict(terms, poses, keep=True)
             nuisance = self.nuisance(predicted, poses)
@@ -248,9 +246,7 @@ class Problem:
     def learn_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
         for name in self.stack.channels:
-            parts = [
-                (self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name
-            ]
+            parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
             self.noise[name] = _plain(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
         for _ in range(2):

@@ -44,7 +44,7 @@ class _Motion:
     """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
 
     def __init__(self, problem: Problem, point: Point, stride: int = 10) -> None:
-        assert isinstance(problem.stage, PoseStage)  # noqa: S101 (for the type checker)
+        assert isinstance(problem.stage, PoseStage)
         stage = self.stage = problem.stage
         self.problem, self.stride = problem, stride
         dense = stage.simulate(point.model.terms, point.poses)
@@ -133,7 +133,8 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
              m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
              m.column(zero, zero, v), m.column(zero, zero, size * v),
-             m.column(zero, zero, size**2 * om), m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
+             m.column(zero, zero, size**2 * om),
+             m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
     families.append(Family("speed", ("velocity.linear_m_s",), np.stack(speed, axis=1)))
     turn = [m.column(zero, zero, spin * om), m.column(zero, zero, spin**2 * om),
             m.column(spin**2 * v, zero, zero), m.column(zero, spin * om, zero),
@@ -177,7 +178,7 @@ def _unit(values: Array) -> Array:
 
 def drive_families(problem: Problem, point: Point) -> list[Family]:
     """Return what a disturbance of speed and duty could depend on."""
-    assert isinstance(problem.stage, DriveStage)  # noqa: S101 (for the type checker)
+    assert isinstance(problem.stage, DriveStage)
     stage, stack = problem.stage, problem.stack
     _, seen, duty = stage.simulate(
         {k: v for k, v in point.model.terms.items() if not k.startswith("field.")}
@@ -227,7 +228,9 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
             for wave in (np.cos, np.sin):
                 columns += disturbed((w,), wave(k * angle[:, w]))
         families.append(
-            Family(f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1))
+            Family(
+                f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1)
+            )
         )
     columns = []
     for f in FREQUENCIES_HZ:
@@ -262,12 +265,12 @@ class LostSteps:
 
 
 def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
-    """Look at every step of a set-point: did the wheel make it?
+    """Return how many steps of the set-points the wheels did not make; None if few can be judged.
 
     The residual after a step is compared with minus the step itself. A wheel that ignored it shows
     about -1 of it, one that followed about 0.
     """
-    assert isinstance(problem.stage, DriveStage)  # noqa: S101 (for the type checker)
+    assert isinstance(problem.stage, DriveStage)
     log, stack = problem.stage.log, problem.stack
     residual = problem.residual(point.predicted)
     shares, times = [], []
@@ -289,9 +292,7 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
     if len(shares) < 8:
         return None
     found = np.abs(np.array(shares) + 1.0) < 0.25
-    return LostSteps(
-        float(found.mean()), int(found.sum()), len(shares), np.array(times)[found]
-    )
+    return LostSteps(float(found.mean()), int(found.sum()), len(shares), np.array(times)[found])
 
 
 __all__ = ["DUTIES", "Family", "LostSteps", "drive_families", "lost_steps", "pose_families"]
