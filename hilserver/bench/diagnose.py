@@ -20,12 +20,13 @@ from hilserver_injector.causes import CAUSES, REQUIRED
 
 from hilserver import __version__
 from hilserver.bench.diagnose_table import Record, markdown, rows
-from hilserver.bench.diagnose_worker import shortened, work
+from hilserver.bench.diagnose_worker import Staged, shortened, work
 from hilserver.bench.report import Result
 from hilserver.diagnosis.many import in_processes
 from hilserver.errors import FailedError
+from hilserver.scenarios import SCENARIOS
 
-GROUPS = (*CLASSES, "size")
+GROUPS = (*CLASSES, "scenario", "size")
 """`size` hides every cause at the smallest size that the null logs say they would have shown."""
 PROGRESS_EVERY_S = 5.0
 
@@ -84,9 +85,14 @@ def _groups(text: str) -> list[str]:
     return groups
 
 
-def _wanted(args: argparse.Namespace, group: str, records: Sequence[Record]) -> Iterator[Case]:
+def _wanted(
+    args: argparse.Namespace, group: str, records: Sequence[Record]
+) -> Iterator[Case | Staged]:
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     only = {word for word in args.only.split(",") if word}
+    if group == "scenario":
+        yield from (Staged(n, s) for n in SCENARIOS if not only or n in only for s in seeds)
+        return
     found = _at_smallest_size(records, seeds) if group == "size" else cases(group, seeds)
     for case in found:
         if not only or only & set(case.name.split("+")):
@@ -111,7 +117,7 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
                 yield replace(case, group="size")
 
 
-def _work_off(todo: Sequence[Case], jobs: int, file: Path, group: str) -> Iterator[Record]:
+def _work_off(todo: Sequence[Case | Staged], jobs: int, file: Path, group: str) -> Iterator[Record]:
     begin, shown = time.monotonic(), 0.0
     with file.open("a", encoding="utf-8") as out:
         for done, (_, record) in enumerate(in_processes(work, todo, jobs), 1):

@@ -59,7 +59,11 @@ class DriveStage:
         self.segments = cut(log, robot.period_s, None)
         names = [n for n in (*SPEEDS, *DUTIES) if n in log]
         self.stack = make_stack(
-            log, names, self.segments, block_s=block_s, skip_s=0.0 if self._at_rest() else SETTLING_S
+            log,
+            names,
+            self.segments,
+            block_s=block_s,
+            skip_s=0.0 if self._at_rest() else SETTLING_S,
         )
         self._inputs, self._row = self._latched()
         self._volts = self._voltage()
@@ -159,7 +163,7 @@ class DriveStage:
             changes: dict[int, list[tuple[int, float]]] = {}
             for name, column in channels.items():
                 t, v = self.log[name].of(int(span))
-                fresh = np.concatenate([[True], np.diff(v) != 0.0]) if len(v) else []
+                fresh = np.concatenate([[True] * (len(v) > 0), np.diff(v) != 0.0]).astype(bool)
                 ticks = np.ceil((t - self.segments.start_s[i]) / self.robot.period_s - 1e-3)
                 for k, value in zip(ticks[fresh].astype(int), v[fresh], strict=True):
                     changes.setdefault(max(int(k), 0), []).append((column, float(value)))

@@ -59,6 +59,13 @@ class Candidate:
         """Number of parameters."""
         return len(self.start)
 
+    @property
+    def beginning(self) -> tuple[float, ...]:
+        """Where a fit begins: the start value, or just off null."""
+        if not self.linear:
+            return self.start
+        return tuple(n + 1e-3 * s for n, s in zip(self.null, self.step, strict=True))
+
 
 def _one(
     name: str,
@@ -278,7 +285,9 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
             "heading_distortion.phase2",
             0.005,
         ),
-        _wave("wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005),
+        _wave(
+            "wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005
+        ),
     ]
     if place is not None:
         found += _surfaces(place)

@@ -1,4 +1,4 @@
-"""Judges unknown structure and drift: what remains after the library, and what changes over time."""
+"""Unknown structure and drift: what remains after the library, and what changes over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ def joint_gain(white: Array, left: Array) -> float:
         return 0.0
     gram = unit.T @ unit + 1e-3 * np.eye(unit.shape[1])
     b = unit.T @ left
-    return float(b @ np.linalg.solve(gram, b)) - unit.shape[1]
+    return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
 
 
 def holds_out(problem: Problem, white: Array, left: Array) -> bool:
@@ -91,16 +91,18 @@ def holds_out(problem: Problem, white: Array, left: Array) -> bool:
     stack = problem.stack
     norm = np.sqrt((white**2).sum(axis=0))
     unit = white[:, norm > 0.0] / norm[norm > 0.0]
-    saved = np.zeros(stack.n_blocks)
+    saved = []
     fold = stack.fold[stack.block]
     for test in (0, 1):
         train = fold != test
+        if not train.any() or train.all():
+            return False
         a, b = unit[train], left[train]
         gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
         rest = left - unit @ np.linalg.solve(gram, a.T @ b)
         part = stack.fold == test
-        saved[part] = stack.block_sums(left**2 - rest**2)[part]
-    return bool(saved.sum() > 3.0 * np.sqrt(len(saved)) * saved.std(ddof=1))
+        saved.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
+    return sum(saved) > LEAST_GAIN and min(saved) > 0.0
 
 
 def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:
