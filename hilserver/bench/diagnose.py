@@ -20,7 +20,7 @@ from hilserver_injector.causes import CAUSES, REQUIRED
 
 from hilserver import __version__
 from hilserver.bench.diagnose_table import Record, markdown, rows
-from hilserver.bench.diagnose_worker import Staged, shortened, work
+from hilserver.bench.diagnose_worker import Staged, changed, work
 from hilserver.bench.report import Result
 from hilserver.diagnosis.many import in_processes
 from hilserver.errors import FailedError
@@ -45,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help="shorter logs, for a quick look"
     )
     parser.add_argument(
+        "--measured-noise", action="store_true",
+        help="position noise from the ultra-wideband recording in HIL_DATA_DIR",
+    )  # fmt: skip
+    parser.add_argument(
         "--results", type=Path, default=Path("diagnose-results"), metavar="DIR",
         help="folder of the results so far; the campaign goes on from them",
     )  # fmt: skip
@@ -58,7 +62,8 @@ def run(args: argparse.Namespace) -> list[Result]:
         raise FailedError(msg)
     commit = _commit()
     length = "" if args.duration is None else f"-{args.duration:g}s"
-    file = args.results / f"{commit}{length}.jsonl"
+    noise = "-measured-noise" if args.measured_noise else ""
+    file = args.results / f"{commit}{length}{noise}.jsonl"
     args.results.mkdir(parents=True, exist_ok=True)
     records = {record["key"]: record for record in _read(file)}
     asked: list[str] = []
@@ -96,7 +101,7 @@ def _wanted(
     found = _at_smallest_size(records, seeds) if group == "size" else cases(group, seeds)
     for case in found:
         if not only or only & set(case.name.split("+")):
-            yield shortened(case, args.duration)
+            yield changed(case, args.duration, args.measured_noise)
 
 
 def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]:

@@ -123,8 +123,11 @@ def _judged(case: Staged, found: Findings) -> Score:
     return Score("right" if verdict.right else "missed", wrong=list(verdict.wrong), found=said)
 
 
-def shortened(case: Case, duration_s: float | None) -> Case:
-    """Return the case with a log of another duration; for a quick look, not for the table."""
-    if duration_s is None:
-        return case
-    return replace(case, recipe=replace(case.recipe, duration_s=duration_s))
+def changed(case: Case, duration_s: float | None, measured_noise: bool) -> Case:
+    """Return the case with a log of another duration, or with the position noise of a recording."""
+    recipe = case.recipe
+    if duration_s is not None:
+        recipe = replace(recipe, duration_s=duration_s)
+    if measured_noise:
+        recipe = replace(recipe, noise=replace(recipe.noise, measured_position=True))
+    return replace(case, recipe=recipe)

@@ -153,10 +153,10 @@ def _wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Ca
     return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)
 
 
-DELAYS_S = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
-PERIODS_S = (0.002, 0.003, 0.004, 0.005, 0.006, 0.008, 0.01, 0.012, 0.014)
-RATES_RPM_S = (60.0, 100.0, 150.0, 250.0, 400.0, 700.0)
-LIMITS_PCT = (90.0, 80.0, 70.0, 60.0, 50.0, 40.0, 30.0)
+DELAYS_S = (0.01, 0.04, 0.15)
+PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
+RATES_RPM_S = (80.0, 150.0, 400.0)
+LIMITS_PCT = (85.0, 65.0, 45.0)
 
 
 def drive_candidates(limit_pct: float) -> list[Candidate]:
@@ -216,7 +216,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
     found += _grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
     found += _grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
     found += _grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
-    found += _grid("encoder_filter", stage, 0.0, (0.005, 0.01, 0.02), 0.001, 0.001, 0.0, 0.2)
+    found += _grid("encoder_filter", stage, 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2)
     found += _grid("encoder_quantization", stage, 0.0, (0.25, 0.5, 1.0), 0.1, 0.2, 0.0, 20.0)
     return found
 

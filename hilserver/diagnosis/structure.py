@@ -1,6 +1,6 @@
 """Unknown structure and drift: what remains after the library, and what changes over time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 LEVEL = 0.001
 LEAST_GAIN = 40.0
+LEAST_T = 3.0
 DOMINANCE = 4.0
 """A named cause stays beside unknown structure only if it explains so many times as much."""
 
@@ -38,7 +39,7 @@ class Unknown:
     white: Array
 
 
-def families_of(problem: Problem, point: Point) -> list[Family]:
+def families_of(problem: Problem, point: Point) -> Iterable[Family]:
     """Return the families of a stage."""
     if problem.stage.name == "pose":
         return pose_families(problem, point)
@@ -46,7 +47,7 @@ def families_of(problem: Problem, point: Point) -> list[Family]:
 
 
 def remaining(
-    problem: Problem, point: Point, rng: np.random.Generator, families: Sequence[Family]
+    problem: Problem, point: Point, rng: np.random.Generator, families: Iterable[Family]
 ) -> list[Unknown]:
     """Return the families that the residual significantly depends on, the strongest first."""
     stack = problem.stack
@@ -54,24 +55,25 @@ def remaining(
     accepted = accepted_columns(problem, point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
     order = blocks.order
-    whites, scores = [], []
+    scores, strong = [], []
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)
         before = (white**2).sum(axis=0)
         white = orthogonal(white, accepted)
         white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
-        whites.append(white)
         scores.append(score(white[order], point.left[order], blocks))
+        t = float(np.abs(scores[-1].t).max(initial=0.0))
+        if t > LEAST_T:
+            gain = joint_gain(white, point.left)
+            if gain > LEAST_GAIN and holds_out(problem, white, point.left):
+                slim = Family(family.name, family.regressors, np.zeros((0, 0)))
+                strong.append(Unknown(slim, t, 1.0, gain, white))
     maxima = null_maxima(scores, rng)
     found = []
-    for family, white, s in zip(families, whites, scores, strict=True):
-        t = float(np.abs(s.t).max(initial=0.0))
-        p = float(adjusted(np.array([t]), maxima)[0])
-        if p >= LEVEL:
-            continue
-        gain = joint_gain(white, point.left)
-        if gain > LEAST_GAIN and holds_out(problem, white, point.left):
-            found.append(Unknown(family, t, p, gain, white))
+    for u in strong:
+        p = float(adjusted(np.array([u.t]), maxima)[0])
+        if p < LEVEL:
+            found.append(Unknown(u.family, u.t, p, u.gain, u.white))
     return sorted(found, key=lambda u: -u.gain)
 
 

@@ -5,7 +5,7 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,7 +176,7 @@ def _unit(values: Array) -> Array:
     return np.asarray(np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5))
 
 
-def drive_families(problem: Problem, point: Point) -> list[Family]:
+def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
     """Return what a disturbance of speed and duty could depend on."""
     assert isinstance(problem.stage, DriveStage)
     stage, stack = problem.stage, problem.stack
@@ -205,7 +205,6 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
             np.sum([of_wheel(w, dip, None) for w in wheels], axis=0),
         ]
 
-    families: list[Family] = []
     for source in range(4):
         columns = []
         for w in range(4):
@@ -215,7 +214,7 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
             columns += disturbed((w,), seen[:, source])
             columns += disturbed((w,), slope[:, source] / 100.0)
         name = WHEELS[source]
-        families.append(
+        yield (
             Family(
                 f"wheel {name}",
                 (f"wheel.{name}.setpoint_rpm", f"wheel.{name}.speed_rpm", f"wheel.{name}.duty_pct"),
@@ -227,7 +226,7 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
         for k in (1, 2):
             for wave in (np.cos, np.sin):
                 columns += disturbed((w,), wave(k * angle[:, w]))
-        families.append(
+        yield (
             Family(
                 f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1)
             )
@@ -236,14 +235,13 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
     for f in FREQUENCIES_HZ:
         for wave in (np.cos, np.sin):
             columns += disturbed(range(4), wave(2.0 * np.pi * f * t))[:1]
-    families.append(Family("time", ("t_s",), np.stack(columns, axis=1)))
+    yield (Family("time", ("t_s",), np.stack(columns, axis=1)))
     columns = []
     for w in range(4):
         n = seen[:, w]
         for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n)):
             columns += disturbed((w,), shape)[:1]
-    families.append(Family("speed", SPEEDS, np.stack(columns, axis=1)))
-    return [f for f in families if np.abs(f.columns).max() > 0.0]
+    yield (Family("speed", SPEEDS, np.stack(columns, axis=1)))
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def _one(
 
 def _friction_load(seed: int, rng: Random) -> Drive:
     load = float(rng.uniform(20.0, 45.0))
-    causes = {"coulomb_friction": load} if rng.random() < 0.5 else {"viscous_load": load / 75.0}
+    causes = {"coulomb_friction": load} if rng.random() < 0.5 else {"viscous_load": load / 62.0}
     return _one(seed, causes, _expect(LOAD, **_not("controller_gains")), manoeuvre="fast")
 
 

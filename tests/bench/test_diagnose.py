@@ -192,7 +192,8 @@ def test_unknown_class(tmp_path):
         diagnose.run(arguments(tmp_path, groups="nul"))
 
 
-def test_shortened_logs_keep_their_case():
+def test_changed_logs_keep_their_case():
     one = next(iter(cases("null", range(1))))
-    assert diagnose.shortened(one, None) == one
-    assert diagnose.shortened(one, 5.0).recipe == replace(one.recipe, duration_s=5.0)
+    assert diagnose.changed(one, None, False) == one
+    assert diagnose.changed(one, 5.0, False).recipe == replace(one.recipe, duration_s=5.0)
+    assert diagnose.changed(one, None, True).recipe.noise.measured_position

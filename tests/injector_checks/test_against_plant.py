@@ -20,7 +20,7 @@ SENSORS = {
     "nav_frame_yaw", "nav_latency", "yaw_latency", "imu_latency", "gyro_bias", "gyro_scale",
     "nav_scale", "nav_lever_arm", "nav_outliers", "heading_distortion", "battery_sag",
 }  # fmt: skip
-SAMPLED = {"setpoint_rate_limit", "encoder_filter", "encoder_quantization"}
+SAMPLED = {"encoder_filter", "encoder_quantization"}
 """Continuous in the one and sampled in the other, or chaotic: compared more coarsely."""
 
 
