@@ -206,11 +206,13 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
         if point.model.fitted:
             point, ties = settle(p.library, point)
             point = prune(p.problem, point, LEAST_GAIN)
-        unknown = remaining(p.problem, point, rng, families_of(p.problem, point))
+        explained = max(p.base.deviance - point.deviance, 0.0)
+        unknown = remaining(p.problem, point, rng, families_of(p.problem, point), explained)
         for index in reversed(without_unknown(p.problem, point, unknown)):
             point = fit(p.problem, point.model.without(index), point, iterations=3)
         if unknown:
-            unknown = remaining(p.problem, point, rng, families_of(p.problem, point)) or unknown
+            again = remaining(p.problem, point, rng, families_of(p.problem, point), 0.0)
+            unknown = again or unknown
         drift = drifting(p.problem, point, rng)
         scores = p.library.scores(p.base)
         kept = {c: t for c, t in ties.items() if c in point.model.causes}
