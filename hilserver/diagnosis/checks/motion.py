@@ -116,10 +116,11 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     if (np.abs(x) > least).sum() < 10 or not (x**2).sum() or not (y**2).sum():
         return None
     keep = np.ones(len(x), dtype=np.bool_)
+    slope = 0.0
     for _ in range(4):
         slope = float((x[keep] * y[keep]).sum() / max((x[keep] ** 2).sum(), 1e-300))
         error = np.abs(y - slope * x)
-        keep[:] = error <= np.quantile(error, 0.9)
+        np.less_equal(error, np.quantile(error, 0.9), out=keep)
     correlation = float(
         (x[keep] * y[keep]).sum()
         / max(np.sqrt((x[keep] ** 2).sum() * (y[keep] ** 2).sum()), 1e-300)
@@ -129,5 +130,4 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
 
 def finite(*columns: Array) -> NDArray[np.bool_]:
     """Return where all columns have a value."""
-    result: NDArray[np.bool_] = np.isfinite(np.stack(columns)).all(axis=0)
-    return result
+    return np.asarray(np.isfinite(np.stack(columns)).all(axis=0))
