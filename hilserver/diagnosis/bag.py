@@ -16,6 +16,7 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Array
 from hilserver.diagnosis.mapping import LogMapping
@@ -95,9 +96,12 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
             parts.append(_part(path, name, topics[name], sent, mapping, notices))
     if not parts:
         raise LogError(f"{path}: the mapped topics hold no message; record them")
-    start_s = min(float(part.t_s[0]) for part in parts)
-    shifted = [Stamped(part.t_s - start_s, part.segment, part.columns) for part in parts]
-    return Recording(path, shifted, notices=notices)
+    start_ns = min(int(stamps_ns[0]) for stamps_ns, _ in parts)
+    stamped = [
+        Stamped((stamps_ns - start_ns) * 1e-9, np.zeros(len(stamps_ns), dtype=np.int64), columns)
+        for stamps_ns, columns in parts
+    ]
+    return Recording(path, stamped, notices=notices)
 
 
 def _files(path: Path) -> Sequence[Path]:
@@ -217,8 +221,8 @@ def _part(
     messages: list[tuple[int, bytes]],
     mapping: LogMapping,
     notices: list[str],
-) -> Stamped:
-    """Return the channels of one topic, sorted by stamp; of equal stamps the first counts."""
+) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """Return stamps [ns] and channels of one topic, sorted; of equal stamps the first counts."""
     where = f"{path}: topic '{name}'"
     decoder = Decoder(where, topic.type, topic.definition, topic.encoding)
     channels = {s: str(c.field) for s, c in mapping.channels.items() if c.topic == name}
@@ -237,5 +241,4 @@ def _part(
         refuse_absurd(column, at, lambda row, at: f"{where}: message {row + 1}, field '{at}'")
         converted = column[kept] * mapping.factor(signal) + mapping.channels[signal].offset
         columns[signal] = converted
-    t_s = stamps[kept].astype(np.float64) * 1e-9 if len(kept) else np.empty(0)
-    return Stamped(t_s, np.zeros(len(kept), dtype=np.int64), columns)
+    return stamps[kept], columns

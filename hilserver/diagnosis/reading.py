@@ -35,8 +35,10 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
     recordings = [_read(path, table) for path in paths]
     if not recordings:
         raise LogError("there is no log; name at least one")
+    sources = tuple(Source(str(path), _sha256(path)) for path in paths)
+    _refuse_others(sources, recordings)
     log = MeasuredLog(
-        sources=tuple(Source(str(path), _sha256(path)) for path in paths),
+        sources=sources,
         channels={},
         spans=(),
         has_stamps=all(recording.has_stamps for recording in recordings),
@@ -80,6 +82,20 @@ def _by_kind(path: Path, mapping: LogMapping | None) -> Recording:
             f"{path}: is no table that can be read; known are .csv and .parquet, unpacked"
         )
     return read_mapped(path, mapping)
+
+
+def _refuse_others(sources: Sequence[Source], recordings: Sequence[Recording]) -> None:
+    """Refuse what cannot be pooled: one log twice, and recordings of different machines."""
+    for index, source in enumerate(sources):
+        for earlier, recording in zip(sources[:index], recordings, strict=False):
+            if source.sha256 == earlier.sha256:
+                raise LogError(f"{source.file}: is the same as {earlier.file}; name it once")
+            machines = {recording.machine, recordings[index].machine} - {None}
+            if len(machines) > 1:
+                raise LogError(
+                    f"{source.file}: was recorded with another plant than {earlier.file}; pool logs"
+                    " of one machine, or use --each"
+                )
 
 
 def _sha256(path: Path) -> str:

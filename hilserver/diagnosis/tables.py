@@ -1,10 +1,11 @@
 """Files to tables: CSV, recordings of ours and Parquet, in our names or through a mapping."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Array
@@ -40,12 +41,19 @@ class Stamped:
 
 @dataclass(frozen=True)
 class Recording:
-    """What one file holds."""
+    """What one file holds.
+
+    Attributes
+    ----------
+    machine : str or None
+        The plant that a recording of ours was made with, as YAML.
+    """
 
     path: Path
     parts: Sequence[Stamped]
     has_stamps: bool = True
-    notices: Sequence[str] = field(default=())
+    notices: Sequence[str] = ()
+    machine: str | None = None
 
 
 def read_own(path: Path) -> Recording:
@@ -53,7 +61,16 @@ def read_own(path: Path) -> Recording:
     log = read_log(path, known_columns())
     for name, values in log.columns.items():
         refuse_absurd(values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'")
-    return Recording(path, [_own_part(log)], notices=list(log.notices))
+    return Recording(path, [_own_part(log)], notices=list(log.notices), machine=_machine(log))
+
+
+def _machine(log: Log) -> str | None:
+    try:
+        configuration = yaml.safe_load((log.run or {}).get("configuration") or "")
+        sections = {key: configuration[key] for key in ("plant", "kinematics")}
+    except (yaml.YAMLError, TypeError, KeyError):
+        return None
+    return yaml.safe_dump(sections)
 
 
 def _own_part(log: Log) -> Stamped:
