@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.checks.support import along
+from hilserver.diagnosis.checks.support import SPAN_S, along
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 
 WINDOW_S = 1.0
@@ -36,7 +36,7 @@ def windows_of(log: MeasuredLog, width_s: float = WINDOW_S) -> Windows:
     edges = []
     for index, span in enumerate(log.spans):
         n = max(round((span.end_s - span.start_s) / width_s), 1)
-        times = np.linspace(span.start_s, span.end_s, n + 1) + 1e6 * index
+        times = np.linspace(span.start_s, span.end_s, n + 1) + SPAN_S * index
         edges.append(np.stack([times[:-1], times[1:]]))
     begin, end = np.concatenate(edges, axis=1)
     return Windows(begin, end)
