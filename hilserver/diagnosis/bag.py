@@ -98,7 +98,11 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
         raise LogError(f"{path}: the mapped topics hold no message; record them")
     start_ns = min(int(stamps_ns[0]) for stamps_ns, _ in parts)
     stamped = [
-        Stamped((stamps_ns - start_ns) * 1e-9, np.zeros(len(stamps_ns), dtype=np.int64), columns)
+        Stamped(
+            np.multiply(stamps_ns - start_ns, 1e-9, dtype=np.float64),
+            np.zeros(len(stamps_ns), dtype=np.int64),
+            columns,
+        )
         for stamps_ns, columns in parts
     ]
     return Recording(path, stamped, notices=notices)
