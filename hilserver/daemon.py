@@ -365,6 +365,7 @@ class Daemon:
             gap_alarms=lambda: self.gaps.alarms,
             audit=lambda: {item.name: item.ok for item in self.audit},
             faults=self.faults.counts,
+            tasks=lambda: len(asyncio.all_tasks()),
             kernel_hash=kernel_hash(),
             config_sha256=self.config.sha256,
         )

@@ -20,12 +20,13 @@ from hilserver_injector.causes import CAUSES, REQUIRED
 
 from hilserver import __version__
 from hilserver.bench.diagnose_table import Record, markdown, rows
-from hilserver.bench.diagnose_worker import shortened, work
+from hilserver.bench.diagnose_worker import Staged, changed, work
 from hilserver.bench.report import Result
 from hilserver.diagnosis.many import in_processes
 from hilserver.errors import FailedError
+from hilserver.scenarios import SCENARIOS
 
-GROUPS = (*CLASSES, "size")
+GROUPS = (*CLASSES, "scenario", "size")
 """`size` hides every cause at the smallest size that the null logs say they would have shown."""
 PROGRESS_EVERY_S = 5.0
 
@@ -44,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help="shorter logs, for a quick look"
     )
     parser.add_argument(
+        "--measured-noise", action="store_true",
+        help="position noise from the ultra-wideband recording in HIL_DATA_DIR",
+    )  # fmt: skip
+    parser.add_argument(
         "--results", type=Path, default=Path("diagnose-results"), metavar="DIR",
         help="folder of the results so far; the campaign goes on from them",
     )  # fmt: skip
@@ -57,7 +62,8 @@ def run(args: argparse.Namespace) -> list[Result]:
         raise FailedError(msg)
     commit = _commit()
     length = "" if args.duration is None else f"-{args.duration:g}s"
-    file = args.results / f"{commit}{length}.jsonl"
+    noise = "-measured-noise" if args.measured_noise else ""
+    file = args.results / f"{commit}{length}{noise}.jsonl"
     args.results.mkdir(parents=True, exist_ok=True)
     records = {record["key"]: record for record in _read(file)}
     asked: list[str] = []
@@ -84,13 +90,18 @@ def _groups(text: str) -> list[str]:
     return groups
 
 
-def _wanted(args: argparse.Namespace, group: str, records: Sequence[Record]) -> Iterator[Case]:
+def _wanted(
+    args: argparse.Namespace, group: str, records: Sequence[Record]
+) -> Iterator[Case | Staged]:
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     only = {word for word in args.only.split(",") if word}
+    if group == "scenario":
+        yield from (Staged(n, s) for n in SCENARIOS if not only or n in only for s in seeds)
+        return
     found = _at_smallest_size(records, seeds) if group == "size" else cases(group, seeds)
     for case in found:
         if not only or only & set(case.name.split("+")):
-            yield shortened(case, args.duration)
+            yield changed(case, args.duration, args.measured_noise)
 
 
 def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]:
@@ -111,7 +122,7 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
                 yield replace(case, group="size")
 
 
-def _work_off(todo: Sequence[Case], jobs: int, file: Path, group: str) -> Iterator[Record]:
+def _work_off(todo: Sequence[Case | Staged], jobs: int, file: Path, group: str) -> Iterator[Record]:
     begin, shown = time.monotonic(), 0.0
     with file.open("a", encoding="utf-8") as out:
         for done, (_, record) in enumerate(in_processes(work, todo, jobs), 1):

@@ -11,7 +11,6 @@ from hilserver.bench.report import Result
 
 Record = dict[str, Any]
 CONFIDENCE = 0.95
-NAMED_GROUPS = ("single", "pair", "twin", "drift", "fault", "outside", "null", "scenario")
 
 
 @dataclass(frozen=True)
@@ -80,11 +79,14 @@ def rows(records: Sequence[Record]) -> list[Row]:
     judged = [v for v in values if v["in_ci95"] is not None]
     sized = [r for r in records if r["group"] == "size"]
     return [
-        row("findings without an effect", "null", lambda r: r["outcome"] != "right", most=0.0),
+        row(
+            "findings without an effect", "null", lambda r: r["outcome"] == "false_alarm", most=0.0
+        ),
         row("right name, single cause", "single", _right, least=0.9),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
         row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
+        row("diagnosis broke off, all tests", "any", _broken, most=0.0),
         row("outside the library flagged", "outside", _right, least=0.7),
         row("two effects: both named", "pair", _right, least=0.75),
         row("twins come out as a group", "twin", _right, least=0.9),
@@ -93,6 +95,14 @@ def rows(records: Sequence[Record]) -> list[Row]:
         row("scenarios of the thesis", "scenario", _right, least=0.95),
         Row("found at 1 x smallest size", sum(map(_right, sized)), len(sized), 0.7, 0.95),
     ]
+
+
+def _alarmed(record: Record) -> bool:
+    return bool(record["outcome"] == "false_alarm")
+
+
+def _broken(record: Record) -> bool:
+    return bool(record["outcome"] == "crashed")
 
 
 def _right(record: Record) -> bool:
@@ -132,19 +142,18 @@ def _seconds(records: Sequence[Record]) -> list[str]:
 
 
 def _each(records: Sequence[Record]) -> list[str]:
-    lines = ["| class | case | right | missed | vague | unknown | false name | value in ci95 |"]
-    lines.append("|---|---|---|---|---|---|---|---|")
+    outcomes = ("right", "missed", "vague", "unknown", "crashed")
+    lines = [f"| class | case | logs | {' | '.join(outcomes)} | false name | value in ci95 |"]
+    lines.append("|---" * (len(outcomes) + 5) + "|")
     cases = sorted({(r["group"], r["name"]) for r in records if r["group"] != "pair"})
     for group, name in cases:
         mine = [r for r in records if (r["group"], r["name"]) == (group, name)]
-        outcomes = Counter(r["outcome"] for r in mine)
+        counted = Counter(r["outcome"] for r in mine)
+        counts = " | ".join(str(counted[outcome]) for outcome in outcomes)
         wrong = sum(bool(r["wrong"]) for r in mine)
         inside = [v["in_ci95"] for r in mine for v in r["values"].values()]
         known = f"{sum(map(bool, inside))} of {len(inside)}" if inside else ""
-        lines.append(
-            f"| {group} | {name} | {outcomes['right']} of {len(mine)} | {outcomes['missed']} "
-            f"| {outcomes['vague']} | {outcomes['unknown']} | {wrong} | {known} |"
-        )
+        lines.append(f"| {group} | {name} | {len(mine)} | {counts} | {wrong} | {known} |")
     return lines
 
 

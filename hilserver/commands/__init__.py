@@ -5,13 +5,16 @@ the module of the command that was asked for is imported, so that ``--help`` ans
 """
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from hilserver import __version__
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, UserError
+from hilserver.commands.ending import end_was_asked, ended_by_signals
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, UserError
 
 COMMANDS = {
     "run": "run the daemon",
@@ -22,8 +25,10 @@ COMMANDS = {
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
     "diagnose": "what the simulation gets wrong in measured data, why, and what would mend it",
+    "identify": "K_om, step response, update rate, dead zone or noise from a log",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",
+    "scenarios": "sealed logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure every figure that the README quotes",
 }
 
@@ -34,20 +39,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Errors that a user can mend are printed as sentences, never as tracebacks.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    with ended_by_signals():
+        try:
+            return _run(words)
+        except (Exception, SystemExit):
+            # What is interrupted in the middle (a compiler, above all) may fail in its own way.
+            if end_was_asked():
+                return EXIT_DONE
+            raise
+
+
+def _run(words: Sequence[str]) -> int:
     try:
         args = _parse(words)
         code: int = args.run(args)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except UserError as error:
         for line in str(error).splitlines():
             print(f"hilserver: {line}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return EXIT_FAILED
-    except KeyboardInterrupt:
-        return EXIT_DONE
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"hilserver: {place}{(error.strerror or str(error)).lower()}", file=sys.stderr)
+        _drop_output()
+        return EXIT_FAILED
     return code
+
+
+def _drop_output() -> None:
+    """Keep the interpreter from flushing at its end what nobody takes."""
+    if sys.stdout is not None:
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parse(words: Sequence[str]) -> argparse.Namespace:
@@ -63,7 +90,7 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         if name != asked:
             commands.add_parser(name, help=text)
             continue
-        module = importlib.import_module(f"hilserver.commands.{name.replace('-', '_')}")
+        module = _module(name)
         sub = commands.add_parser(
             name,
             help=text,
@@ -74,3 +101,14 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     return parser.parse_args(words)
+
+
+def _module(command: str) -> ModuleType:
+    try:
+        return importlib.import_module(f"hilserver.commands.{command.replace('-', '_')}")
+    except OSError as error:
+        reason = (error.strerror or "refused").lower()
+        raise FailedError(
+            f"{error.filename}: {reason}; compiled code is kept there: set HILSERVER_CACHE_DIR to"
+            " a folder that you may write to"
+        ) from None

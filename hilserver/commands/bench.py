@@ -2,9 +2,9 @@
 
 import argparse
 import importlib
-from pathlib import Path
 
 from hilserver.bench.report import as_table, write_json
+from hilserver.commands.options import out_file
 from hilserver.errors import EXIT_DONE
 
 EXAMPLE = "hilserver bench plant --json plant.json"
@@ -22,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     benches = parser.add_subparsers(title="benches", metavar="BENCH", required=True)
     for name, text in BENCHES.items():
         bench = benches.add_parser(name, help=text, epilog=f"example: hilserver bench {name}")
-        bench.add_argument("--json", type=Path, metavar="FILE", help="write figures and raw data")
+        bench.add_argument(
+            "--json", type=out_file, metavar="FILE", help="write figures and raw data"
+        )
         bench.set_defaults(bench=name)
         module = importlib.import_module(f"hilserver.bench.{name}")
         if hasattr(module, "add_arguments"):

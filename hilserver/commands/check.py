@@ -2,10 +2,9 @@
 
 import argparse
 import json
-from pathlib import Path
 
 from hilserver.assembly import Assembly, assemble
-from hilserver.commands.options import add_config, config_path
+from hilserver.commands.options import add_config, config_path, out_file
 from hilserver.config.root import json_schema
 from hilserver.errors import EXIT_DONE
 
@@ -17,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     parser.add_argument(
         "--schema",
-        type=Path,
+        type=out_file,
         metavar="FILE",
         help="write the JSON Schema of config.yaml for editors and stop",
     )

@@ -7,7 +7,6 @@ the system grants. No simulation on this computer will be more punctual than thi
 import argparse
 import asyncio
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from hilserver.bench.linear_histogram import PERCENTILES, percentile_us, sparse
 from hilserver.bench.report import Result, write_json
+from hilserver.commands.options import number_within, out_file
 from hilserver.errors import EXIT_DONE
 from hilserver.monitoring.audit import AuditItem, as_lines, audit
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings, Scheduler, Slice
@@ -36,21 +36,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add duration, period and the JSON file."""
     parser.add_argument("--duration", type=_positive, default=10.0, metavar="S", help="default 10")
     parser.add_argument("--period-us", type=_period, default=1000, metavar="N", help="default 1000")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write figures and raw data")
+    parser.add_argument("--json", type=out_file, metavar="FILE", help="write figures and raw data")
 
 
 def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 86_400:
-        raise argparse.ArgumentTypeError(f"{text} s is not between 0.1 s and a day")
-    return value
+    return number_within(0.1, 86_400, text, "duration between 0.1 s and a day")
 
 
 def _period(text: str) -> int:
-    value = int(text)
-    if not 50 <= value <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"{text} us is not between 50 us and 1 s")
-    return value
+    return int(number_within(50, 1_000_000, text, "period between 50 us and 1 s"))
 
 
 def run(args: argparse.Namespace) -> int:

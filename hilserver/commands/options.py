@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from hilserver.errors import FailedError
+
 DEFAULT_CONFIG = Path("config.yaml")
 
 
@@ -22,3 +24,41 @@ def config_path(args: argparse.Namespace) -> Path | None:
     if args.config is not None:
         return Path(args.config)
     return DEFAULT_CONFIG if DEFAULT_CONFIG.exists() else None
+
+
+def out_file(text: str) -> Path:
+    """Return the file to write to, tried now and not after minutes of measuring.
+
+    Raises
+    ------
+    FailedError
+        If it cannot be written.
+    """
+    path = Path(text)
+    is_new = not path.exists()
+    try:
+        with path.open("ab"):
+            pass
+        if is_new:
+            path.unlink()
+    except OSError as error:
+        reason = (error.strerror or "refused").lower()
+        raise FailedError(f"cannot write {path}: {reason}") from None
+    return path
+
+
+def number_within(low: float, high: float, text: str, what: str) -> float:
+    """Return `text` as a number within `low` .. `high`.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is none; `what` says what it should be.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = low - 1.0
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text} is no {what}")
+    return value

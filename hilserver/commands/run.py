@@ -13,7 +13,8 @@ from pathlib import Path
 import uvloop
 
 from hilserver.assembly import Assembly
-from hilserver.commands.options import add_config
+from hilserver.commands.ending import end_was_asked
+from hilserver.commands.options import add_config, number_within
 from hilserver.commands.patching import add_patch, assembled
 from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
@@ -60,10 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is no duration in seconds")
-    return value
+    return number_within(1e-3, 1e9, text, "duration in seconds")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -104,11 +102,14 @@ async def _demo(
 async def _run(
     assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
 ) -> int:
+    starting = Daemon(assembly, limiter, play=play)  # compiles: a signal ends that at once
     asked = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, asked.set)
-    async with Daemon(assembly, limiter, play=play) as daemon:
+    if end_was_asked():
+        return EXIT_DONE
+    async with starting as daemon:
         watchdog = _make_watchdog(daemon)
         _print_addresses(daemon)
         async with watchdog.watching(), _reload_on_hangup(daemon, watchdog):

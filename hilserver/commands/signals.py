@@ -7,11 +7,10 @@ import argparse
 import csv
 import io
 from collections.abc import Callable
-from pathlib import Path
 
 from hilserver.assembly import assemble
-from hilserver.commands.options import add_config, config_path
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.errors import EXIT_DONE
 from hilserver.io.opcua_server.nodeset import to_nodeset
 from hilserver.signals import Signal, SignalTable
 from hilserver.units import find_unit
@@ -37,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--format", choices=tuple(FORMATS), default="markdown", help="default: markdown"
     )
     parser.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="write to a file instead of the terminal"
+        "-o", "--out", type=out_file, metavar="FILE", help="write to a file instead of the terminal"
     )
 
 
@@ -47,10 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         print(text, end="")
         return EXIT_DONE
-    try:
-        args.out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FailedError(f"cannot write {args.out}: {error.strerror}") from None
+    args.out.write_text(text, encoding="utf-8")
     return EXIT_DONE
 
 

@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import contextlib
+import os
 import signal
 import sys
 
@@ -11,7 +12,7 @@ import uvloop
 from hilserver.controller.loop import Controller
 from hilserver.controller.path import Eight, Robot
 from hilserver.controller.server import ControllerServer
-from hilserver.errors import EXIT_DONE, UserError
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, UserError
 
 ENDPOINT = "opc.tcp://127.0.0.1:53880/UA/NodeRedAgv"
 
@@ -64,6 +65,9 @@ def main() -> int:
     except UserError as error:
         print(f"hilserver: {error}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:  # who started us has ended meanwhile
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
 
 
 if __name__ == "__main__":

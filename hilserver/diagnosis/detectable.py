@@ -18,11 +18,7 @@ def smallest(
     library: Library, scores: Scores, t_critical: float
 ) -> tuple[list[Detectable], list[NotJudged]]:
     """Return sizes for the causes of one stage, and those that the drive did not excite."""
-    n = library.problem.stack.n_blocks
-    aim = t_critical + POWER
-    share = min(aim * aim / n, 0.96)
-    needed = aim / np.sqrt(1.0 - share)
-    needed = max(needed, np.sqrt(LEAST_GAIN) + POWER)
+    needed = max(t_critical + POWER, np.sqrt(LEAST_GAIN) + POWER)
     found: dict[str, tuple[float, str]] = {}
     for i, c in enumerate(library.candidates):
         part = next(iter(c.terms(c.start)))
@@ -31,11 +27,12 @@ def smallest(
             information = scores.information[j]
             if information <= 1e-12:
                 continue
+            visible = information / max(scores.deviation[j], 1e-300)  # t per unit
             if c.linear:
                 norm = _unit(library, i, k)
-                size = needed / np.sqrt(information) / norm
+                size = needed / visible / norm
             else:
-                size = abs(c.start[0] - c.null[0]) * needed / np.sqrt(information)
+                size = abs(c.start[0] - c.null[0]) * needed / visible
                 if size > 1.5 * abs(c.start[0] - c.null[0]):
                     continue
             size = max(size, c.least)

@@ -54,6 +54,7 @@ Tell = Callable[[str, float], None]
 HORIZON_S = 5.0
 LEAST_GAIN = 10.0
 LOST_SHARE = 0.02
+DRIVEN = ("speed_rpm", "duty_pct")
 
 
 @dataclass
@@ -69,7 +70,8 @@ class Judged:
     scores: Scores
 
 
-def _silent(text: str, share: float) -> None:
+def silent(text: str, share: float) -> None:
+    """Tell nobody."""
     del text, share
 
 
@@ -124,7 +126,7 @@ def judge(
     def lap(name: str) -> None:
         timings[name] = time.perf_counter() - started - sum(timings.values())
 
-    tell = progress or _silent
+    tell = progress or silent
     rng = np.random.default_rng(seed)
     robot = machine(log, robot)
     tell("checking the data", 0.0)
@@ -136,19 +138,22 @@ def judge(
     tell("selecting causes", 0.0)
     judged = _judge(prepared, rng)
     lap("selection")
-    found, fitted = list(checked.findings), {}
+    found = list(checked.findings)
+    fitted: dict[int, Fitted] = {}
     for stage, j in judged.items():
         fitted |= _findings(stage, j, found)
     lap("structure")
     tell("measuring the gain", 0.0)
     totals, before, after = _gains(judged, horizon_s, rng)
-    found = [_with_gain(f, fitted.get(i), judged, horizon_s, rng) for i, f in enumerate(found)]
-    sizes, silent = _detectable(judged, rng)
+    found = [
+        _with_gain(f, fitted.get(i), judged, totals, after, horizon_s, rng)
+        for i, f in enumerate(found)
+    ]
+    sizes, unseen = _detectable(judged, rng)
     lap("gain")
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = vocabulary_reasons(judged_causes, reasons, set(prepared))
     findings = Findings(
-        schema="hilserver.diagnosis/1",
         verdict=Overall.FINDINGS if found else Overall.NOTHING_FOUND,
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
         seed=seed,
@@ -160,7 +165,7 @@ def judge(
         ceiling={},
         smallest_detectable=tuple(sizes),
         not_judged=(
-            *silent,
+            *unseen,
             *(NotJudged(cause=c, reason=r) for c, r in reasons.items()),
         ),
         notices=log.notices,
@@ -176,7 +181,8 @@ def judge(
 def _prepare(
     log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell
 ) -> tuple[dict[str, Prepared], dict[str, str]]:
-    prepared, reasons = {}, {}
+    prepared: dict[str, Prepared] = {}
+    reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot).items():
         one, why = prepare(stage, jobs, tell)
         reasons |= why
@@ -195,7 +201,8 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
     )
     out = {}
     for name, p in prepared.items():
-        point, ties = selected[name].point, {}
+        point = selected[name].point
+        ties: dict[str, list[Rival]] = {}
         if point.model.fitted:
             point, ties = settle(p.library, point)
             point = prune(p.problem, point, LEAST_GAIN)
@@ -240,7 +247,9 @@ def _gains(
         problem = j.prepared.problem
         base = problem.point(Model(), j.point.poses)
         before[stage] = base.predicted
-        after[stage] = held_out(problem, crossed(problem, j.point, j.point.model))
+        after[stage] = base.predicted
+        if j.point.model.fitted:
+            after[stage] = held_out(problem, crossed(problem, j.point, j.point.model))
         totals |= gains(problem, before[stage], after[stage], horizon_s, rng)
     return totals, before, after
 
@@ -249,19 +258,25 @@ def _with_gain(
     finding: Finding,
     fitted: Fitted | None,
     judged: Mapping[str, Judged],
+    totals: Mapping[str, Gain],
+    after: Mapping[str, Array],
     horizon_s: float,
     rng: np.random.Generator,
 ) -> Finding:
     """Add what one cause gains: all others on, with and without it."""
     if fitted is None:
         return finding
-    j = judged[fitted.candidate.stage]
+    stage = fitted.candidate.stage
+    j = judged[stage]
     problem = j.prepared.problem
-    index = j.point.model.fitted.index(fitted)
-    without = j.point.model.without(index)
-    full = held_out(problem, crossed(problem, j.point, j.point.model))
-    reduced = held_out(problem, crossed(problem, problem.point(without, j.point.poses), without))
-    return finding.model_copy(update={"gain": gains(problem, reduced, full, horizon_s, rng)})
+    if len(j.point.model.fitted) == 1:
+        own = {k: g for k, g in totals.items() if (k in DRIVEN) == (stage == "drive")}
+        return finding.model_copy(update={"gain": own})
+    without = j.point.model.without(j.point.model.fitted.index(fitted))
+    start = problem.point(without, j.point.poses)
+    reduced = held_out(problem, crossed(problem, start, without))
+    own = gains(problem, reduced, after[stage], horizon_s, rng)
+    return finding.model_copy(update={"gain": own})
 
 
 def _detectable(

@@ -10,7 +10,7 @@ from typing import Any, Final
 import yaml
 
 from hilserver.diagnosis.findings import Finding, Parameter, Verdict
-from hilserver.diagnosis.vocabulary import CAUSES, cause_of, part_of
+from hilserver.diagnosis.vocabulary import CAUSES, Part, cause_of, part_of
 
 MINUS: Final = "\N{MINUS SIGN}"
 WHEELS: Final = ("front left", "rear left", "front right", "rear right")
@@ -146,6 +146,14 @@ def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
     return _Filling(cause, own).fill(sentences()[cause].says)
 
 
+def _part(name: str) -> Part | None:
+    """Return the part that a parameter stands for; a comparison has others (``cause.a``)."""
+    try:
+        return part_of(name)
+    except KeyError:
+        return None
+
+
 class _Filling:
     """Puts the parameters of one cause into its template."""
 
@@ -155,7 +163,9 @@ class _Filling:
         self._main = self._main_part()
 
     def _main_part(self) -> Parameter | None:
-        by_part = {part_of(name).name: p for name, p in self._parameters.items()}
+        by_part = {
+            part.name: p for n, p in self._parameters.items() if (part := _part(n)) is not None
+        }
         for part in self._cause.parts:
             if part.name in by_part:
                 return by_part[part.name]
@@ -203,7 +213,7 @@ class _Filling:
         texts = [
             f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
             for name, p in self._parameters.items()
-            if self._cause.by_channel or not part_of(name).shape
+            if (part := _part(name)) is None or not part.shape
         ]
         return ", ".join(texts) or "some"
 

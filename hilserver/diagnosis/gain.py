@@ -114,18 +114,14 @@ def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str,
         x, y = (stack.edges[n] for n in POSITION)
         z, s = values[x] + 1j * values[y], predicted[x] + 1j * predicted[y]
         move = (s[w.end] - s[w.start]) * np.exp(1j * np.asarray(turn))
-        out["position_m"] = Errors(
-            np.abs(z[w.end] - z[w.start] - move), stack.block[x][w.end]
-        )
+        out["position_m"] = Errors(np.abs(z[w.end] - z[w.start] - move), stack.block[x][w.end])
     return out
 
 
 def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator) -> Gain:
     """Return mean errors, their ratio and its bootstrap interval over blocks."""
     n = int(before.block.max()) + 1
-    sums = np.stack(
-        [np.bincount(e.block, weights=e.values, minlength=n) for e in (before, after)]
-    )
+    sums = np.stack([np.bincount(e.block, weights=e.values, minlength=n) for e in (before, after)])
     sums = sums[:, np.bincount(before.block, minlength=n) > 0]
     count = sums.shape[1]
     b, a = float(before.values.mean()), float(after.values.mean())
@@ -153,7 +149,7 @@ def gains(
             first, second = (free_run_errors(problem, p, w) for p in (before, after))
             for key in first:
                 out[key] = compare(first[key], second[key], w.horizon_s, rng)
-        pairs = {"gyro_z_rad_s": (GYRO,)}
+        pairs: dict[str, tuple[str, ...]] = {"gyro_z_rad_s": (GYRO,)}
     else:
         names = problem.stack.channels
         pairs = {

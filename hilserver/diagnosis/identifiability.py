@@ -1,4 +1,4 @@
-"""What the data cannot tell apart: every accepted cause against every rival that could imitate it."""
+"""What the data cannot tell apart: accepted causes against rivals that could imitate them."""
 
 from dataclasses import dataclass
 
@@ -59,7 +59,7 @@ def cosines(library: Library, point: Point, index: int) -> Array:
     """
     problem, f = library.problem, point.model.fitted[index]
     columns = accepted_columns(problem, point)
-    assert columns is not None  # noqa: S101 (for the type checker)
+    assert columns is not None
     columns = columns[library.blocks.order]
     begin = sum(g.candidate.n for g in point.model.fitted[:index])
     end = begin + f.candidate.n
@@ -103,22 +103,16 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
     found = []
     for i in best.values():
         c = library.candidates[i]
-        theta = _start(library, point, index, c)
+        theta = c.beginning
         trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
         if not physical(trial):
             continue
         difference = trial.loss - point.loss
-        penalty = TIE * (c.n - accepted.candidate.n)
+        penalty = TIE * (c.weight - accepted.candidate.weight)
         worse = float(difference.sum()) + penalty
         z = worse / (np.sqrt((difference**2).sum()) + 1e-9)
         found.append(Rival(c, trial, float(cosine[i]), worse, z))
     return sorted(found, key=lambda r: r.worse)
-
-
-def _start(library: Library, point: Point, index: int, c: Candidate) -> tuple[float, ...]:
-    if not c.linear:
-        return c.start
-    return tuple(n + 1e-3 * s for n, s in zip(c.null, c.step, strict=True))
 
 
 def settle(library: Library, point: Point) -> tuple[Point, dict[str, list[Rival]]]:

@@ -1,4 +1,4 @@
-"""Intervals of fitted parameters that hold under autocorrelation: blocks, not samples, are counted."""
+"""Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ def covariance(problem: Problem, point: Point) -> tuple[Array, int]:
     The larger of the sandwich over the blocks and the one that trusts the noise model.
     """
     columns = accepted_columns(problem, point)
-    assert columns is not None  # noqa: S101 (for the type checker)
+    assert columns is not None
     n, k = problem.stack.n_blocks, columns.shape[1]
     scale = np.sqrt((columns**2).sum(axis=0)) + 1e-300
     unit = columns / scale

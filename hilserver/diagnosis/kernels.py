@@ -32,7 +32,7 @@ from hilserver.plant.pose import wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, robot_step
 
 
-@kernel
+@kernel()
 def run_drive(
     p: Any,
     x0: Any,
@@ -80,7 +80,7 @@ def run_drive(
                 duty[k, i] = y[Y_DUTY + i]
 
 
-@kernel
+@kernel()
 def run_process(p: Any, first: Any, duty: Any, speed_0: Any, speed: Any) -> None:
     """Run the process alone under a given duty, cut point B; base model."""
     a00, a01, a10, a11, b0, b1 = p[5], p[6], p[7], p[8], p[9], p[10]
@@ -96,7 +96,7 @@ def run_process(p: Any, first: Any, duty: Any, speed_0: Any, speed: Any) -> None
                 n = following
 
 
-@kernel
+@kernel()
 def run_pose(
     p: Any, x0: Any, first: Any, left: Any, right: Any, pose_0: Any, angle_0: Any, y: Any, pose: Any
 ) -> None:
@@ -141,7 +141,7 @@ def run_pose(
             turned += wrap(x[X_POSE + 2] - before)
 
 
-@kernel
+@kernel()
 def sample(dense: Any, column: int, low: Any, high: Any, at: Any, out: Any) -> None:
     """Read a dense column between ticks, held at the ends of the segment.
 
@@ -158,7 +158,7 @@ def sample(dense: Any, column: int, low: Any, high: Any, at: Any, out: Any) -> N
         out[j] = value
 
 
-@kernel
+@kernel()
 def sample_tag(
     p: Any, x: Any, dense: Any, low: Any, high: Any, at_position: Any, at_yaw: Any, out: Any
 ) -> None:

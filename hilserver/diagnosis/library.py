@@ -40,6 +40,10 @@ class Candidate:
         Size (largest parameter) below which it is not worth a name.
     linear : bool
         Whether the effect is about linear, so that the screen may extrapolate.
+    hidden : int
+        Parameters of its shape that were searched over, beside the fitted ones.
+    moved : callable, optional
+        From a shift of its shape [m] to the candidate with that shape, for a finer search.
     """
 
     cause: str
@@ -53,11 +57,25 @@ class Candidate:
     high: tuple[float, ...]
     least: float
     linear: bool = True
+    hidden: int = 0
+    moved: "Callable[[float], Candidate] | None" = None
+
+    @property
+    def weight(self) -> int:
+        """Parameters that it costs, fitted and hidden."""
+        return self.n + self.hidden
 
     @property
     def n(self) -> int:
         """Number of parameters."""
         return len(self.start)
+
+    @property
+    def beginning(self) -> tuple[float, ...]:
+        """Where a fit begins: the start value, or just off null."""
+        if not self.linear:
+            return self.start
+        return tuple(n + 1e-3 * s for n, s in zip(self.null, self.step, strict=True))
 
 
 def _one(
@@ -146,10 +164,10 @@ def _wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Ca
     return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)
 
 
-DELAYS_S = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
-PERIODS_S = (0.002, 0.003, 0.004, 0.005, 0.006, 0.008, 0.01, 0.012, 0.014)
-RATES_RPM_S = (60.0, 100.0, 150.0, 250.0, 400.0, 700.0)
-LIMITS_PCT = (90.0, 80.0, 70.0, 60.0, 50.0, 40.0, 30.0)
+DELAYS_S = (0.01, 0.04, 0.15)
+PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
+RATES_RPM_S = (80.0, 150.0, 400.0)
+LIMITS_PCT = (85.0, 65.0, 45.0)
 
 
 def drive_candidates(limit_pct: float) -> list[Candidate]:
@@ -209,7 +227,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
     found += _grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
     found += _grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
     found += _grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
-    found += _grid("encoder_filter", stage, 0.0, (0.005, 0.01, 0.02), 0.001, 0.001, 0.0, 0.2)
+    found += _grid("encoder_filter", stage, 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2)
     found += _grid("encoder_quantization", stage, 0.0, (0.25, 0.5, 1.0), 0.1, 0.2, 0.0, 20.0)
     return found
 
@@ -278,7 +296,9 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
             "heading_distortion.phase2",
             0.005,
         ),
-        _wave("wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005),
+        _wave(
+            "wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005
+        ),
     ]
     if place is not None:
         found += _surfaces(place)
@@ -286,27 +306,27 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
 
 
 def _surfaces(place: tuple[float, float, float, float]) -> list[Candidate]:
-    """Half of the floor, cut at a quarter, half and three quarters of the place, either side."""
+    """Part of the floor, cut at several places, either side of the cut."""
     x_min, x_max, y_min, y_max = place
-    wide = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3}
-    found = []
-    for axis, low, high in (("x", x_min, x_max), ("y", y_min, y_max)):
-        for share in (0.25, 0.375, 0.5, 0.625, 0.75):
-            edge = low + share * (high - low)
-            for side in ("min", "max"):
-                region = {**wide, f"{axis}_{side}": edge}
-                fixed = {f"surface_change.{key}": value for key, value in region.items()}
-                found.append(
-                    _several(
-                        "surface_change",
-                        f"surface_change@{axis}_{side}={edge:.2f}",
-                        "pose",
-                        ("surface_change.k_om", "surface_change.v"),
-                        (0.05, 0.05),
-                        0.03,
-                        fixed,
-                        -0.9,
-                        3.0,
-                    )
-                )
-    return found
+    return [
+        _surface(axis, side, low + share * (high - low))
+        for axis, low, high in (("x", x_min, x_max), ("y", y_min, y_max))
+        for share in (0.25, 0.375, 0.5, 0.625, 0.75)
+        for side in ("min", "max")
+    ]
+
+
+def _surface(axis: str, side: str, edge: float) -> Candidate:
+    region = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
+    candidate = _several(
+        "surface_change",
+        f"surface_change@{axis}_{side}={edge:.3f}",
+        "pose",
+        ("surface_change.k_om", "surface_change.v"),
+        (0.05, 0.05),
+        0.03,
+        {f"surface_change.{key}": value for key, value in region.items()},
+        -0.9,
+        3.0,
+    )
+    return replace(candidate, hidden=2, moved=lambda shift_m: _surface(axis, side, edge + shift_m))

@@ -27,7 +27,7 @@ __all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights"]
 TAU_MAX_S: Final = 5.0
 WINDOW_S: Final = 12.0
 GATE_SD: Final = 5.0
-SAMPLES_MAX: Final = 20_000
+SAMPLES_MAX: Final = 12_000
 _GATED_MAX = 0.2  # more is no tail: the gate would cut a misfit
 _COLOURED_NATS = 6.0  # an Ornstein-Uhlenbeck part must earn its two parameters
 _TAILED_NATS = 3.0
@@ -90,7 +90,7 @@ def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseM
         return -value + 10.0 * outside + 1e3 * excess
 
     if start is None or start.ou_sd == 0.0:
-        thin = windows.thinned(SAMPLES_MAX // 5)
+        thin = windows.thinned(SAMPLES_MAX // 3)
         taus = np.linspace(*tau_range, 7)
         grid = [(float(tau), logit) for tau in taus for logit in _SHARE_LOGITS]
         first = min(grid, key=lambda point: loss(point, thin))
@@ -114,7 +114,10 @@ def _tail_dof(innovations: Array) -> float:
     square = np.square(innovations[innovations != 0.0][:SAMPLES_MAX])
     if len(square) < 50:
         return math.inf
-    best, dof = -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0), math.inf
+    best, dof = (
+        -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0),
+        math.inf,
+    )
     best += _TAILED_NATS
     for candidate in _DOFS:
         value = _student_likelihood(square, candidate)

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from hilserver.diagnosis.clock import LONGEST_S, Segments, cut
+from hilserver.diagnosis.clock import LONGEST_S, cut
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
 from hilserver.diagnosis.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.model import robot_with
 from hilserver.diagnosis.stack import make_stack
-from hilserver.plant.layout import N_Y, P_DT
+from hilserver.plant.layout import N_Y, P_DT, P_SEED
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -64,6 +64,7 @@ class PoseStage:
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
         self._state = robot.initial_state()
+        self._last: tuple[tuple[bytes, bytes], Array] | None = None
         self._tag_rows()
 
     @staticmethod
@@ -82,7 +83,12 @@ class PoseStage:
         p[P_DT] = self.period_s
         return p
 
-    def _run(self, p: Array, poses: Array) -> Array:
+    def _run(self, p: Array, poses: Array, *, keep: bool = False) -> Array:
+        """Run the kinematics, or return the last run if only sensors have changed since."""
+        key = (p[:P_SEED].tobytes(), poses.tobytes())
+        last = self._last
+        if last is not None and last[0] == key:
+            return last[1]
         dense = np.empty((self.segments.ticks, 4))
         y = np.zeros(N_Y)
         run_pose(
@@ -96,13 +102,19 @@ class PoseStage:
             y,
             dense,
         )
+        if keep:
+            self._last = (key, dense)
         return dense
 
-    def predict(self, terms: Mapping[str, float], poses: Array) -> Array:
-        """Return what the stack's samples would be; yaw follows the measured turns."""
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+        """Return what the stack's samples would be; yaw follows the measured turns.
+
+        With `keep` the run is remembered: predictions that differ from it in sensors alone are
+        cheap then.
+        """
         inner = {k: v for k, v in terms.items() if not k.startswith(("shift.", "field."))}
         p = self._pack(inner)
-        return self.shown(self._run(p, poses), p, terms)
+        return self.shown(self._run(p, poses, keep=keep), p, terms)
 
     def shown(self, dense: Array, p: Array, terms: Mapping[str, float]) -> Array:
         """Return what tag and gyro show of a dense pose."""
@@ -275,7 +287,7 @@ def paired(log: MeasuredLog) -> MeasuredLog:
         return log
     x, y = (log[n] for n in POSITION)
     keys = [c.span * 1e7 + c.t_s for c in (x, y)]
-    both = np.intersect1d(*keys)
+    both = np.intersect1d(keys[0], keys[1])
     kept = {}
     for name, c, key in zip(POSITION, (x, y), keys, strict=True):
         rows = np.isin(key, both)

@@ -7,7 +7,6 @@ that went through the same whitening and projection.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +39,6 @@ def lonely(white: Array) -> NDArray[np.bool_]:
     return out
 
 
-class View(Protocol):
-    """What a regression needs of a stage: `DriveStage` or `PoseStage` behind one face."""
-
-    stack: Stack
-
-    def residual(self, terms: Mapping[str, float], poses: Array) -> Array: ...
-    def predict(self, terms: Mapping[str, float], poses: Array) -> Array: ...
-
-
 def _plain(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
     """Return white noise where the residuals show no correlation at all; None elsewhere."""
     pieces = [r for _, r in parts if len(r) > 20]
@@ -72,8 +62,10 @@ class Point:
     ----------
     poses : ndarray, shape (segments, 3)
     predicted : ndarray, shape (n,)
+    white : ndarray, shape (n,)
+        Whitened residual.
     left : ndarray, shape (n,)
-        Whitened residual, initial poses projected out.
+        The same, initial poses projected out.
     loss : ndarray, shape (blocks,)
         Sum of the squares of `left` over each block.
     """
@@ -81,6 +73,7 @@ class Point:
     model: Model
     poses: Array
     predicted: Array
+    white: Array
     left: Array
     loss: Array
 
@@ -125,10 +118,10 @@ class Problem:
         return self.stage.stack
 
     # --- predictions ------------------------------------------------------------------------------
-    def predict(self, terms: Mapping[str, float], poses: Array) -> Array:
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return the prediction with plant terms and extra structures."""
         if isinstance(self.stage, PoseStage):
-            predicted = self.stage.predict(terms, poses)
+            predicted = self.stage.predict(terms, poses, keep=keep)
         else:
             predicted = self.stage.predict(terms)
         for key, column in self.extras.items():
@@ -200,17 +193,17 @@ class Problem:
     def point(self, model: Model, poses: Array, *, pose_steps: int = 1) -> Point:
         """Evaluate a model, with its initial poses refitted."""
         terms = model.terms
-        predicted = self.predict(terms, poses)
+        predicted = self.predict(terms, poses, keep=True)
         nuisance = self.nuisance(predicted, poses)
         white = self.whiten(self.residual(predicted))
         for _ in range(pose_steps if nuisance is not None else 0):
-            assert nuisance is not None  # noqa: S101 (for the type checker)
+            assert nuisance is not None
             poses = poses + self.pose_step(white, nuisance)
-            predicted = self.predict(terms, poses)
+            predicted = self.predict(terms, poses, keep=True)
             nuisance = self.nuisance(predicted, poses)
             white = self.whiten(self.residual(predicted))
         left = self.project(white, self.bases(nuisance))
-        return Point(model, poses, predicted, left, self.stack.block_sums(left * left))
+        return Point(model, poses, predicted, white, left, self.stack.block_sums(left * left))
 
     def columns(self, point: Point, model: Model) -> Array:
         """Return the raw sensitivities of all parameters of a model, shape (n, k)."""
@@ -253,9 +246,7 @@ class Problem:
     def learn_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
         for name in self.stack.channels:
-            parts = [
-                (self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name
-            ]
+            parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
             self.noise[name] = _plain(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
         for _ in range(2):
@@ -295,19 +286,22 @@ def fit(
         return point
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
     for _ in range(iterations):
-        columns = problem.columns(point, point.model)
-        bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-        white = problem.project(problem.whiten(columns), bases)
+        nuisance = problem.nuisance(point.predicted, point.poses)
+        raw = problem.whiten(problem.columns(point, point.model))
+        white = problem.project(raw, problem.bases(nuisance))
         keep = used[problem.stack.block]
         a, b = white[keep], point.left[keep]
-        gram = a.T @ a
-        scale = np.sqrt(np.diag(gram)) + 1e-300
-        damped = gram / np.outer(scale, scale) + 1e-6 * np.eye(len(scale))
+        scale = np.sqrt((a**2).sum(axis=0)) + 1e-300
+        damped = (a / scale).T @ (a / scale) + 1e-6 * np.eye(len(scale))
         step = np.linalg.solve(damped, (a.T @ b) / scale) / scale
         best = None
         for share in (1.0, 0.5, 0.2):
             theta = np.clip(point.model.theta() + share * step, low, high)
-            trial = problem.point(point.model.with_theta(theta), point.poses)
+            poses = point.poses
+            if nuisance is not None:
+                moved = point.white - raw @ (theta - point.model.theta())
+                poses = poses + problem.pose_step(moved, nuisance)
+            trial = problem.point(point.model.with_theta(theta), poses, pose_steps=0)
             if trial.loss[used].sum() < point.loss[used].sum():
                 best = trial
                 break

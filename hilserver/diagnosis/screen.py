@@ -1,19 +1,23 @@
 """Which causes the residuals speak for: a score test that holds whatever the noise.
 
-For every block of the log and every direction the efficient score is taken; over the blocks its sum
-divided by the root of its sum of squares is t. Under "no effect" the sign of a block's score is a
-coin's, so all directions are tested together by flipping signs of whole blocks and taking the
-maximum over the directions (Westfall and Young 1993): the family-wise error holds whatever the
-correlation between directions, and between samples of a block.
+For every block of the log and every direction the efficient score is taken. Their sum is compared
+with the scatter of the blocks about the fitted effect, or with what the noise model says if that is
+more. Under "no effect" the sign of what a block leaves is a coin's, so all directions are tested
+together by flipping signs of whole blocks and taking the maximum over the directions (Westfall and
+Young 1993; wild bootstrap of clusters): the family-wise error holds whatever the correlation
+between directions, and between samples of a block.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Real = NDArray[Any]
+"""Of 32 or 64 bits."""
 
 FLIPS = 4999
 LEVEL = 0.002
@@ -26,9 +30,11 @@ class Scores:
 
     Attributes
     ----------
-    blocks : ndarray, shape (blocks, k)
-        Efficient score of each block.
+    rest : ndarray, shape (blocks, k)
+        Efficient score of each block, less what the fitted effect explains of it.
     t : ndarray, shape (k,)
+        Sum of the scores by its deviation.
+    deviation : ndarray, shape (k,)
     information : ndarray, shape (k,)
         Sum of squares of the efficient column.
     gain : ndarray, shape (k,)
@@ -37,8 +43,9 @@ class Scores:
         Step along the direction that would save it.
     """
 
-    blocks: Array
+    rest: Array
     t: Array
+    deviation: Array
     information: Array
     gain: Array
     size: Array
@@ -71,7 +78,7 @@ class Blocks:
         counts = np.bincount(block, minlength=n_blocks)
         return cls(np.argsort(block, kind="stable"), np.concatenate([[0], np.cumsum(counts)]))
 
-    def products(self, columns: Array, others: Array) -> Array:
+    def products(self, columns: Real, others: Real) -> Array:
         """Return ``columns' others`` of every block; shapes (n, k), (n, m) give (blocks, k, m).
 
         Both must be in the order of the blocks.
@@ -91,36 +98,46 @@ def orthogonal(columns: Array, accepted: Array | None) -> Array:
     return np.asarray(columns - base @ (base.T @ columns))
 
 
-def score(columns: Array, left: Array, blocks: Blocks, accepted: Array | None = None) -> Scores:
+def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = None) -> Scores:
     """Score directions against a whitened residual; all arrays in the order of the blocks.
 
     The accepted causes' columns are projected out of the directions (efficient score); what is left
     of a direction inside them is rounding and no evidence.
     """
     squares = np.einsum("ij,ij->j", columns, columns)
+    own = np.stack(
+        [
+            np.einsum("ij,ij->j", columns[low:high], columns[low:high])
+            for low, high in zip(blocks.starts[:-1], blocks.starts[1:], strict=True)
+        ]
+    )
     if accepted is None or accepted.shape[1] == 0:
         per = blocks.products(columns, left[:, None])[:, :, 0]
-        information = squares
     else:
         accepted = accepted / (np.sqrt((accepted**2).sum(axis=0)) + 1e-300)
-        k = accepted.shape[1]
         product = blocks.products(columns, np.column_stack([left, accepted]))
-        own = blocks.products(accepted, left[:, None])[:, :, 0]
-        cross = product[:, :, 1:].sum(axis=0)
-        gram = accepted.T @ accepted + 1e-9 * np.eye(k)
-        weight = np.linalg.solve(gram, cross.T)
-        per = product[:, :, 0] - own @ weight
-        information = squares - np.einsum("jk,kj->j", cross, weight)
+        inner = blocks.products(accepted, np.column_stack([left, accepted]))
+        cross, gram = product[:, :, 1:], inner[:, :, 1:]
+        weight = np.linalg.solve(
+            gram.sum(axis=0) + 1e-9 * np.eye(gram.shape[1]), cross.sum(axis=0).T
+        )
+        per = product[:, :, 0] - inner[:, :, 0] @ weight
+        own = own - 2.0 * np.einsum("bjk,kj->bj", cross, weight)
+        own = own + np.einsum("kj,bkl,lj->bj", weight, gram, weight)
+    information = own.sum(axis=0)
     usable = information > 1e-6 * squares + 1e-12
     per = np.where(usable, per, 0.0)
     total, safe = per.sum(axis=0), np.where(usable, information, 1.0)
-    t = total / (np.sqrt((per**2).sum(axis=0)) + 1e-300)
+    size = np.where(usable, total / safe, 0.0)
+    rest = per - size * own
+    deviation = np.sqrt(np.maximum((rest**2).sum(axis=0), safe))
     return Scores(
-        per,
-        np.where(usable, t, 0.0),
+        rest,
+        np.where(usable, total / deviation, 0.0),
+        deviation,
         np.where(usable, information, 0.0),
         np.where(usable, total**2 / safe, 0.0),
-        np.where(usable, total / safe, 0.0),
+        size,
     )
 
 
@@ -128,13 +145,13 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
     """Return the largest |t| of every sign flip over all directions of all stages."""
     largest = np.zeros(flips)
     for s in scores:
-        n, k = s.blocks.shape
+        n, k = s.rest.shape
         if k == 0 or n == 0:
             continue
-        norm = np.sqrt((s.blocks**2).sum(axis=0)) + 1e-300
         used = s.information > 1e-12
+        norm = np.sqrt((s.rest**2).sum(axis=0)) + 1e-300
         signs = rng.integers(0, 2, size=(flips, n)).astype(np.float64) * 2.0 - 1.0
-        largest = np.maximum(largest, np.abs(signs @ (s.blocks / norm)[:, used]).max(axis=1))
+        largest = np.maximum(largest, np.abs(signs @ (s.rest / norm)[:, used]).max(axis=1))
     return largest
 
 

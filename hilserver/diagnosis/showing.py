@@ -78,7 +78,13 @@ def evidence(
 
 
 def _unit(channel: str) -> str:
-    for end, unit in (("_rpm", "rpm"), ("_pct", "%"), ("_rad_s", "rad/s"), ("_rad", "rad"), ("_m", "m")):
+    for end, unit in (
+        ("_rpm", "rpm"),
+        ("_pct", "%"),
+        ("_rad_s", "rad/s"),
+        ("_rad", "rad"),
+        ("_m", "m"),
+    ):
         if channel.endswith(end):
             return unit
     return "1"
@@ -190,7 +196,9 @@ def _paths(s: Shown, extended: bool) -> tuple[Path, ...]:
     out = []
     for k in np.unique(span)[:4]:
         rows = span == k
-        tracks = [np.stack([v[x][rows], v[y][rows]], axis=1) for v in (stack.values, s.before, s.after)]
+        tracks = [
+            np.stack([v[x][rows], v[y][rows]], axis=1) for v in (stack.values, s.before, s.after)
+        ]
         out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None))
     return tuple(out)
 
@@ -214,7 +222,7 @@ def _range(log: MeasuredLog, robot: RobotParameters, stages: Mapping[str, Shown]
         rpm = (float(both.min()), float(both.max()))
     if "pose" in stages:
         stage = stages["pose"].prepared.problem.stage
-        assert isinstance(stage, PoseStage)  # noqa: S101 (for the type checker)
+        assert isinstance(stage, PoseStage)
         point = stages["pose"].point
         om = stage.simulate(point.model.terms, point.poses)[:, 3]
         scale = robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0

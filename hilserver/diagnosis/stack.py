@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,14 +60,14 @@ class Stack:
             segment = self.segment[edge]
             breaks = np.flatnonzero(np.diff(segment)) + 1
             bounds = [0, *breaks.tolist(), len(segment)]
-            for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+            for a, b in pairwise(bounds):
                 if b > a:
                     yield name, int(segment[a]), slice(edge.start + a, edge.start + b)
 
     def block_sums(self, samples: Array) -> Array:
         """Return the sums over each block, shape (n_blocks,) or (n_blocks, k)."""
         if samples.ndim == 1:
-            return np.bincount(self.block, weights=samples, minlength=self.n_blocks)
+            return np.asarray(np.bincount(self.block, samples, self.n_blocks))
         return np.stack(
             [
                 np.bincount(self.block, weights=samples[:, j], minlength=self.n_blocks)
@@ -95,7 +97,7 @@ def make_stack(
     usable : ndarray of bool, shape (segments,), optional
         Segments that take part.
     """
-    parts: dict[str, list[Array]] = {"segment": [], "t_s": [], "values": [], "at": []}
+    parts: dict[str, list[NDArray[Any]]] = {"segment": [], "t_s": [], "values": [], "at": []}
     edges: dict[str, slice] = {}
     begin = 0
     for name in names:
@@ -133,7 +135,7 @@ def make_stack(
 def _blocks(
     log: MeasuredLog, segments: Segments, segment: Indices, t_s: Array, block_s: float
 ) -> tuple[Indices, int, Indices]:
-    """Number the sign-flip blocks and deal them to two folds."""
+    """Return the sign-flip block of each sample, their number, and each block's fold."""
     length = segments.end_s - segments.start_s
     own = [s.block for s in log.spans]
     if all(b is not None for b in own) and len(set(own)) > 1:

@@ -95,12 +95,13 @@ def pose_stage(
     dense = None
     if isinstance(drive, DriveStage):
         dense = (drive, drive.simulate(terms)[0])
-    return PoseStage(log, robot, dense, block_s=block_length(total_s, 3.0, 10.0, 40))
+    return PoseStage(log, robot, dense, block_s=block_length(total_s, 3.0, 5.0, 72))
 
 
 def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], dict[str, str]]:
     """Return the candidates that a stage's channels can judge, and why others are not judged."""
-    log, reasons = stage.log, {}
+    log = stage.log
+    reasons: dict[str, str] = {}
     if isinstance(stage, DriveStage):
         found = drive_candidates(100.0)
         if not any(n in log for n in SPEEDS):
@@ -147,7 +148,7 @@ def _splits(log: MeasuredLog, candidate: Candidate) -> bool:
         return False
     inside = (x >= t["surface_change.x_min"]) & (x <= t["surface_change.x_max"])
     inside &= (y >= t["surface_change.y_min"]) & (y <= t["surface_change.y_max"])
-    return 0.15 < inside.mean() < 0.85
+    return bool(0.15 < inside.mean() < 0.85)
 
 
 def prepare(
@@ -196,7 +197,9 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
     problem.learn_noise(left)
 
 
-def vocabulary_reasons(judged: set[str], reasons: dict[str, str], stages: set[str]) -> dict[str, str]:
+def vocabulary_reasons(
+    judged: set[str], reasons: dict[str, str], stages: set[str]
+) -> dict[str, str]:
     """Return a reason for every physical cause that was not judged."""
     out = dict(reasons)
     for name, cause in CAUSES.items():

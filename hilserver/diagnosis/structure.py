@@ -1,6 +1,6 @@
-"""Judges unknown structure and drift: what remains after the library, and what changes over time."""
+"""Unknown structure and drift: what remains after the library, and what changes over time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 LEVEL = 0.001
 LEAST_GAIN = 40.0
+LEAST_T = 3.0
 DOMINANCE = 4.0
 """A named cause stays beside unknown structure only if it explains so many times as much."""
 
@@ -38,7 +39,7 @@ class Unknown:
     white: Array
 
 
-def families_of(problem: Problem, point: Point) -> list[Family]:
+def families_of(problem: Problem, point: Point) -> Iterable[Family]:
     """Return the families of a stage."""
     if problem.stage.name == "pose":
         return pose_families(problem, point)
@@ -46,7 +47,7 @@ def families_of(problem: Problem, point: Point) -> list[Family]:
 
 
 def remaining(
-    problem: Problem, point: Point, rng: np.random.Generator, families: Sequence[Family]
+    problem: Problem, point: Point, rng: np.random.Generator, families: Iterable[Family]
 ) -> list[Unknown]:
     """Return the families that the residual significantly depends on, the strongest first."""
     stack = problem.stack
@@ -54,24 +55,25 @@ def remaining(
     accepted = accepted_columns(problem, point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
     order = blocks.order
-    whites, scores = [], []
+    scores, strong = [], []
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)
         before = (white**2).sum(axis=0)
         white = orthogonal(white, accepted)
         white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
-        whites.append(white)
         scores.append(score(white[order], point.left[order], blocks))
+        t = float(np.abs(scores[-1].t).max(initial=0.0))
+        if t > LEAST_T:
+            gain = joint_gain(white, point.left)
+            if gain > LEAST_GAIN and holds_out(problem, white, point.left):
+                slim = Family(family.name, family.regressors, np.zeros((0, 0)))
+                strong.append(Unknown(slim, t, 1.0, gain, white))
     maxima = null_maxima(scores, rng)
     found = []
-    for family, white, s in zip(families, whites, scores, strict=True):
-        t = float(np.abs(s.t).max(initial=0.0))
-        p = float(adjusted(np.array([t]), maxima)[0])
-        if p >= LEVEL:
-            continue
-        gain = joint_gain(white, point.left)
-        if gain > LEAST_GAIN and holds_out(problem, white, point.left):
-            found.append(Unknown(family, t, p, gain, white))
+    for u in strong:
+        p = float(adjusted(np.array([u.t]), maxima)[0])
+        if p < LEVEL:
+            found.append(Unknown(u.family, u.t, p, u.gain, u.white))
     return sorted(found, key=lambda u: -u.gain)
 
 
@@ -83,7 +85,7 @@ def joint_gain(white: Array, left: Array) -> float:
         return 0.0
     gram = unit.T @ unit + 1e-3 * np.eye(unit.shape[1])
     b = unit.T @ left
-    return float(b @ np.linalg.solve(gram, b)) - unit.shape[1]
+    return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
 
 
 def holds_out(problem: Problem, white: Array, left: Array) -> bool:
@@ -91,16 +93,18 @@ def holds_out(problem: Problem, white: Array, left: Array) -> bool:
     stack = problem.stack
     norm = np.sqrt((white**2).sum(axis=0))
     unit = white[:, norm > 0.0] / norm[norm > 0.0]
-    saved = np.zeros(stack.n_blocks)
+    saved = []
     fold = stack.fold[stack.block]
     for test in (0, 1):
         train = fold != test
+        if not train.any() or train.all():
+            return False
         a, b = unit[train], left[train]
         gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
         rest = left - unit @ np.linalg.solve(gram, a.T @ b)
         part = stack.fold == test
-        saved[part] = stack.block_sums(left**2 - rest**2)[part]
-    return bool(saved.sum() > 3.0 * np.sqrt(len(saved)) * saved.std(ddof=1))
+        saved.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
+    return sum(saved) > LEAST_GAIN and min(saved) > 0.0
 
 
 def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:

@@ -4,7 +4,7 @@ import textwrap
 
 from hilserver.diagnosis.explain import QUANTITIES, explain_finding, number
 from hilserver.diagnosis.findings import Findings, Overall
-from hilserver.diagnosis.report.words import headline
+from hilserver.diagnosis.report.words import headline, is_unchanged
 
 WIDTH = 96
 
@@ -22,6 +22,8 @@ def summary(findings: Findings) -> str:
     ]
     for key, gain in findings.total_gain.items():
         name, unit = QUANTITIES.get(key, (key, "1"))
+        if is_unchanged(gain):
+            continue
         sure = ""
         if gain.ci95 is not None:
             low, high = (number(value, digits=2) for value in gain.ci95)

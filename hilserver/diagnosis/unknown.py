@@ -5,7 +5,7 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,7 @@ class _Motion:
     """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
 
     def __init__(self, problem: Problem, point: Point, stride: int = 10) -> None:
-        assert isinstance(problem.stage, PoseStage)  # noqa: S101 (for the type checker)
+        assert isinstance(problem.stage, PoseStage)
         stage = self.stage = problem.stage
         self.problem, self.stride = problem, stride
         dense = stage.simulate(point.model.terms, point.poses)
@@ -133,7 +133,8 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
              m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
              m.column(zero, zero, v), m.column(zero, zero, size * v),
-             m.column(zero, zero, size**2 * om), m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
+             m.column(zero, zero, size**2 * om),
+             m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
     families.append(Family("speed", ("velocity.linear_m_s",), np.stack(speed, axis=1)))
     turn = [m.column(zero, zero, spin * om), m.column(zero, zero, spin**2 * om),
             m.column(spin**2 * v, zero, zero), m.column(zero, spin * om, zero),
@@ -175,9 +176,9 @@ def _unit(values: Array) -> Array:
     return np.asarray(np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5))
 
 
-def drive_families(problem: Problem, point: Point) -> list[Family]:
+def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
     """Return what a disturbance of speed and duty could depend on."""
-    assert isinstance(problem.stage, DriveStage)  # noqa: S101 (for the type checker)
+    assert isinstance(problem.stage, DriveStage)
     stage, stack = problem.stage, problem.stack
     _, seen, duty = stage.simulate(
         {k: v for k, v in point.model.terms.items() if not k.startswith("field.")}
@@ -186,29 +187,34 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
     slope = np.gradient(seen, axis=0) * rate
     angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 / rate)
     t = np.concatenate([stage.segments.times(i) for i in range(len(stage.segments))])
-    quiet = np.zeros_like(seen)
+
+    def of_wheel(w: int, speed: Array | None, work: Array | None) -> Array:
+        """Column of one wheel: what is added to its speed and its duty."""
+        column = np.zeros(len(stack))
+        for name, dense in ((SPEEDS[w], speed), (DUTIES[w], work)):
+            if dense is not None and name in stack.edges:
+                edge = stack.edges[name]
+                column[edge] = dense[np.rint(stack.at[edge]).astype(np.int64)]
+        return column
 
     def disturbed(wheels: Sequence[int], shape: Array) -> list[Array]:
         """Columns of a load that needs `shape` more duty: the loop answers, the speed dips."""
-        load, dip = quiet.copy(), quiet.copy()
-        for w in wheels:
-            load[:, w] = shape
-            dip[:, w] = -np.gradient(shape) * rate * 0.005
-        return [stage.sampled(quiet, load), stage.sampled(dip, quiet)]
+        dip = -np.gradient(shape) * rate * 0.005
+        return [
+            np.sum([of_wheel(w, None, shape) for w in wheels], axis=0),
+            np.sum([of_wheel(w, dip, None) for w in wheels], axis=0),
+        ]
 
-    families: list[Family] = []
     for source in range(4):
         columns = []
         for w in range(4):
             if w == source:
                 continue
-            follow, work = quiet.copy(), quiet.copy()
-            follow[:, w], work[:, w] = seen[:, source], duty[:, source]
-            columns += [stage.sampled(follow, work)]
+            columns += [of_wheel(w, seen[:, source], duty[:, source])]
             columns += disturbed((w,), seen[:, source])
             columns += disturbed((w,), slope[:, source] / 100.0)
         name = WHEELS[source]
-        families.append(
+        yield (
             Family(
                 f"wheel {name}",
                 (f"wheel.{name}.setpoint_rpm", f"wheel.{name}.speed_rpm", f"wheel.{name}.duty_pct"),
@@ -220,22 +226,22 @@ def drive_families(problem: Problem, point: Point) -> list[Family]:
         for k in (1, 2):
             for wave in (np.cos, np.sin):
                 columns += disturbed((w,), wave(k * angle[:, w]))
-        families.append(
-            Family(f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1))
+        yield (
+            Family(
+                f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1)
+            )
         )
     columns = []
     for f in FREQUENCIES_HZ:
         for wave in (np.cos, np.sin):
             columns += disturbed(range(4), wave(2.0 * np.pi * f * t))[:1]
-    families.append(Family("time", ("t_s",), np.stack(columns, axis=1)))
+    yield (Family("time", ("t_s",), np.stack(columns, axis=1)))
     columns = []
     for w in range(4):
         n = seen[:, w]
         for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n)):
             columns += disturbed((w,), shape)[:1]
-    families.append(Family("speed", SPEEDS, np.stack(columns, axis=1)))
-    del stack
-    return [f for f in families if np.abs(f.columns).max() > 0.0]
+    yield (Family("speed", SPEEDS, np.stack(columns, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -257,12 +263,12 @@ class LostSteps:
 
 
 def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
-    """Look at every step of a set-point: did the wheel make it?
+    """Return how many steps of the set-points the wheels did not make; None if few can be judged.
 
     The residual after a step is compared with minus the step itself. A wheel that ignored it shows
     about -1 of it, one that followed about 0.
     """
-    assert isinstance(problem.stage, DriveStage)  # noqa: S101 (for the type checker)
+    assert isinstance(problem.stage, DriveStage)
     log, stack = problem.stage.log, problem.stack
     residual = problem.residual(point.predicted)
     shares, times = [], []
@@ -284,9 +290,7 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
     if len(shares) < 8:
         return None
     found = np.abs(np.array(shares) + 1.0) < 0.25
-    return LostSteps(
-        float(found.mean()), int(found.sum()), len(shares), np.array(times)[found]
-    )
+    return LostSteps(float(found.mean()), int(found.sum()), len(shares), np.array(times)[found])
 
 
 __all__ = ["DUTIES", "Family", "LostSteps", "drive_families", "lost_steps", "pose_families"]

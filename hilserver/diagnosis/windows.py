@@ -43,9 +43,9 @@ class Windows:
     ) -> "Windows":
         """Cut spans into equal windows of at most `window_s`; evenly drop what is too many."""
         pieces: list[tuple[Array, Array]] = []
-        for t_s, r in residuals:
-            good = np.isfinite(r)
-            t_s, r = np.asarray(t_s, float)[good], np.asarray(r, float)[good]
+        for stamps, values in residuals:
+            good = np.isfinite(values)
+            t_s, r = np.asarray(stamps, float)[good], np.asarray(values, float)[good]
             if not len(t_s):
                 continue
             count = max(1, math.ceil((t_s[-1] - t_s[0]) / window_s))
@@ -128,7 +128,8 @@ class Windows:
 
     def _detrended(self) -> Array:
         owner = np.repeat(np.arange(len(self.lines)), np.diff(self.starts))
-        return self.r - self.lines[owner, 0] - self.lines[owner, 1] * self.t_s
+        rest: Array = self.r - self.lines[owner, 0] - self.lines[owner, 1] * self.t_s
+        return rest
 
     def _innovations(self, model: NoiseModel, gate_sd: float, weights: Array) -> Array:
         out = np.zeros(self.samples)

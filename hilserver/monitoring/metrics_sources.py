@@ -142,6 +142,8 @@ class MetricsSources:
         Item of the real-time audit -> fulfilled.
     faults : callable
         Kind (injected, forced) -> number of those at work.
+    tasks : callable
+        Number of asyncio tasks that have not ended.
     kernel_hash, config_sha256 : str
         What runs: labels of ``hil_build_info``.
     """
@@ -159,5 +161,6 @@ class MetricsSources:
     gap_alarms: Callable[[], Mapping[str, bool]] = dict
     audit: Callable[[], Mapping[str, bool]] = dict
     faults: Callable[[], Mapping[str, int]] = dict
+    tasks: Callable[[], int] = lambda: 0
     kernel_hash: str = ""
     config_sha256: str = ""

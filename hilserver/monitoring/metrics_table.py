@@ -324,6 +324,13 @@ METRICS: tuple[Metric, ...] = (
         _faults,
     ),
     Metric(
+        "hil_asyncio_tasks",
+        Kind.GAUGE,
+        "Tasks of the event loop that have not ended; without a change in clients it stays flat.",
+        (),
+        lambda sources: [((), float(sources.tasks()))],
+    ),
+    Metric(
         "hil_audit_ok",
         Kind.GAUGE,
         "1 where the system fulfils an item of the real-time audit.",

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hilserver.scheduler.causes import Cause, CauseFinder, Look
-from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, NO_OVERRUN
+from hilserver.scheduler.exchange import HEARTBEAT, NEXT_TICK
+from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.step import (
     FAULT_CONSECUTIVE_OVERRUNS,
@@ -18,6 +19,8 @@ from hilserver.scheduler.step import (
 )
 
 PERIOD_S = 0.1
+STALLED_NS = 1_000_000_000
+"""A loop silent for so long is told of while it lasts: its own record may never come."""
 _SETTLE_NS = 20_000_000
 """A record is explained no sooner than this after its tick: a SIGCONT needs time to arrive."""
 
@@ -40,7 +43,7 @@ class OverrunReport:
         As far as the system tells.
     consequence : str
         "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
-        ``fault 3`` (the slice's own number).
+        ``fault 3`` (the slice's own number), ``stalled``: it has not come back for a second.
     """
 
     slice: str
@@ -84,6 +87,8 @@ class Overruns:
         self._finder: CauseFinder | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._watches_signal = False
+        self._heartbeat_ns = 0
+        self._stalled = False
 
     def start(self, finder: CauseFinder) -> None:
         """Begin to take records."""
@@ -119,6 +124,18 @@ class Overruns:
     def _again(self) -> None:
         self._timer = self._loop.call_later(PERIOD_S, self._again)
         self._report(time.monotonic_ns() - _SETTLE_NS)
+        self._watch_heartbeat(time.monotonic_ns())
+
+    def _watch_heartbeat(self, now_ns: int) -> None:
+        """Tell once of a tick that does not end; two looks: both sides may have been stopped."""
+        before_ns, self._heartbeat_ns = self._heartbeat_ns, self._machine.exchange.get(HEARTBEAT)
+        silent_ns = now_ns - self._heartbeat_ns
+        stalled = before_ns == self._heartbeat_ns > 0 and silent_ns > STALLED_NS
+        if stalled and not self._stalled:
+            name, tick = self._machine.slice_names[0], self._machine.exchange.get(NEXT_TICK)
+            kind, cause = KIND_NAMES[LONG_RUN], Cause.SLICE
+            self._call(OverrunReport(name, kind, tick, 0, silent_ns, 0, cause, "stalled"))
+        self._stalled = stalled
 
     def _report(self, ended_before_ns: int) -> None:
         if self._finder is None:

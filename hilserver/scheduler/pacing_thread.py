@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
+from hilserver.errors import FailedError
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.pacing import Ended, Rung, StopReason
 from hilserver.scheduler.pacing_loop import pace
@@ -69,8 +70,9 @@ class ThreadPacing:
                     await self._over.wait()
                     self._thread.join()
         except TimeoutError:
-            message = f"the pacing thread did not end within {_END_WITHIN_S} s: a slice never ends"
-            raise RuntimeError(message) from None
+            raise FailedError(
+                f"the pacing thread did not end within {_END_WITHIN_S:g} s: a slice never ends"
+            ) from None
         atexit.unregister(self._end_thread)
         self._loop.remove_reader(self._doorbell)
         os.close(self._doorbell)

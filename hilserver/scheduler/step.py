@@ -19,7 +19,8 @@ LATCH = -1
 """Take the inputs; return the number of the tick to execute now (another one after a restore).
 Called at every wake-up, also while paused."""
 PUBLISH = -2
-"""Publish the outputs of this tick; return 0."""
+"""Publish the outputs of this tick; return 0. Called for the last tick of a state that was restored
+while paused, too."""
 FAULT = -3
 """Go to the safe state; ``tick`` carries the code: one of the ``FAULT_*`` below."""
 

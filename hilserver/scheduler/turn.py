@@ -213,8 +213,11 @@ def turn(
     law[lw.PERIOD] = load_acquire(control, ex.PACED_PERIOD)
     command = load_acquire(control, ex.COMMAND)
     if not may_run(law, command):
-        law[lw.TICK] = step(LATCH, law[lw.TICK], law[lw.PLANNED], values, words)
-        store_release(control, ex.NEXT_TICK, law[lw.TICK])
+        tick = step(LATCH, law[lw.TICK], law[lw.PLANNED], values, words)
+        if tick != law[lw.TICK]:  # restored: shown at once, although no tick runs
+            step(PUBLISH, max(tick - 1, 0), law[lw.PLANNED], values, words)
+        law[lw.TICK] = tick
+        store_release(control, ex.NEXT_TICK, tick)
         lw.hold(law, now_ns)
         news = load_acquire(control, ex.ACKNOWLEDGED) != command
         store_release(control, ex.ACKNOWLEDGED, command)

@@ -1,11 +1,14 @@
 """The command line as a user in a hurry meets it: exit codes, one sentence, no traceback."""
 
+import contextlib
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -107,6 +110,132 @@ def test_signals_end_the_daemon_cleanly(tmp_path, number):
         rest = process.stderr.read()
         assert process.wait(20) == 0, rest
     assert "Traceback" not in "".join(lines) + rest
+
+
+def handles(process, number):
+    """Whether the process has taken a signal over from the interpreter and the system."""
+    status = Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8")
+    caught = int(re.search(r"SigCgt:\s*(\w+)", status).group(1), 16)
+    return bool(caught >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize(
+    ("number", "after_s"),
+    [(signal.SIGTERM, 0.0), (signal.SIGTERM, 0.4), (signal.SIGTERM, 1.0), (signal.SIGINT, 3.0)],
+)
+def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
+    """Cold: modules are imported, then kernels are being compiled when the signal comes."""
+    path = write_config(tmp_path)
+    environment = {**os.environ, "HILSERVER_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "hilserver", "run", "-c", str(path), "--demo"]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
+    ) as process:
+        while not handles(process, signal.SIGTERM):
+            assert process.poll() is None
+        maps = Path(f"/proc/{process.pid}/maps").read_text(encoding="utf-8")
+        assert "numba" not in maps, "what takes long to import comes after"
+        time.sleep(after_s)
+        os.kill(process.pid, number)
+        told = process.stderr.read()
+        assert process.wait(20) == 0, told
+    assert told == ""
+
+
+def test_a_signal_while_the_step_is_compiled_ends_it_at_once(monkeypatch):
+    """numba turns an interrupt within its callbacks into an error of its own."""
+
+    def broken(_words):
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr("hilserver.commands._parse", broken)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["run"]) == 0
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_signal_that_the_compiler_swallowed_ends_the_start_nevertheless(tmp_path, monkeypatch):
+    class Swallowing:
+        def __init__(self, *_, **__):
+            with contextlib.suppress(SystemExit):
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("hilserver.commands.run.Daemon", Swallowing)
+    assert main(["run", "-c", str(write_config(tmp_path))]) == 0
+
+
+def test_an_interrupt_within_python_run_from_c_is_no_end_by_signal(tmp_path):
+    """The interpreter ends itself by SIGINT when a KeyboardInterrupt came that way."""
+    lines = [
+        "import ctypes, os, signal, sys",
+        "import hilserver.commands as commands",
+        "def run(_):",
+        "    code = b'import os, signal; os.kill(os.getpid(), signal.SIGTERM)'",
+        "    return ctypes.pythonapi.PyRun_SimpleString(code)",
+        "commands._parse = run",
+        "sys.exit(commands.main(['run']))",
+    ]
+    (tmp_path / "interrupted.py").write_text("\n".join(lines), encoding="utf-8")
+    run = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, check=False)
+    assert run.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("check", "--schema", "absent/schema.json"), "absent/schema.json: no such file"),
+        (("latency-test", "--duration", "0.1", "--json", "."), ".: is a directory"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_one_sentence(tmp_path, words, complaint):
+    run = hilserver(*words, cwd=tmp_path)
+    assert run.returncode == 1
+    assert run.stderr.startswith(f"hilserver: cannot write {complaint}")
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_a_figure_file_is_tried_before_the_measurement(tmp_path):
+    start_s = time.monotonic()
+    run = hilserver("bench", "loop", "--json", "absent/x.json", cwd=tmp_path)
+    assert run.returncode == 1
+    assert "absent/x.json: no such file" in run.stderr
+    assert run.stdout == ""
+    assert time.monotonic() - start_s < 20
+
+
+def test_a_cache_that_cannot_be_made_is_one_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    environment = {**os.environ, "HILSERVER_CACHE_DIR": str(tmp_path / "file")}
+    run = subprocess.run(
+        [sys.executable, "-m", "hilserver", "check"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert run.stderr.startswith(f"hilserver: {tmp_path}/file/kernels-")
+    assert "HILSERVER_CACHE_DIR" in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("where", "code"), [(">/dev/full", 1), (">&-", 0)])
+def test_output_that_nobody_takes_is_no_traceback(tmp_path, where, code):
+    command = f"{sys.executable} -m hilserver signals {where}"
+    run = subprocess.run(
+        command, shell=True, capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert run.returncode == code
+    assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize("duration", ["0", "-1", "abc", "nan", "1e400"])
+def test_a_wrong_duration_is_named(tmp_path, duration):
+    run = hilserver("run", "--duration", duration, cwd=tmp_path)
+    assert run.returncode == 2
+    assert f"argument --duration: {duration} is no duration in seconds" in run.stderr
 
 
 def test_a_port_in_use_is_one_sentence_and_exit_1(tmp_path):

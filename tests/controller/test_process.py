@@ -117,3 +117,16 @@ async def test_ends_with_its_parent():
             return True
 
     await wait_until(gone, 10)
+
+
+async def test_it_ends_without_a_word_when_its_starter_is_gone():
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        *("-m", "hilserver.controller", "--endpoint", "opc.tcp://127.0.0.1:0/UA/NodeRedAgv"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    process.stdout._transport.close()
+    async with asyncio.timeout(30):
+        assert await process.stderr.read() == b""
+        assert await process.wait() == 1

@@ -129,7 +129,8 @@ def evidence(n=18000, seed=1):
     noise = rng.normal(size=(6, n))
 
     def series(name, unit, measured, simulated, extended):
-        return Series(name, unit, t, measured, simulated, extended, span)
+        held_out = (t // 20 % 2).astype(bool)
+        return Series(name, unit, t, measured, simulated, extended, span, held_out)
 
     speed = v / 0.085 * 60 / (2 * np.pi)
     x = np.linspace(-3, 3, 24)

@@ -87,6 +87,11 @@ def test_only_causes_of_the_vocabulary_have_sentences():
         assert causes <= set(CAUSES)
 
 
+def test_a_comparison_names_both_values():
+    both = {"rotation_gain.a": parameter(0.01), "rotation_gain.b": parameter(0.06)}
+    assert explain(["rotation_gain"], both).startswith("The robot turns 1\u00a0% more")
+
+
 def test_structure_outside_the_library_names_what_it_depends_on():
     finding = Finding(
         verdict="structure_not_in_library", causes=(), block="kinematics", regressors=("t_s",)

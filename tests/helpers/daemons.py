@@ -17,6 +17,7 @@ class RunningDaemon:
     process: subprocess.Popen
     image: str
     url: str
+    metrics_url: str
     folder: object
 
     def stop(self):
@@ -39,15 +40,17 @@ def running_daemon(folder, *options, config=""):
     command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *options]
     with errors, subprocess.Popen(command, stderr=errors, cwd=folder) as process:
         try:
-            yield RunningDaemon(process, image, _address(process, folder / "daemon.log"), folder)
+            yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
         finally:
             process.kill()
 
 
-def _address(process, log):
+def _addresses(process, log):
+    """Return the addresses of the OPC UA server and of the metrics."""
     for _ in range(START_LIMIT_S * 10):
-        if match := re.search(r"OPC UA +(opc\.tcp://\S+)", log.read_text(encoding="utf-8")):
-            return match.group(1)
+        text = log.read_text(encoding="utf-8")
+        if match := re.search(r"OPC UA +(opc\.tcp://\S+)\s+metrics +(http://\S+)", text):
+            return match.groups()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.1)
             break

@@ -159,6 +159,10 @@ async def a_fault(robot):
     robot.daemon.faults.inject({"fault": "bias", "signal": "nav.x_m", "offset": 1.0})
 
 
+async def another_task(robot):
+    robot.sleeper = asyncio.create_task(asyncio.sleep(2.0))
+
+
 async def heartbeat(_robot):
     await asyncio.sleep(1.3)
 
@@ -201,6 +205,7 @@ STIMULI = [
     ("hil_end_to_end_seconds", "_count", {}, setpoint_change, 1),
     ("hil_state", "", {"state": "paused"}, pause, 1),
     ("hil_faults", "", {"kind": "injected"}, a_fault, 1),
+    ("hil_asyncio_tasks", "", {}, another_task, 1),
     ("hil_peer_round_trip_seconds", "_count", PEER, heartbeat, 1),
     ("hil_peer_interval_seconds", "_count", PEER, heartbeat, 10),
     ("hil_peer_one_way_latency_seconds", "_count", PEER, heartbeat, 10),

@@ -47,6 +47,7 @@ class FakeDaemon:
         self.gap_alarms: dict[str, bool] = {}
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
+        self.tasks = 8
 
     def sources(self) -> MetricsSources:
         return MetricsSources(
@@ -62,6 +63,7 @@ class FakeDaemon:
             gap_alarms=lambda: self.gap_alarms,
             audit=lambda: self.audit,
             faults=lambda: self.faults,
+            tasks=lambda: self.tasks,
             kernel_hash="0123456789abcdef",
         )
 

@@ -10,7 +10,7 @@ from hilserver.compiled import kernel
 from hilserver.compiled.libc import clock_gettime
 from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_SIGNATURE
 
-LATCHES, PUBLISHES, FAULTS, LAST_FAULT, ORDER, BUSY_TICK, BUSY_NS, JUMP_TO = range(10, 18)
+LATCHES, PUBLISHES, FAULTS, LAST_FAULT, ORDER, BUSY_TICK, BUSY_NS, JUMP_TO, SHOWN = range(10, 19)
 NEXT_ROW, N_ROWS, HASH = 20, 21, 22
 SCHEDULE = 100
 THREAD_CPU_TIME = 3
@@ -28,6 +28,7 @@ def counting_step(phase, tick, planned_ns, values, words):
         return tick
     if phase == PUBLISH:
         words[PUBLISHES] += 1
+        words[SHOWN] = tick
         words[ORDER] = words[ORDER] * 10 + 9
         return 0
     if phase == FAULT:

@@ -11,7 +11,7 @@ import pytest
 
 from hilserver.scheduler import OverrunPolicy, Scheduler, Slice, StopReason
 from hilserver.scheduler.exchange import ACKNOWLEDGED, FREE_RUN, Exchange
-from tests.scheduler.kernels import LATCHES, PUBLISHES, counting_step
+from tests.scheduler.kernels import JUMP_TO, LATCHES, PUBLISHES, SHOWN, counting_step
 from tests.scheduler.rig import make, running, until
 
 BACKENDS = ("thread", "timerfd", "virtual")
@@ -53,6 +53,19 @@ async def test_pause_ends_a_step_and_resume_voids_it(backend):
         await rig.scheduler.advance(2)
         assert rig.scheduler.tick == standing + 2
         assert rig.scheduler.statistics.tick.missed_ticks == 0 or backend != "virtual"
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+async def test_what_is_restored_while_standing_is_shown_once(backend):
+    async with running(counting_step, backend=backend, paused=True) as rig:
+        await rig.scheduler.advance(3)
+        shown = int(rig.words[PUBLISHES])
+        rig.words[JUMP_TO] = 500
+        await until(lambda: rig.scheduler.tick == 500)
+        latched = int(rig.words[LATCHES])
+        await until(lambda: rig.words[LATCHES] > latched + 3)
+        assert rig.words[PUBLISHES] == shown + 1
+        assert rig.words[SHOWN] == 499, "the newest tick that the restored state knows"
 
 
 async def test_words_of_a_step_need_no_second_word():

@@ -5,6 +5,7 @@ import gc
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,30 @@ async def test_a_slice_that_runs_long_is_named(backend):
     assert figures.margin_min_tick == 150
     assert str(report).startswith("sensors ran ")
     assert "in tick 150: slice" in str(report)
+
+
+async def test_a_tick_that_does_not_end_is_told_while_it_lasts():
+    def endless(rig):
+        rig.words[BUSY_TICK], rig.words[BUSY_NS] = 150, 1_600_000_000
+
+    async with running(busy_step, slices=SLICES, prepare=endless) as rig:
+        await until(lambda: any(r.consequence == "stalled" for r in rig.reports))
+        assert rig.scheduler.tick == 150, "it still lasts"
+        await until(lambda: rig.scheduler.tick > 151)
+    (report,) = (r for r in rig.reports if r.consequence == "stalled")
+    assert report.tick == 150
+    assert report.execution_ns > 1_000_000_000
+    assert str(report).endswith("in tick 150: slice, stalled")
+
+
+async def test_a_long_period_is_no_stall():
+    slices = (Slice("plant", 1, True), Slice("sensors", 10, True))
+    async with running(
+        busy_step, slices=slices, base_period_ns=1_500_000_000, warm_up_ticks=0
+    ) as rig:
+        await asyncio.sleep(1.4)
+        assert time.monotonic_ns() - rig.scheduler.heartbeat_ns < 200_000_000
+    assert rig.reports == []
 
 
 async def test_catch_up_misses_nothing_within_its_limit_and_skip_misses_the_rest():

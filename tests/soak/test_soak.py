@@ -1,6 +1,6 @@
 """The demonstration with a recorder and a polling client, for as long as patience lasts.
 
-Memory, descriptors and tasks stay flat; simulated time stays with wall time to one period.
+Memory, descriptors, threads and tasks stay flat; simulated time stays with wall time to one period.
 Two minutes in `make test`, an hour in `make test-long`.
 """
 
@@ -8,6 +8,7 @@ import asyncio
 import os
 import signal
 import time
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 from hilserver.image import ImageReader
 from hilserver.logs import read_log
 from tests.helpers.daemons import finish, recorder, running_daemon
+from tests.helpers.prom_diff import series_of_text
 from tests.io.opcua_server.rig import RobotClient
 
 PERIOD_NS = 1_000_000
@@ -36,6 +38,13 @@ def rss_mb(pid):
     return int(words[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def asyncio_tasks(metrics_url):
+    """Tasks of the daemon's event loop, from its metrics."""
+    with urllib.request.urlopen(metrics_url, timeout=10) as answer:
+        series = series_of_text(answer.read().decode())
+    return series["hil_asyncio_tasks", frozenset()]
+
+
 def usage(pid):
     """Resident memory [MB], descriptors, threads."""
     return (
@@ -45,11 +54,11 @@ def usage(pid):
     )
 
 
-async def poll(url, duration_s, pids, image):
+async def poll(daemon, duration_s, pids):
     """Read nodes at 20 Hz; sample what the processes use and how time runs."""
-    client = RobotClient(url)
+    client = RobotClient(daemon.url)
     await client.connect()
-    reader = ImageReader.attach(image)
+    reader = ImageReader.attach(daemon.image)
     samples, times_ns, reads = [], [], 0
     start_s = time.monotonic()
     try:
@@ -60,7 +69,8 @@ async def poll(url, duration_s, pids, image):
             if elapsed_s >= len(samples) * SAMPLE_S:
                 frame = reader.latest()
                 times_ns.append((frame.tick * PERIOD_NS, frame.planned_ns, time.monotonic_ns()))
-                samples.append([usage(pid) for pid in pids])
+                tasks = await asyncio.to_thread(asyncio_tasks, daemon.metrics_url)
+                samples.append([(*usage(pid), tasks) for pid in pids])
             await asyncio.sleep(POLL_S)
     finally:
         await client.disconnect()
@@ -71,7 +81,7 @@ def soak(tmp_path, duration_s):
     with running_daemon(tmp_path, "--demo", config=CONFIG) as daemon:
         recording = recorder(daemon, tmp_path / "soak.mcap", "--rotate-mb", "20", "--keep", "2")
         pids = (daemon.process.pid, recording.pid)
-        samples, times_ns, reads = asyncio.run(poll(daemon.url, duration_s, pids, daemon.image))
+        samples, times_ns, reads = asyncio.run(poll(daemon, duration_s, pids))
         recording.send_signal(signal.SIGTERM)
         code, text = finish(recording)
         assert code == 0, text
@@ -92,8 +102,9 @@ def report(samples, times_ns, reads, text, duration_s):
         first, last = settled[0, index], settled[-1, index]
         print(
             f"{name}: {first[0]:.1f} -> {last[0]:.1f} MB, descriptors {first[1]:.0f} ->"
-            f" {last[1]:.0f}, tasks {first[2]:.0f} -> {last[2]:.0f}"
+            f" {last[1]:.0f}, threads {first[2]:.0f} -> {last[2]:.0f}"
         )
+    print(f"tasks of the daemon {settled[0, 0, 3]:.0f} -> {settled[-1, 0, 3]:.0f}")
     grid_ns, wall_ns = deviations_ns(times_ns)
     print(f"{duration_s:g} s, {reads} reads; {text.splitlines()[-1]}")
     print(f"simulated against wall time: grid {grid_ns} ns, as seen {wall_ns} ns")
@@ -120,7 +131,8 @@ def assert_flat(samples, duration_s):
     growth = np.median(late, axis=0) - np.median(early, axis=0)
     assert (growth[:, 0] <= NOISE_MB + GROWTH_MB_PER_H * duration_s / 3600 / 2).all(), growth
     assert (growth[:, 1] <= 0).all(), "descriptors grow"
-    assert (growth[:, 2] <= 0).all(), "tasks grow"
+    assert (growth[:, 2] <= 0).all(), "threads grow"
+    assert (growth[:, 3] <= 0).all(), "tasks grow"
 
 
 @pytest.mark.parametrize(

@@ -96,15 +96,28 @@ def series(item: Series) -> str:
         ("extended", item.extended),
     ):
         _lines(values, t, y, edges, role, f"{item.name} {role}")
+    for edge in _held_out(item):
+        residual.stretch(float(t[edge.start]), float(t[edge.stop - 1]), "held")
     residual.level(0.0)
     _lines(residual, t, before, edges, "before", "measured minus simulated")
     _lines(residual, t, after, edges, "after", "measured minus extended")
     text = f"Mean absolute residual {_mean(before, item.unit)}"
     if after is not None:
         text += f" before, {_mean(after, item.unit)} after"
+    if item.held_out is not None:
+        text += "; shaded: took no part in the fit"
     return markup.figure(
         picture([values, residual], f"{item.name} over time"), item.name, f"{text}."
     )
+
+
+def improvement(item: Series) -> float:
+    """Return the mean absolute residual before by that after; 1 without an extension."""
+    if item.extended is None:
+        return 1.0
+    models = (item.simulated, item.extended)
+    before, after = (float(np.nanmean(np.abs(item.measured - model))) for model in models)
+    return before / after if after > 0 else math.inf
 
 
 def _lines(
@@ -120,6 +133,13 @@ def _lines(
 def _edges(span: NDArray[np.int64]) -> list[slice]:
     starts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
     return [slice(a, b) for a, b in pairwise(starts)][:MAX_SPANS]
+
+
+def _held_out(item: Series) -> list[slice]:
+    if item.held_out is None:
+        return []
+    runs = _edges(item.held_out.astype(np.int64))
+    return [run for run in runs if item.held_out[run.start]]
 
 
 def _continuous(t_s: Array, span: NDArray[np.int64]) -> Array:

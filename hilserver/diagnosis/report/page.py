@@ -8,6 +8,8 @@ from hilserver.diagnosis.findings import Finding, Findings, Verdict
 from hilserver.diagnosis.report import figures, markup, tables, words
 from hilserver.diagnosis.report.markup import section
 
+LEAST_CHANGE = 0.03
+"""Share of a residual below which a channel counts as not changed."""
 MODELS = (
     ("measured", "measured"),
     ("simulated", "simulated: the plant as it is configured"),
@@ -81,7 +83,7 @@ def _plots(evidence: Evidence) -> str:
     )
     key = markup.legend(MODELS if with_extension else MODELS[:2])
     ways = figures.paths(evidence.paths)
-    channels = [figures.series(s) for s in evidence.series if len(s.t_s) > 1]
+    channels = _channels(evidence)
     gains = figures.horizons(evidence.gain_by_horizon)
     courses = [figures.course(c) for c in evidence.courses]
     rest = [figures.dependence(d) for d in evidence.dependences]
@@ -92,7 +94,7 @@ def _plots(evidence: Evidence) -> str:
                 "channels",
                 "Every channel over time",
                 "Above the values, below what the models leave unexplained.",
-                key + markup.grid(channels) if channels else "",
+                key + channels if channels else "",
             ),
             section(
                 "gain",
@@ -110,6 +112,22 @@ def _plots(evidence: Evidence) -> str:
             ),
         )
     )
+
+
+def _channels(evidence: Evidence) -> str:
+    """Return the channels that the extension changes, the most first; the others folded away."""
+    drawn = [s for s in evidence.series if len(s.t_s) > 1]
+    drawn.sort(key=lambda s: -figures.improvement(s))
+    changed = [s for s in drawn if s.extended is None or figures.improvement(s) > 1 + LEAST_CHANGE]
+    others = [s for s in drawn if all(s is not c for c in changed)]
+    shown = markup.grid(map(figures.series, changed or others))
+    if changed and others:
+        shown += (
+            "<details><summary>Channels that the extension does not change:"
+            f" {escape(', '.join(s.name for s in others))}</summary>"
+            f"{markup.grid(map(figures.series, others))}</details>"
+        )
+    return shown if drawn else ""
 
 
 def _behind(findings: Findings, evidence: Evidence) -> str:

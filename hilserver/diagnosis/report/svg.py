@@ -197,6 +197,12 @@ class Plot:
         )
         self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
 
+    def stretch(self, first: float, last: float, role: str) -> None:
+        """Shade the whole height between two places."""
+        a, b = (float(self.to_x(v)) for v in (first, last))
+        y0, y1 = self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP
+        self._drawn.append(f'<path class="band {role}" d="M{a:.1f} {y0}V{y1}H{b:.1f}V{y0}Z"/>')
+
     def level(self, y: float, text: str = "") -> None:
         """Draw a horizontal reference line with a word at its right end."""
         if not self.y[0] <= y <= self.y[1]:

@@ -51,7 +51,8 @@ def _count(items: Sequence[object]) -> str:
 
 def lede(findings: Findings) -> str:
     """Return HTML: how much better the extended model is, or what was looked for."""
-    if not findings.total_gain:
+    gained = {key: gain for key, gain in findings.total_gain.items() if gain.ratio > 1}
+    if not gained:
         if findings.verdict is Overall.NOTHING_FOUND:
             n = len(findings.smallest_detectable)
             sizes = (
@@ -61,7 +62,7 @@ def lede(findings: Findings) -> str:
             )
             return f"What remains between measurement and simulation is the sensors' noise.{sizes}"
         return ""
-    key, gain = max(findings.total_gain.items(), key=lambda item: item[1].ratio)
+    key, gain = max(gained.items(), key=lambda item: item[1].ratio)
     name, unit = QUANTITIES.get(key, (key, "1"))
     return (
         f"With the extended model the error in <strong>{escape(name)}</strong> after"
@@ -84,8 +85,11 @@ def _sure(gain: Gain) -> str:
 
 def tiles(findings: Findings) -> str:
     """Return the gain of every quantity as HTML."""
-    items = []
-    for key, gain in findings.total_gain.items():
+    items, unchanged = [], []
+    for key, gain in sorted(findings.total_gain.items(), key=lambda item: -item[1].ratio):
+        if is_unchanged(gain):
+            unchanged.append(QUANTITIES.get(key, (key, "1"))[0])
+            continue
         name, unit = QUANTITIES.get(key, (key, "1"))
         largest = max(gain.before, gain.after) or 1.0
         ceiling = findings.ceiling.get(key)
@@ -105,7 +109,15 @@ def tiles(findings: Findings) -> str:
             f"{markup.bar(gain.after / largest, 'extended')}"
             f"<span>{escape(number(gain.after, unit, digits=2))}</span></div>{reach}</li>"
         )
-    return f'<ul class="tiles">{"".join(items)}</ul>' if items else ""
+    shown = f'<ul class="tiles">{"".join(items)}</ul>' if items else ""
+    if unchanged:
+        shown += f'<p class="unchanged">Not changed: {escape(", ".join(unchanged))}.</p>'
+    return shown
+
+
+def is_unchanged(gain: Gain) -> bool:
+    """Return whether an error is, in two digits, what it was."""
+    return number(gain.before, digits=2) == number(gain.after, digits=2)
 
 
 def _range(gain: Gain) -> str:

@@ -11,7 +11,7 @@ from hilserver.diagnosis.evidence import Evidence
 from hilserver.diagnosis.explain import MINUS
 from hilserver.diagnosis.findings import Finding
 from hilserver.diagnosis.report import render
-from tests.diagnosis.sample import evidence, findings, nothing_found
+from tests.diagnosis.sample import evidence, findings, gain, nothing_found
 
 VOID = {"meta", "br"}
 
@@ -112,10 +112,30 @@ def test_hundred_segments_that_all_begin_at_nought_follow_each_other():
     given = evidence(20_000)
     span = np.repeat(np.arange(200), 100)
     t = np.tile(np.arange(100) * 0.02, 200)
-    series = tuple(replace(s, t_s=t, span=span) for s in given.series)
+    series = tuple(replace(s, t_s=t, span=span, held_out=None) for s in given.series)
     page = render(findings(), replace(given, series=series))
     assert len(page.encode()) < 2_000_000
     assert Reader(page).open == []
+
+
+def test_stretches_that_took_no_part_in_the_fit_are_shaded():
+    given = evidence(9000)  # three minutes, every second 20 s held out
+    one = replace(given, series=given.series[:1], paths=())
+    assert render(findings(), one).count('class="band held"') == 4
+
+
+def test_channels_that_do_not_change_are_folded_away(page):
+    before, _, folded = page.partition("Channels that the extension does not change")
+    assert "<h3>nav.yaw_rad</h3>" in before
+    assert "<h3>wheel.fl.speed_rpm</h3>" not in before
+    assert "<h3>wheel.fl.speed_rpm</h3>" in folded
+
+
+def test_an_error_that_stays_is_not_called_better():
+    stays = findings(total_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
+    text = Reader(render(stays, Evidence())).text
+    assert "Not changed: wheel speed." in text
+    assert "better" not in text.split("What is wrong")[0]
 
 
 def test_missing_samples_and_constant_channels_are_drawn():

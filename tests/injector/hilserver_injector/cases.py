@@ -135,8 +135,7 @@ def outside(seed: int) -> Iterator[Case]:
     hidden: dict[str, tuple[dict[str, float], set[str]]] = {
         "cable_drag": (
             {
-                "cable_drag.turn": 0.2 * sign,
-                "cable_drag.speed": 0.15,
+                ("cable_drag.turn", "cable_drag.speed")[seed % 2]: 0.2 * sign,
                 "cable_drag.phase": phase,
             },
             heading,

@@ -12,9 +12,10 @@ from hilserver_injector.table import Table
 RAD_S_PER_RPM = math.pi / 30.0
 
 
-def _some(table: Table, channel: str) -> list[str]:
-    """Return the columns whose name holds these words (``speed_rpm``, ``imu.gyro_z_rad_s``)."""
-    return [name for name in table.columns if channel in name]
+def _some(table: Table, channel: str | tuple[str, ...]) -> list[str]:
+    """Return the columns whose name holds one of these words (``speed_rpm``, ``nav.``)."""
+    words = (channel,) if isinstance(channel, str) else channel
+    return [name for name in table.columns if any(word in name for word in words)]
 
 
 def _sign_flip(table: Table, channel: Any, rng: np.random.Generator) -> None:

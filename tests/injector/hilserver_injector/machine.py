@@ -164,12 +164,11 @@ def run(
             taken += 1
             for i in range(4):
                 goal[i] = arrived[taken, i]
-        for i in range(4):
-            aim[i] = towards(aim[i], goal[i], p.rate * STEP_S)
         if t >= next_control - 1e-9:
             next_control += p.control_s
             if not stalled[k]:
                 for i in range(4):
+                    aim[i] = towards(aim[i], goal[i], p.rate * p.control_s)
                     duty[i] = _control(p, aim[i], _seen(p, n[i], filtered[i]), integral, i)
         if at_row:
             for i in range(4):

@@ -69,6 +69,9 @@ def _drive(recipe: Recipe, steps: NDArray[np.int64], course: Array) -> tuple[Arr
         constants, constants.view(np.float64), first, last, course, steps,
         table, moves, lost, stalled, start, rows, dense,
     )  # fmt: skip
+    if recipe.in_the_air:
+        dense[:, 1:4] = start
+        dense[:, 4:7] = 0.0
     return rows, dense
 
 

@@ -111,7 +111,31 @@ def launches(rng: np.random.Generator, duration_s: float) -> Array:
     return np.array(moves)
 
 
+def fast(rng: np.random.Generator, duration_s: float) -> Array:
+    """Return straight legs and arcs at 62 to 90 rpm and turns of whole circles, all steps."""
+    moves = [_move(STOP, 0, 0, 1.0, STEP_SLEW, rng)]
+    while len(moves) < 20 + duration_s:
+        rpm = rng.uniform(62.0, TOP_RPM) * rng.choice([-1.0, 1.0])
+        share = rng.choice([1.0, rng.uniform(0.7, 0.95)])
+        left, right = (rpm, rpm * share)[:: int(rng.choice([-1, 1]))]
+        moves.append(_move(DRIVE, left, right, rng.uniform(1.5, 4.0), STEP_SLEW, rng))
+        moves.append(_move(STOP, 0, 0, rng.uniform(0.5, 1.5), STEP_SLEW, rng))
+        rpm = rng.uniform(62.0, TOP_RPM) * rng.choice([-1.0, 1.0])
+        moves.append(_move(SPIN, -rpm, rpm, rng.uniform(3.0, 9.0), STEP_SLEW, rng))
+        moves.append(_move(STOP, 0, 0, rng.uniform(0.5, 1.0), STEP_SLEW, rng))
+    return np.array(moves)
+
+
+def ramps(rng: np.random.Generator, duration_s: float) -> Array:
+    """Return a mixed drive whose set-points move on ramps."""
+    moves = mixed(rng, duration_s)
+    moves[:, 4] = rng.uniform(40.0, 200.0, len(moves))
+    return moves
+
+
 DRIVES = {
+    "fast": fast,
+    "ramps": ramps,
     "mixed": mixed,
     "spins": spins,
     "straights": straights,

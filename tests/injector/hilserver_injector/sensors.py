@@ -11,6 +11,7 @@ from hilserver_injector.ultra_wideband import blocks_of_residuals
 
 Array = NDArray[np.float64]
 T, X, Y, YAW, V, VY, OM, ANGLE = range(8)
+CORNERS_M = np.array([(5.5, 5.5), (5.5, -5.5), (-5.5, -5.5), (-5.5, 5.5)])
 
 
 def correlated(
@@ -62,6 +63,8 @@ def tag(
     shown_x, shown_y = scale * x, scale * y
     if np.any(bias):
         shown_x, shown_y = shown_x + bias * np.cos(wave * y), shown_y + bias * np.cos(wave * x)
+    pushed_x, pushed_y = _anchor_off(x, y, _value(causes, "nav_anchor_off", n))
+    shown_x, shown_y = shown_x + pushed_x, shown_y + pushed_y
     noise_x, noise_y = _position_noise(recipe, times)
     thrown_x, thrown_y = _outliers(recipe, causes, times)
     shown_yaw = _heading(causes, _at(dense, YAW, times - _value(causes, "yaw_latency", n)))
@@ -98,6 +101,17 @@ def _position_noise(recipe: Recipe, times: Array) -> tuple[Array, Array]:
         correlated(rng, times, noise.position_m, noise.position_correlation_s) for _ in range(2)
     ]
     return white[0] + slow[0], white[1] + slow[1]
+
+
+def _anchor_off(x: Array, y: Array, error_m: Array) -> tuple[Array, Array]:
+    """Return how far least squares of four ranges moves when one anchor measures too long."""
+    if not np.any(error_m):
+        return np.zeros(len(x)), np.zeros(len(x))
+    away = np.stack([x, y], axis=1)[:, None, :] - CORNERS_M
+    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    normal = np.einsum("nki,nkj->nij", away, away)
+    moved = np.linalg.solve(normal, (error_m[:, None] * away[:, 0, :])[:, :, None])[:, :, 0]
+    return moved[:, 0], moved[:, 1]
 
 
 def _outliers(recipe: Recipe, causes: Mapping[str, Array], times: Array) -> tuple[Array, Array]:

@@ -65,7 +65,7 @@ def residuals(folder: str) -> tuple[Array, Array]:
     inside = (stamps > known[0]) & (stamps < known[-1])
     stamps, ranges = stamps[inside], ranges[inside][:, 2::3]
     x, y, z, w, qx, qy, qz = (np.interp(stamps, known, column) for column in truth.T)
-    yaw = _yaw(w, qx, qy, qz, x, y)
+    yaw = np.arctan2(2.0 * (w * qz + qx * qy), 1.0 - 2.0 * (qy**2 + qz**2))
     place = np.stack(
         [
             x + TAG[0] * np.cos(yaw) - TAG[1] * np.sin(yaw),
@@ -82,12 +82,6 @@ def residuals(folder: str) -> tuple[Array, Array]:
     moved = np.linalg.solve(normal, np.einsum("nki,nk->ni", away, errors)[:, :, None])[:, :, 0]
     moved = moved - moved.mean(axis=0)
     return stamps, moved.T
-
-
-def _yaw(w: Array, x: Array, y: Array, z: Array, px: Array, py: Array) -> Array:
-    """Return the heading from a quaternion, whichever of its two orders the file has."""
-    del px, py
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2)))
 
 
 def _columns(path: Path, which: slice, header: int) -> tuple[Array, Array]:
