@@ -93,7 +93,7 @@ def _follow(channel: Channel, first: NDArray[np.int64], changes: Array) -> bool:
 def _thinned(channel: Channel, runs: Runs, period_s: float) -> Channel:
     """Return the first sample of each run and, in longer runs, one per period."""
     begin = np.repeat(channel.t_s[runs.first], runs.length)
-    periods = np.floor((channel.t_s - begin) / period_s + 0.25)
+    periods = np.floor(np.maximum((channel.t_s - begin) / period_s - 0.5, 0.0))
     fresh = np.diff(periods, prepend=-1.0) != 0
     fresh[runs.first] = True
     return subset(channel, fresh)
