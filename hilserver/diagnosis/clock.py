@@ -43,6 +43,11 @@ class Segments:
         """Rows of the dense arrays."""
         return int(self.first[-1])
 
+    @property
+    def longest_s(self) -> float:
+        """Length of the longest segment; 0 without any."""
+        return float((self.end_s - self.start_s).max(initial=0.0))
+
     def times(self, index: int) -> Array:
         """Return the times of the rows of a segment."""
         n = int(self.first[index + 1] - self.first[index])
