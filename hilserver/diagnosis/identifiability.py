@@ -108,7 +108,7 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
         if not physical(trial):
             continue
         difference = trial.loss - point.loss
-        penalty = TIE * (c.n - accepted.candidate.n)
+        penalty = TIE * (c.weight - accepted.candidate.weight)
         worse = float(difference.sum()) + penalty
         z = worse / (np.sqrt((difference**2).sum()) + 1e-9)
         found.append(Rival(c, trial, float(cosine[i]), worse, z))

@@ -40,6 +40,10 @@ class Candidate:
         Size (largest parameter) below which it is not worth a name.
     linear : bool
         Whether the effect is about linear, so that the screen may extrapolate.
+    hidden : int
+        Parameters of its shape that were searched over, beside the fitted ones.
+    moved : callable, optional
+        From a shift of its shape [m] to the candidate with that shape, for a finer search.
     """
 
     cause: str
@@ -53,6 +57,13 @@ class Candidate:
     high: tuple[float, ...]
     least: float
     linear: bool = True
+    hidden: int = 0
+    moved: "Callable[[float], Candidate] | None" = None
+
+    @property
+    def weight(self) -> int:
+        """Parameters that it costs, fitted and hidden."""
+        return self.n + self.hidden
 
     @property
     def n(self) -> int:
@@ -295,27 +306,27 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
 
 
 def _surfaces(place: tuple[float, float, float, float]) -> list[Candidate]:
-    """Half of the floor, cut at a quarter, half and three quarters of the place, either side."""
+    """Part of the floor, cut at several places, either side of the cut."""
     x_min, x_max, y_min, y_max = place
-    wide = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3}
-    found = []
-    for axis, low, high in (("x", x_min, x_max), ("y", y_min, y_max)):
-        for share in (0.25, 0.375, 0.5, 0.625, 0.75):
-            edge = low + share * (high - low)
-            for side in ("min", "max"):
-                region = {**wide, f"{axis}_{side}": edge}
-                fixed = {f"surface_change.{key}": value for key, value in region.items()}
-                found.append(
-                    _several(
-                        "surface_change",
-                        f"surface_change@{axis}_{side}={edge:.2f}",
-                        "pose",
-                        ("surface_change.k_om", "surface_change.v"),
-                        (0.05, 0.05),
-                        0.03,
-                        fixed,
-                        -0.9,
-                        3.0,
-                    )
-                )
-    return found
+    return [
+        _surface(axis, side, low + share * (high - low))
+        for axis, low, high in (("x", x_min, x_max), ("y", y_min, y_max))
+        for share in (0.25, 0.375, 0.5, 0.625, 0.75)
+        for side in ("min", "max")
+    ]
+
+
+def _surface(axis: str, side: str, edge: float) -> Candidate:
+    region = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
+    candidate = _several(
+        "surface_change",
+        f"surface_change@{axis}_{side}={edge:.3f}",
+        "pose",
+        ("surface_change.k_om", "surface_change.v"),
+        (0.05, 0.05),
+        0.03,
+        {f"surface_change.{key}": value for key, value in region.items()},
+        -0.9,
+        3.0,
+    )
+    return replace(candidate, hidden=2, moved=lambda shift_m: _surface(axis, side, edge + shift_m))

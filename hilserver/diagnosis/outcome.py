@@ -18,7 +18,15 @@ from hilserver.diagnosis.vocabulary import CAUSES, part_of
 Array = NDArray[np.float64]
 
 PUBLIC = {"shift.nav": "clock_offset.nav"}
-ROUNDED_S = {"actuation_delay", "control_period"}
+ROUNDED_S = {
+    "actuation_delay",
+    "control_period",
+    "encoder_filter",
+    "imu_latency",
+    "nav_latency",
+    "yaw_latency",
+    "clock_offset",
+}
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:

@@ -190,9 +190,29 @@ def attempt(
     """Fit a candidate together with the accepted causes."""
     c = library.candidates[index]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=5)
+    if c.moved is not None:
+        trial = refine(problem, trial, len(trial.model.fitted) - 1)
+        c = trial.model.fitted[-1].candidate
     if not physical(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
+
+
+def refine(problem: Problem, point: Point, index: int) -> Point:
+    """Search the shape of one cause: a region's edge is moved while the deviance falls."""
+    for shift_m in SHIFTS_M:
+        for side in (1.0, -1.0):
+            f = point.model.fitted[index]
+            assert f.candidate.moved is not None
+            moved = point.model.swapped(index, f.candidate.moved(side * shift_m), f.theta)
+            trial = fit(problem, moved, point, iterations=2)
+            if trial.deviance < point.deviance - 0.1:
+                point = trial
+                break
+    return point
 
 
 def select(
@@ -237,7 +257,7 @@ def _forward(
             trial = attempt(problem, point, library, index, t, p)
             if trial is not None:
                 trials.append(trial)
-        trials.sort(key=lambda trial: -(trial.gain - TIE * trial.candidate.n))
+        trials.sort(key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
         if log is not None:
             log.append(
                 f"round {round_}: critical {limit:.2f}: "

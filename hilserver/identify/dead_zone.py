@@ -85,12 +85,14 @@ def _keys(channel: Channel) -> NDArray[np.void]:
 
 
 def _held(level: Array, speed: Array) -> NDArray[np.bool_]:
-    """Return where a speed is only kept: the same to the last digit while the duty moved on.
+    """Return where a speed is only kept: the same to the last digit while the duty changed sign.
 
-    Encoders that time the edges keep their last speed when no edge comes any more: a stop. Once
-    may be chance; twice in a row is none.
+    Encoders that time the edges keep their last speed when no edge comes any more: a stop.
     """
-    same = (np.diff(speed) == 0.0) & (np.diff(level) != 0.0) & (speed[1:] != 0.0)
-    padded = np.concatenate(([False, False], same, [False]))
-    kept: NDArray[np.bool_] = padded[1:-1] & (padded[:-2] | padded[2:])
+    kept = np.zeros(len(speed), dtype=bool)
+    edges = np.flatnonzero(np.diff(speed) != 0.0) + 1
+    for first, end in zip((0, *edges), (*edges, len(speed)), strict=True):
+        run = level[first:end]
+        if speed[first] != 0.0 and end - first >= 3 and run.min() <= 0.0 <= run.max():
+            kept[first:end] = True
     return kept

@@ -38,11 +38,6 @@ class Step:
     span: int
     at_s: float
 
-    @property
-    def is_first(self) -> bool:
-        """Whether nothing was recorded before it."""
-        return not bool((self.t_s < 0.0).any())
-
 
 def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:
     """Return the steps of ``wheel.{wheel}.{quantity}`` that hold before and after.

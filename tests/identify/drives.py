@@ -5,7 +5,6 @@ import numpy as np
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
 
 STEP_S = 1e-4
-SIGN = {"fl": 1.0, "rl": 1.0, "fr": 1.0, "rr": 1.0}
 
 
 def loop(setpoint_rpm, gain=1.11, t1_s=0.069, t2_s=0.0023):
@@ -20,17 +19,6 @@ def loop(setpoint_rpm, gain=1.11, t1_s=0.069, t2_s=0.0023):
         x += STEP_S * (gain * u - x) / t1_s
         n += STEP_S * (x - n) / t2_s
     return speed, duty
-
-
-def process(duty_pct, gain=1.11, t1_s=0.069, t2_s=0.0023):
-    """Speed for a duty per step of 0.1 ms."""
-    speed = np.zeros(len(duty_pct))
-    x = n = 0.0
-    for i, u in enumerate(duty_pct):
-        speed[i] = n
-        x += STEP_S * (gain * u - x) / t1_s
-        n += STEP_S * (x - n) / t2_s
-    return speed
 
 
 def correlated(rng, t_s, sd, tau_s):

@@ -75,10 +75,18 @@ def sweep(low, high, held=False):
 @pytest.mark.parametrize("held", [False, True])
 def test_dead_zone_lies_between_the_last_turning_and_the_first_resting_duty(held):
     (zone,) = identify_dead_zone(sweep(-15.0, 25.0, held))
-    # The last edge before the stop is still measured at -15 when its speed is kept.
-    assert zone.lower_pct.ci95 == ((-15.0, -14.0) if held else (-16.0, -15.0))
+    assert zone.lower_pct.ci95 == (-16.0, -15.0)
     assert zone.upper_pct.ci95 == (25.0, 26.0)
     assert (zone.held_rows > 0) == held
+
+
+def test_equal_speeds_far_from_rest_are_measured():
+    duty = np.arange(-60.0, 61.0, 1.0)
+    coarse = 30.0 * np.round(np.sign(duty) * np.maximum(np.abs(duty) - 12.0, 0.0) / 10.0)
+    log = measured(duty, {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": coarse})
+    (zone,) = identify_dead_zone(log)
+    assert zone.held_rows == 0
+    assert (zone.lower_pct.value, zone.upper_pct.value) == (-17.5, 17.5)
 
 
 def test_a_sweep_that_never_rests_is_refused():

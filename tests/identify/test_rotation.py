@@ -20,7 +20,7 @@ def punctual():
 
 @pytest.fixture(scope="module")
 def late():
-    """The thesis's figures: reversing every 1.35 s, an IMU 75 ms late makes 1.036 of 1.12."""
+    """The reversal is chosen so that an IMU 75 ms late makes the thesis's 1.036 of its 1.12."""
     return spins(STEADY, imu_late_s=0.075, reverse_s=1.35, rng=np.random.default_rng(1))
 
 
