@@ -1,6 +1,7 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -21,9 +22,13 @@ Array = NDArray[np.float64]
 POSITION: Final = ("nav.x_m", "nav.y_m")
 YAW: Final = "nav.yaw_rad"
 GYRO: Final = "imu.gyro_z_rad_s"
+GOES_ON_S: Final = 0.11
+"""Largest time between the last row of a segment and the first one of the next."""
 TAG: Final = (*POSITION, YAW)
 RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
 MARGIN_S: Final = 1.0
+LEAD_S: Final = 0.7
+"""Simulated before a segment begins: what the navigation shows late happened there."""
 STRIDE: Final = 2
 """Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms will do."""
 
@@ -55,7 +60,8 @@ class PoseStage:
         log = paired(log)
         self.log, self.robot = log, robot
         self.period_s = STRIDE * robot.period_s
-        self.segments = cut(log, self.period_s, longest_s)
+        self.segments = cut(log, self.period_s, longest_s, LEAD_S)
+        self._neighbours = neighbours(log)
         self.left, self.right = self._sides(drive)
         self.angle_0 = self._angles()
         names = [n for n in (*TAG, GYRO) if n in log]
@@ -223,13 +229,16 @@ class PoseStage:
         """Return the left wheels' angle at the start of each segment, counted over the span."""
         angle = np.zeros(len(self.segments))
         step = 0.5 * RADIANS_PER_RPM_S * self.segments.period_s
-        for i in range(1, len(self.segments)):
-            if self.segments.span[i] == self.segments.span[i - 1]:
-                first, end = int(self.segments.first[i - 1]), int(self.segments.first[i])
+        lead, rows = round(self.segments.lead_s / self.segments.period_s), self.segments.first
+        for i in range(len(self.segments)):
+            if i and self.segments.span[i] == self.segments.span[i - 1]:
+                first, end = int(rows[i - 1]), int(rows[i])
                 n = round((self.segments.start_s[i] - self.segments.start_s[i - 1])
                           / self.segments.period_s)  # fmt: skip
                 turned = self.left[first : min(first + n, end)].sum() * step
                 angle[i] = angle[i - 1] + turned
+            else:
+                angle[i] = -self.left[rows[i] : rows[i] + lead].sum() * step
         return angle
 
     def _sides(self, drive: tuple[DriveStage, Array] | None) -> tuple[Array, Array]:
@@ -276,9 +285,28 @@ class PoseStage:
     def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
         if name not in self.log:
             return np.zeros(0), np.zeros(0)
-        t, v = self.log[name].of(span)
+        pieces = [self.log[name].of(s) for s in self._neighbours[span]]
+        t, v = (np.concatenate(column) for column in zip(*pieces, strict=True))
         low, high = np.searchsorted(t, [start_s, end_s])
         return t[low:high], v[low:high]
+
+
+def neighbours(log: MeasuredLog) -> list[list[int]]:
+    """Return each span with those before and behind it that the same drive goes on in.
+
+    Only spans of one block count: between blocks time runs on although the drive does not.
+    """
+    spans = log.spans
+    joined = [
+        a.block is not None and a.block == b.block and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
+        for a, b in pairwise(spans)
+    ]
+    out = []
+    for i in range(len(spans)):
+        first = i - 1 if i and joined[i - 1] else i
+        last = i + 1 if i < len(joined) and joined[i] else i
+        out.append(list(range(first, last + 1)))
+    return out
 
 
 def paired(log: MeasuredLog) -> MeasuredLog:

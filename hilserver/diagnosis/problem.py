@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.drive_stage import DriveStage
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise
+from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.pose_stage import PoseStage
 from hilserver.diagnosis.stack import Stack
 
@@ -26,6 +26,8 @@ MOST_IN_A_ROW = 4
 WHITE = 0.05
 """Largest autocorrelation at the first lags of a channel that is taken for white at once."""
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
+SHORT_S = 6.0
+"""In segments that are all shorter the noise counts as white, see `short_noise`."""
 
 
 def lonely(white: Array) -> NDArray[np.bool_]:
@@ -265,6 +267,9 @@ class Problem:
     # --- noise ------------------------------------------------------------------------------------
     def learn_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
+        if self.stage.segments.longest_s < SHORT_S:
+            self._learn_short_noise(raw)
+            return
         for name in self.stack.channels:
             parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
             if isinstance(self.stage, DriveStage):
@@ -278,6 +283,14 @@ class Problem:
                 if name in self.stack.edges:
                     edge = self.stack.edges[name]
                     self.weights[edge] *= ~lonely(white[edge])
+
+    def _learn_short_noise(self, raw: Array) -> None:
+        self.weights = np.ones(len(self.stack))
+        for name in self.stack.channels:
+            mine = [part for n, _, part in self._runs if n == name]
+            self.noise[name], scale = short_noise([raw[part] for part in mine])
+            for part in mine:
+                self.weights[part] = robust_weights(raw[part] / scale, self.noise[name].tail_dof)
 
 
 Progress = Callable[[str, float], None]

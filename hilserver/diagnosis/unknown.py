@@ -60,7 +60,7 @@ class _Motion:
         self.v = (left - right) * scale
         self.side = (left, right)
         self.t = np.concatenate([
-            stage.segments.start_s[i] + stage.period_s * (r - first[i])
+            stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
             for i, r in enumerate(self.rows)
         ])  # fmt: skip
         self.moving = np.tanh((np.abs(left) + np.abs(right)) / 10.0) ** 2
