@@ -36,6 +36,8 @@ class Assembly:
 
     Attributes
     ----------
+    config : Config
+        What is in force: `from_file` and what options of the command line changed in it.
     path : Path or None
         The configuration file; relative paths in it are relative to its folder.
     base_period_ns : int
@@ -44,6 +46,7 @@ class Assembly:
     """
 
     config: Config
+    from_file: Config
     path: Path | None
     robot: RobotParameters
     table: SignalTable
@@ -140,7 +143,7 @@ class _Builder:
             state=robot.initial_state(),
             hall=robot.hall,
         )
-        return Assembly(config, self._path, robot, table, base_ns, slices, composition)
+        return Assembly(config, config, self._path, robot, table, base_ns, slices, composition)
 
     def _robot(self, periods_s: dict[str, float]) -> RobotParameters:
         config = self._config
