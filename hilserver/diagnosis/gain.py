@@ -103,8 +103,8 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
             if length > 0.6 * horizon_s:
                 runs.append((number, own[0], own[-1]))
             continue
-        for begin in np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s):
-            runs.append((number, begin, begin + horizon_s))
+        begins = np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s)
+        runs += [(number, begin, begin + horizon_s) for begin in begins]
     if len(runs) < FEWEST_RUNS:
         return None
     number, begin, end = (np.array(column) for column in zip(*runs, strict=True))

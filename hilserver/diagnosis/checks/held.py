@@ -59,7 +59,9 @@ def _together(
     """
     own = fresh[name]
     for other in group:
-        if len(log[other]) == len(log[name]) and np.array_equal(along(log[other]), along(log[name])):
+        if len(log[other]) == len(log[name]) and np.array_equal(
+            along(log[other]), along(log[name])
+        ):
             own = own | fresh[other]
     return own
 

@@ -91,7 +91,9 @@ def test_the_cosine_is_that_of_the_columns_without_what_others_explain():
         columns["twin"] @ columns["twin"]
     )
     other = columns["other"]
-    aside = other - columns["twin"] * (other @ columns["twin"]) / (columns["twin"] @ columns["twin"])
+    aside = other - columns["twin"] * (other @ columns["twin"]) / (
+        columns["twin"] @ columns["twin"]
+    )
     wanted = abs(rest @ aside) / np.linalg.norm(rest) / np.linalg.norm(aside)
     found = dict(zip(names, cosines(library, both, index), strict=True))
     assert found["other"] == pytest.approx(wanted, abs=1e-3)
