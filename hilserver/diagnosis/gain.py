@@ -107,9 +107,9 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
         runs += [(number, begin, begin + horizon_s) for begin in begins]
     if len(runs) < FEWEST_RUNS:
         return None
-    number, begin, end = (np.array(column) for column in zip(*runs, strict=True))
-    starts = {n: _nearest(problem, n, number, begin) for n in names}
-    ends = {n: _nearest(problem, n, number, end) for n in names}
+    segments, begin, end = (np.array(column) for column in zip(*runs, strict=True))
+    starts = {n: _nearest(problem, n, segments, begin) for n in names}
+    ends = {n: _nearest(problem, n, segments, end) for n in names}
     length_s = t[ends[names[0]]] - t[starts[names[0]]]
     return Windows(starts, ends, float(np.mean(length_s)))
 

@@ -1,5 +1,6 @@
 """A stage without a robot: samples that are a sum of known columns and noise."""
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,7 @@ def measured_log(values, *, edges=None, blocks=None, period_s=PERIOD_S):
     span = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
     spans = tuple(
         Span(k, None if blocks is None else blocks[k], float(t_s[a]), float(t_s[b - 1]))
-        for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True))
+        for k, (a, b) in enumerate(itertools.pairwise(edges))
     )
     channel = Channel(t_s, values, span)
     return MeasuredLog((Source("toy.csv", "0" * 64),), {SIGNAL: channel}, spans)

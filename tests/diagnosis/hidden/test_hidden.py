@@ -56,7 +56,7 @@ def test_where_nothing_is_hidden_nothing_is_found(log):
     assert not told & set(sizes), "judged and not judged at once"
 
 
-@pytest.mark.parametrize(("cause", "seed", "duration_s", "gains"), NAMED, ids=lambda v: str(v))
+@pytest.mark.parametrize(("cause", "seed", "duration_s", "gains"), NAMED, ids=str)
 def test_the_name_comes_out_with_size_and_sign(cause, seed, duration_s, gains):
     found = diagnosis(cause, seed, duration_s)
     the_cause_is_named(found.findings, cause)
@@ -73,7 +73,7 @@ def test_the_name_comes_out_with_size_and_sign(cause, seed, duration_s, gains):
         }
 
 
-@pytest.mark.parametrize(("cause", "seed", "duration_s", "twins"), GROUPS, ids=lambda v: str(v))
+@pytest.mark.parametrize(("cause", "seed", "duration_s", "twins"), GROUPS, ids=str)
 def test_twins_come_out_as_one_group_with_both_values(cause, seed, duration_s, twins):
     findings = diagnosis(cause, seed, duration_s).findings
     the_twins_are_one_group(findings, *twins)
