@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.assembly import Assembly
+from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
@@ -149,6 +150,11 @@ def judge(
         _with_gain(f, fitted.get(i), judged, totals, after, horizon_s, rng)
         for i, f in enumerate(found)
     ]
+    ceiling: dict[str, float] = {}
+    for stage, j in judged.items():
+        p = j.prepared
+        p.library.rewhiten(j.point)
+        ceiling |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
     sizes, unseen = _detectable(judged, rng)
     lap("gain")
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
@@ -162,7 +168,7 @@ def judge(
         baseline={key: gain.before for key, gain in totals.items()},
         findings=tuple(found),
         total_gain=totals if fitted else {},
-        ceiling={},
+        ceiling=ceiling,
         smallest_detectable=tuple(sizes),
         not_judged=(
             *unseen,

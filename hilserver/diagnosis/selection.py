@@ -25,6 +25,7 @@ from hilserver.diagnosis.screen import (
 Array = NDArray[np.float64]
 
 MOST_CAUSES = 6
+RIDGE = 1e-3
 TRIALS = 8
 """Candidates of a round that are fitted in full: those with the largest linear gain."""
 RIVAL_COSINE = 0.6
@@ -80,6 +81,31 @@ class Library:
             end = begin + spread.shape[1]
             self.columns[:, begin:end] = spread[self.blocks.order]
             begin = end
+
+    def ridge(self, point: Point, rows: NDArray[np.bool_] | None = None) -> Array:
+        """Return coefficients of all directions at once for what a model leaves.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), optional
+            Samples that count, in the order of the blocks; all.
+        """
+        chosen = slice(None) if rows is None else rows
+        columns = self.columns[chosen]
+        norm = np.sqrt(np.einsum("ij,ij->j", columns, columns)) + 1e-30
+        gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
+        left = point.left[self.blocks.order][chosen].astype(np.float32)
+        along = (columns.T @ left).astype(np.float64) / norm
+        return np.asarray(np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm)
+
+    def effect(self, weight: Array, rows: NDArray[np.int64] | slice) -> Array:
+        """Return what coefficients of all directions add to the prediction of some samples."""
+        total = np.zeros(len(self.problem.stack))[rows]
+        for i, raw in enumerate(self.raw):
+            mine = weight[self.owner == i]
+            theta = mine if raw.shape[1] == 1 else np.array(SQUARE).T @ mine / self.norms[i]
+            total += raw[rows] @ theta
+        return np.asarray(total)
 
     def scores(self, point: Point) -> Scores:
         """Score all candidates at a model."""
