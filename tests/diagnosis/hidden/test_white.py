@@ -14,17 +14,19 @@ from tests.diagnosis.hidden.logs import assembly
 
 LAGS = (1, 2, 3, 5, 10, 20)
 LOGS = [("drive", 20.0, 300.0), ("drive", 50.0, 150.0), ("bench", 50.0, 60.0),
-        ("bench", 500.0, 15.0), ("drive", 500.0, 30.0)]  # fmt: skip
+        ("bench", 500.0, 15.0), ("drive", 500.0, 60.0)]  # fmt: skip
 DRIVEN = ("speed_rpm", "duty_pct")
 
 
 @cache
-def prepared(kind, rate_hz, duration_s, robot=None):
+def prepared(kind, rate_hz, duration_s, t1=1.0):
     made = nothing(kind, 11)
     recorder = replace(made.taken, rate_hz=rate_hz)
     made = replace(made, duration_s=duration_s, recorder=recorder)
     log = measured(make(made)[0], made)
-    stages = stages_of(log, robot or assembly().robot)
+    robot = assembly().robot
+    robot = replace(robot, process=replace(robot.process, t1_s=t1 * robot.process.t1_s))
+    stages = stages_of(log, robot)
     return {name: prepare(stage, 1, lambda *_: None)[0] for name, stage in stages.items()}
 
 
@@ -46,7 +48,9 @@ def test_that_noise_is_the_injectors():
     for name, model in (*fitted.items(), *bench.items()):
         for part, sd in wanted.items():
             if part in name:
-                assert model.sd == pytest.approx(sd, rel=0.04), name
+                # the turn rate is made of measured wheel speeds: their noise comes on top
+                most = 1.08 if part == "gyro_z" else 1.03
+                assert 0.97 * sd < model.sd < most * sd, name
     for name in ("nav.x_m", "nav.y_m"):
         assert fitted[name].ou_sd == pytest.approx(noise.position_m, rel=0.15)
         assert fitted[name].ou_tau_s == pytest.approx(noise.position_correlation_s, rel=0.3)
@@ -70,9 +74,7 @@ def test_whitened_residuals_have_unit_size_and_no_memory(log):
 
 
 def test_a_plant_that_is_a_little_wrong_does_not():
-    robot = assembly().robot
-    slower = replace(robot, process=replace(robot.process, t1_s=1.02 * robot.process.t1_s))
-    stage = prepared("bench", 500.0, 15.0, slower)["drive"]
+    stage = prepared("bench", 500.0, 15.0, t1=1.02)["drive"]
     worst = max(
         correlations(stage.problem, stage.base.left, channel)[1]
         for channel in stage.problem.stack.channels
