@@ -180,7 +180,8 @@ def prepare(
 def clean(problem: Problem, library: Library, point: Point) -> None:
     """Learn the noise from what no cause at all can explain, so that no effect hides in it."""
     library.rewhiten(point)
-    norm = np.sqrt(np.einsum("ij,ij->j", library.columns, library.columns)) + 1e-30
+    squares = np.einsum("ij,ij->j", library.columns, library.columns).astype(np.float64)
+    norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
     gram = (library.columns.T @ library.columns).astype(np.float64) / np.outer(norm, norm)
     along = (library.columns.T @ point.left[library.blocks.order].astype(np.float32)) / norm
     weight = np.linalg.solve(gram + 1e-3 * np.eye(len(norm)), along.astype(np.float64)) / norm
