@@ -110,7 +110,8 @@ def _stamps(
     nominal = np.arange(0.0, duration_s, 1.0 / rate_hz)
     most = 0.2 / rate_hz
     moved = nominal + np.clip(JITTER_S * rng.standard_normal(len(nominal)), -most, most)
-    ticks = np.unique(np.clip(np.rint(moved / period_s), 0, None))
+    last = np.floor(duration_s / period_s - 1e-6)
+    ticks = np.unique(np.clip(np.rint(moved / period_s), 0, last))
     return np.asarray(ticks * period_s)
 
 
