@@ -92,7 +92,8 @@ class Library:
         """
         chosen = slice(None) if rows is None else rows
         columns = self.columns[chosen]
-        norm = np.sqrt(np.einsum("ij,ij->j", columns, columns)) + 1e-30
+        squares = np.einsum("ij,ij->j", columns, columns).astype(np.float64)
+        norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
         gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
         left = point.left[self.blocks.order][chosen].astype(np.float32)
         along = (columns.T @ left).astype(np.float64) / norm
