@@ -5,6 +5,7 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -280,7 +281,7 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
             change = np.flatnonzero(np.abs(np.diff(s)) > 4.0) + 1
-            for a, b in zip(change, [*change[1:], len(ts)], strict=True):
+            for a, b in itertools.pairwise([*change, len(ts)]):
                 end = ts[b - 1] if b < len(ts) else ts[-1]
                 low, high = np.searchsorted(t, [ts[a] + 0.25, min(end, ts[a] + 3.0)])
                 if high - low < 5:
