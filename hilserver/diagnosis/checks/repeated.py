@@ -92,10 +92,10 @@ def _missing_share(channel: Channel) -> float:
     if len(steps) < 200:
         return 0.0
     means = np.convolve(steps, np.ones(10) / 10, mode="valid")
-    period_s = float(np.quantile(means, 0.3))
+    period_s = max(float(np.quantile(means, 0.3)), float(np.median(steps)))
     if period_s <= 0 or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
-    lost = np.maximum(np.rint(steps / period_s) - 1, 0)
+    lost = np.maximum(np.floor(steps / period_s + 0.25) - 1, 0)
     share = float(lost.sum() / (lost.sum() + len(steps)))
     long = (lost >= LONG_GAP_ROWS) & (steps > LONG_GAP_S)
     return share if share > ALLOWED_MISSING or long.sum() >= FEWEST_BURSTS else 0.0
