@@ -18,6 +18,8 @@ SHORTEST_BURST = 4
 FEWEST_BURSTS = 3
 ALLOWED_MISSING = 0.04
 """Single rows go missing in sound logs, too."""
+SLOWEST_S = 0.22
+"""Slower channels keep no steady clock of which one could say that a sample is missing."""
 LONG_GAP_ROWS, LONG_GAP_S = 10, 0.15
 
 
@@ -93,7 +95,7 @@ def _missing_share(channel: Channel) -> float:
         return 0.0
     means = np.convolve(steps, np.ones(10) / 10, mode="valid")
     period_s = max(float(np.quantile(means, 0.3)), float(np.median(steps)))
-    if period_s <= 0 or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
+    if not 0 < period_s < SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
     lost = np.maximum(np.floor(steps / period_s + 0.25) - 1, 0)
     share = float(lost.sum() / (lost.sum() + len(steps)))
