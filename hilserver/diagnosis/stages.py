@@ -37,6 +37,7 @@ NEEDS_POSITION = {
     "nav_position_bias",
     "nav_frame_yaw",
 }
+NEEDS_PLACE = {"surface_change", "floor_slope", "heading_distortion", "nav_position_bias"}
 NEEDS_YAW = {"nav_frame_yaw", "yaw_latency", "heading_distortion"}
 NEEDS_GYRO = {"gyro_bias", "gyro_scale", "imu_latency"}
 NEEDS_STAMPS = {
@@ -115,6 +116,9 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
             reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
             if YAW in log or GYRO in log:
                 reasons.pop("wheel_radius", None)
+        if stage.begins_anew:
+            text = "the navigation's frame begins anew with every segment"
+            reasons |= dict.fromkeys(NEEDS_PLACE, text)
         if YAW not in log:
             reasons |= dict.fromkeys(NEEDS_YAW, "no navigation yaw in the log")
         if GYRO not in log:

@@ -41,12 +41,16 @@ class Family:
     columns: Array
 
 
+GRID_S = 0.02
+
+
 class _Motion:
     """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
 
-    def __init__(self, problem: Problem, point: Point, stride: int = 10) -> None:
+    def __init__(self, problem: Problem, point: Point) -> None:
         assert isinstance(problem.stage, PoseStage)
         stage = self.stage = problem.stage
+        stride = max(round(GRID_S / stage.period_s), 1)
         self.problem, self.stride = problem, stride
         dense = stage.simulate(point.model.terms, point.poses)
         self.dt = stage.period_s * stride
@@ -125,8 +129,9 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     columns = [m.column(*d) for h in heading for d in
                ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
                 (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)))]  # fmt: skip
-    families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
-    if POSITION[0] in problem.stack.edges:
+    if not m.stage.begins_anew:
+        families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
+    if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
         shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
                   np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
         families.append(family("place", POSITION, shapes))

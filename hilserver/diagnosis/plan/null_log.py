@@ -104,9 +104,7 @@ def null_log(
     return MeasuredLog(log.sources, {**kept, **noisy}, log.spans)
 
 
-def _stamps(
-    duration_s: float, rate_hz: float, period_s: float, rng: np.random.Generator
-) -> Array:
+def _stamps(duration_s: float, rate_hz: float, period_s: float, rng: np.random.Generator) -> Array:
     nominal = np.arange(0.0, duration_s, 1.0 / rate_hz)
     most = 0.2 / rate_hz
     moved = nominal + np.clip(JITTER_S * rng.standard_normal(len(nominal)), -most, most)

@@ -71,8 +71,8 @@ def choose(found: Sequence[Piece], told: Sequence[Told], duration_s: float) -> l
             best = int(np.lexsort((-rates, counts))[0])
         chosen.append(able[best])
         now, left_s = float(totals[best]), left_s - float(seconds[best])
-        for total, t in zip(sums, told, strict=True):
-            total += t.grams[able[best]]
+        for i, t in enumerate(told):
+            sums[i] = sums[i] + t.grams[able[best]]
     return [found[i] for i in chosen]
 
 
