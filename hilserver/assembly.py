@@ -14,17 +14,19 @@ from typing import Any, TypeVar
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
+from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
 from hilserver.config.root import Config, load_config, without_passwords
 from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
 from hilserver.errors import ConfigError
 from hilserver.kernel import BlockUse, Composition, Part
+from hilserver.kernel.fitted import fitted_limits
 from hilserver.plant.blocks import load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
-from hilserver.signals import BlockOutput, Ranges, SignalTable, robot_table
+from hilserver.signals import MEASURED, BlockOutput, Ranges, SignalTable, robot_table
 
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
@@ -43,6 +45,8 @@ class Assembly:
     base_period_ns : int
     slices : sequence of Slice
         Compiled ones first, in the order in which they run in a tick.
+    patch : Patch or None
+        Laid over the plant of `config`, which stays as it was read.
     """
 
     config: Config
@@ -53,6 +57,7 @@ class Assembly:
     base_period_ns: int
     slices: Sequence[Slice]
     composition: Composition
+    patch: Patch | None = None
 
     @property
     def folder(self) -> Path:
@@ -72,7 +77,7 @@ class Assembly:
             "parameters": digest.hexdigest(),
             "base_period_ns": str(self.base_period_ns),
             "slices": repr(periods),
-        }
+        } | ({} if self.patch is None else {"patch": self.patch.sha256})
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -83,34 +88,38 @@ class Assembly:
             "configuration": without_passwords(self.config),
             "config_sha256": self.config.sha256,
             "config_folder": str(self.folder),
-            "patch": None,
+            "patch": None if self.patch is None else self.patch.provenance,
             "seed": self.config.plant.seed,
             "base_period_ns": self.base_period_ns,
         }
 
 
-def assemble(path: Path | None) -> Assembly:
-    """Load and check a configuration, down to the last signal name.
+def assemble(path: Path | None, patch: Path | None = None) -> Assembly:
+    """Load and check a configuration, and a patch over it, down to the last signal name.
 
     Raises
     ------
     ConfigError
         One sentence per complaint with file, line and key.
     """
-    return _Builder(load_config(path), path).build()
+    laid_over = None if patch is None else load_patch(patch)
+    return _Builder(load_config(path), path, laid_over).build()
 
 
-def assemble_config(config: Config, folder: Path | None = None) -> Assembly:
+def assemble_config(
+    config: Config, folder: Path | None = None, patch: Patch | None = None
+) -> Assembly:
     """Like `assemble`, for a configuration made in Python (tests, test kit)."""
-    return _Builder(config, None if folder is None else folder / "config.yaml").build()
+    return _Builder(config, None if folder is None else folder / "config.yaml", patch).build()
 
 
 class _Builder:
     """Builds an `Assembly`; knows where in the file a complaint belongs."""
 
-    def __init__(self, config: Config, path: Path | None) -> None:
+    def __init__(self, config: Config, path: Path | None, patch: Patch | None) -> None:
         self._config = config
         self._path = path
+        self._patch = patch
         self._folder = Path.cwd() if path is None else path.resolve().parent
 
     def _fail(self, location: Sequence[str | int], message: str) -> ConfigError:
@@ -142,17 +151,21 @@ class _Builder:
             parameters=robot.pack(),
             state=robot.initial_state(),
             hall=robot.hall,
+            fitted=None if self._patch is None else fitted_limits(self._patch.model),
         )
-        return Assembly(config, config, self._path, robot, table, base_ns, slices, composition)
+        return Assembly(
+            config, config, self._path, robot, table, base_ns, slices, composition, self._patch
+        )
 
     def _robot(self, periods_s: dict[str, float]) -> RobotParameters:
         config = self._config
+        plant = config.plant if self._patch is None else self._patch.applied(config.plant)
         try:
-            return to_parameters(
-                config.plant, config.kinematics, config.sensors, periods_s, self._folder
-            )
+            return to_parameters(plant, config.kinematics, config.sensors, periods_s, self._folder)
         except PlantError as error:
             key, _, rest = str(error).partition(": ")
+            if self._patch is not None and (term := self._patch.term_at(key)) is not None:
+                raise self._patch.refusal(term, rest) from None
             raise self._fail(key.split("."), rest) from None
 
     def _slices(self, base_ns: int) -> list[Slice]:
@@ -216,6 +229,12 @@ class _Builder:
         for index, peer in enumerate(self._config.peers):
             for problem in check_signals(peer, table):
                 raise self._fail(("peers", index, *problem.location), problem.message)
+        for name in self._config.shadow.limits:
+            if f"{MEASURED}{name}" not in table:
+                raise self._fail(
+                    ("shadow", "limits", name),
+                    f"nothing measures '{name}'; see the measured.* of 'hilserver signals'",
+                )
         for problem in check_peers(list(self._config.peers)):
             raise self._fail(("peers",), problem.message)
 

@@ -66,6 +66,8 @@ class Control:
         Starts every timing figure anew.
     speed_changed : callable
         Told the new speed factor.
+    measured_pose : callable
+        Where the real robot is, None while nothing measures it.
     """
 
     def __init__(
@@ -80,12 +82,14 @@ class Control:
         safe_ramp_ticks: int,
         reset_statistics: Callable[[], None] = lambda: None,
         speed_changed: Callable[[float], None] = lambda _factor: None,
+        measured_pose: Callable[[], tuple[float, float, float] | None] = lambda: None,
     ) -> None:
         self.state = State.STARTING
         self.reason = "starting"
         self.speed = 1.0
         self.reset_statistics = reset_statistics
         self._speed_changed = speed_changed
+        self._measured_pose = measured_pose
         self.on_reset: list[Callable[[], None]] = []
         self._table = table
         self._image = image
@@ -216,6 +220,22 @@ class Control:
         counter = Row(request, self._pose_requests)
         rows = [Row(self._table.slot(name), value) for name, value in values.items()]
         self._image.push([*rows, counter])
+
+    def align_pose(self) -> None:
+        """Put the robot where the measured one is (shadow mode).
+
+        Raises
+        ------
+        ControlRefused
+            While no measured pose comes in.
+        """
+        pose = self._measured_pose()
+        if pose is None:
+            raise ControlRefused(
+                "AlignPose needs measured.pose.x_m, y_m and yaw_rad, or measured.nav.*, with"
+                " status Good"
+            )
+        self.set_pose(*pose)
 
     async def save_snapshot(self, name: str) -> None:
         """Save the whole state under a plain file name."""

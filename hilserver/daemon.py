@@ -9,6 +9,7 @@ import asyncio
 import dataclasses
 import math
 import time
+from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from typing import Self
 
@@ -50,6 +51,7 @@ from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import (
     StopReason,
 )
+from hilserver.shadow import GapWatch, Pose, measured_pose
 from hilserver.snapshot import SnapshotStore
 from hilserver.supervision import Supervision
 
@@ -132,6 +134,7 @@ class Daemon:
             self.image,
             timeout_is_dead=lambda: self.faults.timeout_is_dead,
         )
+        self.gaps = GapWatch(config.shadow, self.table, self._model_gap, self.events)
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
         self.metrics = Metrics(self._metrics_sources())
@@ -225,6 +228,7 @@ class Daemon:
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
         self.supervision.run()
+        self.gaps.run()
         self._states.serve()
         if self.server is not None:
             self.server.publish_diagnostics()
@@ -283,6 +287,7 @@ class Daemon:
             safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / assembly.base_period_ns),
             reset_statistics=self._reset_statistics,
             speed_changed=self._watch_communication,
+            measured_pose=self._measured_pose,
         )
 
     def _watch_communication(self, speed: float) -> None:
@@ -307,6 +312,13 @@ class Daemon:
         with self.metrics.statistics_reset():
             self.scheduler.statistics.reset()
             self.end_to_end.clear()
+
+    def _model_gap(self) -> Mapping[str, float]:
+        return figures.model_gap(self.gate, self.table, self._frame)
+
+    def _measured_pose(self) -> Pose | None:
+        parameters = self.assembly.composition.parameters
+        return measured_pose(self.gate.newest, self.table, self.image.latest(), parameters)
 
     def _state_name(self) -> str:
         return self.control.state.name.lower()
@@ -349,7 +361,8 @@ class Daemon:
             rejected=lambda: self.gate.rejected,
             end_to_end=self.end_to_end,
             gc_pause=self.scheduler.gc_pauses.pauses,
-            model_gap=lambda: figures.model_gap(self.gate, self.table, self._frame),
+            model_gap=self._model_gap,
+            gap_alarms=lambda: self.gaps.alarms,
             audit=lambda: {item.name: item.ok for item in self.audit},
             faults=self.faults.counts,
             tasks=lambda: len(asyncio.all_tasks()),

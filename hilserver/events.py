@@ -16,6 +16,7 @@ class EventKind(StrEnum):
     PEER_FAULT = "peer_fault"
     SETPOINT_REFUSED = "setpoint_refused"
     SAFE_STATE = "safe_state"
+    MODEL_GAP = "model_gap"
     STATE = "state"
 
 

@@ -257,6 +257,11 @@ class InputGate:
         signals = (self._table.by_slot(slot) for slot in sorted(self._newest))
         return tuple(s.name.removeprefix(MEASURED) for s in signals if s.is_measured)
 
+    def newest(self, name: str) -> float | None:
+        """Return the newest accepted value of a scalar, which the next tick latches; or None."""
+        found = self._newest.get(self._table.slot(name))
+        return None if found is None else found[1]
+
     def take_change(self, latched_rows: int) -> int | None:
         """Return when the oldest unpublished change came in [ns], once a frame contains it."""
         if self._change is None or latched_rows < self._change[1]:

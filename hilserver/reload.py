@@ -86,12 +86,13 @@ class Reloader:
     async def reload(self) -> bool:
         """Read the file and apply it; return False if it was refused as a whole."""
         path = self._daemon.assembly.path
+        patch = None if self._daemon.assembly.patch is None else self._daemon.assembly.patch.path
         if path is None:
             _log.warning("reload: the daemon runs without a configuration file; nothing to read")
             return False
         async with self._lock:
             try:
-                new = (await asyncio.to_thread(assemble, path)).config
+                new = (await asyncio.to_thread(assemble, path, patch)).config
             except ConfigError as error:
                 for line in str(error).splitlines():
                     _log.error("reload refused, the old configuration stays", reason=line)

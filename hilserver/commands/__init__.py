@@ -24,8 +24,11 @@ COMMANDS = {
     "certs": "certificates, trusted clients and passwords of the OPC UA server",
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
+    "diagnose": "what the simulation gets wrong in measured data, why, and what would mend it",
+    "identify": "K_om, step response, update rate, dead zone or noise from a log",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",
+    "scenarios": "sealed logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure every figure that the README quotes",
 }
 

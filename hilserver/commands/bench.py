@@ -13,6 +13,7 @@ BENCHES = {
     "jitter": "wake latency under OPC UA load against cyclictest",
     "attack": "malformed packets and floods against the OPC UA server, beside a healthy client",
     "loop": "set-point to pose and back over TCP, two processes",
+    "diagnose": "hidden causes in hundreds of logs: found, missed, taken for others",
 }
 
 

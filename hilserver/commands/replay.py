@@ -10,8 +10,10 @@ import sys
 import time
 from pathlib import Path
 
-from hilserver.assembly import Assembly, assemble
-from hilserver.commands.options import add_config, config_path
+from hilserver.assembly import Assembly
+from hilserver.commands.options import add_config
+from hilserver.commands.patching import add_patch, assembled
+from hilserver.config.patch import load_patch
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, UserError
 from hilserver.logs import Log, State, open_writer, read_log
 from hilserver.logs.provenance import make_run
@@ -35,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="file for all signals of the replay, .mcap or .csv",
     )
     add_config(parser)
+    add_patch(parser)
     parser.add_argument(
         "--from",
         dest="start",
@@ -66,12 +69,12 @@ def run(args: argparse.Namespace) -> int:
 def _open(args: argparse.Namespace) -> tuple[Log, Assembly]:
     """Read the log and build the plant: that of -c, or that of the log, or the default."""
     if args.config is not None:
-        assembly = assemble(args.config)
+        assembly = assembled(args)
         return read_log(args.log, _names(assembly)), assembly
     log = read_log(args.log)
     if log.is_ours:
-        return log, assembly_of(log)
-    assembly = assemble(config_path(args))
+        return log, assembly_of(log, None if args.patch is None else load_patch(args.patch))
+    assembly = assembled(args)
     return read_log(args.log, _names(assembly)), assembly
 
 

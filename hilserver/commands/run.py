@@ -12,9 +12,10 @@ from pathlib import Path
 
 import uvloop
 
-from hilserver.assembly import Assembly, assemble
+from hilserver.assembly import Assembly
 from hilserver.commands.ending import end_was_asked
-from hilserver.commands.options import add_config, config_path, number_within
+from hilserver.commands.options import add_config, number_within
+from hilserver.commands.patching import add_patch, assembled
 from hilserver.daemon import Daemon
 from hilserver.demo import demo_assembly, running_controller
 from hilserver.errors import EXIT_DONE
@@ -28,8 +29,9 @@ EXAMPLE = "hilserver run --demo"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``-c``, ``--duration`` and ``--demo``."""
+    """Add all options."""
     add_config(parser)
+    add_patch(parser)
     parser.add_argument(
         "--duration", type=_positive, metavar="S", help="stop after so many seconds"
     )
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         args.scenario_schema.write_text(schema + "\n", encoding="utf-8")
         return EXIT_DONE
     play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
-    assembly = _recorded(assemble(config_path(args)), args.record)
+    assembly = _recorded(assembled(args), args.record)
     logging = assembly.config.logging
     limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
     main = (

@@ -13,6 +13,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.server import OpcUaConfig
+from hilserver.config.shadow import ShadowConfig
 from hilserver.config.timing import (
     BlockConfig,
     ControlConfig,
@@ -35,6 +36,7 @@ class Config(Section):
     opcua: OpcUaConfig = Field(default_factory=OpcUaConfig)
     peers: tuple[PeerConfig, ...] = ()
     blocks: tuple[BlockConfig, ...] = ()
+    shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
     recording: RecordingConfig = Field(default_factory=RecordingConfig)
     metrics: MetricsConfig = Field(default_factory=MetricsConfig)

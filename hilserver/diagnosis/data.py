@@ -1,6 +1,6 @@
 """Measured data as all stages see them: channels with their own stamps, in segments."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -103,3 +103,9 @@ class MeasuredLog:
     def with_channels(self, changed: Mapping[str, Channel]) -> "MeasuredLog":
         """Return the log with some channels replaced."""
         return replace(self, channels={**self.channels, **changed})
+
+    def without(self, names: Iterable[str]) -> "MeasuredLog":
+        """Return the log without some channels."""
+        left_out = frozenset(names)
+        kept = {name: c for name, c in self.channels.items() if name not in left_out}
+        return replace(self, channels=kept)

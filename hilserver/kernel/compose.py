@@ -45,6 +45,7 @@ _HEAD = '''"""Generated: the step of one configuration. Read it, do not edit it.
 from math import nan
 
 from hilserver.compiled import kernel
+from hilserver.kernel.fitted import flag_unfitted
 from hilserver.kernel.phases import enter_safe, latch, publish, quality
 from hilserver.plant.robot import robot_step
 from hilserver.plant.sensors import battery_step, imu_step, nav_step, tof_step
@@ -109,6 +110,8 @@ class Composition:
         Period of each slice [s].
     hall : ndarray of float64
         Line segments for the range finders, as `tof_step` takes them, flattened.
+    fitted : ndarray of float64 or None
+        Ranges in which the terms of a patch were fitted; None without a patch.
     """
 
     table: SignalTable
@@ -119,6 +122,7 @@ class Composition:
     parameters: NDArray[np.float64]
     state: NDArray[np.float64]
     hall: NDArray[np.float64]
+    fitted: NDArray[np.float64] | None = None
 
     @property
     def live_regions(self) -> dict[str, int]:
@@ -132,6 +136,8 @@ class Composition:
     def fixed_regions(self) -> dict[str, int]:
         """Regions of the arena that a run does not change."""
         regions = {"p": robot.N_P, "hall": self.hall.size} | REGIONS_FIXED
+        if self.fitted is not None:
+            regions["fitted"] = self.fitted.size
         for block in self.blocks:
             regions[f"{block.name}.p"] = len(block.declaration.parameters)
         return regions
@@ -174,6 +180,8 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     put("p", composition.parameters)
     put("x", composition.state)
     put("hall", composition.hall.ravel())
+    if composition.fitted is not None:
+        put("fitted", composition.fitted)
     for block in composition.blocks:
         values = {**block.declaration.parameters, **block.parameters}
         put(f"{block.name}.p", [values[name] for name in block.declaration.parameters])
@@ -202,6 +210,7 @@ def _source(composition: Composition, image: ProcessImage) -> str:
         f"if phase == {LATCH}:",
         f"    return latch(tick, {command}, {enable}, {state}, values, words)",
         f"if phase == {PUBLISH}:",
+        *_flags(composition, regions),
         "    return publish("
         f"tick, planned_ns, {command}, {robot.N_U}, {robot.N_Y}, {sim}, values, words)",
         f"if phase == {FAULT}:",
@@ -219,6 +228,12 @@ def _source(composition: Composition, image: ProcessImage) -> str:
         lines += [f"    {call}" for call in ("fault = 0", *calls, "return fault")]
     lines.append("return 0")
     return _HEAD + "".join(f"    {line}\n" for line in lines)
+
+
+def _flags(composition: Composition, regions: Mapping[str, Region]) -> list[str]:
+    if composition.fitted is None:
+        return []
+    return [f"    flag_unfitted({regions['fitted'].base}, values, words)"]
 
 
 def _block_calls(

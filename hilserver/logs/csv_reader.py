@@ -9,12 +9,13 @@ from array import array
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError
+from hilserver.logs.csv_fast import parse_clean
 from hilserver.logs.csv_writer import meta_path, unpack_state
 from hilserver.logs.log import Log, State
 from hilserver.logs.provenance import SCHEMA
@@ -27,12 +28,12 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
     """Read a CSV log; see `reading.read_log`."""
     run, states = _read_meta(path)
     names = None if known is None and run is None else _Names(known, run)
-    table = _read_table(path, names, ours=run is not None)
+    table = read_table(path, names, ours=run is not None)
     t_s = table.column(TIME)
     segment = table.integers(SEGMENT)
     if segment is None:
         segment = np.zeros(len(t_s), dtype=np.int64)
-    _check_time(path, table, t_s, segment)
+    check_time(table, TIME, segment)
     return Log(
         path=path,
         t_s=t_s,
@@ -46,32 +47,42 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
 
 
 @dataclass
-class _Table:
+class Table:
     """Numbers as they stand in the file.
 
     Attributes
     ----------
-    lines : list of int
+    header : list of str
+        Names of the columns.
+    numbers : buffer of float64
+        Row after row.
+    lines : sequence of int
         Line of each row in the file.
     """
 
     path: Path
     header: list[str]
-    numbers: "array[float]" = field(default_factory=lambda: array("d"))
-    lines: "array[int]" = field(default_factory=lambda: array("q"))
+    numbers: "array[float] | NDArray[np.float64]" = field(default_factory=lambda: array("d"))
+    lines: "array[int] | range" = field(default_factory=lambda: array("q"))
     notices: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> NDArray[np.float64]:
+        """Return a column, shape (n_rows,)."""
         table = np.frombuffer(self.numbers).reshape(-1, len(self.header))
         return np.ascontiguousarray(table[:, self.header.index(name)])
 
+    def where(self, row: int, name: str) -> str:
+        """Return the place of a number in words."""
+        return _where(self.path, self.lines[row], self.header, name)
+
     def integers(self, name: str) -> NDArray[np.int64] | None:
+        """Return a column of whole numbers, shape (n_rows,); None if there is none."""
         if name not in self.header:
             return None
         numbers = self.column(name)
         wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
         if wrong.size:
-            where = _where(self.path, self.lines[wrong[0]], self.header, name)
+            where = self.where(int(wrong[0]), name)
             raise LogError(f"{where}: {float(numbers[wrong[0]])!r} is no whole number; write one")
         return numbers.astype(np.int64)
 
@@ -97,11 +108,34 @@ def _where(path: Path, line: int, header: Sequence[str], name: str) -> str:
     return f"{path}: row {line}, column {header.index(name) + 1} '{name:.60}'"
 
 
-def _read_table(path: Path, names: _Names | None, *, ours: bool) -> _Table:
+def read_table(
+    path: Path, names: "_Names | None" = None, *, ours: bool = False, time: str | None = TIME
+) -> Table:
+    """Read the numbers of a CSV file.
+
+    Parameters
+    ----------
+    names : optional
+        Which columns it may have; None: any.
+    ours : bool
+        A last line without an end is torn, even if it looks whole.
+    time : str or None
+        A column it must have.
+
+    Raises
+    ------
+    LogError
+        One sentence that names file, row, column and mend.
+    """
+    clean = parse_clean(path.read_bytes())
+    if clean is not None:
+        header, numbers = clean
+        header = _check_header(path, header, names, time)
+        return Table(path, header, numbers.reshape(-1), range(2, len(numbers) + 2))
     csv.field_size_limit(MAX_FIELD_CHARACTERS)
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
-            return _parse(path, file, names, drop_unended=ours)
+            return _parse(path, file, names, time, drop_unended=ours)
         except UnicodeDecodeError as error:
             raise LogError(_undecodable(path, error)) from None
         except csv.Error as error:
@@ -118,11 +152,13 @@ def _undecodable(path: Path, error: UnicodeDecodeError) -> str:
     return f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8"
 
 
-def _parse(path: Path, file: TextIO, names: _Names | None, *, drop_unended: bool) -> _Table:
+def _parse(
+    path: Path, file: TextIO, names: _Names | None, time: str | None, *, drop_unended: bool
+) -> Table:
     lines = _Lines(file)
     reader = csv.reader(lines, strict=True)
     header = next(reader, None)
-    table = _Table(path, _check_header(path, header, names))
+    table = Table(path, _check_header(path, header, names, time))
     width = len(table.header)
     held: tuple[int, list[str]] | None = None
     for row in reader:
@@ -152,18 +188,23 @@ class _Lines:
             yield line
 
 
-def _check_header(path: Path, header: list[str] | None, names: _Names | None) -> list[str]:
+def _check_header(
+    path: Path, header: list[str] | None, names: _Names | None, time: str | None
+) -> list[str]:
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
-    if len(header) == 1 and ";" in header[0]:
-        raise LogError(f"{path}: row 1: columns are separated by ';'; separate them by commas")
+    for separator, name in ((";", "';'"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise LogError(
+                f"{path}: row 1: columns are separated by {name}; separate them by commas"
+            )
     if all(_is_number(name) for name in header):
         raise LogError(
             f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"
         )
-    if TIME not in header:
-        raise LogError(f"{path}: row 1: there is no column 't_s'; name the time column so, in s")
+    if time is not None and time not in header:
+        raise LogError(f"{path}: row 1: there is no column '{time}'; name the time column so, in s")
     for index, name in enumerate(header):
         where = f"{path}: row 1, column {index + 1} '{name:.60}'"
         if name in header[:index]:
@@ -181,7 +222,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _append(table: _Table, line: int, row: list[str]) -> None:
+def _append(table: Table, line: int, row: list[str]) -> None:
     width = len(table.header)
     if len(row) != width:
         raise LogError(
@@ -192,11 +233,11 @@ def _append(table: _Table, line: int, row: list[str]) -> None:
         numbers = list(map(float, row))
     except ValueError:
         numbers = [_number(table, line, i, text) for i, text in enumerate(row)]
-    table.numbers.extend(numbers)
-    table.lines.append(line)
+    cast("array[float]", table.numbers).extend(numbers)
+    cast("array[int]", table.lines).append(line)
 
 
-def _number(table: _Table, line: int, index: int, text: str) -> float:
+def _number(table: Table, line: int, index: int, text: str) -> float:
     if not text.strip():
         return math.nan
     try:
@@ -208,20 +249,24 @@ def _number(table: _Table, line: int, index: int, text: str) -> float:
         ) from None
 
 
-def _check_time(
-    path: Path, table: _Table, t_s: NDArray[np.float64], segment: NDArray[np.int64]
-) -> None:
-    missing = np.flatnonzero(~np.isfinite(t_s))
+def check_time(table: Table, time: str, segment: NDArray[np.int64]) -> None:
+    """Refuse missing times and times that do not rise within a segment.
+
+    Raises
+    ------
+    LogError
+    """
+    t = table.column(time)
+    missing = np.flatnonzero(~np.isfinite(t))
     if missing.size:
-        where = _where(path, table.lines[missing[0]], table.header, TIME)
+        where = table.where(int(missing[0]), time)
         raise LogError(f"{where}: there is no time; every row needs one, in s")
-    fall = np.flatnonzero((np.diff(t_s) <= 0) & (np.diff(segment) == 0))
+    fall = np.flatnonzero((np.diff(t) <= 0) & (np.diff(segment) == 0))
     if fall.size:
-        row = fall[0] + 1
-        where = _where(path, table.lines[row], table.header, TIME)
+        row = int(fall[0]) + 1
         raise LogError(
-            f"{where}: {float(t_s[row])!r} does not rise after {float(t_s[row - 1])!r}; sort the"
-            " rows, or tell runs apart by a column 'segment'"
+            f"{table.where(row, time)}: {float(t[row])!r} does not rise after"
+            f" {float(t[row - 1])!r}; sort the rows, or tell runs apart by a column 'segment'"
         )
 
 

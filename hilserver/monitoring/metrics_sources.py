@@ -136,6 +136,8 @@ class MetricsSources:
         Set-point change to the first published output that contains it; pauses of the collector.
     model_gap : callable
         Channel -> measured minus simulated, in the unit of the channel.
+    gap_alarms : callable
+        Channel with a limit in the configuration -> its gap exceeds it.
     audit : callable
         Item of the real-time audit -> fulfilled.
     faults : callable
@@ -157,6 +159,7 @@ class MetricsSources:
     end_to_end: DurationCounts = field(default_factory=Histogram125)
     gc_pause: DurationCounts = field(default_factory=Histogram125)
     model_gap: Callable[[], Mapping[str, float]] = dict
+    gap_alarms: Callable[[], Mapping[str, bool]] = dict
     audit: Callable[[], Mapping[str, bool]] = dict
     faults: Callable[[], Mapping[str, int]] = dict
     tasks: Callable[[], int] = lambda: 0

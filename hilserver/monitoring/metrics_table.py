@@ -142,6 +142,11 @@ def _model_gap(sources: MetricsSources) -> Iterator[Row]:
         yield (channel,), gap
 
 
+def _gap_alarms(sources: MetricsSources) -> Iterator[Row]:
+    for channel, is_on in sorted(sources.gap_alarms().items()):
+        yield (channel,), float(is_on)
+
+
 def _faults(sources: MetricsSources) -> Iterator[Row]:
     for kind, number in sources.faults().items():
         yield (kind,), float(number)
@@ -303,6 +308,13 @@ METRICS: tuple[Metric, ...] = (
         "Measured minus simulated value of a channel, in the channel's unit.",
         ("channel",),
         _model_gap,
+    ),
+    Metric(
+        "hil_model_gap_alarm",
+        Kind.GAUGE,
+        "1 while the gap of a channel exceeds shadow.limits, else 0.",
+        ("channel",),
+        _gap_alarms,
     ),
     Metric(
         "hil_faults",

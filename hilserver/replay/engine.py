@@ -22,7 +22,7 @@ QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11
 BATCH_TICKS = 1 << 10
 RUNNING, IN_ROWS = 1, -1
-_OF_THE_CONFIGURATION = ("parameters", "base_period_ns", "slices")
+_OF_THE_CONFIGURATION = ("parameters", "base_period_ns", "slices", "patch")
 
 
 class Engine:

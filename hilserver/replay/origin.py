@@ -5,6 +5,7 @@ from pathlib import Path
 import yaml
 
 from hilserver.assembly import Assembly, assemble_config
+from hilserver.config.patch import Patch, patch_of
 from hilserver.config.root import Config
 from hilserver.errors import ConfigError, LogError
 from hilserver.logs import Log
@@ -13,8 +14,8 @@ SECTIONS = ("plant", "kinematics", "sensors", "scheduler", "blocks")
 """What the plant depends on; addresses and passwords of the run do not matter."""
 
 
-def assembly_of(log: Log) -> Assembly:
-    """Build what the recorded run was built from.
+def assembly_of(log: Log, patch: Patch | None = None) -> Assembly:
+    """Build what the recorded run was built from, or the same with another patch.
 
     Raises
     ------
@@ -29,13 +30,14 @@ def assembly_of(log: Log) -> Assembly:
     try:
         data = yaml.safe_load(text)
         config = Config.model_validate({k: data[k] for k in SECTIONS if k in data})
-    except (yaml.YAMLError, ValueError, TypeError):
+        laid_over = patch or patch_of(log.run)
+    except (yaml.YAMLError, ValueError, TypeError, KeyError):
         raise LogError(
             f"{log.path}: its configuration is not one of this version"
             f" ({log.run.get('version', 'unknown')} made it); name one with -c and --as-inputs"
         ) from None
     try:
-        return assemble_config(config, Path(log.run["config_folder"]))
+        return assemble_config(config, Path(log.run["config_folder"]), laid_over)
     except ConfigError as error:
         raise ConfigError(
             f"{log.path}: its configuration cannot be used here: {error}; name it with -c"

@@ -24,7 +24,8 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 MOST_SERIES = 300
 NO_STIMULUS = {
-    "hil_model_gap",  # nothing measures the real robot yet
+    "hil_model_gap",  # nothing measures the real robot here; see test_shadow
+    "hil_model_gap_alarm",
     "hil_build_info",  # says what runs
     "hil_audit_ok",  # says what the computer is
 }

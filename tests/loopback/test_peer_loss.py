@@ -67,7 +67,7 @@ def speed(daemon, wheel="fl"):
 async def driven(daemon, peer, rpm=50.0):
     """Wait until the wheels follow the peer."""
     peer.set(rpm, rpm, -rpm, -rpm)
-    await wait_until(lambda: abs(speed(daemon) - rpm) < 1.0)
+    await wait_until(lambda: daemon.image.head > 0 and abs(speed(daemon) - rpm) < 1.0)
 
 
 def status(daemon, name):

@@ -44,6 +44,7 @@ class FakeDaemon:
         self.end_to_end = Histogram125()
         self.gc_pause = Histogram125()
         self.model_gap: dict[str, float] = {}
+        self.gap_alarms: dict[str, bool] = {}
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
         self.tasks = 8
@@ -59,6 +60,7 @@ class FakeDaemon:
             end_to_end=self.end_to_end,
             gc_pause=self.gc_pause,
             model_gap=lambda: self.model_gap,
+            gap_alarms=lambda: self.gap_alarms,
             audit=lambda: self.audit,
             faults=lambda: self.faults,
             tasks=lambda: self.tasks,

@@ -88,6 +88,7 @@ STIMULI = {
     "hil_clock_offset_seconds": lambda d: setattr(d.peers[0], "clock_offset_s", -0.25),
     "hil_gc_pause_seconds_bucket": lambda d: d.gc_pause.observe(3_000_000),
     "hil_model_gap": lambda d: d.model_gap.update({"pose.x_m": 0.1}),
+    "hil_model_gap_alarm": lambda d: d.gap_alarms.update({"pose.x_m": True}),
     "hil_faults": lambda d: d.faults.update(injected=2),
     "hil_asyncio_tasks": lambda d: setattr(d, "tasks", 9),
     "hil_audit_ok": lambda d: d.audit.update(rtprio=True),
@@ -161,7 +162,7 @@ def test_unknown_figures_are_left_out_instead_of_invented(metrics: Metrics) -> N
     names = {name for name, _ in series_of_text(metrics.render()[0].decode())}
     assert names.isdisjoint(
         {"hil_wake_jitter_seconds", "hil_margin_min_seconds", "hil_clock_offset_seconds"}
-        | {"hil_input_age_seconds", "hil_model_gap"}
+        | {"hil_input_age_seconds", "hil_model_gap", "hil_model_gap_alarm"}
     )
 
 

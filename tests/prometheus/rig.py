@@ -56,6 +56,7 @@ def assembly(endpoint: str, port: int, *, blocks: bool, **realtime: object) -> A
             },
             "peers": [demo_peer(endpoint, name="iot2050").model_dump(mode="json")],
             "blocks": [burn] if blocks else [],
+            "shadow": {"limits": {"wheel.fl.speed_rpm": 120.0}, "after_s": 0.0},
         }
     )
     return assemble_config(config, HERE)

@@ -68,4 +68,5 @@ METHODS = (
             Argument("yaw", ValueType.DOUBLE, "Heading, counter-clockwise positive [rad]"),
         ),
     ),
+    Method("AlignPose", "Put the robot where the measured one is"),
 )

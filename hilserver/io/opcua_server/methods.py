@@ -101,6 +101,7 @@ class Methods:
             **_fault_handlers(faults),
             "ResetStatistics": reset_statistics,
             "SetPose": control.set_pose,
+            "AlignPose": control.align_pose,
         }
 
     def __contains__(self, method_id: object) -> bool:

@@ -27,6 +27,7 @@ TYPE_NAMES: dict[EventKind, str] = {
     EventKind.PEER_FAULT: "PeerFaultEventType",
     EventKind.SETPOINT_REFUSED: "SetPointRefusedEventType",
     EventKind.SAFE_STATE: "SafeStateEventType",
+    EventKind.MODEL_GAP: "ModelGapEventType",
     EventKind.STATE: "StateChangedEventType",
 }
 _WINDOW_S = 1.0

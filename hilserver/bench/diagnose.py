@@ -1,0 +1,169 @@
+"""The campaign: hidden causes in hundreds of logs, diagnosed in processes, then scored.
+
+Results are appended to a file as they come: an interrupted campaign goes on where it stopped.
+"""
+
+import argparse
+import datetime
+import json
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+from hilserver_injector.cases import CLASSES, Case, cases, singles
+from hilserver_injector.causes import CAUSES, REQUIRED
+
+from hilserver import __version__
+from hilserver.bench.diagnose_table import Record, markdown, rows
+from hilserver.bench.diagnose_worker import Staged, changed, work
+from hilserver.bench.report import Result
+from hilserver.diagnosis.many import in_processes
+from hilserver.errors import FailedError
+from hilserver.scenarios import SCENARIOS
+
+GROUPS = (*CLASSES, "scenario", "size")
+"""`size` hides every cause at the smallest size that the null logs say they would have shown."""
+PROGRESS_EVERY_S = 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the campaign."""
+    parser.add_argument(
+        "--class", dest="groups", default=",".join(GROUPS), metavar="A,B",
+        help=f"classes of cases: {', '.join(GROUPS)}; default: all",
+    )  # fmt: skip
+    parser.add_argument("--only", default="", metavar="NAME,..", help="only cases of these names")
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="seeds; default 20")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="N", help="default 0")
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes; default 2")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="shorter logs, for a quick look"
+    )
+    parser.add_argument(
+        "--measured-noise", action="store_true",
+        help="position noise from the ultra-wideband recording in HIL_DATA_DIR",
+    )  # fmt: skip
+    parser.add_argument(
+        "--results", type=Path, default=Path("diagnose-results"), metavar="DIR",
+        help="folder of the results so far; the campaign goes on from them",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the tables as Markdown")
+
+
+def run(args: argparse.Namespace) -> list[Result]:
+    """Run what has no result yet, print the tables and return their rows."""
+    if args.seeds < 1 or args.jobs < 1:
+        msg = "--seeds and --jobs must be at least 1."
+        raise FailedError(msg)
+    commit = _commit()
+    length = "" if args.duration is None else f"-{args.duration:g}s"
+    noise = "-measured-noise" if args.measured_noise else ""
+    file = args.results / f"{commit}{length}{noise}.jsonl"
+    args.results.mkdir(parents=True, exist_ok=True)
+    records = {record["key"]: record for record in _read(file)}
+    asked: list[str] = []
+    for group in _groups(args.groups):
+        wanted = list(_wanted(args, group, list(records.values())))
+        asked += [case.key for case in wanted]
+        open_cases = [case for case in wanted if case.key not in records]
+        for record in _work_off(open_cases, args.jobs, file, group):
+            records[record["key"]] = record
+    mine = [records[key] for key in asked if key in records]
+    text = markdown(mine, _heading(commit))
+    print(text)
+    if args.out is not None:
+        args.out.write_text(text, encoding="utf-8")
+    return [row.as_result() for row in rows(mine) if row.trials]
+
+
+def _groups(text: str) -> list[str]:
+    groups = [word.strip() for word in text.split(",") if word.strip()]
+    for group in groups:
+        if group not in GROUPS:
+            msg = f"--class {group}: no such class; there are {', '.join(GROUPS)}."
+            raise FailedError(msg)
+    return groups
+
+
+def _wanted(
+    args: argparse.Namespace, group: str, records: Sequence[Record]
+) -> Iterator[Case | Staged]:
+    seeds = range(args.first_seed, args.first_seed + args.seeds)
+    only = {word for word in args.only.split(",") if word}
+    if group == "scenario":
+        yield from (Staged(n, s) for n in SCENARIOS if not only or n in only for s in seeds)
+        return
+    found = _at_smallest_size(records, seeds) if group == "size" else cases(group, seeds)
+    for case in found:
+        if not only or only & set(case.name.split("+")):
+            yield changed(case, args.duration, args.measured_noise)
+
+
+def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]:
+    """Yield every required cause at the size that null logs of its kind state, median over them."""
+    nulls = [r for r in records if r["group"] == "null"]
+    if not nulls:
+        msg = "--class size needs the sizes that null logs state: run --class null,size."
+        raise FailedError(msg)
+    for name in REQUIRED:
+        cause = CAUSES[name]
+        stated = [r["smallest"] for r in nulls if r["kind"] == cause.kind]
+        sizes = [s[key] for s in stated for key in (cause.parameter, name) if key in s]
+        if not sizes or name == "setpoint_rate_limit":
+            continue
+        scale = median(sizes) / abs(cause.size - cause.base)
+        for seed in seeds:
+            for case in singles(seed, scale, (name,)):
+                yield replace(case, group="size")
+
+
+def _work_off(todo: Sequence[Case | Staged], jobs: int, file: Path, group: str) -> Iterator[Record]:
+    begin, shown = time.monotonic(), 0.0
+    with file.open("a", encoding="utf-8") as out:
+        for done, (_, record) in enumerate(in_processes(work, todo, jobs), 1):
+            out.write(json.dumps(record) + "\n")
+            out.flush()
+            yield record
+            now = time.monotonic() - begin
+            if now - shown > PROGRESS_EVERY_S or done == len(todo):
+                shown = now
+                left = now / done * (len(todo) - done)
+                print(f"{group}: {done} of {len(todo)}, {left:.0f} s left", file=sys.stderr)
+
+
+def _read(file: Path) -> Iterator[Record]:
+    """Yield the results so far; a last line that was cut off is dropped."""
+    if not file.exists():
+        return
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            yield json.loads(line)
+        except ValueError:
+            continue
+
+
+def _commit() -> str:
+    """Return the commit of the sources, with ``-changed`` when they differ from it."""
+    folder = Path(__file__).parent
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(folder), *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    commit = git("rev-parse", "--short=10", "HEAD")
+    if not commit:
+        return f"version-{__version__}"
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", "..")
+    return f"{commit}-changed" if changed else commit
+
+
+def _heading(commit: str) -> list[str]:
+    words = shlex.join(["hilserver", *sys.argv[1:]])
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return ["# Campaign of the diagnosis", "", f"`{words}`, commit `{commit}`, {today}."]

@@ -1,0 +1,155 @@
+"""A diagnosis against the truth: what was right, what was wrong, what was missed."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+from hilserver_injector.cases import Answer, Case
+
+from hilserver.diagnosis.findings import Finding, Findings, Verdict
+from hilserver.plant.terms import TERMS, main_part
+
+LARGEST_GROUP: Final = 5
+"""A group that lists everything is a wrong answer."""
+WITHIN: Final = 0.2
+_NAMES: Final = frozenset(
+    {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}
+)
+_SILENT: Final = frozenset({Verdict.INSUFFICIENT_EXCITATION, Verdict.NO_DIFFERENCE})
+
+
+@dataclass
+class Value:
+    """A fitted value beside the true one."""
+
+    true: float
+    fitted: float
+    in_ci95: bool | None
+    within_20: bool
+
+
+@dataclass
+class Score:
+    """What came of one case.
+
+    Attributes
+    ----------
+    outcome : str
+        right, missed, vague (a group of too many, or another verdict for the right cause),
+        unknown (a structure outside the library instead of the name) or, where nothing is hidden,
+        false_alarm.
+    wrong : list of str
+        Names that a finding gave with confidence and that do not hold the truth.
+    found : list of str
+        All findings, as ``verdict:cause|cause``.
+    """
+
+    outcome: str
+    wrong: list[str] = field(default_factory=list)
+    found: list[str] = field(default_factory=list)
+    values: dict[str, Value] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain data."""
+        return asdict(self)
+
+
+def bare(name: str) -> str:
+    """Return the cause of ``cause.part`` or ``cause.channel``."""
+    return name.partition(".")[0]
+
+
+def names(finding: Finding) -> frozenset[str]:
+    """Return the causes of a finding without their parts."""
+    return frozenset(bare(cause) for cause in finding.causes)
+
+
+def score(case: Case, findings: Findings) -> Score:
+    """Compare the findings on a case's log with its answer."""
+    answer = case.answer
+    loud = [finding for finding in findings.findings if finding.verdict not in _SILENT]
+    result = Score(
+        outcome="missed",
+        wrong=["|".join(sorted(names(f))) for f in loud if _is_wrong(f, answer)],
+        found=[f"{finding.verdict}:{'|'.join(sorted(names(finding)))}" for finding in loud],
+    )
+    if answer.verdict == "nothing_found":
+        result.outcome = "false_alarm" if loud else "right"
+    elif answer.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY:
+        result.outcome = _outside(loud, answer, result.wrong)
+    else:
+        result.outcome = _worst([_one(loud, wanted, answer) for wanted in answer.causes])
+        result.values = _values(loud, answer)
+    return result
+
+
+def _is_wrong(finding: Finding, answer: Answer) -> bool:
+    """Return whether a finding names with confidence what is not there."""
+    if finding.verdict not in _NAMES:
+        return False
+    truth = frozenset().union(*answer.causes) if answer.causes else frozenset()
+    return not names(finding) & truth
+
+
+def _one(loud: Sequence[Finding], wanted: frozenset[str], answer: Answer) -> str:
+    """Return the outcome for one thing that is hidden."""
+    holding = [f for f in loud if f.verdict in _NAMES and names(f) & wanted]
+    if not holding:
+        unknown = any(f.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY for f in loud)
+        return "unknown" if unknown else "missed"
+    for finding in holding:
+        if len(finding.causes) > LARGEST_GROUP:
+            continue
+        if answer.verdict == Verdict.NAMED_GROUP and len(names(finding) & answer.together) < 2:
+            continue  # one of two twins alone: a coin was tossed
+        if answer.verdict in {Verdict.DRIFT, Verdict.DATA_FAULT} and (
+            finding.verdict != answer.verdict
+        ):
+            continue
+        return "right"
+    return "vague"
+
+
+def _worst(outcomes: Sequence[str]) -> str:
+    for outcome in ("missed", "unknown", "vague"):
+        if outcome in outcomes:
+            return outcome
+    return "right"
+
+
+def _outside(loud: Sequence[Finding], answer: Answer, wrong: Sequence[str]) -> str:
+    flagged = [f for f in loud if f.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY]
+    if not flagged:
+        return "missed"
+    first = {finding.regressors[0] for finding in flagged if finding.regressors}
+    return "right" if first & answer.regressors and not wrong else "vague"
+
+
+def _values(loud: Sequence[Finding], answer: Answer) -> dict[str, Value]:
+    """Return every scored parameter that was fitted under its true name."""
+    fitted: dict[str, Any] = {}
+    for finding in loud:
+        if finding.verdict in {Verdict.NAMED, Verdict.NAMED_GROUP}:
+            fitted |= {_full(name): value for name, value in finding.parameters.items()}
+    scored = {}
+    for name, true in answer.values.items():
+        parameter = fitted.get(_full(name))
+        if parameter is None or not math.isfinite(parameter.value):
+            continue
+        null = TERMS[_full(name)].null or 0.0
+        ci = parameter.ci95
+        scored[name] = Value(
+            true=true,
+            fitted=parameter.value,
+            in_ci95=None if ci is None else ci[0] <= true <= ci[1],
+            within_20=abs(parameter.value - true) <= WITHIN * abs(true - null),
+        )
+    return scored
+
+
+def _full(name: str) -> str:
+    return main_part(name) if bare(name) in _CAUSES else name
+
+
+_CAUSES: Final[Mapping[str, None]] = {term.cause: None for term in TERMS.values()}

@@ -1,0 +1,133 @@
+"""One case of the campaign in a worker process: make the log, diagnose it, open the truth."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
+from typing import Any, Protocol
+
+import numpy as np
+from hilserver_injector import Recipe, Table, make
+from hilserver_injector.cases import Case
+
+from hilserver.assembly import Assembly, assemble
+from hilserver.bench.diagnose_scoring import Score, score
+from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
+from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.findings import Findings
+from hilserver.scenarios import judge, scenario
+from hilserver.scenarios.expectation import causes_of
+
+
+class Diagnose(Protocol):
+    """The engine, as the campaign calls it."""
+
+    def __call__(
+        self, log: MeasuredLog, assembly: Assembly, *, seed: int, jobs: int, progress: None
+    ) -> Diagnosis:
+        """Return the diagnosis of a log."""
+
+
+@cache
+def _engine() -> tuple[Diagnose, Assembly]:
+    engine: Diagnose = import_module("hilserver.diagnosis.engine").diagnose
+    return engine, assemble(None)
+
+
+def measured(table: Table, recipe: Recipe) -> MeasuredLog:
+    """Return the log as the reader would: empty cells are no samples."""
+    channels = {}
+    for name, values in table.columns.items():
+        there = np.isfinite(values)
+        span = np.zeros(int(there.sum()), dtype=np.int64)
+        channels[name] = Channel(table.t_s[there], values[there], span)
+    span_of_log = Span(0, None, float(table.t_s[0]), float(table.t_s[-1]))
+    source = Source(f"{recipe.kind}-{recipe.seed}.csv", "0" * 64)
+    return MeasuredLog((source,), channels, (span_of_log,))
+
+
+@dataclass(frozen=True, slots=True)
+class Staged:
+    """One drawing of a scenario, as a case of the campaign."""
+
+    name: str
+    seed: int
+    group: str = "scenario"
+    kind: str = "scenario"
+
+    @property
+    def key(self) -> str:
+        """Its name among all cases of a campaign."""
+        return f"{self.group}/{self.name}/{self.seed}"
+
+
+def work(case: Case | Staged) -> dict[str, Any]:
+    """Return the record of one case: plain data, one line of the results file.
+
+    An engine that breaks on a log is a result too: outcome ``crashed``.
+    """
+    seed, kind = (
+        (case.seed, case.kind) if isinstance(case, Staged) else (case.recipe.seed, case.recipe.kind)
+    )
+    record = {
+        "key": case.key, "group": case.group, "name": case.name, "seed": seed, "kind": kind,
+    }  # fmt: skip
+    logs, against = _logs(case)
+    begin, smallest = time.perf_counter(), {}
+    try:
+        found = _findings(logs, against, seed)
+        result = _judged(case, found) if isinstance(case, Staged) else score(case, found)
+        smallest = {row.cause: row.size for row in found.smallest_detectable}
+    except Exception as error:  # noqa: BLE001 (the campaign goes on)
+        result = Score(outcome="crashed", found=[f"{type(error).__name__}: {error}"])
+    seconds = time.perf_counter() - begin
+    return record | {"seconds": seconds, "smallest": smallest} | result.as_json()
+
+
+def _logs(case: Case | Staged) -> tuple[MeasuredLog, MeasuredLog | None]:
+    """Return the log of a case and, if two are to be compared, the other one."""
+    if not isinstance(case, Staged):
+        return measured(make(case.recipe)[0], case.recipe), None
+    drive = scenario(case.name).draw(case.seed)
+    return _pooled(drive.logs), _pooled(drive.against) if drive.against else None
+
+
+def _findings(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Findings:
+    engine, assembly = _engine()
+    if against is None:
+        return engine(log, assembly, seed=seed, jobs=1, progress=None).findings
+    compare = import_module("hilserver.diagnosis.compare").compare
+    compared: Diagnosis = compare(log, against, assembly, seed=seed, jobs=1, progress=None)
+    return compared.findings
+
+
+def _pooled(recipes: Mapping[str, Recipe]) -> MeasuredLog:
+    """Return several logs of one machine as one, as the reader does."""
+    logs = [measured(make(recipe)[0], recipe) for recipe in recipes.values()]
+    channels = {}
+    for name in logs[0].channels:
+        parts = [log[name] for log in logs]
+        channels[name] = Channel(
+            np.concatenate([part.t_s for part in parts]),
+            np.concatenate([part.values for part in parts]),
+            np.concatenate([part.span + k for k, part in enumerate(parts)]),
+        )
+    spans = tuple(replace(log.spans[0], number=k) for k, log in enumerate(logs))
+    return MeasuredLog(tuple(log.sources[0] for log in logs), channels, spans)
+
+
+def _judged(case: Staged, found: Findings) -> Score:
+    verdict = judge(scenario(case.name).draw(case.seed).expectation, found)
+    said = [f"{f.verdict}:{'|'.join(sorted(causes_of(f)))}" for f in found.findings]
+    return Score("right" if verdict.right else "missed", wrong=list(verdict.wrong), found=said)
+
+
+def changed(case: Case, duration_s: float | None, measured_noise: bool) -> Case:
+    """Return the case with a log of another duration, or with the position noise of a recording."""
+    recipe = case.recipe
+    if duration_s is not None:
+        recipe = replace(recipe, duration_s=duration_s)
+    if measured_noise:
+        recipe = replace(recipe, noise=replace(recipe.noise, measured_position=True))
+    return replace(case, recipe=recipe)

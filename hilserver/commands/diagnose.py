@@ -1,0 +1,176 @@
+"""Measured data in, findings out: what the simulation gets wrong, why, and what would mend it.
+
+Writes findings.json, report.html and, where the model can be extended, model_patch.yaml. Several
+logs are taken for one machine and pooled, unless --each gives every log a report of its own.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+from hilserver.commands.options import add_config, config_path
+from hilserver.diagnosis.many import in_processes, on_cluster
+from hilserver.diagnosis.output import REPORT, write
+from hilserver.diagnosis.pipeline import Outcome, Task
+from hilserver.diagnosis.pipeline import run as diagnose
+from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
+
+EXAMPLE = "hilserver diagnose run1.csv run2.csv -c config.yaml -o diagnosis"
+PROGRESS_AFTER_S = 2.0
+_ERRORS = {2: LogError, 78: ConfigError}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="logs of one machine")
+    add_config(parser)
+    parser.add_argument(
+        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the report"
+    )
+    parser.add_argument("--seed", type=_whole, default=0, help="of all random draws; default 0")
+    parser.add_argument(
+        "--jobs", type=_count, default=os.cpu_count() or 1, help="processes; default: all cores"
+    )
+    parser.add_argument(
+        "--each", action="store_true", help="a report for every log, in a folder of its name"
+    )
+    parser.add_argument(
+        "--dask", metavar="ADDRESS", help="with --each: on this Dask cluster, as tcp://host:8786"
+    )
+    parser.add_argument(
+        "--compare", nargs="+", type=Path, metavar="A", help="logs before, without LOG"
+    )
+    parser.add_argument(
+        "--against", nargs="+", type=Path, metavar="B", help="logs after: do they differ, in what?"
+    )
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 2**32:
+        raise argparse.ArgumentTypeError(f"{text} is no seed (0 .. 4294967295)")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 1024:
+        raise argparse.ArgumentTypeError(f"{text} is no number of processes (1 .. 1024)")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose; return 0 whatever was found, 2 if a log cannot be read."""
+    _check(args)
+    if args.each:
+        return _each(args)
+    task = Task(
+        logs=tuple(args.compare or args.logs),
+        against=tuple(args.against or ()),
+        config=config_path(args),
+        mapping=args.mapping,
+        seed=args.seed,
+        jobs=args.jobs,
+    )
+    progress = _Progress()
+    try:
+        outcome = diagnose(task, progress)
+    finally:
+        progress.end()
+    if outcome.error:
+        raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error)
+    write(args.out, outcome.files)
+    print(outcome.summary)
+    print(f"The report is {args.out / REPORT}")
+    return EXIT_DONE
+
+
+def _check(args: argparse.Namespace) -> None:
+    if bool(args.compare) != bool(args.against):
+        raise FailedError("--compare and --against go together: logs before, logs after")
+    if args.compare and (args.logs or args.each):
+        raise FailedError("--compare A... --against B... takes no other logs and no --each")
+    if not args.compare and not args.logs:
+        raise FailedError("name at least one log, or two sets with --compare and --against")
+    if args.dask and not args.each:
+        raise FailedError("--dask distributes many logs: use it with --each")
+    if args.out.exists() and not args.out.is_dir():
+        raise FailedError(f"{args.out}: is a file; name a folder for the report")
+
+
+def _each(args: argparse.Namespace) -> int:
+    config = config_path(args)
+    config = None if config is None else config.absolute()
+    mapping = args.mapping
+    if mapping is not None and Path(mapping).exists():
+        mapping = str(Path(mapping).absolute())
+    tasks = [Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs]
+    folders = _folders(args.logs)
+    code, progress, done = EXIT_DONE, _Progress(), 0
+    try:
+        for index, outcome in _outcomes(args, tasks):
+            done += 1
+            progress(f"{done} of {len(tasks)} logs", done / len(tasks))
+            if outcome.error:
+                code = max(code, outcome.exit_code)
+                progress.say(f"hilserver: {outcome.error}", sys.stderr)
+                continue
+            write(args.out / folders[index], outcome.files)
+            progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
+    finally:
+        progress.end()
+    return code
+
+
+def _outcomes(args: argparse.Namespace, tasks: list[Task]) -> Iterator[tuple[int, Outcome]]:
+    if args.dask:
+        return on_cluster(diagnose, tasks, args.dask)
+    return in_processes(diagnose, tasks, args.jobs)
+
+
+def _folders(logs: list[Path]) -> list[str]:
+    """Return a folder name for every log: its stem, counted where two have the same."""
+    names: list[str] = []
+    for log in logs:
+        name, number = log.stem, 2
+        while name in names:
+            name, number = f"{log.stem}-{number}", number + 1
+        names.append(name)
+    return names
+
+
+class _Progress:
+    """A bar on a terminal once it takes longer than two seconds; nothing elsewhere."""
+
+    def __init__(self) -> None:
+        self._start_s = time.monotonic()
+        self._shown = 0
+
+    def __call__(self, stage: str, share: float) -> None:
+        if not sys.stderr.isatty() or time.monotonic() - self._start_s < PROGRESS_AFTER_S:
+            return
+        bar = "#" * round(30 * share)
+        self._show(f"[{bar:<30}] {share:4.0%} {stage}")
+
+    def _show(self, line: str) -> None:
+        print(f"\r{line:<{self._shown}}", end="", file=sys.stderr, flush=True)
+        self._shown = len(line)
+
+    def say(self, line: str, file: TextIO) -> None:
+        """Print a line where the bar stood."""
+        self.end()
+        print(line, file=file, flush=True)
+
+    def end(self) -> None:
+        """Wipe the bar."""
+        if self._shown:
+            self._show("")
+            print("\r", end="", file=sys.stderr, flush=True)
+            self._shown = 0

@@ -1,0 +1,48 @@
+"""The drives of which the thesis says that its simulation gets them wrong, as sealed logs.
+
+'make' writes logs, configuration and, apart from them, the truth. Diagnose first, then open it.
+"""
+
+import argparse
+from pathlib import Path
+
+from hilserver.errors import EXIT_DONE
+from hilserver.scenarios import SCENARIOS, scenario
+from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, SEALED, write
+
+EXAMPLE = "hilserver scenarios make pulls_aside -o pulls_aside"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``list`` and ``make``."""
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    listing = actions.add_parser("list", help="names, and what the thesis says")
+    listing.set_defaults(action=_list)
+    making = actions.add_parser(
+        "make", help="write the logs of one", epilog="example: hilserver scenarios make radio -o r"
+    )
+    making.add_argument("name", metavar="NAME", help="as 'hilserver scenarios list' has it")
+    making.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
+    making.add_argument("--seed", type=int, default=0, help="another drawing; default 0")
+    making.set_defaults(action=_make)
+
+
+def run(args: argparse.Namespace) -> int:
+    """List or make."""
+    args.action(args)
+    return EXIT_DONE
+
+
+def _list(args: argparse.Namespace) -> None:  # noqa: ARG001 (one shape)
+    for entry in SCENARIOS.values():
+        print(f"{entry.name:18} {entry.says}")
+
+
+def _make(args: argparse.Namespace) -> None:
+    drive = write(scenario(args.name), args.seed, args.out)
+    logs = " ".join(str(args.out / LOGS / name) for name in drive.logs)
+    if drive.against:
+        others = " ".join(str(args.out / AGAINST / name) for name in drive.against)
+        logs = f"--compare {logs} --against {others}"
+    print(f"hilserver diagnose {logs} -c {args.out / CONFIG} -o {args.out / 'diagnosis'}")
+    print(f"the truth is sealed in {args.out / SEALED}")

@@ -1,0 +1,247 @@
+"""Clocks: the tag's and the gyro's clock beside that of the wheels, offset and drift.
+
+Without the model a late tag and a late clock look alike. What tells of the clock: heading and
+position late by the same time, early instead of late, or later and later.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from hilserver.diagnosis.checks.motion import LEFT, RAD_S_PER_RPM, RIGHT
+from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
+from hilserver.diagnosis.data import Array, Channel, MeasuredLog
+from hilserver.diagnosis.findings import Finding
+from hilserver.plant.parameters import RobotParameters
+
+LARGEST_S = 1.0
+GRID_S = 0.02
+CHUNK_S = 30.0
+FEWEST_CHUNKS = 6
+LEAST_S = 0.06
+SIGMAS = 6.0
+BASELINE_S = 1.0
+ALIKE_S = 0.03
+SLOWEST_WHEELS_S = 0.06
+"""Between slower samples the wheels do too much."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """Delay of a source behind the wheels: offset + drift t.
+
+    Attributes
+    ----------
+    offset_s, offset_sd_s : float
+        In the middle of the log.
+    drift, drift_sd : float
+        [s/s].
+    middle_s, length_s : float
+        Of the log.
+    """
+
+    offset_s: float
+    offset_sd_s: float
+    drift: float
+    drift_sd: float
+    middle_s: float
+    length_s: float
+
+    @property
+    def is_early(self) -> bool:
+        """Whether the source clearly tells before it happens."""
+        return self.offset_s < -max(LEAST_S, SIGMAS * self.offset_sd_s)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether there clearly is a delay of either sign."""
+        return abs(self.offset_s) > max(LEAST_S, SIGMAS * self.offset_sd_s)
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the delay clearly grows."""
+        return (
+            abs(self.drift) > SIGMAS * self.drift_sd and abs(self.drift) * self.length_s > LEAST_S
+        )
+
+
+def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find offset and drift of the clock of navigation or inertial unit; stamps are put right."""
+    if not log.has_stamps:
+        return log, []
+    wheels = _wheel_motion(log)
+    if wheels is None:
+        return log, []
+    speed, rate = wheels
+    findings: list[Finding] = []
+    yaw = _lag(rate, log.channels.get("nav.yaw_rad"), is_angle=True)
+    position = _lag(speed, _path(log), is_angle=False)
+    gyro = _lag(rate, _integral(log.channels.get("imu.gyro_z_rad_s")), is_angle=False)
+    for source, prefix, lags in (
+        ("navigation", "nav.", [lag for lag in (yaw, position) if lag is not None]),
+        ("inertial unit", "imu.", [gyro] if gyro is not None else []),
+    ):
+        judged = _judge(lags)
+        if judged is None:
+            continue
+        cause, lag = judged
+        names = [name for name in log.channels if name.startswith(prefix)]
+        findings.append(_finding(cause, source, names, lag))
+        log = log.with_channels({name: _moved(log[name], cause, lag) for name in names})
+    return log, findings
+
+
+def _judge(lags: list[Lag]) -> tuple[str, Lag] | None:
+    """Return the cause and the best estimate; None where a late source explains it as well."""
+    if not lags:
+        return None
+    best = min(lags, key=lambda lag: lag.offset_sd_s)
+    if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
+        return "clock_drift", best
+    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], ALIKE_S):
+        return None
+    together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
+    return ("clock_offset", best) if best.is_early or (best.is_off and together) else None
+
+
+def _agree(figures: list[tuple[float, float]], least: float) -> bool:
+    values = [value for value, _ in figures]
+    sd = float(np.hypot.reduce([sd for _, sd in figures]))
+    return max(values) - min(values) <= max(least, 2.5 * sd)
+
+
+def _finding(cause: str, source: str, names: list[str], lag: Lag) -> Finding:
+    if cause == "clock_drift":
+        value, sd, unit = lag.drift, lag.drift_sd, "s/s"
+        text = f"The clock of the {source} runs {1e6 * value:+.0f} us per second beside the wheels'"
+    else:
+        value, sd, unit = lag.offset_s, lag.offset_sd_s, "s"
+        text = f"The stamps of the {source} are {value:+.3f} s beside those of the wheels"
+    explanation = f"{text}: let both take their time from one clock; the stamps were moved."
+    interval = (value - 1.96 * sd, value + 1.96 * sd)
+    return data_fault(cause, names, value, interval, unit, explanation)
+
+
+def _moved(channel: Channel, cause: str, lag: Lag) -> Channel:
+    shift = lag.offset_s + (
+        lag.drift * (channel.t_s - lag.middle_s) if cause == "clock_drift" else 0.0
+    )
+    return replace(channel, t_s=channel.t_s - shift)
+
+
+Motion = tuple[Channel, Channel]
+
+
+def _wheel_motion(log: MeasuredLog) -> Motion | None:
+    """Return forward and turning speed of the wheels, up to a factor, of the longest span."""
+    names = [f"wheel.{side[0]}.speed_rpm" for side in (LEFT, RIGHT)]
+    if not log.has(*names):
+        return None
+    left = log[names[0]]
+    if row_period_s(left) > SLOWEST_WHEELS_S:
+        return None
+    right = _at(left, log[names[1]], log[names[1]].values)
+    forward = left.with_values((left.values - right) * RAD_S_PER_RPM)
+    turning = left.with_values(-(left.values + right) * RAD_S_PER_RPM)
+    return forward, turning
+
+
+def _at(channel: Channel, other: Channel, values: Array) -> Array:
+    """Return values of another channel at the stamps of this one."""
+    result: Array = np.interp(along(channel), along(other), values)
+    return result
+
+
+def _integral(channel: Channel | None) -> Channel | None:
+    if channel is None or len(channel) < 2:
+        return None
+    step = np.diff(channel.t_s) * (channel.values[1:] + channel.values[:-1]) / 2.0
+    step[np.diff(channel.span) != 0] = 0.0
+    return channel.with_values(np.concatenate(([0.0], np.cumsum(step))))
+
+
+def _path(log: MeasuredLog) -> Channel | None:
+    """Return the distance along the heading that the tag has gone."""
+    if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+        return None
+    x, y, yaw = (log[f"nav.{what}"] for what in ("x_m", "y_m", "yaw_rad"))
+    heading = _at(x, yaw, np.unwrap(yaw.values))
+    middle = (heading[1:] + heading[:-1]) / 2.0
+    step = np.diff(x.values) * np.cos(middle) + np.diff(_at(x, y, y.values)) * np.sin(middle)
+    step[np.diff(x.span) != 0] = 0.0
+    return x.with_values(np.concatenate(([0.0], np.cumsum(step))))
+
+
+def _lag(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | None:
+    """Return how late `path` is behind the integral of `rate`, over chunks of the longest span."""
+    whole = _integral(rate)
+    if path is None or whole is None:
+        return None
+    span = int(np.bincount(path.span).argmax())
+    t_path, s_path = path.of(span)
+    t_rate, s_rate = whole.of(span)
+    if len(t_path) < 100 or len(t_rate) < 100:
+        return None
+    s_path = np.unwrap(s_path) if is_angle else s_path
+    begin = max(t_path[0], t_rate[0]) + LARGEST_S
+    end = min(t_path[-1], t_rate[-1]) - LARGEST_S
+    n = int((end - begin) / CHUNK_S)
+    if n < FEWEST_CHUNKS:
+        return None
+    borders = np.linspace(begin, end, n + 1)
+    delays = np.array(
+        [_delay(t_rate, s_rate, t_path, s_path, first, last) for first, last in pairwise(borders)]
+    )
+    middle = (borders[:-1] + borders[1:]) / 2.0
+    good = np.isfinite(delays)
+    if good.sum() < FEWEST_CHUNKS:
+        return None
+    return _line_through(middle[good], delays[good], float(end - begin))
+
+
+def _line_through(t: Array, delay: Array, length_s: float) -> Lag | None:
+    """Fit offset and drift, chunks far from the others left out."""
+    keep = np.ones(len(t), dtype=np.bool_)
+    for _ in range(2):
+        slope, at_zero = np.polyfit(t[keep], delay[keep], 1)
+        error = np.abs(delay - slope * t - at_zero)
+        keep = error <= max(4.0 * float(np.median(error)), 0.02)
+    if keep.sum() < FEWEST_CHUNKS:
+        return None
+    slope, at_zero = np.polyfit(t[keep], delay[keep], 1)
+    error = delay[keep] - slope * t[keep] - at_zero
+    sd = max(float(np.sqrt((error**2).sum() / (keep.sum() - 2))), 0.003)
+    middle = float(t[keep].mean())
+    spread = float(np.sqrt(((t[keep] - middle) ** 2).sum()))
+    offset = float(slope * middle + at_zero)
+    return Lag(offset, sd / float(np.sqrt(keep.sum())), float(slope), sd / spread, middle, length_s)
+
+
+def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: float) -> float:
+    """Return the delay at which the ways over a second fit best; NaN where nothing moves."""
+    first, last = np.searchsorted(t, [begin, end])
+    times = t[first:last]
+    if len(times) < 50:
+        return float("nan")
+    way = s[first:last] - np.interp(times - BASELINE_S, t, s)
+    tries = np.arange(-LARGEST_S, LARGEST_S + GRID_S / 2, GRID_S)
+    left = np.empty(len(tries))
+    for index, delay in enumerate(tries):
+        at = times - delay
+        other = np.interp(at, t_rate, s_rate) - np.interp(at - BASELINE_S, t_rate, s_rate)
+        left[index] = _unexplained(way, other)
+    best = int(np.argmin(left))
+    if not 0 < best < len(tries) - 1 or left[best] > 0.5:
+        return float("nan")
+    a, b, c = left[best - 1 : best + 2]
+    return float(tries[best] + GRID_S * 0.5 * (a - c) / max(a - 2 * b + c, 1e-12))
+
+
+def _unexplained(y: Array, x: Array) -> float:
+    """Return the share of the variance of y that no line in x explains."""
+    y, x = y - y.mean(), x - x.mean()
+    total = float((y**2).sum())
+    if total <= 0 or not (x**2).sum():
+        return 1.0
+    return 1.0 - float((x * y).sum()) ** 2 / (total * float((x**2).sum()))

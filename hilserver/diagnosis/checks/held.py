@@ -1,0 +1,148 @@
+"""Held samples: a channel that changes at a slower clock than its rows are written.
+
+Stairs of a coarse or slow encoder are no held samples: they rise by one or two of their quanta,
+and while the wheel accelerates they change in every row.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.checks.support import (
+    Runs,
+    along,
+    data_fault,
+    listed,
+    measured_channels,
+    resolution,
+    row_period_s,
+    runs_of,
+    subset,
+)
+from hilserver.diagnosis.data import Array, Channel, MeasuredLog
+from hilserver.diagnosis.findings import Finding
+from hilserver.plant.parameters import RobotParameters
+from hilserver.signals import WHEELS
+
+FEWEST_RUNS = 20
+SLOWEST_HZ = 1.5
+QUANTA = 4.0
+HELD_SHARE = 0.8
+SPREAD = 3.0
+
+
+def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find held channels; of each run only the first sample, the real one, is kept."""
+    changes = _changes_s(log)
+    fresh: dict[str, NDArray[np.bool_]] = {}
+    rates: dict[str, tuple[float, float]] = {}
+    for name in measured_channels(log.channels):
+        channel = log[name]
+        runs = runs_of(channel)
+        found = _rate(channel, runs, changes)
+        if found is not None:
+            rates[name] = found
+            fresh[name] = _fresh(channel, runs, 1.0 / found[0])
+    kept: dict[str, Channel] = {}
+    groups = _alike(rates)
+    for group in groups:
+        for name in group:
+            kept[name] = subset(log[name], _together(log, name, group, fresh))
+    return log.with_channels(kept), [_finding(group, rates) for group in groups]
+
+
+def _together(
+    log: MeasuredLog, name: str, group: list[str], fresh: dict[str, NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """Return which samples are real: a source sends all its channels at once.
+
+    One of them may stay the same by chance where another shows a new sample.
+    """
+    own = fresh[name]
+    for other in group:
+        if len(log[other]) == len(log[name]) and np.array_equal(
+            along(log[other]), along(log[name])
+        ):
+            own = own | fresh[other]
+    return own
+
+
+def _changes_s(log: MeasuredLog) -> Array:
+    """Return stamps at which set-points change, see `along`."""
+    found = [np.empty(0)]
+    for wheel in WHEELS:
+        name = f"wheel.{wheel}.setpoint_rpm"
+        if name in log:
+            runs = runs_of(log[name])
+            first = runs.first[runs.before > 0]
+            found.append(along(log[name])[first])
+    return np.unique(np.concatenate(found))
+
+
+def _rate(channel: Channel, runs: Runs, changes: Array) -> tuple[float, float] | None:
+    """Return the rate of the slower clock and its standard error; None if nothing is held."""
+    steps = np.abs(np.diff(channel.values))[np.diff(channel.span) == 0]
+    moving = steps[steps > 0]
+    if len(moving) < FEWEST_RUNS:
+        return None
+    real = max(QUANTA * resolution(channel.values), 0.2 * float(np.median(moving)))
+    full = (runs.before >= real) & (runs.after >= real) & np.isfinite(runs.duration_s)
+    if full.sum() < FEWEST_RUNS:
+        return None
+    length, duration = runs.length[full], runs.duration_s[full]
+    if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first[full], changes):
+        return None
+    low, middle, high = np.quantile(length, [0.1, 0.5, 0.9])
+    if high > SPREAD * max(low, 1.0) or middle < 2:
+        return None
+    usual = duration[(length > 0.5 * middle) & (length < 1.6 * middle)]
+    rate_hz = 1.0 / float(usual.mean())
+    if rate_hz < SLOWEST_HZ or rate_hz * row_period_s(channel) > 0.67:
+        return None
+    return rate_hz, rate_hz**2 * float(usual.std()) / np.sqrt(len(usual))
+
+
+def _follow(channel: Channel, first: NDArray[np.int64], changes: Array) -> bool:
+    """Return whether the steps are answers to single set-points, long held themselves."""
+    if len(changes) < 2 or len(changes) > 1.5 * len(first):
+        return False
+    at = along(channel)[first]
+    index = np.clip(np.searchsorted(changes, at + 1e-6, side="right") - 1, 0, None)
+    after = at - changes[index]
+    return bool(np.mean((after >= -1e-6) & (after < 0.1)) > 0.5)
+
+
+def _fresh(channel: Channel, runs: Runs, period_s: float) -> NDArray[np.bool_]:
+    """Return which samples begin a run; in longer runs also one per period."""
+    begin = np.repeat(channel.t_s[runs.first], runs.length)
+    periods = np.floor(np.maximum((channel.t_s - begin) / period_s - 0.5, 0.0))
+    fresh = np.diff(periods, prepend=-1.0) != 0
+    fresh[runs.first] = True
+    return np.asarray(fresh)
+
+
+def _alike(rates: dict[str, tuple[float, float]]) -> list[list[str]]:
+    """Return channels of one source: the same rate within 15 %."""
+    groups: list[list[str]] = []
+    for name, (rate_hz, _) in rates.items():
+        for group in groups:
+            same_source = name.split(".")[0] == group[0].split(".")[0]
+            if same_source and abs(np.log(rate_hz / rates[group[0]][0])) < 0.15:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
+
+
+def _finding(group: list[str], rates: dict[str, tuple[float, float]]) -> Finding:
+    rate_hz = float(np.median([rates[name][0] for name in group]))
+    half = 1.96 * max(float(np.median([rates[name][1] for name in group])), 0.01 * rate_hz)
+    return data_fault(
+        "held_samples",
+        group,
+        rate_hz,
+        (rate_hz - half, rate_hz + half),
+        "Hz",
+        f"{listed(group)}: a new value comes only {rate_hz:.3g} times a second and is repeated in"
+        " the rows between: leave these empty; the repetitions were left out.",
+    )

@@ -1,0 +1,133 @@
+"""Mean motion in windows of a second: what wheels, gyro and navigation each say of it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.checks.support import SPAN_S, along
+from hilserver.diagnosis.data import Array, Channel, MeasuredLog
+
+WINDOW_S = 1.0
+RAD_S_PER_RPM = np.pi / 30.0
+LEFT, RIGHT = ("fl", "rl"), ("fr", "rr")
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Windows of a log.
+
+    Attributes
+    ----------
+    begin, end : ndarray of float64, shape (n,)
+        Stamps as `support.along` makes them [s].
+    """
+
+    begin: Array
+    end: Array
+
+    def __len__(self) -> int:
+        return len(self.begin)
+
+
+def windows_of(log: MeasuredLog, width_s: float = WINDOW_S) -> Windows:
+    """Cut the spans into windows of about `width_s`."""
+    edges = []
+    for index, span in enumerate(log.spans):
+        n = max(round((span.end_s - span.start_s) / width_s), 1)
+        times = np.linspace(span.start_s, span.end_s, n + 1) + SPAN_S * index
+        edges.append(np.stack([times[:-1], times[1:]]))
+    begin, end = np.concatenate(edges, axis=1)
+    return Windows(begin, end)
+
+
+def mean_in(channel: Channel, windows: Windows) -> Array:
+    """Return the mean of a channel in each window, NaN where it has no sample."""
+    times = along(channel)
+    first, last = np.searchsorted(times, windows.begin), np.searchsorted(times, windows.end)
+    total = np.concatenate(([0.0], np.cumsum(channel.values)))
+    count = last - first
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(count > 0, (total[last] - total[first]) / count, np.nan)
+
+
+def ends_in(channel: Channel, windows: Windows) -> tuple[Array, Array, Array]:
+    """Return first value, last value and time between them in each window."""
+    times = along(channel)
+    first = np.searchsorted(times, windows.begin)
+    last = np.searchsorted(times, windows.end, side="right") - 1
+    good = (last - first >= 1) & (first < len(times))
+    first, last = np.minimum(first, len(times) - 1), np.maximum(last, 0)
+    between = np.where(good, times[last] - times[first], np.nan)
+    return (
+        np.where(good, channel.values[first], np.nan),
+        np.where(good, channel.values[last], np.nan),
+        between,
+    )
+
+
+def rate_in(angle: Channel, windows: Windows, turn: float = 2.0 * np.pi) -> Array:
+    """Return the mean rate of an angle that wraps at `turn` in each window."""
+    step = np.diff(angle.values)
+    step = np.where(np.diff(angle.span) == 0, step - turn * np.rint(step / turn), 0.0)
+    continuous = Channel(angle.t_s, np.concatenate(([0.0], np.cumsum(step))), angle.span)
+    first, last, between = ends_in(continuous, windows)
+    return (last - first) / between
+
+
+def side_mean(log: MeasuredLog, side: Iterable[str], what: str, windows: Windows) -> Array | None:
+    """Return the mean of the wheels of one side [rad/s], None if none of them is there."""
+    found = [
+        mean_in(log[name], windows) for wheel in side if (name := f"wheel.{wheel}.{what}") in log
+    ]
+    return None if not found else np.mean(found, axis=0) * RAD_S_PER_RPM
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line through the origin.
+
+    Attributes
+    ----------
+    slope : float
+    correlation : float
+    n : int
+        Windows with motion.
+    """
+
+    slope: float
+    correlation: float
+    n: int
+
+
+def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
+    """Return y = slope x, outliers left out; None where there is too little to say.
+
+    Parameters
+    ----------
+    least : float
+        Windows with a smaller |x| do not count as motion.
+    """
+    if x is None or y is None:
+        return None
+    good = np.isfinite(x) & np.isfinite(y)
+    x, y = x[good], y[good]
+    if (np.abs(x) > least).sum() < 10 or not (x**2).sum() or not (y**2).sum():
+        return None
+    keep = np.ones(len(x), dtype=np.bool_)
+    slope = 0.0
+    for _ in range(4):
+        slope = float((x[keep] * y[keep]).sum() / max((x[keep] ** 2).sum(), 1e-300))
+        error = np.abs(y - slope * x)
+        np.less_equal(error, np.quantile(error, 0.9), out=keep)
+    correlation = float(
+        (x[keep] * y[keep]).sum()
+        / max(np.sqrt((x[keep] ** 2).sum() * (y[keep] ** 2).sum()), 1e-300)
+    )
+    return Line(slope, correlation, int((np.abs(x[keep]) > least).sum()))
+
+
+def finite(*columns: Array) -> NDArray[np.bool_]:
+    """Return where all columns have a value."""
+    return np.asarray(np.isfinite(np.stack(columns)).all(axis=0))

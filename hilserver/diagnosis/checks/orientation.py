@@ -1,0 +1,269 @@
+"""Signs and sides: wheels, gyro, heading and position have to tell of the same turn.
+
+The order of the questions matters: the wheels are judged by their set-points, the heading by the
+course over ground, and only then is asked whether what is left turns the same way. A base whose yaw
+runs against the measurement is a matter of sign, never of K_om.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hilserver.diagnosis.checks.motion import (
+    LEFT,
+    RIGHT,
+    Line,
+    ends_in,
+    finite,
+    line,
+    mean_in,
+    rate_in,
+    side_mean,
+    windows_of,
+)
+from hilserver.diagnosis.checks.support import data_fault, listed
+from hilserver.diagnosis.data import Array, Channel, MeasuredLog
+from hilserver.diagnosis.findings import Finding
+from hilserver.plant.parameters import RobotParameters
+
+MIRROR = {"fl": "fr", "rl": "rr", "fr": "fl", "rr": "rl"}
+SURE = 0.7
+"""Least correlation at which a sign is believed."""
+SLOWEST_M_S, SLOWEST_RAD_S = 0.02, 0.03
+FEWEST_WINDOWS = 15
+LARGEST_SKEW_RAD = 0.3
+Found = tuple[MeasuredLog, list[Finding]]
+
+
+def find(log: MeasuredLog, robot: RobotParameters) -> Found:
+    """Find wrong signs and swapped sides; they are put right."""
+    findings: list[Finding] = []
+    for judge in (_wheels_by_setpoints, _frame, _sides_by_navigation, _turning):
+        log, found = judge(log, robot)
+        findings += found
+    return log, findings
+
+
+def _flipped(log: MeasuredLog, names: Sequence[str], sure: float, text: str) -> Found:
+    """Return the log with channels turned around, and the finding."""
+    log = log.with_channels({name: log[name].with_values(-log[name].values) for name in names})
+    explanation = f"{listed(names)}: {text}; the sign was turned around."
+    interval = (-1.0 - (1.0 - sure), -1.0 + (1.0 - sure))
+    return log, [data_fault("sign_flip", names, -1.0, interval, "1", explanation)]
+
+
+def _swapped(log: MeasuredLog, kinds: Sequence[str], signs: dict[str, float], text: str) -> Found:
+    """Return the log with the wheels of both sides exchanged, times `signs` of each kind."""
+    changed: dict[str, Channel] = {}
+    for kind in kinds:
+        for wheel, other in MIRROR.items():
+            if (source := f"wheel.{other}.{kind}") in log:
+                channel = log[source]
+                changed[f"wheel.{wheel}.{kind}"] = channel.with_values(signs[kind] * channel.values)
+    finding = data_fault(
+        "swapped_sides",
+        sorted(changed),
+        1.0,
+        None,
+        "1",
+        f"The columns of the left wheels hold the right ones and the other way round: {text};"
+        " they were exchanged.",
+    )
+    return log.with_channels(changed), [finding]
+
+
+def _wheels_by_setpoints(log: MeasuredLog, _robot: RobotParameters) -> Found:
+    """Fit each measured speed to the set-points of its own and of the other side."""
+    windows = windows_of(log, 0.5)
+    weights: dict[str, tuple[float, float]] = {}
+    for wheel, other in MIRROR.items():
+        names = [f"wheel.{wheel}.speed_rpm", f"wheel.{wheel}.setpoint_rpm"]
+        names.append(f"wheel.{other}.setpoint_rpm")
+        if log.has(*names):
+            fit = _two_weights(*(mean_in(log[name], windows) for name in names))
+            if fit is not None:
+                weights[wheel] = fit
+    crossed = [w for w, (own, other) in weights.items() if abs(other) > 0.5 + 2 * abs(own)]
+    if len(crossed) >= 2 and len(crossed) == len(weights):
+        sign = float(np.sign(np.median([weights[w][1] for w in crossed])))
+        kinds = ["speed_rpm"]
+        return _swapped(
+            log, kinds, dict.fromkeys(kinds, sign), "the speeds follow the other side's set-points"
+        )
+    against = [w for w, (own, other) in weights.items() if own < -0.2 - 2 * abs(other)]
+    if not against:
+        return log, []
+    names = [f"wheel.{w}.speed_rpm" for w in against]
+    return _flipped(log, names, 0.99, "the speed runs against its set-point")
+
+
+def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | None:
+    """Return a, b of y = a own + b other; None if it does not fit or the two are too alike."""
+    good = finite(y, own, other)
+    if good.sum() < FEWEST_WINDOWS:
+        return None
+    x = np.stack([own[good], other[good]], axis=1)
+    y = y[good]
+    size = np.linalg.norm(x, axis=0)
+    if not size.all() or np.linalg.cond(x / size) > 20.0:
+        return _one_weight(y, x, size)
+    solution = np.linalg.lstsq(x, y, rcond=None)[0]
+    left = float(((y - x @ solution) ** 2).sum() / max((y**2).sum(), 1e-300))
+    return (float(solution[0]), float(solution[1])) if left < 1 - SURE**2 else None
+
+
+def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
+    """Return the weight on the own set-point where the other side always does the same."""
+    if not size[0]:
+        return None
+    found = line(y, x[:, 0])
+    if found is None or abs(found.correlation) < SURE:
+        return None
+    mirrored = float((x[:, 0] * x[:, 1]).sum())
+    return (found.slope, 0.0) if mirrored < 0 else None
+
+
+def _course(log: MeasuredLog) -> tuple[Array, Array, Array] | None:
+    """Return course over ground, heading and speed in each window."""
+    if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+        return None
+    windows = windows_of(log)
+    x0, x1, dt = ends_in(log["nav.x_m"], windows)
+    y0, y1, _ = ends_in(log["nav.y_m"], windows)
+    yaw = log["nav.yaw_rad"]
+    cosine = mean_in(yaw.with_values(np.cos(yaw.values)), windows)
+    sine = mean_in(yaw.with_values(np.sin(yaw.values)), windows)
+    good = finite(x0, x1, y0, y1, cosine) & (np.hypot(x1 - x0, y1 - y0) > 0.1)
+    good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
+    course = np.arctan2(y1 - y0, x1 - x0)[good]
+    return course, np.arctan2(sine, cosine)[good], (np.hypot(x1 - x0, y1 - y0) / dt)[good]
+
+
+def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
+    """Judge the heading by the course over ground: their difference, not their sum, is constant.
+
+    Twice the angles, so that driving backwards counts the same.
+    """
+    found = _course(log)
+    if found is None or len(found[0]) < FEWEST_WINDOWS:
+        return log, []
+    course, yaw, speed = found
+    alike = _resultant(2.0 * (course - yaw), speed)
+    mirrored = _resultant(2.0 * (course + yaw), speed)
+    if mirrored < SURE or mirrored < alike + 0.3:
+        return log, []
+    rate = rate_in(log["nav.yaw_rad"], windows_of(log))
+    others = [line(rate, other, SLOWEST_RAD_S) for other in _other_rates(log, robot)]
+    votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SURE]
+    if sum(votes) > 0:
+        text = "the tag's y axis points right: its course turns against its heading"
+        return _flipped(log, ["nav.y_m"], mirrored, text)
+    text = "the heading turns against the course over ground"
+    return _flipped(log, ["nav.yaw_rad"], mirrored, text)
+
+
+def _resultant(angle: Array, weight: Array) -> float:
+    return float(np.abs((weight * np.exp(1j * angle)).sum()) / weight.sum())
+
+
+def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
+    """Return the turn rates that gyro and wheels say."""
+    windows, rates = windows_of(log), []
+    if "imu.gyro_z_rad_s" in log:
+        rates.append(mean_in(log["imu.gyro_z_rad_s"], windows))
+    wheels = _wheel_rate(log, robot)
+    return rates if wheels is None else [*rates, wheels]
+
+
+def _wheel_rate(log: MeasuredLog, robot: RobotParameters) -> Array | None:
+    for what in ("speed_rpm", "setpoint_rpm"):
+        windows = windows_of(log)
+        left, right = (side_mean(log, side, what, windows) for side in (LEFT, RIGHT))
+        if left is not None and right is not None:
+            rate: Array = robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)
+            return rate
+    return None
+
+
+def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
+    """Judge both sides by the tag: w = a v + b om, with a > 0 on the left and < 0 on the right."""
+    found = _forward(log) if _is_aligned(log) else None
+    kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
+    if found is None or not kinds:
+        return log, []
+    speed, rate = found
+    windows = windows_of(log)
+    fits = []
+    for side, forward in ((LEFT, 1.0), (RIGHT, -1.0)):
+        w = side_mean(log, side, kinds[0], windows)
+        fit = None if w is None else _two_weights(w * robot.wheel_radius_m, speed, rate)
+        if fit is None or abs(fit[0]) < 0.2 or abs(fit[1]) < 0.02:
+            return log, []
+        fits.append((forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])))
+    (left_v, left_om), (right_v, right_om) = fits
+    if left_v == right_v == -1 and left_om == right_om == 1:
+        text = "they roll backward where the tag, unless it is mounted so, goes forward"
+        return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
+    against = [
+        f"wheel.{wheel}.{kind}"
+        for side, v, om in ((LEFT, left_v, left_om), (RIGHT, right_v, right_om))
+        if v == om == -1
+        for wheel in side
+        for kind in kinds
+        if f"wheel.{wheel}.{kind}" in log
+    ]
+    if not against:
+        return log, []
+    return _flipped(log, against, 0.99, "the wheels roll against the motion that the tag measured")
+
+
+def _is_aligned(log: MeasuredLog) -> bool:
+    """Return whether the heading lies along the course, forward or backward."""
+    found = _course(log)
+    if found is None or len(found[0]) < FEWEST_WINDOWS:
+        return False
+    course, yaw, speed = found
+    return bool(abs(np.angle((speed * np.exp(2j * (course - yaw))).sum())) < 2.0 * LARGEST_SKEW_RAD)
+
+
+def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
+    """Return speed along the heading and turn rate in each window, as the tag says."""
+    if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+        return None
+    windows = windows_of(log)
+    x0, x1, dt = ends_in(log["nav.x_m"], windows)
+    y0, y1, _ = ends_in(log["nav.y_m"], windows)
+    yaw = log["nav.yaw_rad"]
+    cosine = mean_in(yaw.with_values(np.cos(yaw.values)), windows)
+    sine = mean_in(yaw.with_values(np.sin(yaw.values)), windows)
+    return ((x1 - x0) * cosine + (y1 - y0) * sine) / dt, rate_in(yaw, windows)
+
+
+def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
+    """Judge what is left: who turns against the others."""
+    windows = windows_of(log)
+    wheels = _wheel_rate(log, robot)
+    gyro_name, yaw_name = "imu.gyro_z_rad_s", "nav.yaw_rad"
+    gyro = mean_in(log[gyro_name], windows) if gyro_name in log else None
+    yaw = rate_in(log[yaw_name], windows) if yaw_name in log else None
+    by_wheels = {
+        name: _against(rate, wheels) for name, rate in ((gyro_name, gyro), (yaw_name, yaw))
+    }
+    between = _against(gyro, yaw)
+    if by_wheels[gyro_name] and by_wheels[yaw_name]:
+        world = [n for n in ("nav.y_m", yaw_name, gyro_name, "imu.yaw_rad") if n in log]
+        return _flipped(log, world, 0.99, "the base's yaw runs against the measurement")
+    if by_wheels[gyro_name] and (yaw is None or between):
+        return _flipped(log, [gyro_name], 0.99, "the gyro turns against the wheels")
+    if by_wheels[yaw_name] and (gyro is None or between):
+        world = [n for n in ("nav.y_m", yaw_name) if n in log]
+        return _flipped(log, world, 0.99, "the base's yaw runs against the measurement")
+    if wheels is None and between:
+        return _flipped(log, [gyro_name], 0.99, "the gyro turns against the heading")
+    return log, []
+
+
+def _against(rate: Array | None, other: Array | None) -> bool:
+    """Return whether two turn rates clearly have opposite signs."""
+    found: Line | None = line(rate, other, SLOWEST_RAD_S)
+    return found is not None and found.n >= FEWEST_WINDOWS and found.correlation < -SURE

@@ -1,0 +1,53 @@
+"""Angle and counter wrap: wheel angles that jump back; they are made continuous without ado."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hilserver.diagnosis.data import Channel, MeasuredLog
+from hilserver.diagnosis.findings import Finding
+from hilserver.plant.parameters import RobotParameters
+from hilserver.signals import WHEELS
+
+FASTEST = 4.0
+"""Times max_rpm that no wheel turns."""
+
+
+def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Unwrap wheel angles; a notice says where, for a wrap is no fault of the log."""
+    unwrapped: dict[str, Channel] = {}
+    notices: list[str] = []
+    for wheel in WHEELS:
+        name = f"wheel.{wheel}.angle_rad"
+        if name not in log:
+            continue
+        size = _wrap(log[name], FASTEST * robot.max_rpm * np.pi / 30.0)
+        if size:
+            unwrapped[name] = _unwrap(log[name], size)
+            notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was made continuous")
+    log = log.with_channels(unwrapped)
+    return replace(log, notices=(*log.notices, *notices)), []
+
+
+def _wrap(channel: Channel, fastest_rad_s: float) -> float:
+    """Return by how much the angle jumps back; 0 if it does not."""
+    inside = np.diff(channel.span) == 0
+    step, dt = np.diff(channel.values)[inside], np.diff(channel.t_s)[inside]
+    jumps = np.flatnonzero(np.abs(step) > fastest_rad_s * dt + 1.0)
+    jumps = jumps[(jumps > 0) & (jumps < len(step) - 1)]
+    if not len(jumps):
+        return 0.0
+    turned = (step[jumps - 1] + step[jumps + 1]) / 2.0
+    sizes = np.abs(step[jumps] - turned)
+    size = float(np.median(sizes))
+    if abs(size / (2.0 * np.pi) - 1.0) < 0.2:
+        size = 2.0 * np.pi
+    return size if np.all(np.abs(sizes / size - 1.0) < 0.2) else 0.0
+
+
+def _unwrap(channel: Channel, size: float) -> Channel:
+    values = channel.values.copy()
+    for span in np.unique(channel.span):
+        first, end = np.searchsorted(channel.span, [span, span + 1])
+        values[first:end] = np.unwrap(values[first:end], period=size)
+    return channel.with_values(values)

@@ -1,0 +1,66 @@
+"""The smallest effect of every cause that these data would have shown."""
+
+import numpy as np
+
+from hilserver.diagnosis.findings import Detectable, NotJudged
+from hilserver.diagnosis.screen import Scores
+from hilserver.diagnosis.selection import Library
+from hilserver.diagnosis.vocabulary import CAUSES
+
+POWER = 0.95
+"""Standard deviations above the critical value: about 83 % are found."""
+LEAST_GAIN = 10.0
+HOPELESS = 12.0
+"""A cause whose smallest visible size is so many times its reference size is not judged."""
+
+
+def smallest(
+    library: Library, scores: Scores, t_critical: float
+) -> tuple[list[Detectable], list[NotJudged]]:
+    """Return sizes for the causes of one stage, and those that the drive did not excite."""
+    needed = max(t_critical + POWER, np.sqrt(LEAST_GAIN) + POWER)
+    found: dict[str, tuple[float, str]] = {}
+    for i, c in enumerate(library.candidates):
+        part = next(iter(c.terms(c.start)))
+        mine = np.flatnonzero(library.owner == i)[: max(c.n, 1)]
+        for k, j in enumerate(mine):
+            information = scores.information[j]
+            if information <= 1e-12:
+                continue
+            visible = information / max(scores.deviation[j], 1e-300)  # t per unit
+            if c.linear:
+                norm = _unit(library, i, k)
+                size = needed / visible / norm
+            else:
+                size = abs(c.start[0] - c.null[0]) * needed / visible
+                if size > 1.5 * abs(c.start[0] - c.null[0]):
+                    continue
+            size = max(size, c.least)
+            names = list(c.terms(c.start))
+            name = names[k] if k < len(names) and not names[k].endswith("phase") else part
+            if c.cause not in found or size < found[c.cause][0]:
+                found[c.cause] = (float(size), name)
+    judged, not_judged = [], []
+    for cause, (size, name) in found.items():
+        unit, reference = _unit_of(cause, name)
+        if reference is not None and size > HOPELESS * abs(reference):
+            reason = f"the drive hardly excites it: below {size:.3g} {unit} it would not show"
+            not_judged.append(NotJudged(cause=cause, reason=reason))
+        else:
+            judged.append(Detectable(cause=cause, size=size, unit=unit))
+    return judged, not_judged
+
+
+def _unit(library: Library, index: int, k: int) -> float:
+    """Return the norm that `spread` divided a column by: 1 for a single parameter."""
+    if library.candidates[index].n == 1:
+        return 1.0
+    return float(library.norms[index][k])
+
+
+def _unit_of(cause: str, name: str) -> tuple[str, float | None]:
+    for part in CAUSES[cause].parts:
+        if part.name == name:
+            return part.unit, part.reference
+    main = CAUSES[cause].parts[0] if CAUSES[cause].parts else None
+    return (main.unit, main.reference) if main else ("1", None)

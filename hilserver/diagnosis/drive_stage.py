@@ -1,0 +1,228 @@
+"""Replay from the set-points: wheel speeds and duties of the whole chain (cut points A and B)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.clock import Segments, cut
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.kernels import run_drive, run_process, sample
+from hilserver.diagnosis.model import robot_with
+from hilserver.diagnosis.stack import Stack, make_stack
+from hilserver.plant.layout import (
+    N_U,
+    N_Y,
+    P_QUANTUM,
+    U_ENABLE,
+    U_MODE,
+    U_SETPOINT,
+    U_TWIST_ANGULAR,
+    U_TWIST_LINEAR,
+    WHEELS,
+)
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+
+SPEEDS: Final = tuple(f"wheel.{w}.speed_rpm" for w in WHEELS)
+DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
+SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
+INPUTS: Final[Mapping[str, int]] = {
+    **{name: U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
+    "twist.linear_m_s": U_TWIST_LINEAR,
+    "twist.angular_rad_s": U_TWIST_ANGULAR,
+    "control.mode": U_MODE,
+    "drive.enable": U_ENABLE,
+}
+NOMINAL_V: Final = 19.2
+SETTLING_S: Final = 1.0
+SMOOTHING_S: Final = 2.0
+LATELY_S: Final = 0.02
+"""A voltage is used where the load did not change for so long: the sensor may lag."""
+
+
+class DriveStage:
+    """The drive of one log: what the base plant and its variations say of speed and duty.
+
+    Attributes
+    ----------
+    segments : Segments
+        The spans of the log, uncut: the drive's state goes on.
+    stack : Stack
+        Measured speeds and duties.
+    """
+
+    name: Final = "drive"
+
+    def __init__(self, log: MeasuredLog, robot: RobotParameters, *, block_s: float) -> None:
+        self.log, self.robot = log, robot
+        self.segments = cut(log, robot.period_s, None)
+        names = [n for n in (*SPEEDS, *DUTIES) if n in log]
+        self.stack = make_stack(
+            log,
+            names,
+            self.segments,
+            block_s=block_s,
+            skip_s=0.0 if self._at_rest() else SETTLING_S,
+        )
+        self._inputs, self._row = self._latched()
+        self._speed_0 = self._start()
+        self._volts = np.full(self.segments.ticks, NOMINAL_V)
+        if "battery.voltage_v" in log:
+            _, _, duty = self.simulate({})
+            self._volts = self._voltage(np.abs(duty).sum(axis=1))
+
+    @staticmethod
+    def judges(log: MeasuredLog) -> bool:
+        """Return whether the log has what this stage needs."""
+        commanded = log.has(*SETPOINTS) or log.has("twist.linear_m_s", "twist.angular_rad_s")
+        return commanded and any(n in log for n in (*SPEEDS, *DUTIES))
+
+    def simulate(self, terms: Mapping[str, float]) -> tuple[Array, Array, Array]:
+        """Return true speed, shown speed and duty at every tick, each of shape (ticks, 4)."""
+        robot = robot_with(self.robot, {k: v for k, v in terms.items() if "shift." not in k})
+        p, phase = robot.pack(), terms.get("shift.control_phase", 0.0)
+        speed, seen, duty = (np.empty((self.segments.ticks, 4)) for _ in range(3))
+        y, q = np.zeros(N_Y), np.zeros(N_Y, dtype=np.int64)
+        run_drive(
+            p,
+            replace(robot, seed=0).initial_state(),
+            self.segments.first,
+            self._inputs,
+            self._row,
+            self._volts,
+            self._speed_0,
+            phase,
+            y,
+            q,
+            speed,
+            seen,
+            duty,
+        )
+        return speed, seen, duty
+
+    def predict(self, terms: Mapping[str, float]) -> Array:
+        """Return what the stack's samples would be."""
+        _, seen, duty = self.simulate(terms)
+        held = "encoder_quantization" in terms and terms["encoder_quantization"] > 0.0
+        return self.sampled(seen, duty, held=held)
+
+    def sampled(self, seen: Array, duty: Array, *, held: bool = False) -> Array:
+        """Return dense speeds and duties at the stack's stamps; a duty holds between ticks."""
+        stack, out = self.stack, np.empty(len(self.stack))
+        for name in stack.channels:
+            edge = stack.edges[name]
+            is_speed = name in SPEEDS
+            wheel = (SPEEDS if is_speed else DUTIES).index(name)
+            at = stack.at[edge]
+            if not is_speed or held:
+                at = np.floor(at + 1e-6)
+            sample(
+                seen if is_speed else duty, wheel, stack.low[edge], stack.high[edge], at, out[edge]
+            )
+        return out
+
+    def process_only(self, measured_duty: Array) -> Array:
+        """Return the speeds that the process makes of a dense measured duty, cut point B."""
+        speed = np.empty((self.segments.ticks, 4))
+        run_process(self.robot.pack(), self.segments.first, measured_duty, self._speed_0, speed)
+        return speed
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the simulated duty reaches its limit."""
+        _, _, duty = self.simulate({})
+        return bool(np.abs(duty).max(initial=0.0) > 0.98 * self.robot.controller.limit_pct)
+
+    def _at_rest(self) -> bool:
+        firsts = [abs(self.log[n].of(s)[1][:3]).max(initial=0.0)
+                  for n in SPEEDS if n in self.log for s in range(len(self.log.spans))]  # fmt: skip
+        return max(firsts, default=0.0) < 1.0
+
+    def _start(self) -> Array:
+        """Return wheel speeds and integrals at the start of each segment, shape (m, 8)."""
+        start = np.zeros((len(self.segments), 8))
+        if self._at_rest():
+            return start
+        gain = self.robot.process.gain
+        for i, span in enumerate(self.segments.span):
+            for w, name in enumerate(SPEEDS):
+                if name in self.log:
+                    values = self.log[name].of(int(span))[1][:3]
+                    start[i, w] = float(np.median(values)) if len(values) else 0.0
+            start[i, 4:] = start[i, :4] / gain
+        return start
+
+    def _latched(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return the distinct inputs and which of them is latched at every tick."""
+        rows: list[Array] = []
+        index = np.zeros(self.segments.ticks, dtype=np.int64)
+        channels = {n: c for n, c in INPUTS.items() if n in self.log}
+        for i, span in enumerate(self.segments.span):
+            now = np.zeros(N_U)
+            now[U_ENABLE] = 1.0
+            if not self.log.has(*SETPOINTS):
+                now[U_MODE] = 1.0
+            changes: dict[int, list[tuple[int, float]]] = {}
+            for name, column in channels.items():
+                t, v = self.log[name].of(int(span))
+                fresh = np.concatenate([[True] * (len(v) > 0), np.diff(v) != 0.0]).astype(bool)
+                ticks = np.ceil((t - self.segments.start_s[i]) / self.robot.period_s - 1e-3)
+                for k, value in zip(ticks[fresh].astype(int), v[fresh], strict=True):
+                    changes.setdefault(max(int(k), 0), []).append((column, float(value)))
+            first, end = int(self.segments.first[i]), int(self.segments.first[i + 1])
+            index[first:end] = len(rows)
+            rows.append(now.copy())
+            for k in sorted(changes):
+                for column, value in changes[k]:
+                    now[column] = value
+                if first + k < end:
+                    index[first + k : end] = len(rows)
+                    rows.append(now.copy())
+        return np.array(rows), index
+
+    def _voltage(self, load: Array) -> Array:
+        """Return the battery voltage at every tick, without the noise of its sensor.
+
+        Noise on the voltage would drive the simulated loop. So the voltage is taken apart: what
+        follows the load at once (the simulated sum of the duties), and what is left, smoothed.
+        """
+        volts = np.full(self.segments.ticks, NOMINAL_V)
+        for i, span in enumerate(self.segments.span):
+            t, v = self.log["battery.voltage_v"].of(int(span))
+            if len(t) < 2:
+                continue
+            part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
+            ticks = self.segments.times(i)
+            at_samples = np.interp(t, ticks, load[part])
+            lately = np.interp(t - LATELY_S, ticks, load[part])
+            calm = np.abs(at_samples - lately) < 5.0
+            if calm.sum() < 10:
+                continue
+            t, v, at_samples = t[calm], v[calm], at_samples[calm]
+            width = max(1, round(SMOOTHING_S / float(np.median(np.diff(t)))))
+            fast_v, fast_load = v - _mean(v, width), at_samples - _mean(at_samples, width)
+            drop = float(fast_load @ fast_v) / max(float(fast_load @ fast_load), 1e-9)
+            slow = _mean(v - drop * at_samples, width)
+            volts[part] = np.interp(ticks, t, slow) + drop * load[part]
+        return volts
+
+
+def _mean(values: Array, width: int) -> Array:
+    """Return the moving mean over `width` samples, shorter at the ends."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(len(values))
+    low = np.maximum(index - width // 2, 0)
+    high = np.minimum(index + width // 2 + 1, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low))
+
+
+def quantum(robot: RobotParameters) -> float:
+    """Return the step of the measured speed [rpm]; 0 for none."""
+    return float(robot.pack()[P_QUANTUM])
+
+
+__all__ = ["DUTIES", "SETPOINTS", "SPEEDS", "DriveStage", "Segments", "Stack"]

@@ -1,0 +1,304 @@
+"""A whole diagnosis: from measured data to findings, with the evidence behind them."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver import __version__
+from hilserver.assembly import Assembly
+from hilserver.diagnosis.ceiling import ceilings
+from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.detectable import smallest
+from hilserver.diagnosis.drive_stage import DriveStage
+from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.findings import (
+    Detectable,
+    Finding,
+    Findings,
+    Gain,
+    LogFile,
+    NotJudged,
+    Overall,
+)
+from hilserver.diagnosis.gain import crossed, gains, held_out
+from hilserver.diagnosis.identifiability import Rival, prune, settle
+from hilserver.diagnosis.model import Fitted, Model
+from hilserver.diagnosis.outcome import extension, lost, named, outliers, structure
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.screen import Scores, critical, null_maxima
+from hilserver.diagnosis.selection import Selected, select
+from hilserver.diagnosis.showing import Shown, evidence
+from hilserver.diagnosis.stages import (
+    Prepared,
+    machine,
+    prepare,
+    stages_of,
+    vocabulary_reasons,
+)
+from hilserver.diagnosis.structure import (
+    Unknown,
+    drifting,
+    families_of,
+    lost_steps,
+    remaining,
+    without_unknown,
+)
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+Tell = Callable[[str, float], None]
+
+HORIZON_S = 5.0
+LEAST_GAIN = 10.0
+LOST_SHARE = 0.02
+DRIVEN = ("speed_rpm", "duty_pct")
+
+
+@dataclass
+class Judged:
+    """One stage after selection."""
+
+    prepared: Prepared
+    selected: Selected
+    point: Point
+    ties: Mapping[str, list[Rival]]
+    unknown: list[Unknown]
+    drift: dict[str, float]
+    scores: Scores
+
+
+def silent(text: str, share: float) -> None:
+    """Tell nobody."""
+    del text, share
+
+
+def diagnose(
+    log: MeasuredLog,
+    assembly: Assembly,
+    *,
+    seed: int = 0,
+    jobs: int = 2,
+    progress: Tell | None = None,
+) -> Diagnosis:
+    """Judge measured data of the machine that a configuration describes; see `judge`."""
+    return judge(
+        log,
+        assembly.robot,
+        config_sha256=assembly.config.sha256,
+        seed=seed,
+        jobs=jobs,
+        progress=progress,
+    )
+
+
+def judge(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    *,
+    config_sha256: str = "",
+    seed: int = 0,
+    jobs: int = 2,
+    horizon_s: float = HORIZON_S,
+    progress: Tell | None = None,
+) -> Diagnosis:
+    """Judge measured data of one machine.
+
+    Parameters
+    ----------
+    log : MeasuredLog
+    robot : RobotParameters
+        The configured plant, the base of all figures.
+    seed : int
+        Of sign flips and bootstrap; equal seeds give equal findings.
+    jobs : int
+        Threads; the findings do not depend on it.
+    horizon_s : float
+        Length of the free runs that the gain is told for.
+    progress : callable, optional
+        Called with what is being done and its share.
+    """
+    started = time.perf_counter()
+    timings: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        timings[name] = time.perf_counter() - started - sum(timings.values())
+
+    tell = progress or silent
+    rng = np.random.default_rng(seed)
+    robot = machine(log, robot)
+    tell("checking the data", 0.0)
+    checked = check(log, robot)
+    log = checked.log
+    lap("checks")
+    prepared, reasons = _prepare(log, robot, jobs, tell)
+    lap("effects")
+    tell("selecting causes", 0.0)
+    judged = _judge(prepared, rng)
+    lap("selection")
+    found = list(checked.findings)
+    fitted: dict[int, Fitted] = {}
+    for stage, j in judged.items():
+        fitted |= _findings(stage, j, found)
+    lap("structure")
+    tell("measuring the gain", 0.0)
+    totals, before, after = _gains(judged, horizon_s, rng)
+    found = [
+        _with_gain(f, fitted.get(i), judged, totals, after, horizon_s, rng)
+        for i, f in enumerate(found)
+    ]
+    ceiling: dict[str, float] = {}
+    for stage, j in judged.items():
+        p = j.prepared
+        p.library.rewhiten(j.point)
+        ceiling |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
+    sizes, unseen = _detectable(judged, rng)
+    lap("gain")
+    judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
+    reasons = vocabulary_reasons(judged_causes, reasons, set(prepared))
+    findings = Findings(
+        verdict=Overall.FINDINGS if found else Overall.NOTHING_FOUND,
+        logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
+        seed=seed,
+        version=__version__,
+        config_sha256=config_sha256,
+        baseline={key: gain.before for key, gain in totals.items()},
+        findings=tuple(found),
+        total_gain=totals if fitted else {},
+        ceiling=ceiling,
+        smallest_detectable=tuple(sizes),
+        not_judged=(
+            *unseen,
+            *(NotJudged(cause=c, reason=r) for c, r in reasons.items()),
+        ),
+        notices=log.notices,
+    )
+    terms = extension(found, fitted)
+    shown = {
+        stage: Shown(j.prepared, j.point, before[stage], after[stage], j.scores)
+        for stage, j in judged.items()
+    }
+    return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
+
+
+def _prepare(
+    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell
+) -> tuple[dict[str, Prepared], dict[str, str]]:
+    prepared: dict[str, Prepared] = {}
+    reasons: dict[str, str] = {}
+    for name, stage in stages_of(log, robot).items():
+        one, why = prepare(stage, jobs, tell)
+        reasons |= why
+        if one is not None:
+            prepared[name] = one
+    return prepared, reasons
+
+
+def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str, Judged]:
+    """Select, swap, prune; map what remains; drop what the remains put in doubt."""
+    selected = select(
+        {n: p.problem for n, p in prepared.items()},
+        {n: p.library for n, p in prepared.items()},
+        {n: p.base for n, p in prepared.items()},
+        rng,
+    )
+    out = {}
+    for name, p in prepared.items():
+        point = selected[name].point
+        ties: dict[str, list[Rival]] = {}
+        if point.model.fitted:
+            point, ties = settle(p.library, point)
+            point = prune(p.problem, point, LEAST_GAIN)
+        explained = max(p.base.deviance - point.deviance, 0.0)
+        unknown = remaining(p.problem, point, rng, families_of(p.problem, point), explained)
+        for index in reversed(without_unknown(p.problem, point, unknown)):
+            point = fit(p.problem, point.model.without(index), point, iterations=3)
+        if unknown:
+            again = remaining(p.problem, point, rng, families_of(p.problem, point), 0.0)
+            unknown = again or unknown
+        drift = drifting(p.problem, point, rng)
+        scores = p.library.scores(p.base)
+        kept = {c: t for c, t in ties.items() if c in point.model.causes}
+        out[name] = Judged(p, selected[name], point, kept, unknown, drift, scores)
+    return out
+
+
+def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
+    """Add the findings of one stage; return which of them is which fitted cause."""
+    problem, fitted = j.prepared.problem, {}
+    for f, finding in zip(
+        j.point.model.fitted,
+        named(problem, j.point, j.ties, j.selected.p, j.drift) if j.point.model.fitted else [],
+        strict=True,
+    ):
+        fitted[len(found)] = f
+        found.append(finding)
+    if stage == "pose" and (thrown := outliers(problem, j.point)) is not None:
+        found.append(thrown)
+    steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None
+    if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
+        found.append(lost(steps))
+    elif j.unknown:
+        found.append(structure(j.unknown, stage))
+    return fitted
+
+
+def _gains(
+    judged: Mapping[str, Judged], horizon_s: float, rng: np.random.Generator
+) -> tuple[dict[str, Gain], dict[str, Array], dict[str, Array]]:
+    totals: dict[str, Gain] = {}
+    before, after = {}, {}
+    for stage, j in judged.items():
+        problem = j.prepared.problem
+        base = problem.point(Model(), j.point.poses)
+        before[stage] = base.predicted
+        after[stage] = base.predicted
+        if j.point.model.fitted:
+            after[stage] = held_out(problem, crossed(problem, j.point, j.point.model))
+        totals |= gains(problem, before[stage], after[stage], horizon_s, rng)
+    return totals, before, after
+
+
+def _with_gain(
+    finding: Finding,
+    fitted: Fitted | None,
+    judged: Mapping[str, Judged],
+    totals: Mapping[str, Gain],
+    after: Mapping[str, Array],
+    horizon_s: float,
+    rng: np.random.Generator,
+) -> Finding:
+    """Add what one cause gains: all others on, with and without it."""
+    if fitted is None:
+        return finding
+    stage = fitted.candidate.stage
+    j = judged[stage]
+    problem = j.prepared.problem
+    if len(j.point.model.fitted) == 1:
+        own = {k: g for k, g in totals.items() if (k in DRIVEN) == (stage == "drive")}
+        return finding.model_copy(update={"gain": own})
+    without = j.point.model.without(j.point.model.fitted.index(fitted))
+    start = problem.point(without, j.point.poses)
+    reduced = held_out(problem, crossed(problem, start, without))
+    own = gains(problem, reduced, after[stage], horizon_s, rng)
+    return finding.model_copy(update={"gain": own})
+
+
+def _detectable(
+    judged: Mapping[str, Judged], rng: np.random.Generator
+) -> tuple[list[Detectable], list[NotJudged]]:
+    scores = {n: j.prepared.library.scores(j.point) for n, j in judged.items()}
+    limit = critical(null_maxima(list(scores.values()), rng)) if scores else 0.0
+    sizes: list[Detectable] = []
+    silent: list[NotJudged] = []
+    for name, j in judged.items():
+        more, not_judged = smallest(j.prepared.library, scores[name], limit)
+        sizes += more
+        silent += not_judged
+    return sizes, silent
+
+
+__all__ = ["Diagnosis", "Problem", "diagnose"]

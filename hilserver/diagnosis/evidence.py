@@ -1,0 +1,305 @@
+"""What stands behind the findings: the arrays and tables that the report draws.
+
+The engine fills it at full resolution; the report decimates. Everything here is plain data, so that
+an `Evidence` travels between processes.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.findings import Findings
+
+Array = NDArray[np.float64]
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One measured channel beside both models, at the stamps of its samples.
+
+    Angles are unwrapped. A free run starts anew at every span.
+
+    Attributes
+    ----------
+    name, unit : str
+        Signal (``nav.yaw_rad``) and symbol of its unit.
+    t_s, measured, simulated : ndarray of float64, shape (n,)
+        `simulated` is the configured plant after corrections of data faults.
+    extended : ndarray of float64, shape (n,), or None
+        The plant with the terms of the extension; None when there is none.
+    span : ndarray of int64, shape (n,)
+        Index into the log's spans; does not fall.
+    held_out : ndarray of bool, shape (n,), or None
+        True where the sample took no part in selection and fit.
+    """
+
+    name: str
+    unit: str
+    t_s: Array
+    measured: Array
+    simulated: Array
+    extended: Array | None
+    span: NDArray[np.int64]
+    held_out: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The way over the floor in one span; each track has shape (n, 2) of x, y [m]."""
+
+    span: int
+    measured: Array
+    simulated: Array
+    extended: Array | None
+
+
+@dataclass(frozen=True, slots=True)
+class CutRow:
+    """Residual of one channel when the replay begins at a cut point: in which block the fault is.
+
+    Attributes
+    ----------
+    cut : str
+        ``setpoints`` (whole chain), ``duty`` (process only) or ``speed`` (kinematics only).
+    rms, expected : float
+        Of the residual, and what the sensors' noise alone would give, in `unit`.
+    """
+
+    cut: str
+    channel: str
+    unit: str
+    rms: float
+    expected: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseRow:
+    """Noise model of one channel: white + Ornstein-Uhlenbeck + heavy tails.
+
+    Attributes
+    ----------
+    white, correlated : float
+        Standard deviations in `unit`.
+    tau_s : float or None
+        Correlation time of the second; None without one.
+    tail_dof : float or None
+        Degrees of freedom of Student's t; None: Gaussian.
+    frequency_hz, density, model : ndarray of float64, shape (k,), or None
+        Power spectral density measured and of the model, in unit^2/Hz.
+    """
+
+    channel: str
+    unit: str
+    white: float
+    correlated: float
+    tau_s: float | None
+    tail_dof: float | None
+    frequency_hz: Array | None = None
+    density: Array | None = None
+    model: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenRow:
+    """One cause in the screen.
+
+    Attributes
+    ----------
+    cause : str
+        Cause of the vocabulary; `part` its part or "".
+    statistic, critical : float
+        Robust test statistic and the value it must exceed at the family-wise level.
+    size : float
+        Estimate when it is taken alone, in `unit`.
+    standard_error : float
+        Robust one of `size`.
+    dof : float
+        Effective degrees of freedom.
+    round : int
+        0: the first screen; k: after k causes were taken up.
+    """
+
+    cause: str
+    part: str
+    statistic: float
+    critical: float
+    p_adjusted: float
+    size: float
+    standard_error: float
+    unit: str
+    dof: float
+    round: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionRow:
+    """One decision of the selection, in its order.
+
+    Attributes
+    ----------
+    action : str
+        ``taken``, ``refused``, ``swapped`` or ``dropped``.
+    held_out_gain : float or None
+        Ratio of the errors on held-out blocks that it brought.
+    reason : str
+        Half a sentence.
+    """
+
+    cause: str
+    action: str
+    held_out_gain: float | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """|cos| between the sensitivities of causes, noise-weighted and with nuisances projected out.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Causes (or ``cause.part``), n of them.
+    cosine : ndarray of float64, shape (n, n)
+        Signed; NaN where a sensitivity is nought.
+    limit : float
+        Above it two causes are one group.
+    """
+
+    names: tuple[str, ...]
+    cosine: Array
+    limit: float = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class HorizonRow:
+    """Mean absolute error at the end of free runs of one length, on held-out blocks.
+
+    Attributes
+    ----------
+    quantity : str
+        Key of ``Findings.total_gain``: position_m, yaw_rad, speed_rpm, duty_pct or gyro_z_rad_s.
+    horizon_s : float
+        0: one step.
+    """
+
+    quantity: str
+    horizon_s: float
+    before: float
+    after: float
+    ratio: float
+    ci95: Interval | None
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """What remains of a residual against one regressor, in bins.
+
+    Attributes
+    ----------
+    channel, regressor : str
+        Residual of which signal, and against what (``pose.yaw_rad``, ``t_s``).
+    x, mean, low, high : ndarray of float64, shape (k,)
+        Middle of the bin, mean residual and its interval of 95 %.
+    statistic, critical : float
+        As in the screen.
+    """
+
+    channel: str
+    unit: str
+    regressor: str
+    regressor_unit: str
+    x: Array
+    mean: Array
+    low: Array
+    high: Array
+    statistic: float
+    critical: float
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A parameter fitted in windows of time, for drift; all of shape (k,)."""
+
+    cause: str
+    unit: str
+    t_s: Array
+    value: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, slots=True)
+class FittedTerm:
+    """A term of the extension: what goes into ``model_patch.yaml``.
+
+    Attributes
+    ----------
+    name : str
+        As in ``plant/terms.csv``. Of a group it is the member that was fitted.
+    finding : int
+        Index into ``Findings.findings``; which finding it belongs to.
+    """
+
+    name: str
+    value: float
+    ci95: Interval | None
+    unit: str
+    finding: int
+
+
+@dataclass(frozen=True, slots=True)
+class FittedRange:
+    """What the machine did in the data that the extension was fitted to.
+
+    Attributes
+    ----------
+    speed_m_s, wheel_speed_rpm, turn_rate_rad_s, voltage_v : tuple of float or None
+        Smallest and largest; None: not excited or not in the log. Speeds carry their sign.
+    conditions : str
+        What else it holds for, in words (floor, load, rate); the logs are named anyway.
+    """
+
+    speed_m_s: Interval | None = None
+    wheel_speed_rpm: Interval | None = None
+    turn_rate_rad_s: Interval | None = None
+    voltage_v: Interval | None = None
+    conditions: str = ""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that the report shows beside the findings; what was not made is empty.
+
+    Attributes
+    ----------
+    timings_s : mapping of str to float
+        Wall time by stage.
+    remarks : tuple of str
+        What a reader of the evidence should know, in sentences.
+    """
+
+    series: tuple[Series, ...] = ()
+    paths: tuple[Path, ...] = ()
+    cuts: tuple[CutRow, ...] = ()
+    noise: tuple[NoiseRow, ...] = ()
+    screen: tuple[ScreenRow, ...] = ()
+    selection: tuple[SelectionRow, ...] = ()
+    similarity: Similarity | None = None
+    gain_by_horizon: tuple[HorizonRow, ...] = ()
+    dependences: tuple[Dependence, ...] = ()
+    courses: tuple[Course, ...] = ()
+    extension: tuple[FittedTerm, ...] = ()
+    fitted: FittedRange = field(default_factory=FittedRange)
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a diagnosis returns: what it says, and what stands behind it."""
+
+    findings: Findings
+    evidence: Evidence = field(default_factory=Evidence)

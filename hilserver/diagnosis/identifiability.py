@@ -1,0 +1,152 @@
+"""What the data cannot tell apart: accepted causes against rivals that could imitate them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.selection import Library, Trial, physical
+
+Array = NDArray[np.float64]
+
+RIVAL_COSINE = 0.6
+GROUP_COSINE = 0.95
+TIE = 4.0
+"""Deviance per parameter within which two causes explain the data alike."""
+CLEAR_Z = 2.33
+"""Deviations of a difference over the blocks from which one cause is clearly better (1 %)."""
+MOST_SWAPS = 4
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A cause in the place of another.
+
+    Attributes
+    ----------
+    cosine : float
+        Of the sensitivities, what the other accepted causes explain taken out.
+    worse : float
+        Deviance that it leaves more, a penalty per parameter included; negative: it is better.
+    z : float
+        `worse` by its standard error over the blocks.
+    """
+
+    candidate: Candidate
+    point: Point
+    cosine: float
+    worse: float
+    z: float
+
+    @property
+    def ties(self) -> bool:
+        """Whether the data cannot tell it from the accepted cause."""
+        close = self.worse < TIE or self.z < CLEAR_Z
+        return close and self.cosine > GROUP_COSINE
+
+    @property
+    def wins(self) -> bool:
+        """Whether it explains the data better."""
+        return self.worse < -0.5
+
+
+def cosines(library: Library, point: Point, index: int) -> Array:
+    """Return the |cos| between an accepted cause and what every candidate can imitate of it.
+
+    What the other accepted causes explain is taken out of both.
+    """
+    problem, f = library.problem, point.model.fitted[index]
+    columns = problem.accepted(point)
+    assert columns is not None
+    columns = columns[library.blocks.order]
+    begin = sum(g.candidate.n for g in point.model.fitted[:index])
+    end = begin + f.candidate.n
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    mine = columns[:, begin:end] @ away if f.candidate.linear else columns[:, begin]
+    base = orthonormal(np.delete(columns, np.s_[begin:end], axis=1))
+    mine = mine - base @ (base.T @ mine)
+    theirs = library.columns.astype(np.float64).T
+    along, with_base = theirs @ mine, theirs @ base
+    out = np.zeros(len(library.candidates))
+    norm = float(mine @ mine) + 1e-300
+    for i in range(len(library.candidates)):
+        rows = np.flatnonzero(library.owner == i)[:2]
+        block = theirs[rows]
+        gram = block @ block.T - with_base[rows] @ with_base[rows].T
+        scale = np.sqrt(np.maximum(np.diag(block @ block.T), 1e-300))
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-6)
+        cross = along[rows] / scale
+        out[i] = np.sqrt(max(float(cross @ inverse @ cross), 0.0) / norm)
+    return np.minimum(out, 1.0)
+
+
+def orthonormal(columns: Array) -> Array:
+    """Return an orthonormal base of some columns; of none, an empty one."""
+    if columns.shape[1] == 0:
+        return columns
+    return np.asarray(np.linalg.qr(columns / (np.sqrt((columns**2).sum(axis=0)) + 1e-300))[0])
+
+
+def rivals(library: Library, point: Point, index: int) -> list[Rival]:
+    """Fit every confusable rival in the place of an accepted cause; the best start of each."""
+    problem, accepted = library.problem, point.model.fitted[index]
+    cosine = cosines(library, point, index)
+    best: dict[str, int] = {}
+    taken = set(point.model.causes)
+    for i, c in enumerate(library.candidates):
+        if c.cause in taken or cosine[i] < RIVAL_COSINE:
+            continue
+        if c.cause not in best or cosine[i] > cosine[best[c.cause]]:
+            best[c.cause] = i
+    found = []
+    for i in best.values():
+        c = library.candidates[i]
+        theta = c.beginning
+        trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
+        if not physical(trial):
+            continue
+        difference = trial.loss - point.loss
+        penalty = TIE * (c.weight - accepted.candidate.weight)
+        worse = float(difference.sum()) + penalty
+        z = worse / (np.sqrt((difference**2).sum()) + 1e-9)
+        found.append(Rival(c, trial, float(cosine[i]), worse, z))
+    return sorted(found, key=lambda r: r.worse)
+
+
+def settle(library: Library, point: Point) -> tuple[Point, dict[str, list[Rival]]]:
+    """Swap causes for better rivals until none is left; return the rivals that tie."""
+    for _ in range(MOST_SWAPS):
+        ties: dict[str, list[Rival]] = {}
+        swapped = None
+        for index, f in enumerate(point.model.fitted):
+            found = rivals(library, point, index)
+            if found and found[0].wins and not found[0].ties:
+                swapped = found[0].point
+                break
+            ties[f.candidate.cause] = [r for r in found if r.ties]
+        if swapped is None:
+            return point, ties
+        point = swapped
+    return point, ties
+
+
+def prune(problem: Problem, point: Point, least: float) -> Point:
+    """Drop causes that the others have made superfluous."""
+    while point.model.fitted:
+        losses = []
+        for index in range(len(point.model.fitted)):
+            without = fit(problem, point.model.without(index), point, iterations=3)
+            saved = without.loss - point.loss
+            t = saved.sum() / (np.sqrt((saved**2).sum()) + 1e-9)
+            losses.append((float(saved.sum()), float(t), without))
+        weakest = min(range(len(losses)), key=lambda i: losses[i][0])
+        gain, t, without = losses[weakest]
+        if gain > least and t > 2.0:
+            break
+        point = without
+    return point
+
+
+__all__ = ["Rival", "Trial", "prune", "rivals", "settle"]

@@ -1,0 +1,187 @@
+"""Compiled free runs of the daemon's own plant over whole logs.
+
+Segments lie one after the other in all arrays: segment i covers the rows ``first[i]`` to
+``first[i + 1] - 1``, one row per plant tick.
+"""
+
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    P_DT,
+    P_NAV_DELAY,
+    P_NAV_YAW_DELAY,
+    X_ANGLE,
+    X_BATTERY_V,
+    X_CONTROL_PHASE,
+    X_INTEGRAL,
+    X_MOTOR,
+    X_NAV_COUNT,
+    X_NAV_HEAD,
+    X_NAV_RING,
+    X_POSE,
+    X_SETPOINT,
+    X_SPEED,
+    Y_ANGLE,
+    Y_DUTY,
+    Y_SPEED,
+    Y_VELOCITY,
+)
+from hilserver.plant.nav import _position, _yaw
+from hilserver.plant.pose import wrap
+from hilserver.plant.robot import SIDE, drive_on_with_terms, robot_step
+
+
+@kernel()
+def run_drive(
+    p: Any,
+    x0: Any,
+    first: Any,
+    inputs: Any,
+    input_row: Any,
+    volts: Any,
+    speed_0: Any,
+    phase_ticks: float,
+    y: Any,
+    q: Any,
+    speed: Any,
+    seen: Any,
+    duty: Any,
+) -> None:
+    """Run the whole chain from set-points, cut point A.
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (rows, N_U)
+        Distinct inputs; ``input_row[k]`` is the row that is latched at tick k.
+    volts : ndarray, shape (ticks,)
+        Battery voltage.
+    speed_0 : ndarray, shape (segments, 4)
+        Wheel speeds [rpm] that each segment starts with, in balance.
+    speed, seen, duty : ndarray, shape (ticks, 4)
+        Written: true speed, speed as the encoder shows it, duty.
+    """
+    x = x0.copy()
+    for s in range(first.size - 1):
+        x[:] = x0
+        x[X_CONTROL_PHASE] = phase_ticks
+        for i in range(4):
+            x[X_SPEED + i] = speed_0[s, i]
+            x[X_MOTOR + i] = speed_0[s, i]
+            x[X_SETPOINT + i] = speed_0[s, i]
+            x[X_INTEGRAL + i] = speed_0[s, 4 + i]
+        for k in range(first[s], first[s + 1]):
+            x[X_BATTERY_V] = volts[k]
+            for i in range(4):
+                speed[k, i] = x[X_SPEED + i]
+            robot_step(p, x, inputs[input_row[k]], y, q)
+            for i in range(4):
+                seen[k, i] = y[Y_SPEED + i]
+                duty[k, i] = y[Y_DUTY + i]
+
+
+@kernel()
+def run_process(p: Any, first: Any, duty: Any, speed_0: Any, speed: Any) -> None:
+    """Run the process alone under a given duty, cut point B; base model."""
+    a00, a01, a10, a11, b0, b1 = p[5], p[6], p[7], p[8], p[9], p[10]
+    for s in range(first.size - 1):
+        for i in range(4):
+            motor = speed_0[s, i]
+            n = speed_0[s, i]
+            for k in range(first[s], first[s + 1]):
+                speed[k, i] = n
+                u = duty[k, i]
+                following = a10 * motor + a11 * n + b1 * u
+                motor = a00 * motor + a01 * n + b0 * u
+                n = following
+
+
+@kernel()
+def run_pose(
+    p: Any, x0: Any, first: Any, left: Any, right: Any, pose_0: Any, angle_0: Any, y: Any, pose: Any
+) -> None:
+    """Run the kinematics alone under given wheel speeds, cut point C.
+
+    Parameters
+    ----------
+    left, right : ndarray, shape (ticks,)
+        Sum of the speeds of the two wheels of a side [rpm].
+    pose_0 : ndarray, shape (segments, 3)
+    angle_0 : ndarray, shape (segments,)
+        Mean angle of the left wheels at the start [rad].
+    pose : ndarray, shape (ticks, 4)
+        Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
+    """
+    x = x0.copy()
+    dt = p[P_DT]
+    for s in range(first.size - 1):
+        for i in range(3):
+            x[X_POSE + i] = pose_0[s, i]
+        turned = pose_0[s, 2]
+        angle = angle_0[s]
+        last = first[s + 1] - 1
+        for k in range(first[s], first[s + 1]):
+            following = min(k + 1, last)
+            w_l, w_r = left[k] * SIDE, right[k] * SIDE
+            next_l, next_r = left[following] * SIDE, right[following] * SIDE
+            mean_l, mean_r = 0.5 * (w_l + next_l), 0.5 * (w_r + next_r)
+            y[Y_ANGLE] = angle
+            y[Y_ANGLE + 1] = angle
+            angle += mean_l * dt
+            x[X_ANGLE] = angle
+            x[X_ANGLE + 1] = angle
+            pose[k, 0] = x[X_POSE]
+            pose[k, 1] = x[X_POSE + 1]
+            pose[k, 2] = turned
+            before = x[X_POSE + 2]
+            drive_on_with_terms(
+                p, x, y, w_l, w_r, (next_l - w_l) / dt, (next_r - w_r) / dt, mean_l, mean_r
+            )
+            pose[k, 3] = y[Y_VELOCITY + 2]
+            turned += wrap(x[X_POSE + 2] - before)
+
+
+@kernel()
+def sample(dense: Any, column: int, low: Any, high: Any, at: Any, out: Any) -> None:
+    """Read a dense column between ticks, held at the ends of the segment.
+
+    ``at`` is the row as a fraction; ``low`` and ``high`` are the first and last row of the sample's
+    segment.
+    """
+    for j in range(at.size):
+        where = min(max(at[j], float(low[j])), float(high[j]))
+        k = int(where)
+        share = where - k
+        value = dense[k, column]
+        if share > 0.0:
+            value += share * (dense[k + 1, column] - value)
+        out[j] = value
+
+
+@kernel()
+def sample_tag(
+    p: Any, x: Any, dense: Any, low: Any, high: Any, at_position: Any, at_yaw: Any, out: Any
+) -> None:
+    """Write what the navigation tag shows for a pose, with the plant's own sensor; shape (n, 3).
+
+    Ages are in ``at_position`` and ``at_yaw`` already, so the sensor's own are set to nothing. Yaw
+    is not wrapped.
+    """
+    p[P_NAV_DELAY] = 0.0
+    p[P_NAV_YAW_DELAY] = 0.0
+    x[X_NAV_HEAD] = 0.0
+    x[X_NAV_COUNT] = 1.0
+    for j in range(at_position.size):
+        where = min(max(at_position[j], float(low[j])), float(high[j]))
+        k = int(where)
+        following = min(k + 1, int(high[j]))
+        share = where - k
+        for c in range(3):
+            x[X_NAV_RING + c] = dense[k, c] + share * (dense[following, c] - dense[k, c])
+        out[j, 0], out[j, 1] = _position(p, x)
+        where = min(max(at_yaw[j], float(low[j])), float(high[j]))
+        k = int(where)
+        following = min(k + 1, int(high[j]))
+        yaw = dense[k, 2] + (where - k) * (dense[following, 2] - dense[k, 2])
+        x[X_NAV_RING + 2] = yaw
+        out[j, 2] = yaw + wrap(_yaw(p, x) - yaw)

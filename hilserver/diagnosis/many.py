@@ -1,0 +1,82 @@
+"""Hundreds of logs: each a diagnosis of its own, in worker processes or on a Dask cluster."""
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
+
+from hilserver.errors import FailedError
+
+T = TypeVar("T")
+R = TypeVar("R")
+CONNECT_WITHIN_S = 10
+
+
+def in_processes(
+    function: Callable[[T], R], tasks: Sequence[T], workers: int
+) -> Iterator[tuple[int, R]]:
+    """Yield the index and result of every task, as they come.
+
+    Parameters
+    ----------
+    function : callable
+        A function of a module, as it travels by its name.
+    workers : int
+        Processes; 1: this one.
+
+    Raises
+    ------
+    FailedError
+        If a worker process is ended from outside.
+    """
+    if workers <= 1 or len(tasks) <= 1:
+        yield from ((index, function(task)) for index, task in enumerate(tasks))
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
+        waiting = {pool.submit(function, task): index for index, task in enumerate(tasks)}
+        try:
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        except BrokenProcessPool:
+            raise FailedError(
+                "a worker process was ended, perhaps for want of memory; try fewer --jobs"
+            ) from None
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def on_cluster(
+    function: Callable[[T], R], tasks: Sequence[T], address: str
+) -> Iterator[tuple[int, R]]:
+    """Yield the index and result of every task from a Dask cluster.
+
+    Its workers must have this version of hilserver and see the logs under the same paths.
+
+    Raises
+    ------
+    FailedError
+        If the extra is not installed or nobody answers at the address.
+    """
+    with _client(address) as client:
+        futures = client.map(function, tasks, pure=False)
+        waiting = {future.key: index for index, future in enumerate(futures)}
+        from distributed import as_completed as completed  # noqa: PLC0415 (an extra)
+
+        for future in completed(futures):
+            yield waiting[future.key], future.result()
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client  # noqa: PLC0415 (an extra)
+    except ImportError:
+        raise FailedError(
+            "--dask needs the extra 'dask': python -m pip install 'hilserver[dask]'"
+        ) from None
+    try:
+        return Client(address, timeout=CONNECT_WITHIN_S)
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FailedError(f"--dask {address}: no cluster answers there: {reason}") from None

@@ -1,0 +1,177 @@
+"""Mapping files: which column, or topic and field, of a foreign log is which signal."""
+
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hilserver.config.loading import load, place
+from hilserver.config.plant import PlantConfig
+from hilserver.diagnosis.names import closest, conversion, known_signals, units_of
+from hilserver.errors import ConfigError, LogError
+
+PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+ANY_NUMBER = "1"
+"""Unit of a bare number, which `scale` turns into the signal's unit."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class TimeMap(_Section):
+    """Where the stamps are."""
+
+    column: str | None = Field(None, description="time column of a table; default t_s")
+    unit: Literal["s", "ms", "us", "ns"] = Field("s", description="its unit")
+    rate_hz: float | None = Field(
+        None, gt=0, le=1e6, description="no stamps: rows at this rate; delays are not judged"
+    )
+    stamp: Literal["received", "header"] = Field(
+        "received", description="bags: when the recorder received it, or header.stamp"
+    )
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if self.column is not None and self.rate_hz is not None:
+            raise ValueError("column and rate_hz exclude each other; keep one of them")
+        return self
+
+
+class ColumnMap(_Section):
+    """A column of whole numbers."""
+
+    column: str = Field(description="its name in the file")
+
+
+class ChannelMap(_Section):
+    """Where a signal comes from; unit, sign, scale, offset are applied in this order."""
+
+    column: str | None = Field(None, description="column of a table")
+    topic: str | None = Field(None, description="topic of a bag, instead of a column")
+    field: str | None = Field(
+        None, description="number in its message: a.b.c or list[2]; quaternion.yaw is computed"
+    )
+    unit: str | None = Field(None, description="default: the signal's own; 1: any, see scale")
+    sign: Literal[-1, 1] = Field(1, description="-1 turns it around")
+    scale: float | None = Field(None, description="factor, after the unit")
+    offset: float = Field(0.0, description="added last, in the signal's unit")
+    optional: bool = Field(default=False, description="true: a log may lack it")
+
+    @model_validator(mode="after")
+    def _column_or_topic(self) -> Self:
+        if (self.column is None) == (self.topic is None):
+            raise ValueError("a channel needs either column, or topic and field")
+        if (self.topic is None) != (self.field is None):
+            raise ValueError("topic and field belong together; write both")
+        if self.scale == 0.0:
+            raise ValueError("scale 0 leaves nothing of the column; write the factor")
+        return self
+
+
+class LogMapping(_Section):
+    """A mapping file."""
+
+    time: TimeMap = Field(default_factory=TimeMap, description="where the stamps are")
+    segment: ColumnMap | None = Field(None, description="column that tells runs apart")
+    block: ColumnMap | None = Field(None, description="column of the units of held-out splits")
+    plant: PlantConfig = Field(
+        default_factory=PlantConfig, description="keys of the plant configuration of that machine"
+    )
+    channels: dict[str, ChannelMap] = Field(min_length=1, description="by signal name")
+
+    @property
+    def plant_keys(self) -> dict[str, Any]:
+        """The keys that the file sets; a track without a wheelbase means two wheels."""
+        keys = self.plant.model_dump(exclude_unset=True)
+        if "track_m" in keys:
+            keys.setdefault("wheelbase_m", None)
+        return keys
+
+    @property
+    def is_for_bags(self) -> bool:
+        """Whether it names topics, not columns."""
+        return any(channel.topic is not None for channel in self.channels.values())
+
+    def factor(self, signal: str) -> float:
+        """Return what the numbers of a channel are multiplied by."""
+        channel = self.channels[signal]
+        wanted = known_signals()[signal].unit
+        unit = wanted if channel.unit in (None, ANY_NUMBER) else str(channel.unit)
+        factor = conversion(unit, wanted)
+        if factor is None:
+            raise ValueError(unit)
+        scale = 1.0 if channel.scale is None else channel.scale
+        return factor * channel.sign * scale
+
+
+def builtin_mappings() -> tuple[str, ...]:
+    """Return the names of the mappings that come with hilserver."""
+    return tuple(sorted(Path(f.name).stem for f in _folder().iterdir() if f.name.endswith(".yaml")))
+
+
+def _folder() -> Traversable:
+    return resources.files("hilserver.diagnosis") / "mappings"
+
+
+def load_mapping(mapping: Path | str) -> LogMapping:
+    """Read a mapping file, or one of those that come with hilserver.
+
+    Parameters
+    ----------
+    mapping : Path or str
+        A file, or the name of a built-in mapping.
+
+    Raises
+    ------
+    LogError
+        One line per complaint: file, line, key, what is wrong and what to write instead.
+    """
+    if str(mapping) in builtin_mappings():
+        with resources.as_file(_folder() / f"{mapping}.yaml") as path:
+            return _load(path)
+    path = Path(mapping)
+    if not path.exists():
+        known = ", ".join(builtin_mappings())
+        raise LogError(f"{path}: no such mapping file; built in are {known}")
+    return _load(path)
+
+
+def _load(path: Path) -> LogMapping:
+    try:
+        result = load(path, LogMapping)
+        complaints = [
+            f"{place(path, ('channels', name, *key))}{complaint}"
+            for name, channel in result.channels.items()
+            if (found := _complaint(name, channel))
+            for key, complaint in [found]
+        ]
+        if {c.topic is None for c in result.channels.values()} == {True, False}:
+            complaints.append(
+                f"{place(path, ('channels',))}a log is a table or a bag; use columns or topics"
+            )
+    except ConfigError as error:
+        raise LogError(str(error)) from None
+    if complaints:
+        raise LogError("\n".join(complaints))
+    return result
+
+
+def _complaint(name: str, channel: ChannelMap) -> tuple[tuple[str, ...], str] | None:
+    """Return key and sentence of what is wrong with a channel."""
+    known = known_signals()
+    if name not in known:
+        hint = closest(name, known, "see 'hilserver signals' for the names")
+        return (), f"there is no such signal; {hint}"
+    wanted = known[name].unit
+    if channel.unit == ANY_NUMBER and channel.scale is not None:
+        return None
+    if channel.unit is not None and conversion(channel.unit, wanted) is None:
+        fitting = ", ".join(units_of(wanted))
+        return ("unit",), (
+            f"unit '{channel.unit}' does not fit a signal in {wanted}; write one of {fitting},"
+            " or 1 with a scale"
+        )
+    return None

@@ -1,0 +1,83 @@
+"""The model under test: the configured plant with accepted causes at their fitted values."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.library import Candidate
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One candidate and the values of its parameters, shape (candidate.n,)."""
+
+    candidate: Candidate
+    theta: tuple[float, ...]
+
+    @property
+    def terms(self) -> Mapping[str, float]:
+        """Values by term."""
+        return self.candidate.terms(self.theta)
+
+
+@dataclass(frozen=True)
+class Model:
+    """Accepted causes.
+
+    Attributes
+    ----------
+    fitted : tuple of Fitted
+        In the order of their acceptance.
+    """
+
+    fitted: tuple[Fitted, ...] = field(default=())
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """All terms by name, those of the plant and the corrections of stamps and fields."""
+        values: dict[str, float] = {}
+        for f in self.fitted:
+            values.update(f.terms)
+        return values
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(f.candidate.cause for f in self.fitted)
+
+    def theta(self) -> Array:
+        """Return all parameters in one vector."""
+        return np.array([v for f in self.fitted for v in f.theta])
+
+    def with_theta(self, theta: Array) -> "Model":
+        """Return the model with other values of its parameters."""
+        fitted, begin = [], 0
+        for f in self.fitted:
+            end = begin + f.candidate.n
+            fitted.append(Fitted(f.candidate, tuple(float(v) for v in theta[begin:end])))
+            begin = end
+        return Model(tuple(fitted))
+
+    def plus(self, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
+        """Return the model with one more cause."""
+        return Model((*self.fitted, Fitted(candidate, theta)))
+
+    def without(self, index: int) -> "Model":
+        """Return the model without one of its causes."""
+        return Model(self.fitted[:index] + self.fitted[index + 1 :])
+
+    def swapped(self, index: int, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
+        """Return the model with one cause replaced."""
+        fitted = list(self.fitted)
+        fitted[index] = Fitted(candidate, theta)
+        return Model(tuple(fitted))
+
+
+def robot_with(robot: RobotParameters, terms: Mapping[str, float]) -> RobotParameters:
+    """Return the plant with the terms of a model added to those it has."""
+    return replace(robot, terms={**robot.terms, **terms})

@@ -1,0 +1,75 @@
+"""Which signals a measured log may hold, and which units fit them."""
+
+import difflib
+import math
+from collections.abc import Iterable
+from functools import cache
+
+from hilserver.plant.parameters import RobotParameters
+from hilserver.signals import MEASURED, Direction, Ranges, Signal, SignalTable, robot_table
+
+_OF_THE_DAEMON = ("sim.", "internal.")
+
+
+def _table() -> SignalTable:
+    ranges = RobotParameters().ranges  # names and units are those of every robot
+    return robot_table(Ranges(*ranges))
+
+
+@cache
+def known_signals() -> dict[str, Signal]:
+    """Return every signal that can be measured or commanded, by its name in the signal table."""
+    return {
+        signal.name: signal
+        for signal in _table()
+        if not (signal.is_array or signal.is_measured or signal.name.startswith(_OF_THE_DAEMON))
+    }
+
+
+@cache
+def known_columns() -> tuple[str, ...]:
+    """Return the columns that a log in our own names may have, besides time and segment."""
+    return tuple(signal.name for signal in _table().scalars)
+
+
+def is_input(name: str) -> bool:
+    """Return whether a signal is commanded, not measured."""
+    signal = known_signals().get(name.removeprefix(MEASURED))
+    return signal is not None and signal.direction is Direction.IN
+
+
+def closest(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return the hint behind a name that does not exist."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"did you mean '{close[0]}'?" if close else otherwise
+
+
+_DIMENSIONS: dict[str, dict[str, float]] = {
+    "angular speed": {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180.0,
+        "rpm": math.pi / 30.0,
+        "rev/s": 2.0 * math.pi,
+    },
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
+    "acceleration": {"m/s²": 1.0, "m/s2": 1.0, "g": 9.80665},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "share": {"%": 1e-2, "1": 1.0},
+}
+
+
+def units_of(unit: str) -> tuple[str, ...]:
+    """Return the units that measure the same quantity as `unit`."""
+    return next((tuple(d) for d in _DIMENSIONS.values() if unit in d), (unit,))
+
+
+def conversion(unit: str, wanted: str) -> float | None:
+    """Return the factor from `unit` to `wanted`, None where they do not measure the same."""
+    if unit == wanted:
+        return 1.0
+    for factors in _DIMENSIONS.values():
+        if unit in factors and wanted in factors:
+            return factors[unit] / factors[wanted]
+    return None

@@ -1,0 +1,175 @@
+"""The noise of one channel, fitted to residuals that may hold outliers and slow misfits.
+
+The samples are cut into windows of at most 12 s, each with a free level and slope, so that what
+drifts slowly (an error of the model) is no noise. Variances and correlation time maximise the
+exact restricted likelihood (REML) of the windows; gross outliers are left out by their innovation.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import gammaln
+
+from hilserver.diagnosis.whitening import (
+    SMALLEST_DOF,
+    Array,
+    NoiseModel,
+    Whitener,
+    robust_weights,
+)
+from hilserver.diagnosis.windows import Windows
+
+__all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
+
+TAU_MAX_S: Final = 5.0
+WINDOW_S: Final = 12.0
+GATE_SD: Final = 5.0
+SAMPLES_MAX: Final = 12_000
+_GATED_MAX = 0.2  # more is no tail: the gate would cut a misfit
+_COLOURED_NATS = 6.0  # an Ornstein-Uhlenbeck part must earn its two parameters
+_TAILED_NATS = 3.0
+_SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
+_LOGIT_RANGE = (-8.0, 10.0)
+_DOFS = (SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
+_FALLBACK_SD = 1e-9
+_SHORT_DOF = 4.0
+_LAGS = 40
+
+
+def fit_noise(
+    residuals: Iterable[tuple[Array, Array]],
+    *,
+    window_s: float = WINDOW_S,
+    tau_max_s: float = TAU_MAX_S,
+    floor_sd: float = _FALLBACK_SD,
+) -> NoiseModel:
+    """Fit white + Ornstein-Uhlenbeck noise with tails.
+
+    Parameters
+    ----------
+    residuals : iterable of (t_s, r)
+        Per span, shape (n,) each; stamps rise at any distances.
+    window_s : float
+        Longest stretch that shares a level and a slope; what is slower is taken for a misfit.
+    tau_max_s : float
+        Longest correlation time.
+    floor_sd : float
+        The white part is not below this: residuals of a perfect replay have no noise at all.
+
+    Returns
+    -------
+    NoiseModel
+        `floor_sd` alone when there are fewer than 8 samples or none differs.
+    """
+    windows = Windows.cut(residuals, window_s, SAMPLES_MAX)
+    if windows.samples < 8 or not windows.spread > floor_sd:
+        return NoiseModel(floor_sd)
+    windows.gate_level(2.0 * GATE_SD)
+    model = _fit(windows, tau_max_s, None)
+    if windows.gate_innovations(model, GATE_SD) > _GATED_MAX:
+        windows.gate_level(2.0 * GATE_SD)
+    else:
+        model = _fit(windows, tau_max_s, model)
+    dof = _tail_dof(windows.innovations(model))
+    return NoiseModel(max(model.white_sd, floor_sd), model.ou_sd, model.ou_tau_s, dof)
+
+
+def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
+    """Return white noise that tells as much as the residuals of short segments, and their scale.
+
+    In a segment of a second or two nobody can tell slow noise from what the model misses: a
+    correlation fitted there would swallow the effect that is looked for. So the samples count as
+    white, with the scale of Student's t, and their variance is raised by what their correlation
+    takes from their number.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray
+        Per segment.
+
+    Returns
+    -------
+    NoiseModel
+    float
+        Scale of a sample, for `robust_weights`.
+    """
+    square = np.square(np.concatenate(residuals)) if residuals else np.zeros(0)
+    if len(square) < 8 or not square.max() > 0.0:
+        return NoiseModel(_FALLBACK_SD), _FALLBACK_SD
+    scale = float(np.mean(square))
+    for _ in range(20):
+        scale = float(np.mean(square * (_SHORT_DOF + 1.0) / (_SHORT_DOF + square / scale)))
+    sd = max(math.sqrt(scale), _FALLBACK_SD)
+    bounded = [np.clip(r / sd, -3.0, 3.0) for r in residuals]
+    power = sum(float(r @ r) for r in bounded)
+    total = 1.0
+    for lag in range(1, _LAGS):
+        together = sum(float(r[lag:] @ r[:-lag]) for r in bounded if len(r) > lag) / power
+        if together < 0.05:
+            break
+        total += 2.0 * together
+    return NoiseModel(sd * math.sqrt(total), tail_dof=_SHORT_DOF), sd
+
+
+def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseModel:
+    """Maximise the likelihood over correlation time and share of the coloured part."""
+    tau_range = (math.log(min(windows.step_s, 0.5 * tau_max_s)), math.log(tau_max_s))
+
+    def loss(point: Sequence[float], subset: Windows = windows) -> float:
+        log_tau = min(max(point[0], tau_range[0]), tau_range[1])
+        logit = min(max(point[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1])
+        outside = abs(point[0] - log_tau) + abs(point[1] - logit)
+        share = 1.0 / (1.0 + math.exp(-logit))
+        value, sd = subset.likelihood(1.0 - share, share, math.exp(log_tau))
+        # An Ornstein-Uhlenbeck part larger than the residuals themselves is a random walk.
+        excess = max(0.0, math.log(sd * math.sqrt(share) / windows.level_sd / 1.5))
+        return -value + 10.0 * outside + 1e3 * excess
+
+    if start is None or start.ou_sd == 0.0:
+        thin = windows.thinned(SAMPLES_MAX // 3)
+        taus = np.linspace(*tau_range, 7)
+        grid = [(float(tau), logit) for tau in taus for logit in _SHARE_LOGITS]
+        first = min(grid, key=lambda point: loss(point, thin))
+    else:
+        logit = 2.0 * math.log(start.ou_sd / max(start.white_sd, 1e-5 * start.ou_sd))
+        first = (math.log(start.ou_tau_s), logit)
+    simplex = np.array([first, (first[0] + 0.4, first[1]), (first[0], first[1] + 0.7)])
+    options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 80}
+    best = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
+    white, white_sd = windows.likelihood(1.0, 0.0, 1.0)
+    if -best.fun - white < _COLOURED_NATS:
+        return NoiseModel(white_sd)
+    tau_s = math.exp(min(max(best.x[0], tau_range[0]), tau_range[1]))
+    share = 1.0 / (1.0 + math.exp(-min(max(best.x[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1])))
+    sd = windows.likelihood(1.0 - share, share, tau_s)[1]
+    return NoiseModel(sd * math.sqrt(1.0 - share), sd * math.sqrt(share), tau_s)
+
+
+def _tail_dof(innovations: Array) -> float:
+    """Return the degrees of freedom of largest likelihood, scale free; infinite if normal."""
+    square = np.square(innovations[innovations != 0.0][:SAMPLES_MAX])
+    if len(square) < 50:
+        return math.inf
+    best, dof = (
+        -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0),
+        math.inf,
+    )
+    best += _TAILED_NATS
+    for candidate in _DOFS:
+        value = _student_likelihood(square, candidate)
+        if value > best:
+            best, dof = value, candidate
+    return dof
+
+
+def _student_likelihood(square: Array, dof: float) -> float:
+    """Return the log likelihood of Student's t at the best scale (found by EM)."""
+    scale = float(np.median(square)) / 0.5
+    for _ in range(20):
+        scale = float(np.mean(square * (dof + 1.0) / (dof + square / scale)))
+    constant = gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    tails = 0.5 * (dof + 1.0) * np.log1p(square / (dof * scale))
+    return float(len(square) * (constant - 0.5 * math.log(scale)) - tails.sum())

@@ -1,0 +1,67 @@
+"""What a diagnosis leaves in its folder: findings.json, report.html, model_patch.yaml."""
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.findings import Findings
+from hilserver.diagnosis.patch import as_yaml, make_patch
+from hilserver.diagnosis.report import render
+from hilserver.errors import FailedError
+
+FINDINGS: Final = "findings.json"
+REPORT: Final = "report.html"
+PATCH: Final = "model_patch.yaml"
+
+
+def findings_text(findings: Findings) -> str:
+    """Return the text of findings.json."""
+    return findings.model_dump_json(by_alias=True, indent=1) + "\n"
+
+
+def documents(diagnosis: Diagnosis) -> dict[str, str]:
+    """Return the text of every file by its name; findings.json is the last."""
+    named = PATCH if diagnosis.evidence.extension else None
+    findings = diagnosis.findings.model_copy(update={"model_patch": named})
+    text = findings_text(findings)
+    patch = make_patch(diagnosis, hashlib.sha256(text.encode()).hexdigest())
+    files = {REPORT: render(findings, diagnosis.evidence)}
+    if patch is not None:
+        files[PATCH] = as_yaml(patch)
+    return files | {FINDINGS: text}
+
+
+def write(folder: Path, files: Mapping[str, str]) -> None:
+    """Write the files; each appears whole or not at all, and none of an older run stays.
+
+    Raises
+    ------
+    FailedError
+        If the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in (FINDINGS, PATCH, REPORT):
+            if name not in files:
+                (folder / name).unlink(missing_ok=True)
+        for name, text in files.items():
+            _write_whole(folder / name, text)
+    except OSError as error:
+        raise FailedError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _write_whole(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)

@@ -1,0 +1,61 @@
+"""From a diagnosis to `model_patch.yaml`, which `hilserver run --patch` loads."""
+
+import yaml
+
+from hilserver.config.patch import SCHEMA, FittedIn, MadeFrom, ModelPatch, PatchTerm
+from hilserver.diagnosis.evidence import Diagnosis
+
+_HEAD = """\
+# Terms that 'hilserver diagnose' has fitted. Run the extended model with
+#   hilserver run --patch model_patch.yaml
+# Outside the ranges below the outputs that a term changes are flagged Uncertain.
+"""
+MAX_NAMES = 3
+
+
+def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
+    """Return the extension as a patch, or None when there is none.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Its evidence holds the fitted terms and the range of the data.
+    findings_sha256 : str
+        Hash of the findings.json that is written beside it.
+    """
+    findings, evidence = diagnosis.findings, diagnosis.evidence
+    if not evidence.extension:
+        return None
+    fitted = FittedIn(
+        speed_m_s=evidence.fitted.speed_m_s,
+        wheel_speed_rpm=evidence.fitted.wheel_speed_rpm,
+        turn_rate_rad_s=evidence.fitted.turn_rate_rad_s,
+        voltage_v=evidence.fitted.voltage_v,
+        conditions=_conditions(diagnosis),
+    )
+    return ModelPatch(
+        schema_=SCHEMA,
+        made_from=MadeFrom(
+            findings_sha256=findings_sha256,
+            config_sha256=findings.config_sha256,
+            version=findings.version,
+        ),
+        terms={
+            term.name: PatchTerm(value=term.value, unit=term.unit, ci95=term.ci95, fitted_in=fitted)
+            for term in evidence.extension
+        },
+    )
+
+
+def _conditions(diagnosis: Diagnosis) -> str:
+    names = [log.file for log in diagnosis.findings.logs]
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    logs = ", ".join(names[:MAX_NAMES]) + more
+    said = diagnosis.evidence.fitted.conditions
+    return f"{logs}: {said}" if said else logs
+
+
+def as_yaml(patch: ModelPatch) -> str:
+    """Return the patch as the text of its file."""
+    data = patch.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return _HEAD + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)

@@ -1,0 +1,80 @@
+"""One diagnosis from files to documents, in this process: what a worker runs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hilserver.assembly import assemble
+from hilserver.diagnosis.compare import compare
+from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.reading import read_measured
+from hilserver.diagnosis.summary import one_line, summary
+from hilserver.errors import EXIT_DONE, UserError
+
+Progress = Callable[[str, float], None]
+"""Told the stage and the share of the whole that is done."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to diagnose, and how; travels to other processes.
+
+    Attributes
+    ----------
+    logs : tuple of Path
+        Of one machine, pooled.
+    against : tuple of Path
+        Not empty: do these differ from `logs`, and in what?
+    mapping : str or None
+        Mapping file, or the name of a built-in one.
+    jobs : int
+        Threads or processes that the diagnosis itself may use; no result depends on it.
+    """
+
+    logs: tuple[Path, ...]
+    config: Path | None
+    mapping: str | None = None
+    against: tuple[Path, ...] = ()
+    seed: int = 0
+    jobs: int = 1
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a task: the documents, or the sentence why there are none."""
+
+    exit_code: int = EXIT_DONE
+    error: str = ""
+    line: str = ""
+    summary: str = ""
+    files: dict[str, str] = field(default_factory=dict)
+
+
+def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
+    """Read, check and judge the logs of a task.
+
+    Raises
+    ------
+    LogError
+        If a log or the mapping cannot be read.
+    ConfigError
+        If the configuration cannot be used.
+    """
+    assembly = assemble(task.config)
+    log = read_measured(task.logs, task.mapping)
+    if task.against:
+        other = read_measured(task.against, task.mapping)
+        return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
+    return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
+
+
+def run(task: Task, progress: Progress | None = None) -> Outcome:
+    """Judge a task; what a user can mend becomes a sentence."""
+    try:
+        diagnosis = judge(task, progress)
+    except UserError as error:
+        return Outcome(error.exit_code, str(error))
+    found = diagnosis.findings
+    return Outcome(line=one_line(found), summary=summary(found), files=documents(diagnosis))

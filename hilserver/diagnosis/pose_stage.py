@@ -1,0 +1,330 @@
+"""Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from hilserver.diagnosis.clock import LONGEST_S, cut
+from hilserver.diagnosis.data import Channel, MeasuredLog
+from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
+from hilserver.diagnosis.kernels import run_pose, sample, sample_tag
+from hilserver.diagnosis.model import robot_with
+from hilserver.diagnosis.stack import make_stack
+from hilserver.plant.layout import N_Y, P_DT, P_SEED
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+
+POSITION: Final = ("nav.x_m", "nav.y_m")
+YAW: Final = "nav.yaw_rad"
+GYRO: Final = "imu.gyro_z_rad_s"
+GOES_ON_S: Final = 0.11
+"""Largest time between the last row of a segment and the first one of the next."""
+TAG: Final = (*POSITION, YAW)
+RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
+MARGIN_S: Final = 1.0
+LEAD_S: Final = 0.7
+"""Simulated before a segment begins: what the navigation shows late happened there."""
+STRIDE: Final = 2
+"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms will do."""
+
+
+class PoseStage:
+    """The kinematics of one log: what they make of the measured wheel speeds.
+
+    Attributes
+    ----------
+    segments : Segments
+        Spans cut to at most `LONGEST_S`; each has a free initial pose.
+    stack : Stack
+        Measured position, yaw and turn rate.
+    left, right : ndarray, shape (ticks,)
+        Sums of the speeds of both wheels of a side [rpm].
+    """
+
+    name: Final = "pose"
+
+    def __init__(
+        self,
+        log: MeasuredLog,
+        robot: RobotParameters,
+        drive: tuple[DriveStage, Array] | None,
+        *,
+        block_s: float,
+        longest_s: float = LONGEST_S,
+    ) -> None:
+        log = paired(log)
+        self.log, self.robot = log, robot
+        self.period_s = STRIDE * robot.period_s
+        self.segments = cut(log, self.period_s, longest_s, LEAD_S)
+        self._neighbours = neighbours(log)
+        self.left, self.right = self._sides(drive)
+        self.angle_0 = self._angles()
+        names = [n for n in (*TAG, GYRO) if n in log]
+        self.stack = make_stack(log, names, self.segments, block_s=block_s)
+        self.has_position = log.has(*POSITION)
+        self.has_yaw = YAW in log
+        self.free_pose = self.has_position or self.has_yaw
+        self._state = robot.initial_state()
+        self._last: tuple[tuple[bytes, bytes], Array] | None = None
+        self._tag_rows()
+
+    @staticmethod
+    def judges(log: MeasuredLog) -> bool:
+        """Return whether the log has what this stage needs."""
+        moved = any(n in log for n in SPEEDS) or DriveStage.judges(log)
+        return moved and (log.has(*POSITION) or YAW in log or GYRO in log)
+
+    def simulate(self, terms: Mapping[str, float], poses: Array) -> Array:
+        """Return x, y, yaw (not wrapped) and turn rate at every tick, shape (ticks, 4)."""
+        inner = {k: v for k, v in terms.items() if not k.startswith(("shift.", "field."))}
+        return self._run(self._pack(inner), poses)
+
+    def _pack(self, terms: Mapping[str, float]) -> Array:
+        p = robot_with(self.robot, terms).pack()
+        p[P_DT] = self.period_s
+        return p
+
+    def _run(self, p: Array, poses: Array, *, keep: bool = False) -> Array:
+        """Run the kinematics, or return the last run if only sensors have changed since."""
+        key = (p[:P_SEED].tobytes(), poses.tobytes())
+        last = self._last
+        if last is not None and last[0] == key:
+            return last[1]
+        dense = np.empty((self.segments.ticks, 4))
+        y = np.zeros(N_Y)
+        run_pose(
+            p,
+            self._state,
+            self.segments.first,
+            self.left,
+            self.right,
+            poses,
+            self.angle_0,
+            y,
+            dense,
+        )
+        if keep:
+            self._last = (key, dense)
+        return dense
+
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+        """Return what the stack's samples would be; yaw follows the measured turns.
+
+        With `keep` the run is remembered: predictions that differ from it in sensors alone are
+        cheap then.
+        """
+        inner = {k: v for k, v in terms.items() if not k.startswith(("shift.", "field."))}
+        p = self._pack(inner)
+        return self.shown(self._run(p, poses, keep=keep), p, terms)
+
+    def shown(self, dense: Array, p: Array, terms: Mapping[str, float]) -> Array:
+        """Return what tag and gyro show of a dense pose."""
+        stack, out = self.stack, np.empty(len(self.stack))
+        rate = 1.0 / self.period_s
+        nav = self.robot.nav
+        shift = terms.get("shift.nav", 0.0)
+        position_s = nav.latency_s + terms.get("nav_latency", 0.0) + shift
+        yaw_s = nav.yaw_latency_s + terms.get("yaw_latency", 0.0) + shift
+        if self.free_pose:
+            tag = np.empty((len(self._tag_at), 3))
+            sample_tag(
+                p.copy(),
+                self._state.copy(),
+                dense,
+                self._tag_low,
+                self._tag_high,
+                self._tag_at - position_s * rate,
+                self._tag_at - yaw_s * rate,
+                tag,
+            )
+            for column, name in enumerate(TAG):
+                if name in stack.edges:
+                    out[stack.edges[name]] = tag[self._tag_index[name], column]
+        if GYRO in stack.edges:
+            edge = stack.edges[GYRO]
+            at = stack.at[edge] - terms.get("imu_latency", 0.0) * rate
+            sample(dense, 3, stack.low[edge], stack.high[edge], at, out[edge])
+            out[edge] *= 1.0 + terms.get("gyro_scale", self.robot.terms.get("gyro_scale") or 0.0)
+            out[edge] += terms.get("gyro_bias", self.robot.terms.get("gyro_bias") or 0.0)
+        return out
+
+    def residual(self, predicted: Array) -> Array:
+        """Return measured minus predicted; yaw along the shorter way."""
+        difference = self.stack.values - predicted
+        if self.has_yaw:
+            edge = self.stack.edges[YAW]
+            d = difference[edge]
+            difference[edge] = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+        return difference
+
+    def nuisance(self, predicted: Array, poses: Array) -> Array:
+        """Return how the prediction moves with the initial pose of its segment, shape (n, 3)."""
+        columns = np.zeros((len(self.stack), 3))
+        stack = self.stack
+        if self.has_position:
+            x, y = (stack.edges[n] for n in POSITION)
+            columns[x, 0] = 1.0
+            columns[y, 1] = 1.0
+            px, py = predicted[x], predicted[y]
+            if len(px) == len(py):
+                columns[x, 2] = -(py - poses[stack.segment[x], 1])
+                columns[y, 2] = px - poses[stack.segment[y], 0]
+        if self.has_yaw:
+            columns[stack.edges[YAW], 2] = 1.0
+        return columns
+
+    def start_poses(self, terms: Mapping[str, float]) -> Array:
+        """Return a first guess of the initial poses, shape (m, 3)."""
+        poses = np.zeros((len(self.segments), 3))
+        if not self.free_pose:
+            return poses
+        predicted = self.predict(terms, poses)
+        for i in range(len(self.segments)):
+            poses[i] = self._place(i, predicted)
+        return poses
+
+    def _place(self, i: int, predicted: Array) -> Array:
+        stack = self.stack
+        mine = {n: stack.edges[n].start + np.flatnonzero(stack.segment[stack.edges[n]] == i)
+                for n in TAG if n in stack.edges}  # fmt: skip
+        yaw = 0.0
+        if self.has_yaw and len(mine[YAW]):
+            d = stack.values[mine[YAW]][:25] - predicted[mine[YAW]][:25]
+            yaw = float(np.angle(np.mean(np.exp(1j * d))))
+        if not self.has_position or not len(mine[POSITION[0]]):
+            return np.array([0.0, 0.0, yaw])
+        z = stack.values[mine[POSITION[0]]] + 1j * stack.values[mine[POSITION[1]]]
+        w = predicted[mine[POSITION[0]]] + 1j * predicted[mine[POSITION[1]]]
+        if not self.has_yaw:
+            n = min(len(z), max(40, len(z) // 3))
+            yaw = float(np.angle(np.vdot(w[:n] - w[:n].mean(), z[:n] - z[:n].mean())))
+        n = min(len(z), 40)
+        offset = z[:n] - w[:n] * np.exp(1j * yaw)
+        return np.array([np.median(offset.real), np.median(offset.imag), yaw])
+
+    def _tag_rows(self) -> None:
+        """Find the distinct stamps of the tag's channels: each is evaluated once."""
+        stack = self.stack
+        names = [n for n in TAG if n in stack.edges]
+        if not names:
+            return
+        at = np.concatenate([stack.at[stack.edges[n]] for n in names])
+        unique, first, inverse = np.unique(at, return_index=True, return_inverse=True)
+        low = np.concatenate([stack.low[stack.edges[n]] for n in names])
+        high = np.concatenate([stack.high[stack.edges[n]] for n in names])
+        self._tag_at, self._tag_low, self._tag_high = unique, low[first], high[first]
+        self._tag_index: dict[str, NDArray[np.int64]] = {}
+        begin = 0
+        for name in names:
+            end = begin + stack.edges[name].stop - stack.edges[name].start
+            self._tag_index[name] = inverse[begin:end]
+            begin = end
+
+    def _angles(self) -> Array:
+        """Return the left wheels' angle at the start of each segment, counted over the span."""
+        angle = np.zeros(len(self.segments))
+        step = 0.5 * RADIANS_PER_RPM_S * self.segments.period_s
+        lead, rows = round(self.segments.lead_s / self.segments.period_s), self.segments.first
+        for i in range(len(self.segments)):
+            if i and self.segments.span[i] == self.segments.span[i - 1]:
+                first, end = int(rows[i - 1]), int(rows[i])
+                n = round((self.segments.start_s[i] - self.segments.start_s[i - 1])
+                          / self.segments.period_s)  # fmt: skip
+                turned = self.left[first : min(first + n, end)].sum() * step
+                angle[i] = angle[i - 1] + turned
+            else:
+                angle[i] = -self.left[rows[i] : rows[i] + lead].sum() * step
+        return angle
+
+    def _sides(self, drive: tuple[DriveStage, Array] | None) -> tuple[Array, Array]:
+        """Return dense sums of both sides' wheel speeds [rpm]."""
+        sides = []
+        for wheels in ((0, 1), (2, 3)):
+            have = [w for w in wheels if SPEEDS[w] in self.log]
+            chosen = have or list(wheels)
+            total = sum(self._wheel(w, drive) for w in chosen)
+            sides.append(np.ascontiguousarray(2.0 / len(chosen) * np.asarray(total)))
+        return sides[0], sides[1]
+
+    def _wheel(self, wheel: int, drive: tuple[DriveStage, Array] | None) -> Array:
+        """Return one wheel's speed at every tick.
+
+        The closed loop's own model interpolates: simulated speed plus the interpolated difference
+        to the measured one. Without set-points a smooth curve goes through the samples.
+        """
+        dense = np.zeros(self.segments.ticks)
+        for i in range(len(self.segments)):
+            part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
+            dense[part] = self._stretch(i, wheel, drive)
+        return dense
+
+    def _stretch(self, i: int, wheel: int, drive: tuple[DriveStage, Array] | None) -> Array:
+        times, span = self.segments.times(i), int(self.segments.span[i])
+        t, v = self._samples(SPEEDS[wheel], span, times[0] - MARGIN_S, times[-1] + MARGIN_S)
+        if drive is None:
+            if len(t) < 2:
+                return np.full(len(times), v[0] if len(v) else 0.0)
+            inside = np.clip(times, t[0], t[-1])
+            return np.asarray(PchipInterpolator(t, v)(inside))
+        stage, speed = drive
+        own = int(np.flatnonzero(stage.segments.span == span)[0])
+        part = slice(int(stage.segments.first[own]), int(stage.segments.first[own + 1]))
+        simulated = speed[part, wheel]
+        start_s, last = float(stage.segments.start_s[own]), len(simulated) - 1
+        model = _read(simulated, (times - start_s) / stage.segments.period_s, last)
+        if len(t) == 0:
+            return np.asarray(model)
+        at_samples = _read(simulated, (t - start_s) / stage.segments.period_s, last)
+        return np.asarray(model + np.interp(times, t, v - at_samples))
+
+    def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
+        if name not in self.log:
+            return np.zeros(0), np.zeros(0)
+        pieces = [self.log[name].of(s) for s in self._neighbours[span]]
+        t, v = (np.concatenate(column) for column in zip(*pieces, strict=True))
+        low, high = np.searchsorted(t, [start_s, end_s])
+        return t[low:high], v[low:high]
+
+
+def neighbours(log: MeasuredLog) -> list[list[int]]:
+    """Return each span with those before and behind it that the same drive goes on in.
+
+    Only spans of one block count: between blocks time runs on although the drive does not.
+    """
+    spans = log.spans
+    joined = [
+        a.block is not None and a.block == b.block and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
+        for a, b in pairwise(spans)
+    ]
+    out = []
+    for i in range(len(spans)):
+        first = i - 1 if i and joined[i - 1] else i
+        last = i + 1 if i < len(joined) and joined[i] else i
+        out.append(list(range(first, last + 1)))
+    return out
+
+
+def paired(log: MeasuredLog) -> MeasuredLog:
+    """Return the log with only those positions that have both coordinates."""
+    if not log.has(*POSITION):
+        return log
+    x, y = (log[n] for n in POSITION)
+    keys = [c.span * 1e7 + c.t_s for c in (x, y)]
+    both = np.intersect1d(keys[0], keys[1])
+    kept = {}
+    for name, c, key in zip(POSITION, (x, y), keys, strict=True):
+        rows = np.isin(key, both)
+        kept[name] = Channel(c.t_s[rows], c.values[rows], c.span[rows])
+    return log.with_channels(kept)
+
+
+def _read(dense: Array, at: Array, last: int) -> Array:
+    """Read a dense array between its rows, held at its ends."""
+    at = np.clip(at, 0.0, last)
+    low = np.minimum(at.astype(np.int64), max(last - 1, 0))
+    return np.asarray(dense[low] + (at - low) * (dense[np.minimum(low + 1, last)] - dense[low]))

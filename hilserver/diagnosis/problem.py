@@ -1,0 +1,353 @@
+"""One stage as a regression: whitened residuals, free initial poses projected out.
+
+Everything that judges a cause works on this: the deviance (sum of squares of the whitened
+residuals, in expectation one per sample), its share of every block, and columns of sensitivities
+that went through the same whitening and projection.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.drive_stage import DriveStage
+from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
+from hilserver.diagnosis.pose_stage import PoseStage
+from hilserver.diagnosis.stack import Stack
+
+Array = NDArray[np.float64]
+OUTLIER = 6.0
+"""Positions whose whitened residual lies beyond this many deviations take no part in fits, ..."""
+MOST_IN_A_ROW = 4
+"""... if no more than so many of them follow each other: a longer stretch is an effect."""
+WHITE = 0.05
+"""Largest autocorrelation at the first lags of a channel that is taken for white at once."""
+OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
+SHORT_S = 6.0
+"""In segments that are all shorter the noise counts as white, see `short_noise`."""
+
+
+def lonely(white: Array) -> NDArray[np.bool_]:
+    """Return which samples are thrown aside: far off, and only few in a row."""
+    bad = np.abs(white) > OUTLIER
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
+    out = np.zeros(len(bad), dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - begin <= MOST_IN_A_ROW:
+            out[begin:end] = True
+    return out
+
+
+def _plain(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
+    """Return white noise where the residuals show no correlation at all; None elsewhere."""
+    pieces = [r for _, r in parts if len(r) > 20]
+    if not pieces:
+        return None
+    power = sum(float(r @ r) for r in pieces)
+    if power <= 0.0:
+        return None
+    for lag in (1, 2, 4, 8, 16):
+        together = sum(float(r[lag:] @ r[:-lag]) for r in pieces)
+        if abs(together) > WHITE * power:
+            return None
+    return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
+
+
+def _differences(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
+    """Return the white noise that neighbouring samples show.
+
+    The drive's sensors have no memory: what is correlated there is an effect, and at every moment
+    but the transients it is the same in two neighbours.
+    """
+    steps = np.concatenate([np.diff(r) for _, r in parts])
+    sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
+    if sd <= 0.0 and len(steps):
+        sd = float(np.std(steps)) / np.sqrt(2.0)
+    return NoiseModel(max(sd, 1e-6))
+
+
+@dataclass(frozen=True)
+class Point:
+    """A model with its poses and what it leaves.
+
+    Attributes
+    ----------
+    poses : ndarray, shape (segments, 3)
+    predicted : ndarray, shape (n,)
+    white : ndarray, shape (n,)
+        Whitened residual.
+    left : ndarray, shape (n,)
+        The same, initial poses projected out.
+    loss : ndarray, shape (blocks,)
+        Sum of the squares of `left` over each block.
+    """
+
+    model: Model
+    poses: Array
+    predicted: Array
+    white: Array
+    left: Array
+    loss: Array
+
+    @property
+    def deviance(self) -> float:
+        """Sum over all blocks."""
+        return float(self.loss.sum())
+
+
+@dataclass
+class Problem:
+    """A stage with its noise model.
+
+    Attributes
+    ----------
+    stage : DriveStage or PoseStage
+    noise : mapping of str to NoiseModel
+        By channel.
+    weights : ndarray, shape (n,)
+        1, or 0 for outliers.
+    extras : sequence of ndarray
+        Raw columns of accepted structures that are not in the plant, with their values in the
+        model's terms ``field.<k>``.
+    """
+
+    stage: DriveStage | PoseStage
+    noise: dict[str, NoiseModel] = field(default_factory=dict)
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+    extras: dict[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.weights = np.ones(len(self.stage.stack))
+        self._runs = list(self.stage.stack.runs())
+        segments = self.stage.stack.segment
+        order = np.argsort(segments, kind="stable")
+        bounds = np.flatnonzero(np.diff(segments[order])) + 1
+        self._members = np.split(order, bounds) if len(order) else []
+
+    @property
+    def stack(self) -> Stack:
+        """The stage's samples."""
+        return self.stage.stack
+
+    # --- predictions ------------------------------------------------------------------------------
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+        """Return the prediction with plant terms and extra structures."""
+        if isinstance(self.stage, PoseStage):
+            predicted = self.stage.predict(terms, poses, keep=keep)
+        else:
+            predicted = self.stage.predict(terms)
+        for key, column in self.extras.items():
+            if value := terms.get(key, 0.0):
+                predicted = predicted + value * column
+        return predicted
+
+    def residual(self, predicted: Array) -> Array:
+        """Return measured minus predicted."""
+        if isinstance(self.stage, PoseStage):
+            return self.stage.residual(predicted)
+        return self.stack.values - predicted
+
+    def start_poses(self, terms: Mapping[str, float]) -> Array:
+        """Return first guesses of the initial poses; nothing for the drive."""
+        if isinstance(self.stage, PoseStage):
+            return self.stage.start_poses(terms)
+        return np.zeros((0, 3))
+
+    def nuisance(self, predicted: Array, poses: Array) -> Array | None:
+        """Return the raw columns of the initial poses, or None."""
+        if isinstance(self.stage, PoseStage) and self.stage.free_pose:
+            return self.stage.nuisance(predicted, poses)
+        return None
+
+    # --- whitening and projection -----------------------------------------------------------------
+    def whiten(self, columns: Array) -> Array:
+        """Whiten raw columns, shape (n,) or (n, k), channel by channel and segment by segment."""
+        two = columns[:, None] if columns.ndim == 1 else columns
+        out = np.empty_like(two)
+        for name, _, part in self._runs:
+            whitener = Whitener(self.noise[name])
+            out[part] = whitener.whiten(self.stack.t_s[part], two[part], self.weights[part])
+        return out[:, 0] if columns.ndim == 1 else out
+
+    def bases(self, nuisance: Array | None) -> list[Array] | None:
+        """Return an orthonormal base of the whitened initial pose columns of each segment."""
+        if nuisance is None:
+            return None
+        white = self.whiten(nuisance)
+        bases = []
+        for rows in self._members:
+            u, s, _ = np.linalg.svd(white[rows], full_matrices=False)
+            bases.append(u[:, s > 1e-9 * max(s[0], 1e-30)])
+        return bases
+
+    def project(self, white: Array, bases: list[Array] | None) -> Array:
+        """Take the free initial poses out of whitened columns."""
+        if bases is None:
+            return white
+        out = white.copy()
+        for rows, base in zip(self._members, bases, strict=True):
+            out[rows] -= base @ (base.T @ white[rows])
+        return out
+
+    def pose_step(self, white: Array, nuisance: Array) -> Array:
+        """Return the step of the initial poses that explains most of a whitened residual."""
+        columns = self.whiten(nuisance)
+        step = np.zeros((self._n_segments(), 3))
+        for rows in self._members:
+            solution, *_ = np.linalg.lstsq(columns[rows], white[rows], rcond=1e-9)
+            step[self.stack.segment[rows[0]]] = solution
+        return step
+
+    def _n_segments(self) -> int:
+        return len(self.stage.segments)
+
+    # --- points -----------------------------------------------------------------------------------
+    def point(self, model: Model, poses: Array, *, pose_steps: int = 1) -> Point:
+        """Evaluate a model, with its initial poses refitted."""
+        terms = model.terms
+        predicted = self.predict(terms, poses, keep=True)
+        nuisance = self.nuisance(predicted, poses)
+        white = self.whiten(self.residual(predicted))
+        for _ in range(pose_steps if nuisance is not None else 0):
+            assert nuisance is not None
+            poses = poses + self.pose_step(white, nuisance)
+            predicted = self.predict(terms, poses, keep=True)
+            nuisance = self.nuisance(predicted, poses)
+            white = self.whiten(self.residual(predicted))
+        left = self.project(white, self.bases(nuisance))
+        return Point(model, poses, predicted, white, left, self.stack.block_sums(left * left))
+
+    def columns(self, point: Point, model: Model) -> Array:
+        """Return the raw sensitivities of all parameters of a model, shape (n, k)."""
+        theta, step = model.theta(), np.array([s for f in model.fitted for s in f.candidate.step])
+        base = point.predicted
+        out = np.empty((len(self.stack), len(theta)))
+        for j in range(len(theta)):
+            moved = theta.copy()
+            moved[j] += step[j]
+            terms = model.with_theta(moved).terms
+            out[:, j] = self._difference(self.predict(terms, point.poses), base) / step[j]
+        return out
+
+    def accepted(self, point: Point) -> Array | None:
+        """Return whitened, projected sensitivities of a model's own parameters."""
+        if not point.model.fitted:
+            return None
+        bases = self.bases(self.nuisance(point.predicted, point.poses))
+        return self.project(self.whiten(self.columns(point, point.model)), bases)
+
+    def column(self, point: Point, candidate: Candidate) -> Array:
+        """Return the raw effect of a candidate per unit, or at its start value; shape (n, k)."""
+        if not candidate.linear:
+            model = point.model.plus(candidate, candidate.start)
+            predicted = self.predict(model.terms, point.poses)
+            return self._difference(predicted, point.predicted)[:, None]
+        model = point.model.plus(candidate, candidate.null)
+        out = np.empty((len(self.stack), candidate.n))
+        for j in range(candidate.n):
+            theta = list(candidate.null)
+            theta[j] += candidate.step[j]
+            moved = point.model.plus(candidate, tuple(theta))
+            predicted = self.predict(moved.terms, point.poses)
+            out[:, j] = self._difference(predicted, point.predicted) / candidate.step[j]
+        del model
+        return out
+
+    def _difference(self, moved: Array, base: Array) -> Array:
+        difference = moved - base
+        if isinstance(self.stage, PoseStage) and self.stage.has_yaw:
+            edge = self.stack.edges["nav.yaw_rad"]
+            d = difference[edge]
+            difference[edge] = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+        return difference
+
+    # --- noise ------------------------------------------------------------------------------------
+    def learn_noise(self, raw: Array) -> None:
+        """Fit the noise of every channel to raw residuals; outliers lose their weight."""
+        if self.stage.segments.longest_s < SHORT_S:
+            self._learn_short_noise(raw)
+            return
+        for name in self.stack.channels:
+            parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
+            if isinstance(self.stage, DriveStage):
+                self.noise[name] = _differences(parts)
+            else:
+                self.noise[name] = _plain(parts) or fit_noise(parts)
+        self.weights = np.ones(len(self.stack))
+        for _ in range(2):
+            white = self.whiten(raw)
+            for name in OUTLIER_CHANNELS:
+                if name in self.stack.edges:
+                    edge = self.stack.edges[name]
+                    self.weights[edge] *= ~lonely(white[edge])
+
+    def _learn_short_noise(self, raw: Array) -> None:
+        self.weights = np.ones(len(self.stack))
+        for name in self.stack.channels:
+            mine = [part for n, _, part in self._runs if n == name]
+            self.noise[name], scale = short_noise([raw[part] for part in mine])
+            for part in mine:
+                self.weights[part] = robust_weights(raw[part] / scale, self.noise[name].tail_dof)
+
+
+Progress = Callable[[str, float], None]
+
+
+def fit(
+    problem: Problem,
+    model: Model,
+    start: Point,
+    *,
+    free: Sequence[int] | None = None,
+    rows: NDArray[np.bool_] | None = None,
+    iterations: int = 6,
+) -> Point:
+    """Fit the parameters of a model by damped Gauss-Newton steps.
+
+    Parameters
+    ----------
+    start : Point
+        Gives the initial poses.
+    rows : ndarray of bool, shape (blocks,), optional
+        Blocks that count; all.
+    """
+    del free
+    low = np.array([v for f in model.fitted for v in f.candidate.low])
+    high = np.array([v for f in model.fitted for v in f.candidate.high])
+    point = problem.point(model, start.poses)
+    if not len(low):
+        return point
+    used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
+    for _ in range(iterations):
+        nuisance = problem.nuisance(point.predicted, point.poses)
+        raw = problem.whiten(problem.columns(point, point.model))
+        white = problem.project(raw, problem.bases(nuisance))
+        keep = used[problem.stack.block]
+        a, b = white[keep], point.left[keep]
+        scale = np.sqrt((a**2).sum(axis=0)) + 1e-300
+        damped = (a / scale).T @ (a / scale) + 1e-6 * np.eye(len(scale))
+        step = np.linalg.solve(damped, (a.T @ b) / scale) / scale
+        best = None
+        for share in (1.0, 0.5, 0.2):
+            theta = np.clip(point.model.theta() + share * step, low, high)
+            poses = point.poses
+            if nuisance is not None:
+                moved = point.white - raw @ (theta - point.model.theta())
+                poses = poses + problem.pose_step(moved, nuisance)
+            trial = problem.point(point.model.with_theta(theta), poses, pose_steps=0)
+            if trial.loss[used].sum() < point.loss[used].sum():
+                best = trial
+                break
+        if best is None:
+            break
+        gained = point.loss[used].sum() - best.loss[used].sum()
+        point = best
+        if gained < 0.05:
+            break
+    return point
+
+
+__all__ = ["Point", "Problem", "fit", "replace"]

@@ -1,0 +1,185 @@
+"""Logs of any accepted kind to measured data of one machine."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.bag import is_bag, read_bag
+from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
+from hilserver.diagnosis.mapping import LogMapping, builtin_mappings, load_mapping
+from hilserver.diagnosis.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
+from hilserver.errors import LogError
+
+SHORTEST_S = 1.0
+
+
+def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> MeasuredLog:
+    """Read the logs of one machine and pool them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        CSV, MCAP, Parquet, or ROS 2 bags (a file or the folder).
+    mapping : Path or str, optional
+        A mapping file or the name of a built-in one; without it columns are signal names.
+
+    Raises
+    ------
+    LogError
+        One sentence that names file, row, column and mend.
+    """
+    table = None if mapping is None else load_mapping(mapping)
+    recordings = [_read(path, table) for path in paths]
+    if not recordings:
+        raise LogError("there is no log; name at least one")
+    sources = tuple(Source(str(path), _sha256(path)) for path in paths)
+    _refuse_others(sources, recordings)
+    log = MeasuredLog(
+        sources=sources,
+        channels={},
+        spans=(),
+        has_stamps=all(recording.has_stamps for recording in recordings),
+        plant={} if table is None else table.plant_keys,
+        notices=tuple(notice for recording in recordings for notice in recording.notices),
+    )
+    return _pool(log, recordings)
+
+
+def _read(path: Path, mapping: LogMapping | None) -> Recording:
+    try:
+        recording = _by_kind(path, mapping)
+    except OSError as error:
+        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+    if not any(np.isfinite(v).any() for part in recording.parts for v in part.columns.values()):
+        raise LogError(f"{path}: holds no sample of any signal; record some, or map its columns")
+    seconds = sum(span.end_s - span.start_s for span in _spans(recording, 0)[0])
+    if seconds < SHORTEST_S:
+        raise LogError(
+            f"{path}: holds only {seconds:.3g} s; a diagnosis needs at least {SHORTEST_S:g} s"
+        )
+    return recording
+
+
+def _by_kind(path: Path, mapping: LogMapping | None) -> Recording:
+    if mapping is None:
+        if path.is_dir() or path.suffix == ".db3":
+            raise LogError(
+                f"{path}: a bag needs a mapping of its topics; name a file or one of"
+                f" {', '.join(builtin_mappings())}"
+            )
+        return read_own_parquet(path) if path.suffix == ".parquet" else read_own(path)
+    if mapping.is_for_bags and is_bag(path):
+        return read_bag(path, mapping)
+    if mapping.is_for_bags:
+        raise LogError(f"{path}: the mapping names topics of a bag, this is a table; name columns")
+    if is_bag(path):
+        raise LogError(f"{path}: the mapping names columns, this is a bag; name topic and field")
+    if path.suffix not in (".csv", ".parquet"):
+        raise LogError(
+            f"{path}: is no table that can be read; known are .csv and .parquet, unpacked"
+        )
+    return read_mapped(path, mapping)
+
+
+def _refuse_others(sources: Sequence[Source], recordings: Sequence[Recording]) -> None:
+    """Refuse what cannot be pooled: one log twice, and recordings of different machines."""
+    for index, source in enumerate(sources):
+        for earlier, recording in zip(sources[:index], recordings, strict=False):
+            if source.sha256 == earlier.sha256:
+                raise LogError(f"{source.file}: is the same as {earlier.file}; name it once")
+            machines = {recording.machine, recordings[index].machine} - {None}
+            if len(machines) > 1:
+                raise LogError(
+                    f"{source.file}: was recorded with another plant than {earlier.file}; pool logs"
+                    " of one machine, or use --each"
+                )
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    for file in files:
+        with file.open("rb") as opened:
+            while chunk := opened.read(1 << 20):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
+    """Return `log` with the recordings one behind the other, spans counted on."""
+    spans: list[Span] = []
+    pieces: dict[str, list[Channel]] = {}
+    for recording in recordings:
+        first_number = max((span.number for span in spans), default=-1) + 1
+        own, rows = _spans(recording, first_number if spans else 0)
+        for part, span in zip(recording.parts, rows, strict=True):
+            for name, piece in _channels(part, span + len(spans)).items():
+                pieces.setdefault(name, []).append(piece)
+        spans += own
+    channels = {name: _joined(found) for name, found in pieces.items()}
+    return MeasuredLog(log.sources, channels, tuple(spans), log.has_stamps, log.plant, log.notices)
+
+
+def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[NDArray[np.int64]]]:
+    """Return the spans of a file and, for each part, the span of every row.
+
+    A table begins a span where segment or block change; the parts of a bag share one.
+    """
+    if len(recording.parts) > 1:
+        start_s = min(float(part.t_s[0]) for part in recording.parts)
+        end_s = max(float(part.t_s[-1]) for part in recording.parts)
+        span = Span(offset, None, start_s, end_s)
+        return [span], [np.zeros(len(part.t_s), dtype=np.int64) for part in recording.parts]
+    (part,) = recording.parts
+    block = np.zeros_like(part.segment) if part.block is None else part.block
+    begins = (np.diff(part.segment) != 0) | (np.diff(block) != 0)
+    starts = (
+        np.concatenate(([0], np.flatnonzero(begins) + 1)) if len(part.t_s) else np.empty(0, int)
+    )
+    _refuse_scattered(recording.path, part, starts)
+    ends = np.append(starts[1:], len(part.t_s))
+    spans = [
+        Span(
+            offset + int(part.segment[first]),
+            None if part.block is None else int(part.block[first]),
+            float(part.t_s[first]),
+            float(part.t_s[end - 1]),
+        )
+        for first, end in zip(starts, ends, strict=True)
+    ]
+    return spans, [np.repeat(np.arange(len(starts)), ends - starts)]
+
+
+def _refuse_scattered(path: Path, part: Stamped, starts: NDArray[np.int64]) -> None:
+    numbers = part.segment[starts]
+    runs = numbers[np.flatnonzero(np.diff(numbers, prepend=numbers[:1] - 1))]
+    unique, counts = np.unique(runs, return_counts=True)
+    if (counts > 1).any():
+        number = int(unique[counts > 1][0])
+        raise LogError(
+            f"{path}: column 'segment': segment {number} begins twice; give each run its own number"
+        )
+
+
+def _channels(part: Stamped, span: NDArray[np.int64]) -> Mapping[str, Channel]:
+    found = {}
+    for name, values in part.columns.items():
+        sampled = np.isfinite(values)
+        if sampled.all():
+            found[name] = Channel(part.t_s, values, span)
+        elif sampled.any():
+            found[name] = Channel(part.t_s[sampled], values[sampled], span[sampled])
+    return found
+
+
+def _joined(pieces: Sequence[Channel]) -> Channel:
+    if len(pieces) == 1:
+        return pieces[0]
+    return Channel(
+        np.concatenate([piece.t_s for piece in pieces]),
+        np.concatenate([piece.values for piece in pieces]),
+        np.concatenate([piece.span for piece in pieces]),
+    )

@@ -1,0 +1,9 @@
+"""report.html: what a diagnosis found, as one file that opens without a network.
+
+`words` says it to a technician, `figures` draws it with `svg`, `evidence` gives the tables behind
+it, `page` puts the three together. Colours stand in `style.css` only, for light and dark.
+"""
+
+from hilserver.diagnosis.report.page import render
+
+__all__ = ["render"]

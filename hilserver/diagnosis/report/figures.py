@@ -1,0 +1,316 @@
+"""The plots of a report, from the evidence."""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import groupby, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.evidence import (
+    Array,
+    Course,
+    Dependence,
+    HorizonRow,
+    NoiseRow,
+    Path,
+    Series,
+    Similarity,
+)
+from hilserver.diagnosis.explain import QUANTITIES, number
+from hilserver.diagnosis.report import markup
+from hilserver.diagnosis.report.svg import (
+    MARGIN_BOTTOM,
+    MARGIN_LEFT,
+    MARGIN_RIGHT,
+    MARGIN_TOP,
+    MAX_POINTS,
+    Plot,
+    label,
+    picture,
+    span_of,
+)
+
+MAX_PATHS = 4
+MAX_SPANS = 60
+SMALLEST_LIKENESS = 0.5
+MAX_LIKE = 22
+
+
+def path(way: Path) -> str:
+    """Draw the way over the floor, to scale."""
+    tracks = [t for t in (way.measured, way.simulated, way.extended) if t is not None]
+    x, y = (span_of(*(t[:, i] for t in tracks), margin=0.05) for i in (0, 1))
+    inner_w, inner_h = 520.0 - MARGIN_LEFT - MARGIN_RIGHT, 400.0 - MARGIN_TOP - MARGIN_BOTTOM
+    width, height = x[1] - x[0], y[1] - y[0]
+    if width / inner_w > height / inner_h:
+        y = _around(y, width * inner_h / inner_w)
+    else:
+        x = _around(x, height * inner_w / inner_h)
+    plot = Plot(x, y, "x [m]", "y [m]", height=400)
+    for role, track in (("measured", way.measured), ("simulated", way.simulated)):
+        plot.track(track, role, role)
+    if way.extended is not None:
+        plot.track(way.extended, "extended", "extended")
+    plot.dots(way.measured[:1, 0], way.measured[:1, 1], "start", ["start"])
+    ends = ", ".join(
+        f"{name} {number(_end_error(way.measured, track), 'm', digits=2)}"
+        for name, track in (("simulated", way.simulated), ("extended", way.extended))
+        if track is not None
+    )
+    return markup.figure(
+        picture([plot], f"Path of segment {way.span}"),
+        f"Path, segment {way.span}",
+        f"Distance from the measured end: {ends}.",
+    )
+
+
+def _around(span: tuple[float, float], width: float) -> tuple[float, float]:
+    middle = 0.5 * (span[0] + span[1])
+    return middle - width / 2, middle + width / 2
+
+
+def _end_error(measured: Array, track: Array) -> float:
+    return float(np.hypot(*(track[-1] - measured[-1])))
+
+
+def series(item: Series) -> str:
+    """Draw one channel above its residual before and after."""
+    t = _continuous(item.t_s, item.span)
+    edges = _edges(item.span)
+    values = Plot(
+        span_of(t, margin=0.0),
+        span_of(item.measured, item.simulated, item.extended),
+        "",
+        f"{_short(item.name)} [{item.unit}]",
+        height=230,
+    )
+    before = item.measured - item.simulated
+    after = None if item.extended is None else item.measured - item.extended
+    residual = Plot(
+        values.x, span_of(before, after), "time [s]", f"residual [{item.unit}]", height=190, top=206
+    )
+    for role, y in (
+        ("measured", item.measured),
+        ("simulated", item.simulated),
+        ("extended", item.extended),
+    ):
+        _lines(values, t, y, edges, role, f"{item.name} {role}")
+    for edge in _held_out(item):
+        residual.stretch(float(t[edge.start]), float(t[edge.stop - 1]), "held")
+    residual.level(0.0)
+    _lines(residual, t, before, edges, "before", "measured minus simulated")
+    _lines(residual, t, after, edges, "after", "measured minus extended")
+    text = f"Mean absolute residual {_mean(before, item.unit)}"
+    if after is not None:
+        text += f" before, {_mean(after, item.unit)} after"
+    if item.held_out is not None:
+        text += "; shaded: took no part in the fit"
+    return markup.figure(
+        picture([values, residual], f"{item.name} over time"), item.name, f"{text}."
+    )
+
+
+def improvement(item: Series) -> float:
+    """Return the mean absolute residual before by that after; 1 without an extension."""
+    if item.extended is None:
+        return 1.0
+    models = (item.simulated, item.extended)
+    before, after = (float(np.nanmean(np.abs(item.measured - model))) for model in models)
+    return before / after if after > 0 else math.inf
+
+
+def _lines(
+    plot: Plot, t: Array, y: Array | None, edges: list[slice], role: str, title: str
+) -> None:
+    if y is None:
+        return
+    points = max(8, MAX_POINTS // max(1, len(edges)))
+    for edge in edges:
+        plot.line(t[edge], y[edge], role, title, points=points)
+
+
+def _edges(span: NDArray[np.int64]) -> list[slice]:
+    starts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
+    return [slice(a, b) for a, b in pairwise(starts)][:MAX_SPANS]
+
+
+def _held_out(item: Series) -> list[slice]:
+    if item.held_out is None:
+        return []
+    runs = _edges(item.held_out.astype(np.int64))
+    return [run for run in runs if item.held_out[run.start]]
+
+
+def _continuous(t_s: Array, span: NDArray[np.int64]) -> Array:
+    """Put segments whose times overlap one after the other."""
+    t, end = t_s.copy(), -math.inf
+    for edge in _edges(span):
+        if len(t[edge]) and t[edge][0] < end:
+            t[edge] += end - t[edge][0]
+        end = float(t[edge][-1]) if len(t[edge]) else end
+    return t
+
+
+def _mean(residual: Array, unit: str) -> str:
+    return number(float(np.nanmean(np.abs(residual))), unit, digits=2)
+
+
+def _short(name: str) -> str:
+    return name.rpartition("_")[0].replace("_", " ") or name
+
+
+def horizons(rows: Sequence[HorizonRow]) -> list[str]:
+    """Draw the gain over the length of a free run, one picture for each quantity."""
+    return [_horizon(key, list(group)) for key, group in groupby(rows, lambda r: r.quantity)]
+
+
+def _horizon(quantity: str, rows: list[HorizonRow]) -> str:
+    name, unit = QUANTITIES.get(quantity, (quantity, "1"))
+    runs = [r for r in rows if r.horizon_s > 0]
+    x = np.array([r.horizon_s for r in runs])
+    ratio = np.array([r.ratio for r in runs])
+    low, high = (np.array([r.ratio if r.ci95 is None else r.ci95[i] for r in runs]) for i in (0, 1))
+    y = span_of(low, high, np.ones(1))
+    plot = Plot((x.min() / 1.25, x.max() * 1.25), y, "free run [s]", "times better", log_x=True,
+                height=250)  # fmt: skip
+    plot.level(1.0, "no gain")
+    plot.line(x, ratio, "extended", f"{name}: ratio of errors")
+    plot.whiskers(x, low, high, "extended")
+    plot.dots(x, ratio, "extended", [_horizon_title(r, unit) for r in runs])
+    steps = [f"One step: {number(r.ratio, digits=2)} times." for r in rows if r.horizon_s == 0]
+    caption = " ".join(["Error of the simulation by that of the extension, held-out.", *steps])
+    return markup.figure(picture([plot], f"Gain in {name}"), name.capitalize(), caption)
+
+
+def _horizon_title(row: HorizonRow, unit: str) -> str:
+    sure = "" if row.ci95 is None else f", 95 % {number(row.ci95[0])} to {number(row.ci95[1])}"
+    return (
+        f"{number(row.horizon_s)} s: {number(row.before, unit)} to {number(row.after, unit)},"
+        f" {number(row.ratio)} times{sure}"
+    )
+
+
+def likeness(similarity: Similarity) -> str:
+    """Draw which causes look alike in these data."""
+    cosine = np.nan_to_num(similarity.cosine)
+    others = np.abs(cosine - np.diag(np.diag(cosine)))
+    strongest = others.max(axis=1)
+    kept = np.flatnonzero(strongest >= SMALLEST_LIKENESS)
+    kept = np.sort(kept[np.argsort(-strongest[kept], kind="stable")][:MAX_LIKE])
+    if len(kept) < 2:
+        return ""
+    names = [similarity.names[i] for i in kept]
+    size, left, top = 22.0, 170.0, 6.0
+    parts = []
+    for r, i in enumerate(kept):
+        y = top + r * size
+        parts.append(
+            f'<text class="tick" x="{left - 8}" y="{y + 15:.0f}" text-anchor="end">'
+            f"{names[r]}</text>"
+        )
+        for c, j in enumerate(kept):
+            value = float(cosine[i, j])
+            twin = "twin" if i != j and abs(value) > similarity.limit else ""
+            minus = "minus" if value < 0 else ""
+            parts.append(
+                f'<rect class="cell {minus} {twin}" x="{left + c * size + 1:.0f}" y="{y + 1:.0f}"'
+                f' width="{size - 2:.0f}" height="{size - 2:.0f}" rx="3"'
+                f' fill-opacity="{abs(value) ** 2:.2f}"><title>{names[r]} / {names[c]}:'
+                f" {label(round(value, 3))}</title></rect>"
+            )
+    bottom = top + len(kept) * size
+    for c, name in enumerate(names):
+        x = left + (c + 0.65) * size
+        parts.append(
+            f'<text class="tick" transform="translate({x:.0f} {bottom + 10:.0f}) rotate(-60)"'
+            f' text-anchor="end">{name}</text>'
+        )
+    width, height = left + len(kept) * size + 10, bottom + 130
+    svg = (
+        f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
+        f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
+    )
+    return markup.figure(
+        svg,
+        "Which causes look alike in these data",
+        f"Full colour: the same effect (orange: with the other sign). Framed: above"
+        f" {similarity.limit:g}, these data cannot tell the two apart. Causes that look like no"
+        " other are left out.",
+        role="wide",
+    )
+
+
+def spectrum(row: NoiseRow) -> str:
+    """Draw the power spectral density of one channel's noise and of its model."""
+    if row.frequency_hz is None or row.density is None:
+        return ""
+    keep = (row.frequency_hz > 0) & (row.density > 0)
+    f, density = row.frequency_hz[keep], row.density[keep]
+    model = None if row.model is None else row.model[keep]
+    low, high = (10.0 ** v for v in span_of(np.log10(density)))  # fmt: skip
+    squared = f"({row.unit})²" if "/" in row.unit else f"{row.unit}²"
+    plot = Plot(
+        (float(f.min()), float(f.max())),
+        (low, high),
+        "frequency [Hz]",
+        f"density [{squared}/Hz]",
+        log_x=True,
+        log_y=True,
+        height=250,
+    )
+    plot.line(f, density, "measured", "measured")
+    if model is not None:
+        plot.line(f, model, "extended", "model")
+    return markup.figure(
+        picture([plot], f"Noise of {row.channel}"),
+        row.channel,
+        "Dark: residual; blue: noise model.",
+    )
+
+
+def dependence(item: Dependence) -> str:
+    """Draw what remains of a residual against one regressor."""
+    plot = Plot(
+        span_of(item.x),
+        span_of(item.low, item.high, np.zeros(1)),
+        f"{item.regressor} [{item.regressor_unit}]",
+        f"remaining error [{item.unit}]",
+        height=250,
+    )
+    plot.level(0.0)
+    plot.band(item.x, item.low, item.high, "extended")
+    plot.line(item.x, item.mean, "extended", f"{item.channel} over {item.regressor}")
+    return markup.figure(
+        picture([plot], f"{item.channel} over {item.regressor}"),
+        f"{item.channel} over {item.regressor}",
+        f"Statistic {number(item.statistic)}, critical {number(item.critical)}.",
+    )
+
+
+def course(item: Course) -> str:
+    """Draw a parameter over time."""
+    plot = Plot(
+        span_of(item.t_s),
+        span_of(item.low, item.high),
+        "time [s]",
+        f"{item.cause} [{item.unit}]",
+        height=250,
+    )
+    plot.band(item.t_s, item.low, item.high, "extended")
+    plot.line(item.t_s, item.value, "extended", item.cause)
+    plot.dots(item.t_s, item.value, "extended",
+              [number(float(v), item.unit) for v in item.value])  # fmt: skip
+    return markup.figure(
+        picture([plot], f"{item.cause} over time"), item.cause, "Fitted in windows, with 95 %."
+    )
+
+
+def paths(ways: Iterable[Path]) -> list[str]:
+    """Draw the longest ways."""
+    longest = sorted(ways, key=lambda w: -_length(w.measured))[:MAX_PATHS]
+    return [path(way) for way in sorted(longest, key=lambda w: w.span)]
+
+
+def _length(track: Array) -> float:
+    return float(np.nansum(np.hypot(*np.diff(track, axis=0).T)))

@@ -1,0 +1,263 @@
+"""Plots as SVG text: axes, lines, bands, points. Classes name roles, the style has the colours."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.explain import MINUS, power_of_ten
+
+Array = NDArray[np.float64]
+MARGIN_LEFT: Final = 68.0
+MARGIN_RIGHT: Final = 14.0
+MARGIN_TOP: Final = 14.0
+MARGIN_BOTTOM: Final = 44.0
+MAX_POINTS: Final = 700
+"""Points of one line; more are drawn as the extremes of so many pieces."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """From values to places in the picture, linear or logarithmic."""
+
+    low: float
+    high: float
+    first: float
+    last: float
+    is_log: bool = False
+
+    def __call__(self, values: Array | float) -> Array:
+        """Return the place of each value."""
+        x = np.asarray(values, dtype=np.float64)
+        low, high = self.low, self.high
+        if self.is_log:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x, low, high = np.log10(x), math.log10(low), math.log10(high)
+        return self.first + (x - low) / (high - low) * (self.last - self.first)
+
+    def ticks(self, wanted: int = 6) -> list[float]:
+        """Return round values within the scale."""
+        if self.is_log:
+            return self._log_ticks()
+        span = self.high - self.low
+        step = 10.0 ** math.floor(math.log10(span / wanted))
+        step *= next(f for f in (1, 2, 5, 10) if span / (f * step) <= wanted)
+        first = math.ceil(self.low / step - 1e-9)
+        end = math.floor(self.high / step + 1e-9)
+        return [k * step for k in range(first, end + 1)]
+
+    def _log_ticks(self) -> list[float]:
+        decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
+        all_ticks = [f * 10.0**d for d in decades for f in (1, 2, 5)]
+        inside = [
+            t for t in all_ticks if self.low <= t * (1 + 1e-9) and t <= self.high * (1 + 1e-9)
+        ]
+        if len(inside) <= 8:
+            return inside
+        return [t for t in inside if abs(math.log10(t) - round(math.log10(t))) < 1e-9]
+
+
+def span_of(
+    *arrays: Array | None, least: float = 1e-9, margin: float = 0.06
+) -> tuple[float, float]:
+    """Return the range of all finite values, widened by a margin."""
+    parts = [np.ravel(a) for a in arrays if a is not None and np.size(a)]
+    values = np.concatenate(parts) if parts else np.zeros(1)
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return -1.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    width = max(high - low, least, 1e-6 * max(abs(low), abs(high)))
+    middle = 0.5 * (low + high)
+    half = width * (0.5 + margin)
+    return middle - half, middle + half
+
+
+def label(value: float) -> str:
+    """Return a tick's text."""
+    if value == 0 or abs(value) < 1e-12:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        text = f"{value:.6g}"
+    else:
+        power = math.floor(math.log10(abs(value)) + 1e-9)
+        factor = value / 10.0**power
+        text = "" if abs(factor - 1) < 1e-6 else f"{factor:.3g}·"
+        return text.replace("-", MINUS) + power_of_ten(power)
+    return text.replace("-", MINUS)
+
+
+def decimate(x: Array, y: Array, n: int = MAX_POINTS) -> tuple[Array, Array]:
+    """Return at most `n` points that keep smallest and largest value of every piece."""
+    if len(x) <= n:
+        return x, y
+    pieces = np.array_split(np.arange(len(x)), n // 2)
+    kept = []
+    for piece in pieces:
+        part = y[piece]
+        if np.isfinite(part).any():
+            kept += sorted({int(piece[np.nanargmin(part)]), int(piece[np.nanargmax(part)])})
+        else:
+            kept.append(int(piece[0]))
+    return x[kept], y[kept]
+
+
+def path_data(x: Array, y: Array) -> str:
+    """Return the ``d`` of a line through the points; it is broken where one is not finite."""
+    parts, pen = [], "M"
+    for px, py in zip(x.tolist(), y.tolist(), strict=True):
+        if not (math.isfinite(px) and math.isfinite(py)):
+            pen = "M"
+            continue
+        parts.append(f"{pen}{px:.1f} {py:.1f}")
+        pen = "L"
+    return "".join(parts)
+
+
+@dataclass
+class Plot:
+    """One pair of axes and what is drawn between them.
+
+    Parameters
+    ----------
+    x, y : tuple of float
+        Ranges of the values.
+    x_label, y_label : str
+        With the unit.
+    top : float
+        Where the plot begins in a picture of several.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    x_label: str
+    y_label: str
+    width: float = 520.0
+    height: float = 300.0
+    top: float = 0.0
+    log_x: bool = False
+    log_y: bool = False
+    _drawn: list[str] = field(default_factory=list)
+
+    @property
+    def to_x(self) -> Scale:
+        """Scale of the abscissa."""
+        return Scale(*self.x, MARGIN_LEFT, self.width - MARGIN_RIGHT, self.log_x)
+
+    @property
+    def to_y(self) -> Scale:
+        """Scale of the ordinate, upwards."""
+        return Scale(
+            *self.y, self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP, self.log_y
+        )
+
+    def line(self, x: Array, y: Array, role: str, title: str, *, points: int = MAX_POINTS) -> None:
+        """Draw a line; `role` is its class, `title` what shows when the pointer rests on it."""
+        data = path_data(*(self._place(*decimate(x, y, points))))
+        if data:
+            text = f"<title>{escape(title)}</title>"
+            self._drawn.append(f'<path class="line {role}" d="{data}">{text}</path>')
+
+    def track(self, xy: Array, role: str, title: str, *, points: int = MAX_POINTS) -> None:
+        """Draw a way in the plane, shape (n, 2): every k-th point."""
+        step = max(1, math.ceil(len(xy) / points))
+        kept = np.vstack([xy[::step], xy[-1:]])
+        data = path_data(*self._place(kept[:, 0], kept[:, 1]))
+        text = f"<title>{escape(title)}</title>"
+        self._drawn.append(f'<path class="line {role}" d="{data}">{text}</path>')
+
+    def band(self, x: Array, low: Array, high: Array, role: str) -> None:
+        """Fill between two lines."""
+        xs, lows = self._place(x, low)
+        _, highs = self._place(x, high)
+        data = path_data(np.concatenate([xs, xs[::-1]]), np.concatenate([lows, highs[::-1]]))
+        self._drawn.append(f'<path class="band {role}" d="{data}Z"/>')
+
+    def dots(self, x: Array, y: Array, role: str, titles: Sequence[str]) -> None:
+        """Draw points, each with its title."""
+        for px, py, title in zip(*self._place(x, y), titles, strict=True):
+            if math.isfinite(px) and math.isfinite(py):
+                self._drawn.append(
+                    f'<circle class="dot {role}" cx="{px:.1f}" cy="{py:.1f}" r="4">'
+                    f"<title>{escape(title)}</title></circle>"
+                )
+
+    def whiskers(self, x: Array, low: Array, high: Array, role: str) -> None:
+        """Draw an interval at each place."""
+        xs, lows = self._place(x, low)
+        _, highs = self._place(x, high)
+        data = "".join(
+            f"M{px:.1f} {a:.1f}V{b:.1f}"
+            for px, a, b in zip(xs, lows, highs, strict=True)
+            if math.isfinite(a) and math.isfinite(b)
+        )
+        self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
+
+    def stretch(self, first: float, last: float, role: str) -> None:
+        """Shade the whole height between two places."""
+        a, b = (float(self.to_x(v)) for v in (first, last))
+        y0, y1 = self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP
+        self._drawn.append(f'<path class="band {role}" d="M{a:.1f} {y0}V{y1}H{b:.1f}V{y0}Z"/>')
+
+    def level(self, y: float, text: str = "") -> None:
+        """Draw a horizontal reference line with a word at its right end."""
+        if not self.y[0] <= y <= self.y[1]:
+            return
+        at = float(self.to_y(y))
+        x0, x1 = MARGIN_LEFT, self.width - MARGIN_RIGHT
+        self._drawn.append(f'<path class="level" d="M{x0} {at:.1f}H{x1}"/>')
+        if text:
+            self._drawn.append(
+                f'<text class="note" x="{x1 - 4}" y="{at - 5:.1f}" text-anchor="end">'
+                f"{escape(text)}</text>"
+            )
+
+    def _place(self, x: Array, y: Array) -> tuple[Array, Array]:
+        return self.to_x(x), np.clip(self.to_y(y), -1e4, 1e4)
+
+    def _axes(self) -> str:
+        x0, x1 = MARGIN_LEFT, self.width - MARGIN_RIGHT
+        y0, y1 = self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP
+        parts = []
+        for value in self.to_y.ticks(5):
+            at = float(self.to_y(value))
+            parts.append(
+                f'<path class="grid" d="M{x0} {at:.1f}H{x1}"/>'
+                f'<text class="tick" x="{x0 - 8}" y="{at + 4:.1f}" text-anchor="end">'
+                f"{label(value)}</text>"
+            )
+        for value in self.to_x.ticks(7):
+            at = float(self.to_x(value))
+            parts.append(
+                f'<path class="grid" d="M{at:.1f} {y0}V{y1}"/>'
+                f'<text class="tick" x="{at:.1f}" y="{y0 + 17}" text-anchor="middle">'
+                f"{label(value)}</text>"
+            )
+        middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+        parts.append(
+            f'<path class="axis" d="M{x0} {y0}H{x1}"/>'
+            f'<text class="axis-label" x="{middle_x}" y="{y0 + 36}" text-anchor="middle">'
+            f"{escape(self.x_label)}</text>"
+            f'<text class="axis-label" transform="translate(13 {middle_y}) rotate(-90)"'
+            f' text-anchor="middle">{escape(self.y_label)}</text>'
+        )
+        return "".join(parts)
+
+    def render(self) -> str:
+        """Return axes and content as a group."""
+        return f"<g>{self._axes()}{''.join(self._drawn)}</g>"
+
+
+def picture(plots: Sequence[Plot], name: str) -> str:
+    """Return plots below each other as one SVG element; `name` is read aloud."""
+    width = max(plot.width for plot in plots)
+    height = max(plot.top + plot.height for plot in plots)
+    inner = "".join(plot.render() for plot in plots)
+    return (
+        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(name)}">'
+        f"{inner}</svg>"
+    )

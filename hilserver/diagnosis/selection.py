@@ -1,0 +1,320 @@
+"""Forward selection with held-out blocks, joint refit, and a swap check against every rival."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.intervals import covariance
+from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.screen import (
+    LEVEL,
+    SQUARE,
+    Blocks,
+    Scores,
+    adjusted,
+    critical,
+    directions,
+    null_maxima,
+    score,
+)
+
+Array = NDArray[np.float64]
+
+MOST_CAUSES = 6
+RIDGE = 1e-3
+TRIALS = 8
+"""Candidates of a round that are fitted in full: those with the largest linear gain."""
+RIVAL_COSINE = 0.6
+GROUP_COSINE = 0.95
+TIE = 4.0
+"""Deviance within which two causes explain the data alike, per parameter."""
+LEAST_LINEAR, LEAST_GAIN, LEAST_SAVED = 9.0, 10.0, 8.0
+"""Deviance that a cause must save: linearly, in its fit, and on held-out blocks."""
+
+
+@dataclass
+class Library:
+    """The candidates of one stage with their whitened columns at the base model.
+
+    Attributes
+    ----------
+    raw : list of ndarray, shape (n, 1) or (n, 2)
+        Sensitivities of every candidate.
+    blocks : Blocks
+        Order of the rows of `columns`.
+    columns : ndarray of float32, shape (n, k)
+        All directions, whitened, initial poses projected out.
+    owner : ndarray of int64, shape (k,)
+        Candidate of each direction.
+    norms : list of ndarray
+        Lengths of every candidate's own columns.
+    """
+
+    problem: Problem
+    candidates: list[Candidate]
+    raw: list[NDArray[np.float32]]
+    blocks: Blocks = field(init=False)
+    owner: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    norms: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        stack = self.problem.stack
+        self.blocks = Blocks.of(stack.block, stack.n_blocks)
+        widths = [1 if r.shape[1] == 1 else len(SQUARE) for r in self.raw]
+        self.owner = np.repeat(np.arange(len(self.raw)), widths)
+        self.columns = np.empty((len(stack), int(sum(widths))), dtype=np.float32)
+
+    def rewhiten(self, point: Point) -> None:
+        """Whiten and project all columns with the problem's present noise."""
+        problem, begin = self.problem, 0
+        bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+        self.norms = []
+        for raw in self.raw:
+            white = problem.project(problem.whiten(raw.astype(np.float64)), bases)
+            self.norms.append(np.sqrt((white**2).sum(axis=0)) + 1e-300)
+            spread = directions(white)
+            end = begin + spread.shape[1]
+            self.columns[:, begin:end] = spread[self.blocks.order]
+            begin = end
+
+    def ridge(self, point: Point, rows: NDArray[np.bool_] | None = None) -> Array:
+        """Return coefficients of all directions at once for what a model leaves.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), optional
+            Samples that count, in the order of the blocks; all.
+        """
+        chosen = slice(None) if rows is None else rows
+        columns = self.columns[chosen]
+        squares = np.einsum("ij,ij->j", columns, columns).astype(np.float64)
+        norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
+        gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
+        left = point.left[self.blocks.order][chosen].astype(np.float32)
+        along = (columns.T @ left).astype(np.float64) / norm
+        return np.asarray(np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm)
+
+    def effect(self, weight: Array, rows: NDArray[np.int64] | slice) -> Array:
+        """Return what coefficients of all directions add to the prediction of some samples."""
+        total = np.zeros(len(self.problem.stack))[rows]
+        for i, raw in enumerate(self.raw):
+            mine = weight[self.owner == i]
+            theta = mine if raw.shape[1] == 1 else np.array(SQUARE).T @ mine / self.norms[i]
+            total += raw[rows] @ theta
+        return np.asarray(total)
+
+    def scores(self, point: Point) -> Scores:
+        """Score all candidates at a model."""
+        accepted = self.problem.accepted(point)
+        order = self.blocks.order
+        return score(
+            self.columns,
+            point.left[order].astype(np.float32),
+            self.blocks,
+            None if accepted is None else accepted[order].astype(np.float32),
+        )
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate fitted together with what is accepted."""
+
+    candidate: Candidate
+    point: Point
+    gain: float
+    t: float
+    p: float
+
+    @property
+    def theta(self) -> tuple[float, ...]:
+        """Fitted values of the candidate's own parameters."""
+        return self.point.model.fitted[-1].theta
+
+
+@dataclass
+class Selected:
+    """The outcome of one stage.
+
+    Attributes
+    ----------
+    rivals : mapping of str to list of Trial
+        Per accepted cause, those that explain the data as well in its place.
+    p : mapping of str to float
+        Family-wise p of each accepted cause when it was accepted.
+    """
+
+    point: Point
+    rivals: dict[str, list[Trial]] = field(default_factory=dict)
+    p: dict[str, float] = field(default_factory=dict)
+
+
+def physical(point: Point) -> bool:
+    """Return whether every parameter is inside its range, not at its edge, and worth a name."""
+    for f in point.model.fitted:
+        c = f.candidate
+        size = 0.0
+        for value, low, high, null in zip(f.theta, c.low, c.high, c.null, strict=True):
+            size = max(size, abs(value - null))
+            width = high - low
+            margin = 1e-6 * width if np.isfinite(width) else 0.0
+            at_edge = value <= low + margin or value >= high - margin
+            if at_edge and c.n == 1:
+                return False
+        if size < c.least:
+            return False
+    return True
+
+
+def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
+    """Return whether a cause improves the blocks that took no part in its fit, both ways.
+
+    Each half of the blocks is predicted from a fit on the other: together they must improve
+    clearly, and neither may get worse.
+    """
+    fold = problem.stack.fold
+    saved = []
+    for test in (0, 1):
+        train = fold != test
+        if not train.any() or train.all():
+            return True
+        without = fit(problem, before.model, before, rows=train, iterations=2)
+        point = fit(problem, model, start, rows=train, iterations=2)
+        part = fold == test
+        saved.append(float((without.loss - point.loss)[part].sum()))
+    return sum(saved) > LEAST_SAVED and min(saved) > -1.0
+
+
+def best_starts(scores: Scores, library: Library) -> list[tuple[int, float]]:
+    """Return the candidates that could explain most, with their linear gain; one of each cause.
+
+    Where much is left to explain no cause is linear any more, so significance is asked of the fit
+    and not of the screen.
+    """
+    found: dict[str, tuple[int, float]] = {}
+    for j, owner in enumerate(library.owner):
+        c, gain = library.candidates[owner], float(scores.gain[j])
+        if gain < LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
+            continue
+        if c.cause not in found or gain > found[c.cause][1]:
+            found[c.cause] = (int(owner), gain)
+    return sorted(found.values(), key=lambda item: -item[1])
+
+
+def wald(problem: Problem, point: Point, index: int) -> float:
+    """Return how many robust deviations a fitted cause lies from its null."""
+    cov, _ = covariance(problem, point, problem.accepted(point))
+    begin = sum(f.candidate.n for f in point.model.fitted[:index])
+    f = point.model.fitted[index]
+    part = slice(begin, begin + f.candidate.n)
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    return float(np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0)))
+
+
+def attempt(
+    problem: Problem, point: Point, library: Library, index: int, t: float, p: float
+) -> Trial | None:
+    """Fit a candidate together with the accepted causes."""
+    c = library.candidates[index]
+    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
+    if c.moved is not None:
+        trial = refine(problem, trial, len(trial.model.fitted) - 1)
+        c = trial.model.fitted[-1].candidate
+    if not physical(trial):
+        return None
+    return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
+
+
+def refine(problem: Problem, point: Point, index: int) -> Point:
+    """Search the shape of one cause: a region's edge is moved while the deviance falls."""
+    for shift_m in SHIFTS_M:
+        for side in (1.0, -1.0):
+            f = point.model.fitted[index]
+            assert f.candidate.moved is not None
+            moved = point.model.swapped(index, f.candidate.moved(side * shift_m), f.theta)
+            trial = fit(problem, moved, point, iterations=2)
+            if trial.deviance < point.deviance - 0.1:
+                point = trial
+                break
+    return point
+
+
+def select(
+    problems: Mapping[str, Problem],
+    libraries: Mapping[str, Library],
+    points: Mapping[str, Point],
+    rng: np.random.Generator,
+    *,
+    log: list[str] | None = None,
+) -> dict[str, Selected]:
+    """Select causes, stage by stage, at one family-wise level."""
+    scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
+    maxima = null_maxima(list(scores.values()), rng)
+    out = {}
+    for name in libraries:
+        other = [s for n, s in scores.items() if n != name]
+        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima, log)
+    return out
+
+
+def _forward(
+    problem: Problem,
+    library: Library,
+    point: Point,
+    other: Sequence[Scores],
+    rng: np.random.Generator,
+    maxima: Array,
+    log: list[str] | None,
+) -> Selected:
+    selected = Selected(point)
+    for round_ in range(MOST_CAUSES):
+        scores = library.scores(point)
+        if round_:
+            maxima = null_maxima([scores, *other], rng)
+        limit = critical(maxima)
+        starts = best_starts(scores, library)[:TRIALS]
+        trials: list[Trial] = []
+        if np.abs(scores.t).max(initial=0.0) < limit:
+            break
+        for index, _ in starts:
+            mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
+            t = float(mine.max())
+            p = float(adjusted(np.array([t]), maxima)[0])
+            trial = attempt(problem, point, library, index, t, p)
+            if trial is not None:
+                trials.append(trial)
+        trials.sort(key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
+        if log is not None:
+            log.append(
+                f"round {round_}: critical {limit:.2f}: "
+                + ", ".join(f"{t.candidate.label} {t.gain:.0f} {t.theta}" for t in trials[:6])
+            )
+        accepted = None
+        for trial in trials[:3]:
+            fitted = fit(problem, trial.point.model, trial.point, iterations=4)
+            last = len(fitted.model.fitted) - 1
+            clear = trial.gain > LEAST_GAIN and wald(problem, fitted, last) > limit
+            if clear and holds(problem, point, fitted.model, fitted):
+                accepted = replace(trial, point=fitted)
+                break
+        if accepted is None:
+            break
+        point = accepted.point
+        selected.p[accepted.candidate.cause] = min(accepted.p, LEVEL)
+        _refresh_noise(problem, library, point)
+        point = fit(problem, point.model, point, iterations=3)
+    selected.point = point
+    return selected
+
+
+def _refresh_noise(problem: Problem, library: Library, point: Point) -> None:
+    """Learn the noise anew from what the extended model leaves."""
+    problem.learn_noise(problem.residual(point.predicted))
+    library.rewhiten(point)

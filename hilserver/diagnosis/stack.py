@@ -1,0 +1,152 @@
+"""All samples of one stage in one vector: by channel, then by segment, then by time."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.clock import Segments
+from hilserver.diagnosis.data import MeasuredLog
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The measured samples of one stage.
+
+    Attributes
+    ----------
+    channels : tuple of str
+    edges : mapping of str to slice
+        Where each channel lies.
+    segment : ndarray of int64, shape (n,)
+    t_s, values : ndarray of float64, shape (n,)
+    at : ndarray of float64, shape (n,)
+        Row in the dense arrays, as a fraction.
+    low, high : ndarray of int64, shape (n,)
+        First and last row of the sample's segment.
+    block : ndarray of int64, shape (n,)
+        Unit of the sign flips; blocks do not cross segments.
+    n_blocks : int
+    fold : ndarray of int64, shape (n_blocks,)
+        0 or 1: which half a block belongs to in held-out tests; a log's own blocks, else segments
+        or stretches, in turn.
+    """
+
+    channels: tuple[str, ...]
+    edges: Mapping[str, slice]
+    segment: Indices
+    t_s: Array
+    values: Array
+    at: Array
+    low: Indices
+    high: Indices
+    block: Indices
+    n_blocks: int
+    fold: Indices
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def runs(self) -> Iterator[tuple[str, int, slice]]:
+        """Yield channel, segment and place of every stretch that is continuous in time."""
+        for name in self.channels:
+            edge = self.edges[name]
+            segment = self.segment[edge]
+            breaks = np.flatnonzero(np.diff(segment)) + 1
+            bounds = [0, *breaks.tolist(), len(segment)]
+            for a, b in pairwise(bounds):
+                if b > a:
+                    yield name, int(segment[a]), slice(edge.start + a, edge.start + b)
+
+    def block_sums(self, samples: Array) -> Array:
+        """Return the sums over each block, shape (n_blocks,) or (n_blocks, k)."""
+        if samples.ndim == 1:
+            return np.asarray(np.bincount(self.block, samples, self.n_blocks))
+        return np.stack(
+            [
+                np.bincount(self.block, weights=samples[:, j], minlength=self.n_blocks)
+                for j in range(samples.shape[1])
+            ],
+            axis=1,
+        )
+
+
+def make_stack(
+    log: MeasuredLog,
+    names: Sequence[str],
+    segments: Segments,
+    *,
+    block_s: float,
+    skip_s: float = 0.0,
+    usable: NDArray[np.bool_] | None = None,
+) -> Stack:
+    """Collect the samples of some channels.
+
+    Parameters
+    ----------
+    block_s : float
+        Length of the sign-flip blocks.
+    skip_s : float
+        Left out at the start of each segment.
+    usable : ndarray of bool, shape (segments,), optional
+        Segments that take part.
+    """
+    parts: dict[str, list[NDArray[Any]]] = {"segment": [], "t_s": [], "values": [], "at": []}
+    edges: dict[str, slice] = {}
+    begin = 0
+    for name in names:
+        channel = log[name]
+        segment, at = segments.locate(channel.span, channel.t_s)
+        keep = segment >= 0
+        index = np.maximum(segment, 0)
+        keep &= channel.t_s >= segments.start_s[index] + skip_s - 1e-9
+        if usable is not None:
+            keep &= usable[index]
+        edges[name] = slice(begin, begin + int(keep.sum()))
+        begin = edges[name].stop
+        for key, array in (("segment", segment), ("t_s", channel.t_s)):
+            parts[key].append(array[keep])
+        parts["values"].append(channel.values[keep])
+        parts["at"].append(at[keep])
+    segment = np.concatenate(parts["segment"]).astype(np.int64)
+    t_s = np.concatenate(parts["t_s"])
+    block, n_blocks, fold = _blocks(log, segments, segment, t_s, block_s)
+    return Stack(
+        channels=tuple(names),
+        edges=edges,
+        segment=segment,
+        t_s=t_s,
+        values=np.concatenate(parts["values"]),
+        at=np.concatenate(parts["at"]),
+        low=segments.first[segment],
+        high=segments.first[segment + 1] - 1,
+        block=block,
+        n_blocks=n_blocks,
+        fold=fold,
+    )
+
+
+def _blocks(
+    log: MeasuredLog, segments: Segments, segment: Indices, t_s: Array, block_s: float
+) -> tuple[Indices, int, Indices]:
+    """Return the sign-flip block of each sample, their number, and each block's fold."""
+    length = segments.end_s - segments.start_s
+    own = [s.block for s in log.spans]
+    if all(b is not None for b in own) and len(set(own)) > 1:
+        labels = np.array([own[s] for s in segments.span], dtype=np.int64)
+        names, number = np.unique(labels, return_inverse=True)
+        return number[segment], len(names), np.asarray(np.arange(len(names)) % 2)
+    per = np.maximum(1, np.rint(length / block_s)).astype(np.int64)
+    start = np.concatenate([[0], np.cumsum(per)])
+    inside = ((t_s - segments.start_s[segment]) / length[segment] * per[segment]).astype(np.int64)
+    block = start[segment] + np.clip(inside, 0, per[segment] - 1)
+    owner = np.repeat(np.arange(len(segments)), per)
+    many = len(segments) >= 6
+    fold = owner % 2 if many else np.arange(len(owner)) % 2
+    return block, int(start[-1]), np.asarray(fold)

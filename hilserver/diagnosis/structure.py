@@ -1,0 +1,170 @@
+"""Unknown structure and drift: what remains after the library, and what changes over time."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.unknown import Family, LostSteps, drive_families, lost_steps, pose_families
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.001
+LEAST_GAIN = 40.0
+LEAST_T = 3.0
+LEAST_SHARE = 0.001
+"""Of the samples' variance: what explains less is of no use to anybody."""
+INEXACT = 0.005
+"""Share of what the accepted causes explain that their own form may leave."""
+DOMINANCE = 4.0
+"""A named cause stays beside unknown structure only if it explains so many times as much."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A family of columns that the remaining error depends on.
+
+    Attributes
+    ----------
+    gain : float
+        Deviance that the whole family saves, less one per column.
+    white : ndarray, shape (n, k)
+        Its columns, whitened and projected.
+    """
+
+    family: Family
+    t: float
+    p: float
+    gain: float
+    white: Array
+
+
+def families_of(problem: Problem, point: Point) -> Iterable[Family]:
+    """Return the families of a stage."""
+    if problem.stage.name == "pose":
+        return pose_families(problem, point)
+    return drive_families(problem, point)
+
+
+def remaining(
+    problem: Problem,
+    point: Point,
+    rng: np.random.Generator,
+    families: Iterable[Family],
+    explained: float,
+) -> list[Unknown]:
+    """Return the families that the residual significantly depends on, the strongest first.
+
+    Parameters
+    ----------
+    explained : float
+        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+    """
+    stack = problem.stack
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    accepted = problem.accepted(point)
+    blocks = Blocks.of(stack.block, stack.n_blocks)
+    order = blocks.order
+    scores, strong = [], []
+    for family in families:
+        white = problem.project(problem.whiten(family.columns), bases)
+        before = (white**2).sum(axis=0)
+        white = orthogonal(white, accepted)
+        white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
+        scores.append(score(white[order], point.left[order], blocks))
+        t = float(np.abs(scores[-1].t).max(initial=0.0))
+        if t > LEAST_T:
+            gain = joint_gain(white, point.left)
+            least = max(LEAST_GAIN, LEAST_SHARE * len(stack), INEXACT * explained)
+            if gain > least and holds_out(problem, white, point.left):
+                slim = Family(family.name, family.regressors, np.zeros((0, 0)))
+                strong.append(Unknown(slim, t, 1.0, gain, white))
+    maxima = null_maxima(scores, rng)
+    found = []
+    for u in strong:
+        p = float(adjusted(np.array([u.t]), maxima)[0])
+        if p < LEVEL:
+            found.append(Unknown(u.family, u.t, p, u.gain, u.white))
+    return sorted(found, key=lambda u: -u.gain)
+
+
+def joint_gain(white: Array, left: Array) -> float:
+    """Return the deviance that all columns save together, less one per column."""
+    norm = np.sqrt((white**2).sum(axis=0))
+    unit = white[:, norm > 0.0] / norm[norm > 0.0]
+    if unit.shape[1] == 0:
+        return 0.0
+    gram = unit.T @ unit + 1e-3 * np.eye(unit.shape[1])
+    b = unit.T @ left
+    return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
+
+
+def holds_out(problem: Problem, white: Array, left: Array) -> bool:
+    """Return whether a family explains blocks that its coefficients were not fitted to."""
+    stack = problem.stack
+    norm = np.sqrt((white**2).sum(axis=0))
+    unit = white[:, norm > 0.0] / norm[norm > 0.0]
+    saved = []
+    fold = stack.fold[stack.block]
+    for test in (0, 1):
+        train = fold != test
+        if not train.any() or train.all():
+            return False
+        a, b = unit[train], left[train]
+        gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
+        rest = left - unit @ np.linalg.solve(gram, a.T @ b)
+        part = stack.fold == test
+        saved.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
+    return sum(saved) > LEAST_GAIN and min(saved) > 0.0
+
+
+def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:
+    """Return the accepted causes that unknown structure leaves in doubt.
+
+    A cause is in doubt when, with the structure's columns beside it, it explains less than
+    `DOMINANCE` times what the structure does.
+    """
+    if not unknown or not point.model.fitted:
+        return []
+    columns = np.concatenate([u.white for u in unknown[:2]], axis=1)
+    base, _ = np.linalg.qr(columns + 1e-12)
+    doubtful = []
+    strength = max(u.gain for u in unknown)
+    for index in range(len(point.model.fitted)):
+        reduced = fit(problem, point.model.without(index), point, iterations=3)
+        rest = reduced.left - base @ (base.T @ reduced.left)
+        full = point.left - base @ (base.T @ point.left)
+        own = float((rest**2).sum() - (full**2).sum())
+        if own < DOMINANCE * strength:
+            doubtful.append(index)
+    return doubtful
+
+
+def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
+    """Return accepted causes whose value changes along the log, with their p."""
+    accepted = problem.accepted(point)
+    if accepted is None:
+        return {}
+    stack = problem.stack
+    clock = stack.t_s
+    middle, half = 0.5 * (clock.min() + clock.max()), 0.5 * max(np.ptp(clock), 1e-9)
+    course = ((clock - middle) / half)[:, None]
+    blocks = Blocks.of(stack.block, stack.n_blocks)
+    order = blocks.order
+    s = score((accepted * course)[order], point.left[order], blocks, accepted[order])
+    maxima = null_maxima([s], rng)
+    p = adjusted(s.t, maxima)
+    out: dict[str, float] = {}
+    begin = 0
+    for f in point.model.fitted:
+        part = slice(begin, begin + f.candidate.n)
+        begin += f.candidate.n
+        if p[part].min() < LEVEL and s.gain[part].max() > LEAST_GAIN:
+            out[f.candidate.cause] = float(p[part].min())
+    return out
+
+
+__all__ = ["LostSteps", "Unknown", "drifting", "families_of", "lost_steps", "remaining"]

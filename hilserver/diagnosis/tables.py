@@ -1,0 +1,184 @@
+"""Files to tables: CSV, recordings of ours and Parquet, in our names or through a mapping."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.data import Array
+from hilserver.diagnosis.mapping import PER_SECOND, ColumnMap, LogMapping
+from hilserver.diagnosis.names import closest, is_input, known_columns, known_signals
+from hilserver.diagnosis.parquet import read_parquet
+from hilserver.errors import LogError
+from hilserver.logs import Log, read_log
+from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
+from hilserver.signals import MEASURED
+
+_UNUSABLE = 0xC000_0000
+"""Status codes with one of these bits are Uncertain or Bad."""
+_ABSURD = 1e12
+
+
+@dataclass(frozen=True)
+class Stamped:
+    """Signals with common stamps; NaN where there is no sample.
+
+    Attributes
+    ----------
+    t_s, segment, block : ndarray, shape (n,)
+    columns : mapping of str to ndarray of float64, shape (n,)
+        By signal name.
+    """
+
+    t_s: Array
+    segment: NDArray[np.int64]
+    columns: Mapping[str, Array]
+    block: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What one file holds.
+
+    Attributes
+    ----------
+    machine : str or None
+        The plant that a recording of ours was made with, as YAML.
+    """
+
+    path: Path
+    parts: Sequence[Stamped]
+    has_stamps: bool = True
+    notices: Sequence[str] = ()
+    machine: str | None = None
+
+
+def read_own(path: Path) -> Recording:
+    """Read a table whose columns are signal names: CSV, or a recording of ours."""
+    log = read_log(path, known_columns())
+    for name, values in log.columns.items():
+        refuse_absurd(values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'")
+    return Recording(path, [_own_part(log)], notices=list(log.notices), machine=_machine(log))
+
+
+def _machine(log: Log) -> str | None:
+    try:
+        configuration = yaml.safe_load((log.run or {}).get("configuration") or "")
+        sections = {key: configuration[key] for key in ("plant", "kinematics")}
+    except (yaml.YAMLError, TypeError, KeyError):
+        return None
+    return yaml.safe_dump(sections)
+
+
+def _own_part(log: Log) -> Stamped:
+    columns = {name: _good(log, name) for name in log.columns}
+    measured = {
+        name.removeprefix(MEASURED): values
+        for name, values in columns.items()
+        if name.startswith(MEASURED) and np.isfinite(values).any()
+    }
+    known = known_signals()
+    own = {name: values for name, values in columns.items() if name in known}
+    if measured:
+        own = {name: values for name, values in own.items() if is_input(name)}
+    return Stamped(log.t_s, log.segment, own | measured, log.block)
+
+
+def _good(log: Log, name: str) -> Array:
+    values = log.columns[name]
+    if name not in log.status:
+        return values
+    return np.where(log.status[name] & _UNUSABLE, np.nan, values)
+
+
+def read_own_parquet(path: Path) -> Recording:
+    """Read a Parquet table whose columns are signal names."""
+    table = read_parquet(path)
+    if TIME not in table.header:
+        raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
+    known = (*known_columns(), TIME, SEGMENT, BLOCK)
+    for name in table.header:
+        if name not in known:
+            hint = closest(name, known, "see 'hilserver signals' for the names")
+            raise LogError(f"{path}: column '{name}': there is no such signal; {hint}")
+    measured = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
+    segment = table.integers(SEGMENT)
+    if segment is None:
+        segment = np.zeros(len(table.lines), dtype=np.int64)
+    check_time(table, TIME, segment)
+    columns = {name: table.column(name) for name in measured}
+    for name, values in columns.items():
+        refuse_absurd(values, name, table.where)
+    log = Log(path, table.column(TIME), segment, columns, table.integers(BLOCK))
+    return Recording(path, [_own_part(log)])
+
+
+def read_mapped(path: Path, mapping: LogMapping) -> Recording:
+    """Read a foreign table, CSV or Parquet, through a mapping."""
+    time = None if mapping.time.rate_hz else mapping.time.column or TIME
+    if path.suffix != ".parquet":
+        return _map_table(read_table(path, time=time), mapping, time)
+    table = read_parquet(path)
+    if time is not None:
+        _demand(table, time, "time")
+    return _map_table(table, mapping, time)
+
+
+def _map_table(table: Table, mapping: LogMapping, time: str | None) -> Recording:
+    n = len(table.lines)
+    segment = _whole_numbers(table, mapping.segment, SEGMENT)
+    if segment is None:
+        segment = np.zeros(n, dtype=np.int64)
+    if time is None:
+        starts = np.flatnonzero(np.diff(segment, prepend=segment[:1] - 1))
+        row = np.arange(n) - np.repeat(starts, np.diff(starts, append=n))
+        t_s = row / float(mapping.time.rate_hz or 1.0)
+    else:
+        check_time(table, time, segment)
+        t_s = table.column(time) * PER_SECOND[mapping.time.unit]
+    columns = {
+        name: _mapped(table, mapping, name)
+        for name, channel in mapping.channels.items()
+        if not channel.optional or channel.column in table.header
+    }
+    block = _whole_numbers(table, mapping.block, BLOCK)
+    part = Stamped(t_s, segment, columns, block)
+    return Recording(table.path, [part], time is not None, table.notices)
+
+
+def _whole_numbers(table: Table, named: ColumnMap | None, default: str) -> NDArray[np.int64] | None:
+    if named is not None:
+        _demand(table, named.column, default)
+    return table.integers(default if named is None else named.column)
+
+
+def _demand(table: Table, column: str, key: str) -> None:
+    if column not in table.header:
+        hint = closest(column, table.header, f"the columns are {', '.join(table.header):.200}")
+        raise LogError(
+            f"{table.path}: row 1: there is no column '{column}', which the mapping names for"
+            f" {key}; {hint}"
+        )
+
+
+def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
+    column = str(mapping.channels[name].column)
+    _demand(table, column, name)
+    values = table.column(column)
+    refuse_absurd(values, column, table.where)
+    converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
+    return converted
+
+
+def refuse_absurd(values: Array, name: str, where: Callable[[int, str], str]) -> None:
+    """Refuse infinite and impossibly large values; `where` names the place of a row and `name`."""
+    wrong = np.flatnonzero(np.abs(values) > _ABSURD)
+    if wrong.size:
+        row = int(wrong[0])
+        raise LogError(
+            f"{where(row, name)}: {float(values[row]):g} is no value of a robot; write a finite"
+            " number or nothing"
+        )

@@ -1,0 +1,296 @@
+"""Structure that the library does not have: what the remaining error depends on, without a name.
+
+What is left is mapped against the regressors that are at hand: time, place, heading, speed, turn
+rate, history, the other wheels. A family of columns stands for each; a family is a disturbance of
+the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.drive_stage import DUTIES, SETPOINTS, SPEEDS, DriveStage
+from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
+from hilserver.diagnosis.problem import Point, Problem
+from hilserver.plant.layout import WHEELS
+
+Array = NDArray[np.float64]
+
+TURNING, DRIVING = 0.2, 0.05
+"""Turn rate [rad/s] and speed [m/s] from which a direction counts."""
+FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 29))
+
+
+@dataclass(frozen=True)
+class Family:
+    """Columns that depend on one regressor.
+
+    Attributes
+    ----------
+    regressors : tuple of str
+        Signals, or ``t_s``, strongest first.
+    columns : ndarray, shape (n, k)
+        Raw, per unit of an arbitrary coefficient.
+    """
+
+    name: str
+    regressors: tuple[str, ...]
+    columns: Array
+
+
+class _Motion:
+    """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
+
+    def __init__(self, problem: Problem, point: Point, stride: int = 10) -> None:
+        assert isinstance(problem.stage, PoseStage)
+        stage = self.stage = problem.stage
+        self.problem, self.stride = problem, stride
+        dense = stage.simulate(point.model.terms, point.poses)
+        self.dt = stage.period_s * stride
+        first = stage.segments.first
+        self.rows = [np.arange(first[i], first[i + 1], stride) for i in range(len(first) - 1)]
+        take = np.concatenate(self.rows)
+        sizes = [len(r) for r in self.rows]
+        self.bounds = np.concatenate([[0], np.cumsum(sizes)])
+        self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
+        left, right = stage.left[take], stage.right[take]
+        scale = stage.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
+        self.v = (left - right) * scale
+        self.side = (left, right)
+        self.t = np.concatenate([
+            stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
+            for i, r in enumerate(self.rows)
+        ])  # fmt: skip
+        self.moving = np.tanh((np.abs(left) + np.abs(right)) / 10.0) ** 2
+        self._place_samples()
+
+    def _place_samples(self) -> None:
+        stack, first = self.problem.stack, self.stage.segments.first
+        local = (stack.at - first[stack.segment]) / self.stride
+        last = np.diff(self.bounds)[stack.segment] - 1.0
+        self.at = self.bounds[stack.segment] + np.clip(local, 0.0, last)
+
+    def column(self, dv: Array, dvy: Array, dom: Array) -> Array:
+        """Return the raw column of a disturbance of the body velocity."""
+        out = np.zeros(len(self.problem.stack))
+        yaw = self._integrate(dom)
+        z = (dv + 1j * dvy) * np.exp(1j * self.yaw)
+        velocity = self.v * np.exp(1j * self.yaw)
+        place = self._integrate(z + 1j * yaw * velocity)
+        for name, edge in self.problem.stack.edges.items():
+            source = {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}[name]
+            at = self.at[edge]
+            low = np.minimum(at.astype(np.int64), len(source) - 1)
+            high = np.minimum(low + 1, len(source) - 1)
+            out[edge] = source[low] + (at - low) * (source[high] - source[low])
+        return out
+
+    def _integrate(self, rate: Array) -> Array:
+        total = np.cumsum(rate) * self.dt
+        begin = self.bounds[:-1]
+        offset = total[begin]
+        return np.asarray(total - np.repeat(offset, np.diff(self.bounds)))
+
+    def smoothed(self, signal: Array, tau_s: float) -> Array:
+        """Return a signal's recent past: low-passed within each segment."""
+        from scipy.signal import lfilter  # noqa: PLC0415 (slow to import)
+
+        keep = float(np.exp(-self.dt / tau_s))
+        out = np.empty_like(signal)
+        for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True):
+            out[a:b] = lfilter([1.0 - keep], [1.0, -keep], signal[a:b])
+        return out
+
+
+def pose_families(problem: Problem, point: Point) -> list[Family]:
+    """Return what a disturbance of the body's velocity could depend on."""
+    m = _Motion(problem, point)
+    zero, v, om = np.zeros_like(m.v), m.v, m.om
+    on = m.moving
+
+    def family(name: str, regressors: Sequence[str], shapes: Sequence[Array]) -> Family:
+        columns = []
+        for shape in shapes:
+            columns.append(m.column(shape * v, zero, zero))
+            columns.append(m.column(zero, zero, shape * om))
+        return Family(name, tuple(regressors), np.stack(columns, axis=1))
+
+    heading = [f(k * m.yaw) for k in (1, 2) for f in (np.cos, np.sin)]
+    place_x, place_y = _unit(m.x), _unit(m.y)
+    families = []
+    signal = YAW if YAW in problem.stack.edges else "pose.yaw_rad"
+    columns = [m.column(*d) for h in heading for d in
+               ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
+                (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)))]  # fmt: skip
+    families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
+    if POSITION[0] in problem.stack.edges:
+        shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
+                  np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
+        families.append(family("place", POSITION, shapes))
+    size, spin = np.abs(v) / (np.abs(v).max() + 1e-9), np.abs(om) / (np.abs(om).max() + 1e-9)
+    speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
+             m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
+             m.column(zero, zero, v), m.column(zero, zero, size * v),
+             m.column(zero, zero, size**2 * om),
+             m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
+    families.append(Family("speed", ("velocity.linear_m_s",), np.stack(speed, axis=1)))
+    turn = [m.column(zero, zero, spin * om), m.column(zero, zero, spin**2 * om),
+            m.column(spin**2 * v, zero, zero), m.column(zero, spin * om, zero),
+            m.column(om, zero, zero), m.column(np.abs(om), zero, zero),
+            m.column(zero, zero, np.abs(om)), m.column(zero, np.abs(om), zero),
+            m.column(zero, zero, _side(om, TURNING))]  # fmt: skip
+    families.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
+    history = []
+    for tau_s in (0.3, 1.0, 3.0):
+        past_v, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
+        history += [m.column(zero, zero, past_om - om), m.column(past_v - v, zero, zero),
+                    m.column(zero, zero, _side(past_om, TURNING) * on),
+                    m.column(_side(past_v, DRIVING) * on, zero, zero),
+                    m.column(_side(past_v, DRIVING) * np.abs(v), zero, zero),
+                    m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
+    names = ("wheels.speeds_rpm", "velocity.angular_rad_s", "velocity.linear_m_s")
+    families.append(Family("history", names, np.stack(history, axis=1)))
+    families.append(_periodic_pose(m))
+    return families
+
+
+def _periodic_pose(m: _Motion) -> Family:
+    zero, columns = np.zeros_like(m.v), []
+    for f in FREQUENCIES_HZ:
+        for wave in (np.cos, np.sin):
+            shape = wave(2.0 * np.pi * f * m.t)
+            columns.append(m.column(zero, zero, shape * m.moving))
+            columns.append(m.column(shape * m.moving, zero, zero))
+    return Family("time", ("t_s",), np.stack(columns, axis=1))
+
+
+def _side(values: Array, knee: float) -> Array:
+    """Return the sign of a signal, soft at nought: there a sharp one would follow the noise."""
+    return np.asarray(np.tanh(values / knee))
+
+
+def _unit(values: Array) -> Array:
+    low, high = np.quantile(values, [0.01, 0.99])
+    return np.asarray(np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5))
+
+
+def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
+    """Return what a disturbance of speed and duty could depend on."""
+    assert isinstance(problem.stage, DriveStage)
+    stage, stack = problem.stage, problem.stack
+    _, seen, duty = stage.simulate(
+        {k: v for k, v in point.model.terms.items() if not k.startswith("field.")}
+    )
+    rate = 1.0 / stage.segments.period_s
+    slope = np.gradient(seen, axis=0) * rate
+    angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 / rate)
+    t = np.concatenate([stage.segments.times(i) for i in range(len(stage.segments))])
+
+    def of_wheel(w: int, speed: Array | None, work: Array | None) -> Array:
+        """Column of one wheel: what is added to its speed and its duty."""
+        column = np.zeros(len(stack))
+        for name, dense in ((SPEEDS[w], speed), (DUTIES[w], work)):
+            if dense is not None and name in stack.edges:
+                edge = stack.edges[name]
+                column[edge] = dense[np.rint(stack.at[edge]).astype(np.int64)]
+        return column
+
+    def disturbed(wheels: Sequence[int], shape: Array) -> list[Array]:
+        """Columns of a load that needs `shape` more duty: the loop answers, the speed dips."""
+        dip = -np.gradient(shape) * rate * 0.005
+        return [
+            np.sum([of_wheel(w, None, shape) for w in wheels], axis=0),
+            np.sum([of_wheel(w, dip, None) for w in wheels], axis=0),
+        ]
+
+    for source in range(4):
+        columns = []
+        for w in range(4):
+            if w == source:
+                continue
+            columns += [of_wheel(w, seen[:, source], duty[:, source])]
+            columns += disturbed((w,), seen[:, source])
+            columns += disturbed((w,), slope[:, source] / 100.0)
+        name = WHEELS[source]
+        yield (
+            Family(
+                f"wheel {name}",
+                (f"wheel.{name}.setpoint_rpm", f"wheel.{name}.speed_rpm", f"wheel.{name}.duty_pct"),
+                np.stack(columns, axis=1),
+            )
+        )
+    for w in range(4):
+        columns = []
+        for k in (1, 2):
+            for wave in (np.cos, np.sin):
+                columns += disturbed((w,), wave(k * angle[:, w]))
+        yield (
+            Family(
+                f"angle {WHEELS[w]}", (f"wheel.{WHEELS[w]}.angle_rad",), np.stack(columns, axis=1)
+            )
+        )
+    columns = []
+    for f in FREQUENCIES_HZ:
+        for wave in (np.cos, np.sin):
+            columns += disturbed(range(4), wave(2.0 * np.pi * f * t))[:1]
+    yield (Family("time", ("t_s",), np.stack(columns, axis=1)))
+    columns = []
+    for w in range(4):
+        n = seen[:, w]
+        for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n)):
+            columns += disturbed((w,), shape)[:1]
+    yield (Family("speed", SPEEDS, np.stack(columns, axis=1)))
+
+
+@dataclass(frozen=True)
+class LostSteps:
+    """Set-point steps that the log shows as sent and the wheels did not make.
+
+    Attributes
+    ----------
+    share : float
+        Of the steps large enough to judge.
+    events, judged : int
+    times : ndarray, shape (events,)
+    """
+
+    share: float
+    events: int
+    judged: int
+    times: Array
+
+
+def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
+    """Return how many steps of the set-points the wheels did not make; None if few can be judged.
+
+    The residual after a step is compared with minus the step itself. A wheel that ignored it shows
+    about -1 of it, one that followed about 0.
+    """
+    assert isinstance(problem.stage, DriveStage)
+    log, stack = problem.stage.log, problem.stack
+    residual = problem.residual(point.predicted)
+    shares, times = [], []
+    for setpoint, speed in zip(SETPOINTS, SPEEDS, strict=True):
+        if setpoint not in log or speed not in stack.edges:
+            continue
+        edge = stack.edges[speed]
+        t, r = stack.t_s[edge], residual[edge]
+        for span in range(len(log.spans)):
+            ts, s = log[setpoint].of(span)
+            change = np.flatnonzero(np.abs(np.diff(s)) > 4.0) + 1
+            for a, b in zip(change, [*change[1:], len(ts)], strict=True):
+                end = ts[b - 1] if b < len(ts) else ts[-1]
+                low, high = np.searchsorted(t, [ts[a] + 0.25, min(end, ts[a] + 3.0)])
+                if high - low < 5:
+                    continue
+                shares.append(float(np.median(r[low:high])) / float(s[a] - s[a - 1]))
+                times.append(float(ts[a]))
+    if len(shares) < 8:
+        return None
+    found = np.abs(np.array(shares) + 1.0) < 0.25
+    return LostSteps(float(found.mean()), int(found.sum()), len(shares), np.array(times)[found])
+
+
+__all__ = ["DUTIES", "Family", "LostSteps", "drive_families", "lost_steps", "pose_families"]

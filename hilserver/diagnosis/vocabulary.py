@@ -1,0 +1,156 @@
+"""The public vocabulary: every cause that a diagnosis can name.
+
+The physical causes are the plant's terms (`plant/terms.csv`), in their order; those of the data
+have no term, because the data are mended and not the model.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+from hilserver.plant.terms import TERMS, Term
+
+Block = Literal["controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"]
+
+CONTROLLER: Final = frozenset({"setpoint_rate_limit", "control_period", "controller_gains"})
+"""Causes that act in the plant's drive and are mended in the controller."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One parameter of a cause.
+
+    Attributes
+    ----------
+    name : str
+        ``cause.part``, or the bare cause where it has only one parameter.
+    null : float or None
+        Value at which it does nothing; None: it cannot be said by a number.
+    reference : float or None
+        Size at which a diagnosis must name the cause.
+    shape : bool
+        True: it only shapes the effect of another part.
+    """
+
+    name: str
+    unit: str
+    null: float | None
+    reference: float | None = None
+    shape: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """One cause.
+
+    Attributes
+    ----------
+    block : str
+        Where it acts, as ``findings.json`` says it.
+    parts : tuple of Part
+        The main one first.
+    physical : bool
+        True: a term of the plant. False: a fault of the log.
+    by_channel : bool
+        True: its parameters are called ``cause.<signal or source>``, one for each that is affected.
+    """
+
+    name: str
+    block: Block
+    parts: tuple[Part, ...]
+    physical: bool
+    description: str
+    by_channel: bool = False
+
+    @property
+    def unit(self) -> str:
+        """Unit of the main part."""
+        return self.parts[0].unit if self.parts else "1"
+
+
+def _block(term: Term) -> Block:
+    if term.cause in CONTROLLER:
+        return "controller"
+    blocks: dict[str, Block] = {
+        "drive": "drive",
+        "kinematics": "kinematics",
+        "navigation": "navigation",
+        "inertial": "inertial",
+    }
+    return blocks[term.block]
+
+
+def _physical() -> list[Cause]:
+    grouped: dict[str, list[Term]] = {}
+    for term in TERMS.values():
+        grouped.setdefault(term.cause, []).append(term)
+    return [
+        Cause(
+            name,
+            _block(terms[0]),
+            tuple(Part(t.name, t.unit, t.null, t.reference, t.shape) for t in terms),
+            physical=True,
+            description=terms[0].description,
+        )
+        for name, terms in grouped.items()
+    ]
+
+
+def _data(
+    name: str,
+    block: Block,
+    unit: str | None,
+    null: float | None,
+    description: str,
+    *,
+    by_channel: bool = True,
+) -> Cause:
+    parts = () if unit is None else (Part(name, unit, null),)
+    return Cause(name, block, parts, False, description, by_channel)
+
+
+_DATA: Final = (
+    _data("clock_offset", "timing", "s", 0.0, "stamps of a source are late by this much"),
+    _data("clock_drift", "timing", "1", 0.0, "stamps of a source gain this much per second"),
+    _data("sign_flip", "data", "1", 1.0, "a channel has the other sign: factor -1"),
+    _data("swapped_sides", "data", None, None, "left and right exchanged", by_channel=False),
+    _data("unit_error", "data", "1", 1.0, "a channel is too large by this factor"),
+    _data("held_samples", "data", "Hz", None, "a channel changes at this lower rate"),
+    _data("interpolated_setpoint", "data", "Hz", None, "set-points made up between samples"),
+    _data("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is the set-point"),
+    _data("dropouts", "data", "1", 0.0, "share of samples that are missing or repeated"),
+    _data("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that did not happen"),
+)
+
+CAUSES: Final[Mapping[str, Cause]] = MappingProxyType(
+    {cause.name: cause for cause in (*_physical(), *_DATA)}
+)
+
+
+def cause_of(name: str) -> Cause:
+    """Return the cause that a name (``cause``, ``cause.part``, ``cause.signal``) belongs to.
+
+    Raises
+    ------
+    KeyError
+        When there is none.
+    """
+    return CAUSES[name.partition(".")[0]]
+
+
+def part_of(name: str) -> Part:
+    """Return the part that a name stands for; the bare cause is its first part.
+
+    Raises
+    ------
+    KeyError
+        When there is none.
+    """
+    cause = cause_of(name)
+    if cause.by_channel and cause.parts:
+        return cause.parts[0]
+    for part in cause.parts:
+        if name in (part.name, cause.name):
+            return part
+    raise KeyError(name)

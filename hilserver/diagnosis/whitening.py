@@ -1,0 +1,171 @@
+"""Coloured measurement noise, and the linear operator that makes it white.
+
+One channel's noise is white plus an Ornstein-Uhlenbeck process: ``r_k = x(t_k) + e_k`` with
+``cov(x(t), x(s)) = ou_sd^2 exp(-|t - s| / ou_tau_s)``. Its Kalman filter turns samples at any
+stamps into independent innovations of variance 1, in one pass. The gains depend on stamps and
+weights alone, so that a residual and its sensitivities go through the same linear operator.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hilserver.compiled import kernel
+
+Array = NDArray[np.float64]
+
+SMALLEST_DOF = 2.1
+_TINY = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Noise of one channel: white + Ornstein-Uhlenbeck, with tails.
+
+    Attributes
+    ----------
+    white_sd, ou_sd : float
+        Standard deviations, in the unit of the channel. Either may be 0.
+    ou_tau_s : float
+        Correlation time of the Ornstein-Uhlenbeck part.
+    tail_dof : float
+        Degrees of freedom of the Student-t distribution of the innovations; infinite: normal.
+    """
+
+    white_sd: float
+    ou_sd: float = 0.0
+    ou_tau_s: float = 1.0
+    tail_dof: float = math.inf
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of one sample."""
+        return math.hypot(self.white_sd, self.ou_sd)
+
+    def autocorrelation(self, lag_s: ArrayLike) -> Array:
+        """Return the correlation of two samples this far apart (lag above 0)."""
+        share = self.ou_sd**2 / max(self.sd**2, _TINY)
+        decayed: Array = share * np.exp(-np.asarray(lag_s, float) / self.ou_tau_s)
+        return decayed
+
+
+class Whitener:
+    """The whitening operator of one noise model.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Its scale matters: outputs are divided by the innovations' standard deviation.
+
+    Raises
+    ------
+    ValueError
+        If both standard deviations are 0, or one is not a number.
+    """
+
+    def __init__(self, model: NoiseModel) -> None:
+        if not (model.sd > 0.0 and math.isfinite(model.sd) and model.ou_tau_s > 0.0):
+            raise ValueError(f"no noise to whiten with: {model}")
+        self.model = model
+
+    def whiten(self, t_s: Array, columns: Array, weights: Array | None = None) -> Array:
+        """Whiten the columns of one span.
+
+        Parameters
+        ----------
+        t_s : ndarray of float64, shape (n,)
+            Stamps, not falling. Gaps are missing samples.
+        columns : ndarray of float64, shape (n, k) or (n,)
+            Residual, sensitivities, nuisances: each passes the same linear operator.
+        weights : ndarray of float64, shape (n,), optional
+            Of each sample, at least 0. A sample of weight 0 is skipped: output 0, no trace in the
+            later ones. Weight w multiplies the variance of its innovation by 1/w.
+
+        Returns
+        -------
+        ndarray of float64, of the shape of `columns`
+            Independent with variance 1, if the columns were this noise.
+        """
+        return self.whiten_with_log_det(t_s, columns, weights)[0]
+
+    def whiten_with_log_det(
+        self, t_s: Array, columns: Array, weights: Array | None = None
+    ) -> tuple[Array, float]:
+        """Whiten, and return the log determinant of the noise's covariance beside it.
+
+        With it, ``-0.5 * (log_det + sum(whitened**2) + n log(2 pi))`` is the exact likelihood.
+        """
+        t_s = np.ascontiguousarray(t_s, float)
+        table = np.ascontiguousarray(columns, float).reshape(len(t_s), -1)
+        every = np.ones(len(t_s)) if weights is None else np.ascontiguousarray(weights, float)
+        out = np.empty_like(table)
+        model = self.model
+        log_det = filter_columns(
+            t_s, table, every, model.white_sd**2, model.ou_sd**2, model.ou_tau_s, out
+        )
+        return out.reshape(np.shape(columns)), float(log_det)
+
+
+def robust_weights(innovations: Array, dof: float) -> Array:
+    """Return the weights of Student's t distribution, to be handed to the whitener again.
+
+    Parameters
+    ----------
+    innovations : ndarray of float64
+        Whitened residual, variance 1.
+    dof : float
+        Degrees of freedom (`NoiseModel.tail_dof`); infinite: all weights 1.
+
+    Returns
+    -------
+    ndarray of float64
+        ``(dof + 1) / (dof - 2 + z^2)``: with these the weighted innovations have variance 1 again,
+        and no sample counts more than about ``sqrt(dof + 1)`` standard deviations.
+    """
+    if math.isinf(dof):
+        return np.ones_like(innovations)
+    dof = max(dof, SMALLEST_DOF)
+    weights: Array = (dof + 1.0) / (dof - 2.0 + np.square(innovations))
+    return weights
+
+
+@kernel()
+def filter_columns(
+    t_s: Any, columns: Any, weights: Any, white: float, ou: float, tau_s: float, out: Any
+) -> float:
+    """Run the Kalman filter over one span; return the log determinant.
+
+    `white` and `ou` are variances. The state is the Ornstein-Uhlenbeck process, stationary at the
+    first sample.
+    """
+    n, width = columns.shape
+    level = np.zeros(width)
+    variance = ou
+    log_det = 0.0
+    step, keep = 0.0, 1.0
+    for i in range(n):
+        if i > 0:
+            if t_s[i] - t_s[i - 1] != step:
+                step = t_s[i] - t_s[i - 1]
+                keep = math.exp(-step / tau_s)
+            variance = ou + keep * keep * (variance - ou)
+            for j in range(width):
+                level[j] *= keep
+        weight = weights[i]
+        if not weight > 0.0:
+            for j in range(width):
+                out[i, j] = 0.0
+            continue
+        innovation = max(variance + white, 1e-12 * ou)
+        gain = weight * variance / innovation
+        scale = math.sqrt(weight / innovation)
+        for j in range(width):
+            surprise = columns[i, j] - level[j]
+            out[i, j] = scale * surprise
+            level[j] += gain * surprise
+        variance *= max(1.0 - gain, 0.0)
+        log_det -= 2.0 * math.log(scale)
+    return log_det

@@ -1,0 +1,98 @@
+"""The dead zone of a drive from a slow sweep of the duty."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.data import Channel, MeasuredLog
+from hilserver.errors import LogError
+from hilserver.identify.estimates import Estimate
+from hilserver.identify.wheels import files, present
+
+Array = NDArray[np.float64]
+
+RESTING_RPM: Final = 1.0
+
+
+@dataclass(frozen=True)
+class DeadZone:
+    """Duty at which a wheel stands still, from the lower to the upper edge.
+
+    The interval of an edge runs from the last resting to the first turning duty of the sweep.
+    Where a sweep enters from turning, the wheel stops later than it starts: kinetic friction is
+    below static friction, and the zone is not symmetric.
+    """
+
+    wheel: str
+    lower_pct: Estimate
+    upper_pct: Estimate
+    held_rows: int
+
+
+def identify_dead_zone(log: MeasuredLog, resting_rpm: float = RESTING_RPM) -> list[DeadZone]:
+    """Identify the dead zone of every wheel with duty and speed.
+
+    Raises
+    ------
+    LogError
+        When no wheel is swept across rest.
+    """
+    found = []
+    for wheel in present(log, "duty_pct"):
+        if f"wheel.{wheel}.speed_rpm" not in log:
+            continue
+        zone = _of_wheel(log, wheel, resting_rpm)
+        if zone is not None:
+            found.append(zone)
+    if not found:
+        raise LogError(
+            f"{files(log)}: no wheel's duty is swept from turning backward over rest to turning "
+            "forward; the dead zone needs such a sweep, slower than the wheels"
+        )
+    return found
+
+
+def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | None:
+    speed, duty = log[f"wheel.{wheel}.speed_rpm"], log[f"wheel.{wheel}.duty_pct"]
+    common, rows, own = np.intersect1d(_keys(duty), _keys(speed), return_indices=True)
+    if len(common) < 3:
+        return None
+    level, turning = duty.values[rows], speed.values[own]
+    held = _held(level, turning)
+    resting = (np.abs(turning) <= resting_rpm) | held
+    if not resting.any() or not (turning < -resting_rpm).any():
+        return None
+    low, high = float(level[resting].min()), float(level[resting].max())
+    below, above = level[level < low], level[level > high]
+    if not (len(below) and len(above)):
+        return None
+    lower, upper = (float(below.max()), low), (high, float(above.min()))
+    return DeadZone(
+        wheel,
+        Estimate(sum(lower) / 2.0, lower, "%"),
+        Estimate(sum(upper) / 2.0, upper, "%"),
+        int(held.sum()),
+    )
+
+
+def _keys(channel: Channel) -> NDArray[np.void]:
+    """Return stamp and span of every sample as one comparable value."""
+    keys = np.zeros(len(channel), dtype=[("span", np.int64), ("t_s", np.float64)])
+    keys["span"], keys["t_s"] = channel.span, channel.t_s
+    return keys
+
+
+def _held(level: Array, speed: Array) -> NDArray[np.bool_]:
+    """Return where a speed is only kept: the same to the last digit while the duty changed sign.
+
+    Encoders that time the edges keep their last speed when no edge comes any more: a stop.
+    """
+    kept = np.zeros(len(speed), dtype=bool)
+    edges = np.flatnonzero(np.diff(speed) != 0.0) + 1
+    for first, end in zip((0, *edges), (*edges, len(speed)), strict=True):
+        run = level[first:end]
+        if speed[first] != 0.0 and end - first >= 3 and run.min() <= 0.0 <= run.max():
+            kept[first:end] = True
+    return kept

@@ -1,0 +1,108 @@
+"""Least squares whose intervals hold under autocorrelation: blocks are left out, not samples."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BLOCK_S: Final = 5.0
+BLOCKS_MIN: Final = 3
+_BLOCKS_WANTED = 8
+_BLOCK_MIN_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value with its interval of 95 %; None where the data are too few for one."""
+
+    value: float
+    ci95: tuple[float, float] | None
+    unit: str = "1"
+
+    def holds(self, value: float) -> bool:
+        """Return whether the interval admits this value."""
+        return self.ci95 is None or self.ci95[0] <= value <= self.ci95[1]
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Coefficients, their covariance (None: too few blocks) and the blocks that it counts."""
+
+    values: Array
+    covariance: Array | None
+    blocks: int
+
+    def estimate(self, index: int, unit: str = "1") -> Estimate:
+        """Return one coefficient with Student's interval."""
+        value = float(self.values[index])
+        if self.covariance is None:
+            return Estimate(value, None, unit)
+        half = self.quantile * math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        return Estimate(value, (value - half, value + half), unit)
+
+    @property
+    def quantile(self) -> float:
+        """Student's t of the 95 % interval."""
+        return float(stats.t.ppf(0.975, max(self.blocks - 1, 1)))
+
+
+def regress(columns: Array, target: Array, block: Index) -> Regression:
+    """Fit ``target = columns @ values``; the covariance is the jackknife's over blocks.
+
+    Parameters
+    ----------
+    columns : ndarray of float64, shape (n, k)
+    target : ndarray of float64, shape (n,)
+    block : ndarray of int64, shape (n,)
+        Samples of one block may depend on each other in any way; blocks are independent.
+    """
+    _, row = np.unique(block, return_inverse=True)
+    count, k = int(row.max()) + 1, columns.shape[1]
+    products: NDArray[Any] = np.zeros((count, k, k + 1))
+    table = np.column_stack([columns, target])
+    for j in range(k):
+        for i in range(k + 1):
+            products[:, j, i] = np.bincount(row, columns[:, j] * table[:, i], count)
+    total = products.sum(axis=0)
+    values = _solve(total)
+    if count < max(BLOCKS_MIN, k + 1):
+        return Regression(values, None, count)
+    without = np.array([_solve(total - products[b]) for b in range(count)])
+    apart = without - without.mean(axis=0)
+    return Regression(values, (count - 1) / count * apart.T @ apart, count)
+
+
+def mean(values: Array, block: Index, unit: str = "1") -> Estimate:
+    """Return the mean of correlated samples with its interval."""
+    return regress(np.ones((len(values), 1)), values, block).estimate(0, unit)
+
+
+def blocks_of(t_s: Array, span: Index, block_s: float = BLOCK_S) -> Index:
+    """Return the block of every sample: stretches of time that no segment's end cuts through.
+
+    Blocks are shorter when there would be fewer than eight, but not below half a second.
+    """
+    starts = np.flatnonzero(np.diff(span, prepend=span[:1] - 1))
+    ends = np.append(starts[1:], len(span))
+    seconds = sum(float(t_s[end - 1] - t_s[first]) for first, end in zip(starts, ends, strict=True))
+    length = min(block_s, max(_BLOCK_MIN_S, seconds / _BLOCKS_WANTED))
+    block = np.zeros(len(t_s), dtype=np.int64)
+    begun = 0
+    for first, end in zip(starts, ends, strict=True):
+        own = t_s[first:end] - t_s[first]
+        count = max(1, round(float(own[-1]) / length))
+        edges = own[-1] / count if own[-1] > 0.0 else 1.0
+        block[first:end] = begun + np.minimum((own / edges).astype(np.int64), count - 1)
+        begun += count
+    return block
+
+
+def _solve(normal: NDArray[Any]) -> Array:
+    solved: Array = np.linalg.lstsq(normal[:, :-1], normal[:, -1], rcond=None)[0]
+    return solved

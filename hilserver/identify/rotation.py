@@ -1,0 +1,266 @@
+"""K_om from the wheels' speeds and the yaw rate, from all samples and from steady ones.
+
+The correct form of the thesis's (2.34): for ``y = c u``, ``c = sum(u y) / sum(u^2)`` with
+u = yaw_sign r (w_L + w_R) and y the yaw rate. As printed, (2.30) swaps U and Y and yields 1/c.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.errors import LogError
+from hilserver.identify.estimates import Estimate, blocks_of, regress
+from hilserver.identify.wheels import (
+    LEFT,
+    RIGHT,
+    at,
+    files,
+    need,
+    per_span,
+    present,
+    side_sum_rpm,
+)
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+YAW_RATES: Final = ("imu.gyro_z_rad_s", "imu.yaw_rad", "nav.yaw_rad")
+RAD_S_PER_RPM: Final = 2.0 * math.pi / 60.0
+_LAGS_S: Final = (-0.2, 0.6)
+_LAG_STEP_S: Final = 0.02
+_LAG_SMALLEST_S: Final = 0.005
+_SLOPE_S: Final = 0.01
+_YAW_STEP_S: Final = 0.5
+_TURNING_RAD_S: Final = 0.05
+_SAMPLES_MIN: Final = 20
+
+
+@dataclass(frozen=True)
+class RotationGain:
+    """What a log says about K_om.
+
+    Attributes
+    ----------
+    channel : str
+        Where the yaw rate comes from.
+    unsteady, steady : Estimate or None
+        From all samples; from those whose wheels have been in the zone around their set-points
+        for the settling time.
+    without_lag : Estimate or None
+        From all samples, with the lag of the yaw rate estimated beside it.
+    lag_s : Estimate or None
+        How much later the yaw rate comes than the wheels' speeds.
+    offset_rad_s : Estimate
+        Constant part of the yaw rate, if it is left free.
+    flags : tuple of str
+        Why an estimate is not to be trusted.
+    """
+
+    channel: str
+    zone_rpm: float
+    configured: float
+    unsteady: Estimate
+    steady: Estimate | None
+    steady_share: float
+    without_lag: Estimate | None
+    lag_s: Estimate | None
+    offset_rad_s: Estimate
+    flags: tuple[str, ...] = field(default=())
+
+
+class _Samples:
+    """Wheel side and yaw rate of a log, the wheels' side at any lag."""
+
+    def __init__(self, log: MeasuredLog, robot: RobotParameters, channel: str) -> None:
+        self.log, self.channel = log, channel
+        self._factor = robot.yaw_sign * robot.wheel_radius_m * RAD_S_PER_RPM
+        if channel.endswith("yaw_rad"):
+            starts, ends, rate, span = _increments(log, channel)
+            self.t_s, self._before_s = ends, ends - starts
+            self.y, self.span = rate, span
+        else:
+            source = log[channel]
+            self.t_s, self.y, self.span = source.t_s, source.values, source.span
+            self._before_s = np.zeros(len(self.t_s))
+        self.block = blocks_of(self.t_s, self.span)
+
+    def u(self, lag_s: float = 0.0) -> Array:
+        """Return yaw_sign r (w_L + w_R) [m/s] at the stamps minus the lag; NaN: no speeds."""
+        out = np.full(len(self.t_s), np.nan)
+        for span in range(len(self.log.spans)):
+            rows = slice(*np.searchsorted(self.span, [span, span + 1]))
+            t_s, before_s = self.t_s[rows] - lag_s, self._before_s[rows]
+            if before_s.any():
+                out[rows] = self._mean_speed(span, t_s, before_s)
+            else:
+                out[rows] = side_sum_rpm(self.log, span, t_s)
+        return self._factor * out
+
+    def _mean_speed(self, span: int, t_s: Array, before_s: Array) -> Array:
+        """Return the mean of w_L + w_R over the stretch before each stamp."""
+        grid = self.log[f"wheel.{present(self.log, 'speed_rpm', LEFT)[0]}.speed_rpm"].of(span)[0]
+        speed = side_sum_rpm(self.log, span, grid)
+        grid, speed = grid[np.isfinite(speed)], speed[np.isfinite(speed)]
+        if len(grid) < 2:
+            return np.full(len(t_s), np.nan)
+        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
+        angle = np.concatenate(([0.0], np.cumsum(steps)))
+        ends = [np.interp(at_s, grid, angle, np.nan, np.nan) for at_s in (t_s - before_s, t_s)]
+        mean: Array = (ends[1] - ends[0]) / before_s
+        return mean
+
+    def steady(self, zone_rpm: float, settle_s: float) -> Mask:
+        """Return where every wheel has been near its set-point for the settling time."""
+        good = np.ones(len(self.t_s), dtype=bool)
+        for wheel in present(self.log, "setpoint_rpm", present(self.log, "speed_rpm")):
+            name = f"wheel.{wheel}.speed_rpm"
+            speed = self.log[name]
+            aim = per_span(
+                self.log,
+                name,
+                lambda span, t_s, w=wheel: at(  # type: ignore[misc]
+                    self.log[f"wheel.{w}.setpoint_rpm"], span, t_s, hold=True
+                ),
+            )
+            away = ~(np.abs(speed.values - aim) <= zone_rpm)
+            away |= np.diff(aim, prepend=aim[:1]) != 0.0
+            for span in range(len(self.log.spans)):
+                rows = slice(*np.searchsorted(self.span, [span, span + 1]))
+                own = slice(*np.searchsorted(speed.span, [span, span + 1]))
+                if own.stop == own.start:
+                    good[rows] = False
+                    continue
+                left_s = np.maximum.accumulate(np.where(away[own], speed.t_s[own], -np.inf))
+                left_s = np.maximum(left_s, speed.t_s[own][0])
+                index = np.searchsorted(speed.t_s[own], self.t_s[rows], side="right") - 1
+                since_s = self.t_s[rows] - self._before_s[rows] - left_s[np.maximum(index, 0)]
+                good[rows] &= (index >= 0) & (since_s >= settle_s)
+        return good
+
+
+def identify_rotation(
+    log: MeasuredLog, robot: RobotParameters, *, zone_rpm: float = 3.0, settle_s: float = 0.3
+) -> RotationGain:
+    """Identify K_om.
+
+    Parameters
+    ----------
+    zone_rpm : float
+        A wheel this near its set-point is steady ...
+    settle_s : float
+        ... once it has been so for this long: a late sensor still shows the change.
+
+    Raises
+    ------
+    LogError
+        Without wheel speeds of both sides, without a yaw rate, or without turning.
+    """
+    channel = next((name for name in YAW_RATES if name in log), None)
+    if channel is None:
+        raise LogError(f"{files(log)}: K_om needs one of {', '.join(YAW_RATES)}")
+    for side in (LEFT, RIGHT):
+        if not present(log, "speed_rpm", side):
+            need(log, f"wheel.{side[0]}.speed_rpm")
+    data = _Samples(log, robot, channel)
+    u = data.u()
+    good = np.isfinite(u)
+    if good.sum() < _SAMPLES_MIN or np.sqrt(np.mean(u[good] ** 2)) * 2.0 < _TURNING_RAD_S:
+        raise LogError(f"{files(log)}: the robot hardly turns; K_om needs a drive with spins")
+    unsteady = regress(u[good, None], data.y[good], data.block[good])
+    free = regress(np.stack([u[good], np.ones(good.sum())], 1), data.y[good], data.block[good])
+    flags: list[str] = []
+    steady, share = _steady(data, u, good, zone_rpm, settle_s, flags)
+    lag, without_lag = _lag(data) if log.has_stamps else (None, None)
+    value = unsteady.estimate(0, "1/m")
+    offset = free.estimate(1, "rad/s")
+    if lag is not None and without_lag is not None:
+        _flag_lag(lag, value, without_lag, flags)
+    if not offset.holds(0.0) and abs(free.values[0] / unsteady.values[0] - 1.0) > 0.01:
+        flags.append(
+            f"{channel} has an offset of {offset.value:.4f} rad/s; without it K_om is "
+            f"{free.values[0]:.4g} 1/m: turn both ways equally long"
+        )
+    if value.ci95 is not None and value.ci95[1] < 0.0:
+        flags.append("K_om is negative: the yaw, or both sides of the wheels, run the wrong way")
+    return RotationGain(
+        channel, zone_rpm, robot.k_om, value, steady, share, without_lag, lag, offset, tuple(flags)
+    )
+
+
+def _steady(
+    data: _Samples, u: Array, good: Mask, zone_rpm: float, settle_s: float, flags: list[str]
+) -> tuple[Estimate | None, float]:
+    """Return K_om from steady turning and the share of the samples that is steady."""
+    if not present(data.log, "setpoint_rpm", present(data.log, "speed_rpm")):
+        flags.append("no set-points in the log: no steady estimate")
+        return None, 0.0
+    chosen = good & data.steady(zone_rpm, settle_s)
+    share = float(chosen.sum() / max(good.sum(), 1))
+    if chosen.sum() < _SAMPLES_MIN or not np.any(np.abs(u[chosen]) > 0.5 * _TURNING_RAD_S):
+        flags.append(
+            f"the wheels are never within {zone_rpm:g} rpm of turning set-points for "
+            f"{settle_s:g} s: no steady estimate (is the drive saturated, or the zone too narrow?)"
+        )
+        return None, share
+    found = regress(u[chosen, None], data.y[chosen], data.block[chosen])
+    return found.estimate(0, "1/m"), share
+
+
+def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
+    """Fit the yaw rate's lag and K_om together; None when nothing in the log changes fast."""
+
+    def misfit(lag_s: float) -> float:
+        u = data.u(lag_s)
+        good = np.isfinite(u)
+        gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
+        return float(np.mean(np.square(data.y[good] - gain * u[good])))
+
+    grid = np.arange(_LAGS_S[0], _LAGS_S[1] + 1e-9, _LAG_STEP_S)
+    best = float(grid[int(np.argmin([misfit(lag_s) for lag_s in grid]))])
+    near = (best - _LAG_STEP_S, best + _LAG_STEP_S)
+    best = float(minimize_scalar(misfit, bounds=near, method="bounded").x)
+    u, later, sooner = data.u(best), data.u(best + _SLOPE_S), data.u(best - _SLOPE_S)
+    slope = (later - sooner) / (2.0 * _SLOPE_S)
+    good = np.isfinite(u) & np.isfinite(slope)
+    if np.mean(slope[good] ** 2) < (0.02 * math.sqrt(np.mean(u[good] ** 2))) ** 2:
+        return None, None
+    gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
+    table = np.stack([u[good], gain * slope[good]], axis=1)
+    found = regress(table, data.y[good], data.block[good])
+    gain_estimate, rest = found.estimate(0, "1/m"), found.estimate(1, "s")
+    interval = None if rest.ci95 is None else (best + rest.ci95[0], best + rest.ci95[1])
+    return Estimate(best + rest.value, interval, "s"), gain_estimate
+
+
+def _flag_lag(lag: Estimate, unsteady: Estimate, corrected: Estimate, flags: list[str]) -> None:
+    sure = not lag.holds(0.0) and abs(lag.value) > _LAG_SMALLEST_S
+    if sure and abs(corrected.value - unsteady.value) > 0.005 * abs(corrected.value):
+        flags.append(
+            f"the yaw rate comes {lag.value * 1e3:.0f} ms after the wheels' speeds: the unsteady "
+            f"estimate {unsteady.value:.4g} 1/m is false, {corrected.value:.4g} without the lag"
+        )
+
+
+def _increments(log: MeasuredLog, name: str) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """Return starts, ends, mean yaw rate and span of stretches of about half a second."""
+    rows: list[tuple[Array, Array, Array, NDArray[np.int64]]] = []
+    for span in range(len(log.spans)):
+        t_s, yaw = log[name].of(span)
+        if len(t_s) < 2:
+            continue
+        count = max(1, int((t_s[-1] - t_s[0]) / _YAW_STEP_S))
+        picked = np.unique(np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1)))
+        picked = picked[picked < len(t_s)]
+        turned = np.unwrap(yaw)[picked]
+        starts, ends = t_s[picked][:-1], t_s[picked][1:]
+        rows.append((starts, ends, np.diff(turned) / (ends - starts), np.full(len(ends), span)))
+    if not rows:
+        raise LogError(f"{files(log)}: {name} has too few samples for a yaw rate")
+    starts, ends, rate, owner = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return starts, ends, rate, owner.astype(np.int64)

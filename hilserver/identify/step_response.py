@@ -1,0 +1,213 @@
+"""Order, time constants and gain from step responses: Strejc's method, then least squares."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.errors import LogError
+from hilserver.identify.estimates import Estimate, blocks_of, regress
+from hilserver.identify.steps import Step, averaged, find_steps
+from hilserver.identify.strejc import (
+    ORDER_MAX,
+    Chain,
+    Tangent,
+    chain_of_lags,
+    find_tangent,
+    read_tangent,
+    two_constants,
+    two_lags,
+)
+from hilserver.identify.wheels import files, present
+
+Array = NDArray[np.float64]
+Response = Callable[[Array, Array], Array]
+
+INPUTS: Final = ("duty_pct", "setpoint_rpm")
+SATURATED_PCT: Final = 99.0
+_SETTLED = 3.0
+_BLOCK_S = 0.25
+_ANSWER_MIN = 0.1
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """The answer of the wheels to the steps of one input.
+
+    Attributes
+    ----------
+    input : str
+        ``duty_pct``: the process; ``setpoint_rpm``: the closed loop.
+    tangent, strejc : Tangent, Chain
+        Graphical: at the point of inflection of the mean response.
+    two_point_s : tuple of float
+        Graphical: T1 and T2.
+    order, time_constant, chain_gain : int, Estimate, Estimate
+        Fitted chain of equal time constants, of the order that fits best.
+    t1, t2, gain : Estimate
+        Fitted pair of time constants.
+    rms_rpm : tuple of float
+        Of what both fits leave: chain, pair.
+    """
+
+    input: str
+    wheels: tuple[str, ...]
+    steps: int
+    tangent: Tangent
+    strejc: Chain
+    two_point_s: tuple[float, float]
+    order: int
+    time_constant: Estimate
+    chain_gain: Estimate
+    t1: Estimate
+    t2: Estimate
+    gain: Estimate
+    rms_rpm: tuple[float, float]
+    flags: tuple[str, ...] = field(default=())
+
+
+def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
+    """Identify the step response of all wheels of a log together.
+
+    Parameters
+    ----------
+    source : str, optional
+        ``duty_pct`` or ``setpoint_rpm``; default: the first of them that has steps.
+
+    Raises
+    ------
+    LogError
+        When no input jumps and holds.
+    """
+    for quantity in INPUTS if source is None else (source,):
+        wheels = [w for w in present(log, quantity) if f"wheel.{w}.speed_rpm" in log]
+        by_wheel = {wheel: find_steps(log, wheel, quantity) for wheel in wheels}
+        steps = [step for wheel in wheels for step in by_wheel[wheel]]
+        if steps:
+            break
+    else:
+        raise LogError(
+            f"{files(log)}: no wheel has a step that holds 0.1 s before and 0.15 s after, with "
+            f"its speed; record steps of {' or '.join(INPUTS if source is None else (source,))}"
+        )
+    flags = _flags(log, quantity, by_wheel)
+    t_s, mean = averaged(steps)
+    final = float(np.median(mean[-max(3, len(mean) // 4) :]))
+    if not abs(final) > _ANSWER_MIN * float(np.max(np.abs(mean))) or not mean.any():
+        raise LogError(f"{files(log)}: the wheels do not follow {quantity}")
+    tangent = find_tangent(t_s, mean / final)
+    pair = two_constants(t_s, mean / final)
+    if t_s[-1] < _SETTLED * sum(pair):
+        flags.append("the steps end before the wheels have settled: the gain is uncertain")
+    fits = _Fits(steps, "rpm/%" if quantity == "duty_pct" else "1", final)
+    order, chain = fits.chain(sum(pair))
+    two = fits.pair(pair)
+    return StepResponse(
+        quantity,
+        tuple(wheel for wheel in wheels if by_wheel[wheel]),
+        len(steps),
+        tangent,
+        read_tangent(tangent),
+        pair,
+        order,
+        chain.estimates[0],
+        chain.gain,
+        two.estimates[0],
+        two.estimates[1],
+        two.gain,
+        (chain.rms, two.rms),
+        tuple(flags),
+    )
+
+
+def _flags(log: MeasuredLog, quantity: str, by_wheel: dict[str, list[Step]]) -> list[str]:
+    if quantity == "duty_pct":
+        return []
+    flags = ["the input is the set-point: this is the answer of the closed loop"]
+    for wheel, steps in by_wheel.items():
+        if steps and f"wheel.{wheel}.duty_pct" in log:
+            duty = log[f"wheel.{wheel}.duty_pct"].values
+            if np.max(np.abs(duty)) >= SATURATED_PCT:
+                flags.append(f"the drive of {wheel} saturates: its answer is not linear")
+    return flags
+
+
+@dataclass(frozen=True)
+class _Fit:
+    estimates: list[Estimate]
+    gain: Estimate
+    rms: float
+
+
+class _Fits:
+    """Least squares over all steps; every step starts at a free speed."""
+
+    def __init__(self, steps: list[Step], gain_unit: str, gain: float) -> None:
+        self._unit, self._gain = gain_unit, gain
+        self._t_s = np.concatenate([step.t_s for step in steps])
+        self._speed = np.concatenate([step.speed_rpm for step in steps])
+        lengths = [len(step.t_s) for step in steps]
+        self._owner = np.repeat(np.arange(len(steps)), lengths)
+        self._size = np.repeat([step.size for step in steps], lengths)
+        self._blocks = self._owner
+        if len(steps) < 6:
+            self._blocks = blocks_of(self._t_s, self._owner, _BLOCK_S)
+
+    def chain(self, total_s: float) -> tuple[int, _Fit]:
+        """Fit chains of equal time constants; return the best order and its fit."""
+        fits = {
+            order: self._fit(
+                lambda t_s, log_t, n=order: chain_of_lags(t_s, n, math.exp(log_t[0])),  # type: ignore[misc]
+                [math.log(total_s / order)],
+            )
+            for order in range(1, ORDER_MAX + 1)
+        }
+        return min(fits.items(), key=lambda item: item[1].rms)
+
+    def pair(self, start_s: tuple[float, float]) -> _Fit:
+        """Fit two time constants, the larger first."""
+        smallest = 1e-4 * start_s[0]
+        start = [math.log(start_s[0]), math.log(max(start_s[1], 20.0 * smallest))]
+        fit = self._fit(lambda t_s, log_t: np.asarray(two_lags(t_s, *np.exp(log_t))), start)
+        if fit.estimates[0].value < fit.estimates[1].value:
+            fit = _Fit(fit.estimates[::-1], fit.gain, fit.rms)
+        return fit
+
+    def _fit(self, response: Response, start: list[float]) -> _Fit:
+        """Fit the logarithms of the time constants, and the gain."""
+
+        def left(theta: Array) -> Array:
+            return self._centred(self._speed - theta[-1] * self._answer(response, theta[:-1]))
+
+        found = least_squares(left, [*start, self._gain], x_scale=[*([0.1] * len(start)), 1.0])
+        theta, rest = found.x, found.fun
+        spread = regress(-found.jac, rest, self._blocks)
+        estimates = []
+        for i, log_t in enumerate(theta[:-1]):
+            value = spread.estimate(i).ci95
+            limits = None if value is None else _exponential(log_t, value)
+            estimates.append(Estimate(math.exp(log_t), limits, "s"))
+        around = spread.estimate(len(theta) - 1).ci95
+        gain = float(theta[-1])
+        interval = None if around is None else (gain + around[0], gain + around[1])
+        rms = float(np.sqrt(np.mean(np.square(rest))))
+        return _Fit(estimates, Estimate(gain, interval, self._unit), rms)
+
+    def _answer(self, response: Response, log_t: Array) -> Array:
+        return self._size * np.where(self._t_s >= 0.0, response(self._t_s, log_t), 0.0)
+
+    def _centred(self, values: Array) -> Array:
+        """Return values less their mean in every step: its starting speed is free."""
+        sums = np.bincount(self._owner, values)
+        centred: Array = values - (sums / np.bincount(self._owner))[self._owner]
+        return centred
+
+
+def _exponential(log_t: float, around: tuple[float, float]) -> tuple[float, float]:
+    low, high = (math.exp(min(log_t + value, 50.0)) for value in around)
+    return low, high

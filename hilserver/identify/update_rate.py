@@ -1,0 +1,169 @@
+"""How often a controller acts, read from its command during the rise after a step.
+
+A controller with a period writes a new command once per period while the error is large. The
+distances of the changes of the command are therefore the period, or the distance of the rows
+where that is longer. A slow update rate looks like a delay in the speed and is none.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.errors import LogError
+from hilserver.identify.estimates import Estimate
+from hilserver.identify.wheels import files, present
+
+Array = NDArray[np.float64]
+
+RISE: Final = 0.632
+_CHANGES_MIN = 5
+
+
+@dataclass(frozen=True)
+class WheelRise:
+    """The rise of one wheel after the first step of its set-point.
+
+    Attributes
+    ----------
+    rise_s : Estimate
+        From the step to 63.2 % of the final speed; the interval is that of the rows around it and
+        of the final speed's scatter.
+    """
+
+    wheel: str
+    rise_s: Estimate
+
+
+@dataclass(frozen=True)
+class UpdateRate:
+    """Update period and rise of one log."""
+
+    file: str
+    period_s: Estimate
+    row_s: float
+    changes: int
+    rises: tuple[WheelRise, ...]
+    standard_error_s: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two logs, the faster controller first."""
+
+    faster: str
+    slower: str
+    p_value: float
+    distinguishable: bool
+
+
+def identify_update_rate(log: MeasuredLog) -> UpdateRate:
+    """Identify the update period from the first step in a log.
+
+    Raises
+    ------
+    LogError
+        Without set-point, duty and speed of a wheel, or without a step.
+    """
+    wheels = [w for w in present(log, "duty_pct") if log.has(*_names(w))]
+    if not wheels:
+        raise LogError(
+            f"{files(log)}: the update rate needs setpoint_rpm, duty_pct and speed_rpm of a wheel"
+        )
+    rises, gaps, rows = [], [], []
+    for wheel in wheels:
+        rise, changed_s, row_s = _of_wheel(log, wheel)
+        rises.append(rise)
+        gaps.append(np.diff(changed_s))
+        rows.append(row_s)
+    row_s = float(np.median(rows))
+    apart = max(gaps, key=len)
+    if len(apart) < _CHANGES_MIN:
+        raise LogError(
+            f"{files(log)}: the command changes less than {_CHANGES_MIN + 1} times during the "
+            "rise; the controller is faster than the rows, or there is no step"
+        )
+    error = _standard_error(apart)
+    half = float(stats.t.ppf(0.975, len(apart) - 1)) * error
+    period = float(apart.mean())
+    return UpdateRate(
+        files(log),
+        Estimate(period, (max(period - half, 0.0), period + half), "s"),
+        row_s,
+        len(apart) + 1,
+        tuple(rises),
+        error,
+    )
+
+
+def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[Comparison]:
+    """Compare neighbours in the order of their periods by Welch's test.
+
+    `level` is shared among all comparisons (Bonferroni).
+    """
+    ordered = sorted(rates, key=lambda rate: rate.period_s.value)
+    found = []
+    for fast, slow in pairwise(ordered):
+        variances = (fast.standard_error_s**2, slow.standard_error_s**2)
+        freedom = sum(variances) ** 2 / sum(
+            variance**2 / (rate.changes - 2)
+            for variance, rate in zip(variances, (fast, slow), strict=True)
+        )
+        score = (slow.period_s.value - fast.period_s.value) / math.sqrt(sum(variances))
+        p_value = 2.0 * float(stats.t.sf(score, freedom))
+        clear = p_value * (len(ordered) - 1) < level
+        found.append(Comparison(fast.file, slow.file, p_value, clear))
+    return found
+
+
+def _names(wheel: str) -> tuple[str, ...]:
+    return tuple(f"wheel.{wheel}.{q}" for q in ("setpoint_rpm", "duty_pct", "speed_rpm"))
+
+
+def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
+    """Return the rise, the stamps at which the command changed during it, and the row distance."""
+    setpoint, duty, speed = (log[name] for name in _names(wheel))
+    aims = np.flatnonzero(setpoint.values != 0.0)
+    if not len(aims):
+        raise LogError(f"{files(log)}: the set-point of {wheel} is always 0; there is no step")
+    span, start_s = int(setpoint.span[aims[0]]), float(setpoint.t_s[aims[0]])
+    t_s, values = speed.of(span)
+    t_s, values = t_s[t_s >= start_s], values[t_s >= start_s]
+    settled = values[len(values) // 2 :]
+    final = float(np.median(settled))
+    spread = 1.96 * float(np.std(settled)) / math.sqrt(max(len(settled) / 10.0, 1.0))
+    way = math.copysign(1.0, final)
+    moments = [
+        _first(t_s, way * values, RISE * abs(final) + extra) for extra in (0.0, -spread, spread)
+    ]
+    row_s = float(np.median(np.diff(t_s)))
+    interval = (moments[1] - row_s - start_s, moments[2] - start_s)
+    rise = Estimate(moments[0] - start_s, interval, "s")
+    at_s, command = duty.of(span)
+    changed = np.flatnonzero(np.diff(command) != 0.0) + 1
+    changed_s = at_s[changed]
+    return (
+        WheelRise(wheel, rise),
+        changed_s[(changed_s >= start_s) & (changed_s <= moments[0])],
+        row_s,
+    )
+
+
+def _first(t_s: Array, values: Array, level: float) -> float:
+    above = np.flatnonzero(values >= level)
+    return float(t_s[above[0]]) if len(above) else float(t_s[-1])
+
+
+def _standard_error(apart: Array) -> float:
+    """Return that of the mean distance: its scatter, or the stamps' rounding if that is larger."""
+    count = len(apart)
+    steps = np.abs(np.diff(np.unique(np.round(apart, 9))))
+    resolution = float(steps.min()) if len(steps) else float(apart.min()) * 0.1
+    rounded = resolution / math.sqrt(6.0) / math.sqrt(count)
+    return max(float(apart.std(ddof=1)) / math.sqrt(count), rounded)

@@ -1,0 +1,118 @@
+"""What a scenario's logs must lead to, and whether findings do."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from hilserver_injector import Recipe
+
+from hilserver.diagnosis.findings import Finding, Findings, Verdict
+
+_CONFIDENT: Final = frozenset(
+    {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expectation:
+    """What must come out.
+
+    Attributes
+    ----------
+    must_say : tuple of frozenset of str
+        For each, a finding must hold one of these causes.
+    together : frozenset of str
+        Causes that one group must hold, because the log cannot tell them apart.
+    must_not_say : frozenset of str
+        Causes that no finding may hold.
+    verdict : str or None
+        The verdict on the whole: findings, nothing_found, differs, no_difference.
+    or_structure : bool
+        True: ``structure_not_in_library`` is right too.
+    """
+
+    must_say: tuple[frozenset[str], ...] = ()
+    together: frozenset[str] = frozenset()
+    must_not_say: frozenset[str] = frozenset()
+    verdict: str | None = None
+    or_structure: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """One drawing of a scenario.
+
+    Attributes
+    ----------
+    logs, against : mapping of str to Recipe
+        Logs by file name; with `against`, the question is whether those differ from `logs`.
+    config : str
+        The configuration to judge it with, YAML.
+    hidden : str
+        What was hidden, in words.
+    """
+
+    logs: Mapping[str, Recipe]
+    expectation: Expectation
+    hidden: str
+    against: Mapping[str, Recipe] = field(default_factory=dict)
+    config: str = "{}\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A named drive of the thesis."""
+
+    name: str
+    says: str
+    draw: Callable[[int], Drive]
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Whether findings are what a drive must lead to.
+
+    Attributes
+    ----------
+    right : bool
+    wrong : tuple of str
+        Confident findings that hold nothing of the truth.
+    missing : tuple of str
+        In words, what was not said or should not have been said.
+    """
+
+    right: bool
+    wrong: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def causes_of(finding: Finding) -> frozenset[str]:
+    """Return the causes of a finding without their parts."""
+    return frozenset(cause.partition(".")[0] for cause in finding.causes)
+
+
+def judge(expected: Expectation, findings: Findings) -> Judgement:
+    """Compare findings with an expectation."""
+    confident = [f for f in findings.findings if f.verdict in _CONFIDENT]
+    truth = frozenset().union(*expected.must_say) if expected.must_say else frozenset()
+    truth |= expected.together
+    wrong = tuple(
+        " = ".join(sorted(causes_of(finding)))
+        for finding in confident
+        if not causes_of(finding) & truth
+    )
+    missing = [
+        f"no finding of {' or '.join(sorted(names))}"
+        for names in expected.must_say
+        if not any(causes_of(finding) & names for finding in confident)
+    ]
+    if expected.or_structure and missing:
+        verdicts = {finding.verdict for finding in findings.findings}
+        missing = [] if Verdict.STRUCTURE_NOT_IN_LIBRARY in verdicts else missing
+    if expected.together and not any(expected.together <= causes_of(f) for f in confident):
+        missing.append(f"no group of {', '.join(sorted(expected.together))}")
+    said = frozenset().union(*(causes_of(f) for f in confident)) if confident else frozenset()
+    missing += [f"said {name}" for name in sorted(said & expected.must_not_say)]
+    if expected.verdict is not None and findings.verdict != expected.verdict:
+        missing.append(f"verdict {findings.verdict} and not {expected.verdict}")
+    return Judgement(not missing and not wrong, wrong, tuple(missing))

@@ -1,0 +1,136 @@
+"""Shadow mode: the simulation beside the real robot, whose values come in as ``measured.*``.
+
+The gap between the two is a metric anyway; here a gap that lasts becomes an alarm, and the
+simulated robot can be put where the real one is.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.config.shadow import ShadowConfig
+from hilserver.events import Event, EventBus, EventKind
+from hilserver.image import Frame
+from hilserver.plant import layout as robot
+from hilserver.signals import MEASURED, SignalTable
+from hilserver.status import GOOD
+
+Pose = tuple[float, float, float]
+
+
+class GapWatch:
+    """Tells, once each time it begins and ends, that a gap exceeds its limit.
+
+    Parameters
+    ----------
+    gaps : callable
+        Measured minus simulated by channel, of those that come in now.
+    monotonic_ns : callable
+        Clock for how long a gap has lasted.
+    """
+
+    def __init__(
+        self,
+        config: ShadowConfig,
+        table: SignalTable,
+        gaps: Callable[[], Mapping[str, float]],
+        events: EventBus,
+        *,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._config, self._table, self._gaps, self._events = config, table, gaps, events
+        self._now_ns = monotonic_ns
+        self._since_ns: dict[str, int] = {}
+        self._alarms: set[str] = set()
+
+    @property
+    def alarms(self) -> Mapping[str, bool]:
+        """Whether each channel with a limit is in alarm."""
+        return {channel: channel in self._alarms for channel in self._config.limits}
+
+    def run(self) -> None:
+        """Look at the gaps; called by the supervise slice."""
+        if not self._config.limits:
+            return
+        gaps, now_ns = self._gaps(), self._now_ns()
+        for channel, limit in self._config.limits.items():
+            gap = gaps.get(channel)
+            if gap is None or abs(gap) <= limit:
+                self._fits(channel, gap)
+            else:
+                self._exceeds(channel, gap, limit, now_ns)
+
+    def _exceeds(self, channel: str, gap: float, limit: float, now_ns: int) -> None:
+        since_ns = self._since_ns.setdefault(channel, now_ns)
+        if channel not in self._alarms and now_ns - since_ns >= self._config.after_s * 1e9:
+            self._alarms.add(channel)
+            unit = self._table[channel].unit
+            self._tell(
+                600,
+                channel,
+                f"model gap: {channel} is measured {gap:+.3g} {unit} off the simulation, limit"
+                f" {limit:g} {unit}",
+            )
+
+    def _fits(self, channel: str, gap: float | None) -> None:
+        self._since_ns.pop(channel, None)
+        if channel in self._alarms:
+            self._alarms.remove(channel)
+            how = "is not measured any more" if gap is None else "is within its limit again"
+            self._tell(200, channel, f"model gap: {channel} {how}")
+
+    def _tell(self, severity: int, channel: str, text: str) -> None:
+        self._events.publish(Event(EventKind.MODEL_GAP, severity, channel, text))
+
+
+def measured_pose(
+    newest: Callable[[str], float | None],
+    table: SignalTable,
+    frame: Frame | None,
+    parameters: NDArray[np.float64],
+) -> Pose | None:
+    """Return the pose of the real robot's centre of mass, or None while it is not measured.
+
+    ``measured.pose.*`` is taken as it is; ``measured.nav.*`` is the tag's, so that its place on the
+    robot, and scale and frame of the navigation, are taken off.
+
+    Parameters
+    ----------
+    newest : callable
+        Newest accepted value of a signal, None before the first.
+    frame : Frame or None
+        The last one; its status codes say which values are stale.
+    parameters : ndarray of float64, shape (N_P,)
+        Of the plant, with the terms at work.
+
+    Returns
+    -------
+    tuple of float or None
+        x [m], y [m], yaw [rad].
+    """
+    if frame is None:
+        return None
+    pose, tag = (_fresh(group, newest, table, frame) for group in ("pose", "nav"))
+    if pose is not None or tag is None:
+        return pose
+    yaw = math.remainder(tag[2] - parameters[robot.P_NAV_FRAME_YAW], math.tau)
+    lever_x, lever_y = parameters[robot.P_LEVER_X], parameters[robot.P_LEVER_Y]
+    scale = parameters[robot.P_NAV_SCALE]
+    return (
+        tag[0] / scale - lever_x * math.cos(yaw) + lever_y * math.sin(yaw),
+        tag[1] / scale - lever_x * math.sin(yaw) - lever_y * math.cos(yaw),
+        yaw,
+    )
+
+
+def _fresh(
+    group: str, newest: Callable[[str], float | None], table: SignalTable, frame: Frame
+) -> Pose | None:
+    names = [f"{MEASURED}{group}.{name}" for name in ("x_m", "y_m", "yaw_rad")]
+    if any(frame.status[table.slot(name)] != GOOD for name in names):
+        return None
+    x, y, yaw = (newest(name) for name in names)
+    return None if x is None or y is None or yaw is None else (x, y, yaw)

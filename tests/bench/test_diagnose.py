@@ -1,0 +1,199 @@
+"""The campaign: its score, its intervals, and that it goes on where it stopped."""
+
+import argparse
+import json
+import sys
+import types
+from dataclasses import replace
+
+import pytest
+from hilserver_injector import Recipe
+from hilserver_injector.cases import CLASSES, Answer, Case, cases
+
+from hilserver.bench import diagnose
+from hilserver.bench.diagnose_scoring import score
+from hilserver.bench.diagnose_table import Row, clopper_pearson
+from hilserver.diagnosis.findings import Detectable, Finding, Findings, Parameter
+from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.errors import FailedError
+
+
+def findings(*made):
+    return Findings(
+        verdict="findings", logs=(), seed=0, version="", config_sha256="", findings=made
+    )
+
+
+def said(verdict, *causes, regressors=(), **parameters):
+    fitted = {
+        name: Parameter(value=value, ci95=(low, high), unit="1")
+        for name, (value, low, high) in parameters.items()
+    }
+    return Finding(
+        verdict=verdict, causes=causes, block="drive", parameters=fitted, regressors=regressors
+    )
+
+
+def case(**answer):
+    return Case("single", "x", Recipe(), Answer(**answer))
+
+
+HIDDEN = case(causes=(frozenset({"rotation_gain"}),), values={"rotation_gain": -0.03})
+
+
+@pytest.mark.parametrize(
+    ("made", "outcome", "wrong"),
+    [
+        ([said("named", "rotation_gain")], "right", []),
+        ([said("named_group", "rotation_gain", "gyro_scale")], "right", []),
+        ([], "missed", []),
+        ([said("named", "gyro_scale")], "missed", ["gyro_scale"]),
+        (
+            [said("named_group", "gyro_scale", "wheel_radius")],
+            "missed",
+            ["gyro_scale|wheel_radius"],
+        ),
+        ([said("structure_not_in_library")], "unknown", []),
+        ([said("named", "rotation_gain"), said("data_fault", "dropouts")], "right", ["dropouts"]),
+        ([said("insufficient_excitation", "gyro_scale")], "missed", []),
+        ([said("named_group", "rotation_gain", *"abcde")], "vague", []),
+    ],
+)
+def test_names(made, outcome, wrong):
+    result = score(HIDDEN, findings(*made))
+    assert (result.outcome, result.wrong) == (outcome, wrong)
+
+
+def test_values():
+    result = score(
+        HIDDEN, findings(said("named", "rotation_gain", rotation_gain=(-0.02, -0.035, 0)))
+    )
+    value = result.values["rotation_gain"]
+    assert value.in_ci95
+    assert not value.within_20
+
+
+def test_size_counts_from_null():
+    """A limit of 55 % is 45 % away from null: 60 % is within a fifth of that, 70 % is not."""
+    hidden = case(causes=(frozenset({"saturation_limit"}),), values={"saturation_limit": 55.0})
+    for fitted, within in ((60.0, True), (70.0, False)):
+        made = said("named", "saturation_limit", saturation_limit=(fitted, 50.0, 80.0))
+        assert score(hidden, findings(made)).values["saturation_limit"].within_20 is within
+
+
+def test_two_effects():
+    pair = case(causes=(frozenset({"rotation_gain"}), frozenset({"gyro_bias"})))
+    assert score(pair, findings(said("named", "rotation_gain"))).outcome == "missed"
+    both = findings(said("named", "rotation_gain"), said("named", "gyro_bias"))
+    assert score(pair, both).outcome == "right"
+
+
+def test_one_twin_alone_is_a_tossed_coin():
+    twins = frozenset({"icr_offset", "nav_lever_arm"})
+    twin = case(verdict="named_group", causes=(frozenset({"icr_offset"}),), together=twins)
+    assert score(twin, findings(said("named", "icr_offset"))).outcome == "vague"
+    assert score(twin, findings(said("named_group", *twins))).outcome == "right"
+
+
+def test_outside():
+    hidden = case(verdict="structure_not_in_library", regressors=frozenset({"t_s"}))
+    structure = said("structure_not_in_library", regressors=("t_s", "nav.x_m"))
+    elsewhere = said("structure_not_in_library", regressors=("nav.x_m",))
+    named = said("named", "rotation_gain")
+    assert score(hidden, findings(structure)).outcome == "right"
+    assert score(hidden, findings(elsewhere)).outcome == "vague"
+    assert score(hidden, findings(structure, named)).outcome == "vague"
+    assert score(hidden, findings(named)).outcome == "missed"
+
+
+def test_drift_is_more_than_the_name():
+    hidden = case(verdict="drift", causes=(frozenset({"gyro_bias"}),))
+    assert score(hidden, findings(said("drift", "gyro_bias"))).outcome == "right"
+    assert score(hidden, findings(said("named", "gyro_bias"))).outcome == "vague"
+
+
+def test_intervals():
+    assert clopper_pearson(0, 300) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 300)))
+    assert clopper_pearson(5, 10) == pytest.approx((0.18709, 0.81291), abs=1e-5)
+    assert clopper_pearson(0, 0) == (0.0, 1.0)
+    assert Row("x", 4, 5, least=0.9).verdict == "no"
+    assert Row("x", 8, 10, least=0.7, most=0.95).verdict == "yes"
+    assert Row("x", 0, 0, least=0.9).verdict == ""
+
+
+@pytest.mark.parametrize("group", CLASSES)
+def test_cases(group):
+    made = list(cases(group, range(3)))
+    assert len({one.key for one in made}) == len(made)
+    for one in made:
+        for names in (*one.answer.causes, one.answer.together):
+            assert names <= set(CAUSES), one.key
+
+
+@pytest.fixture
+def engine(monkeypatch):
+    """Put an engine that always says the same in the place of the real one; returns its calls."""
+    calls = []
+
+    def say(log, assembly, *, seed, jobs, progress):
+        calls.append(log)
+        found = findings(said("named", "gyro_bias"))
+        sizes = (Detectable(cause="gyro_bias", size=0.003, unit="rad/s"),)
+        return types.SimpleNamespace(findings=replace_sizes(found, sizes))
+
+    def replace_sizes(found, sizes):
+        return found.model_copy(update={"smallest_detectable": sizes})
+
+    module = types.ModuleType("hilserver.diagnosis.engine")
+    module.diagnose = say
+    monkeypatch.setitem(sys.modules, "hilserver.diagnosis.engine", module)
+    diagnose_worker = sys.modules["hilserver.bench.diagnose_worker"]
+    diagnose_worker._engine.cache_clear()
+    yield calls
+    diagnose_worker._engine.cache_clear()
+
+
+def arguments(folder, **changed):
+    parser = argparse.ArgumentParser()
+    diagnose.add_arguments(parser)
+    args = parser.parse_args(["--jobs", "1", "--duration", "4", "--results", str(folder)])
+    for name, value in changed.items():
+        setattr(args, name, value)
+    return args
+
+
+def test_campaign_goes_on_where_it_stopped(tmp_path, engine, capsys):
+    args = arguments(tmp_path, groups="null,single", only="drive,bench,gyro_bias", seeds=2)
+    results = {row.name: row for row in diagnose.run(args)}
+    assert results["findings without an effect"].raw["count"] == 6
+    assert results["right name, single cause"].value == 100.0
+    assert len(engine) == 8
+    file = next(tmp_path.glob("*.jsonl"))
+    lines = file.read_text(encoding="utf-8").splitlines()
+    file.write_text("\n".join(lines[:-1]) + "\n" + lines[-1][:20], encoding="utf-8")
+    diagnose.run(args)
+    assert len(engine) == 9, "only the result that was cut off is made again"
+    assert "| single | gyro_bias | 2 |" in capsys.readouterr().out
+
+
+def test_size_hides_what_the_null_logs_stated(tmp_path, engine):
+    with pytest.raises(FailedError, match="null,size"):
+        diagnose.run(arguments(tmp_path, groups="size", seeds=1))
+    args = arguments(tmp_path, groups="null,size", seeds=1)
+    diagnose.run(args)
+    file = next(tmp_path.glob("*.jsonl"))
+    records = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    sized = [record for record in records if record["group"] == "size"]
+    assert [record["name"] for record in sized] == ["gyro_bias"]
+
+
+def test_unknown_class(tmp_path):
+    with pytest.raises(FailedError, match="no such class"):
+        diagnose.run(arguments(tmp_path, groups="nul"))
+
+
+def test_changed_logs_keep_their_case():
+    one = next(iter(cases("null", range(1))))
+    assert diagnose.changed(one, None, False) == one
+    assert diagnose.changed(one, 5.0, False).recipe == replace(one.recipe, duration_s=5.0)
+    assert diagnose.changed(one, None, True).recipe.noise.measured_position

@@ -1,0 +1,96 @@
+"""`hilserver diagnose`: its options, files and exit codes. The engine is tested in its own room."""
+
+import pytest
+
+from hilserver.commands import main
+from hilserver.diagnosis import pipeline
+from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.errors import LogError
+from tests.diagnosis.sample import evidence, findings, nothing_found
+
+
+@pytest.fixture
+def stages(monkeypatch, tmp_path):
+    """Stand-ins for reading and judging; notes what they were asked."""
+    asked = []
+
+    def read(paths, mapping):
+        asked.append(("read", [p.name for p in paths], mapping))
+        if any(p.name == "bad.csv" for p in paths):
+            raise LogError("bad.csv:3: column 't_s': not a number; mend the row")
+        return [p.name for p in paths]
+
+    def judge(log, assembly, *, seed, jobs, progress):
+        asked.append(("judge", log, seed, assembly.config.sha256))
+        if progress:
+            progress("screen", 0.5)
+        return Diagnosis(findings() if log[0] != "null.csv" else nothing_found(), evidence(300))
+
+    def compare(log, other, assembly, **options):
+        asked.append(("compare", log, other))
+        return Diagnosis(findings(verdict="no_difference", findings=()))
+
+    monkeypatch.setattr(pipeline, "read_measured", read)
+    monkeypatch.setattr(pipeline, "diagnose", judge)
+    monkeypatch.setattr(pipeline, "compare", compare)
+    monkeypatch.chdir(tmp_path)
+    return asked
+
+
+def test_several_logs_are_one_machine(stages, tmp_path, capsys):
+    assert main(["diagnose", "a.csv", "b.csv", "--seed", "7", "-o", "out"]) == 0
+    assert stages[0] == ("read", ["a.csv", "b.csv"], None)
+    assert stages[1][1:3] == (["a.csv", "b.csv"], 7)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "findings.json", "report.html", "model_patch.yaml",
+    }  # fmt: skip
+    said = capsys.readouterr()
+    assert "turns 47" in said.out
+    assert "The report is out/report.html" in said.out
+    assert said.err == "", "no bar where there is no terminal"
+
+
+def test_a_bad_log_is_one_sentence_exit_2_and_no_file(stages, tmp_path, capsys):
+    assert main(["diagnose", "bad.csv", "-o", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "hilserver: bad.csv:3: column 't_s': not a number; mend the row"
+    assert not (tmp_path / "out").exists()
+
+
+def test_each_log_gets_its_folder_and_a_bad_one_stops_nobody(stages, tmp_path, capsys):
+    (tmp_path / "x").mkdir()
+    words = ["null.csv", "bad.csv", "x/null.csv", "--each", "--jobs", "1", "-o", "out"]
+    assert main(["diagnose", *words]) == 2
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"null", "null-2"}
+    said = capsys.readouterr()
+    assert said.out.splitlines() == ["null: nothing_found", "null-2: nothing_found"]
+    assert "bad.csv:3" in said.err
+
+
+def test_two_sets_are_compared(stages, capsys):
+    words = ["--compare", "a.csv", "b.csv", "--against", "c.csv", "-o", "out"]
+    assert main(["diagnose", *words]) == 0
+    assert stages[-1] == ("compare", ["a.csv", "b.csv"], ["c.csv"])
+    assert "do not differ" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["-o", "out"], "name at least one log"),
+        (["--compare", "a.csv", "-o", "out"], "go together"),
+        (["a.csv", "--compare", "a.csv", "--against", "b.csv", "-o", "o"], "no other logs"),
+        (["a.csv", "--dask", "tcp://h:1", "-o", "out"], "use it with --each"),
+        (["a.csv", "-o", "file"], "file: is a file"),
+    ],
+)
+def test_options_that_do_not_fit_are_a_sentence(stages, tmp_path, capsys, words, complaint):
+    (tmp_path / "file").write_text("")
+    assert main(["diagnose", *words]) == 1
+    assert complaint in capsys.readouterr().err
+
+
+def test_a_bad_configuration_is_exit_78(stages, tmp_path, capsys):
+    (tmp_path / "config.yaml").write_text("plant: {max_rmp: 1}\n")
+    assert main(["diagnose", "a.csv", "-o", "out"]) == 78
+    assert "did you mean" in capsys.readouterr().err

@@ -1,0 +1,128 @@
+"""A patch: what it may say, and what it does to a configuration."""
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from hilserver.assembly import assemble
+from hilserver.commands import main
+from hilserver.config.patch import json_schema, load_patch
+from hilserver.config.plant import PlantConfig
+from hilserver.errors import ConfigError
+
+PATCH = {
+    "schema": "hilserver.model_patch/1",
+    "made_from": {"findings_sha256": "a" * 64, "config_sha256": "b" * 64, "version": "1"},
+    "terms": {
+        "rotation_gain": {
+            "value": -0.47,
+            "unit": "1",
+            "ci95": [-0.48, -0.46],
+            "fitted_in": {"speed_m_s": [-0.1, 0.5], "turn_rate_rad_s": [-1, 1]},
+        }
+    },
+}
+
+
+def write(folder, text, name="patch.yaml"):
+    path = folder / name
+    path.write_text(text if isinstance(text, str) else yaml.safe_dump(text), encoding="utf-8")
+    return path
+
+
+def changed(**changes):
+    """The patch with other entries in its only term."""
+    term = PATCH["terms"]["rotation_gain"] | changes
+    return PATCH | {"terms": {"rotation_gain": term}}
+
+
+def test_its_terms_are_laid_over_the_plant(tmp_path):
+    patch = load_patch(write(tmp_path, PATCH))
+    plant = PlantConfig(terms={"side_slip": 0.1, "rotation_gain": None})
+    assert patch.applied(plant).terms == {"side_slip": 0.1, "rotation_gain": -0.47}
+    assert plant.terms["rotation_gain"] is None
+
+
+def test_a_bare_cause_is_its_first_part(tmp_path):
+    term = {"value": 0.08, "unit": "m"}
+    patch = load_patch(write(tmp_path, PATCH | {"terms": {"nav_lever_arm": term}}))
+    assert patch.applied(PlantConfig()).terms == {"nav_lever_arm.x": 0.08}
+    with pytest.raises(ConfigError, match="sets this term too"):
+        patch.applied(PlantConfig(terms={"nav_lever_arm.x": 0.1}))
+
+
+def test_its_hash_is_that_of_what_it_says(tmp_path):
+    first = load_patch(write(tmp_path, PATCH)).sha256
+    assert load_patch(write(tmp_path, "# why\n" + yaml.safe_dump(PATCH))).sha256 == first
+    assert load_patch(write(tmp_path, changed(value=-0.471))).sha256 != first
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("{", "not YAML"),
+        ("", "key 'schema' is missing"),
+        (PATCH | {"schema": "hilserver.model_patch/2"}, "schema: "),
+        (PATCH | {"more": 1}, "unknown key 'more'"),
+        (PATCH | {"terms": {"rotation_gian": PATCH["terms"]["rotation_gain"]}}, "did you mean"),
+        (changed(value=20), "terms.rotation_gain: 20 1 is outside"),
+        (changed(value=float("nan")), "terms.rotation_gain.value"),
+        (changed(unit="m"), "terms.rotation_gain.unit: the term has the unit '1'"),
+        (changed(fitted_in={"speed_m_s": [1, 0]}), "does not rise"),
+        (PATCH | {"made_from": {}}, "made_from.config_sha256"),
+    ],
+)
+def test_a_bad_patch_is_told_in_words_with_exit_78(
+    tmp_path, monkeypatch, capsys, content, complaint
+):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, content)
+    assert main(["run", "--patch", "patch.yaml", "--duration", "1"]) == 78
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert error.startswith(("hilserver: patch.yaml", "patch.yaml"))
+    assert "Traceback" not in error
+
+
+def test_a_term_set_in_both_is_one_sentence_that_says_where(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, "plant: {terms: {rotation_gain: 0.1}}\n", "config.yaml")
+    write(tmp_path, PATCH)
+    assert main(["run", "--patch", "patch.yaml", "--duration", "1"]) == 78
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "terms.rotation_gain: the configuration sets this term too" in line
+    assert "patch.yaml:" in line
+
+
+def test_a_term_that_the_robot_cannot_have_is_a_complaint_about_the_patch(tmp_path):
+    delay = PATCH | {"terms": {"actuation_delay": {"value": 100, "unit": "s"}}}
+    path = write(tmp_path, delay)
+    with pytest.raises(ConfigError, match=r"patch\.yaml:\d+: terms\.actuation_delay: "):
+        assemble(None, path)
+
+
+def test_identity_and_provenance_carry_it(tmp_path):
+    path = write(tmp_path, PATCH)
+    assembly = assemble(None, path)
+    assert assembly.identity["patch"] == load_patch(path).sha256
+    assert assembly.provenance["patch"]["sha256"] == load_patch(path).sha256
+    assert "patch" not in assemble(None).identity
+    assert assemble(None).provenance["patch"] is None
+    assert assembly.config == assemble(None).config
+
+
+def test_a_patch_for_another_configuration_is_warned_about(tmp_path):
+    assembly = assemble(None, write(tmp_path, PATCH))
+    own = assembly.config.sha256
+    assert "another configuration" in assembly.patch.notice(own)
+    made = PATCH["made_from"] | {"config_sha256": own}
+    fitting = load_patch(write(tmp_path, PATCH | {"made_from": made}))
+    assert fitting.notice(own) is None
+
+
+def test_the_schema_accepts_what_the_model_accepts():
+    validator = Draft202012Validator(json_schema())
+    Draft202012Validator.check_schema(json_schema())
+    assert validator.is_valid(PATCH)
+    assert not validator.is_valid(PATCH | {"more": 1})
+    assert not validator.is_valid(changed(value="much"))

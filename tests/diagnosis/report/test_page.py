@@ -1,0 +1,153 @@
+"""The page holds everything that it was given, loads nothing, and is well formed."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.evidence import Evidence
+from hilserver.diagnosis.explain import MINUS
+from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.report import render
+from tests.diagnosis.sample import evidence, findings, gain, nothing_found
+
+VOID = {"meta", "br"}
+
+
+class Reader(HTMLParser):
+    """Checks that every element is closed, and collects ids, texts and references."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.ids, self.references, self.texts = [], [], [], []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.ids += [value for name, value in attrs if name == "id"]
+        self.references += [v for n, v in attrs if n in ("src", "href", "xlink:href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+    @property
+    def text(self):
+        return " ".join(self.texts)
+
+
+@pytest.fixture(scope="module")
+def page():
+    return render(findings(), evidence())
+
+
+def test_it_is_one_well_formed_file_that_loads_nothing(page):
+    reader = Reader(page)
+    assert reader.open == []
+    assert reader.references == []
+    assert not re.search(r"https?://|@import|url\(", page)
+    assert len(page.encode()) < 2_000_000
+
+
+def test_all_sections_are_there_in_their_order(page):
+    ids = Reader(page).ids
+    assert " ".join(ids) == (
+        "found data do paths channels gain courses rest cuts screen selection twins noise sizes"
+        " unjudged origin"
+    )
+
+
+def test_words_come_first_and_say_how_much_better(page):
+    text = Reader(page).text
+    assert "Three things are not as the simulation has it, and the recording has one fault." in text
+    assert "turns 47\u00a0% less" in text
+    assert "0.31\u00a0rad to 0.04\u00a0rad" in text
+    assert "tape" in text
+    assert "hilserver run --patch model_patch.yaml" in text
+
+
+def test_one_finding_is_the_headline_itself():
+    one = findings(findings=findings().findings[:1])
+    assert "<h1>The robot turns 47\u00a0% less" in render(one, Evidence())
+
+
+def test_text_from_outside_cannot_be_markup(page):
+    assert "hall &lt;3&gt;.csv" in page
+    assert "hall <3>" not in page
+    nasty = Finding(
+        verdict="named", causes=("gyro_bias",), block="inertial", explanation="<script>"
+    )
+    assert "<script" not in render(findings(findings=(nasty,)), Evidence())
+
+
+def test_nothing_found_says_so_and_shows_what_would_have_been_seen():
+    page = render(nothing_found(), evidence(500))
+    assert "nothing was found" in page
+    assert 'id="sizes"' in page
+    assert 'id="do"' not in page
+
+
+def test_without_evidence_the_words_stand_alone():
+    ids = Reader(render(findings(), Evidence())).ids
+    assert ids == ["found", "data", "do", "sizes", "unjudged", "origin"]
+
+
+@pytest.mark.parametrize("verdict", ["differs", "no_difference"])
+def test_a_comparison_has_its_own_headline(verdict):
+    one = findings().findings[0].model_copy(update={"verdict": verdict})
+    page = render(findings(verdict=verdict, findings=(one, one)), Evidence())
+    assert "differ" in Reader(page).text.split("measured")[0]
+
+
+def test_hundred_segments_that_all_begin_at_nought_follow_each_other():
+    given = evidence(20_000)
+    span = np.repeat(np.arange(200), 100)
+    t = np.tile(np.arange(100) * 0.02, 200)
+    series = tuple(replace(s, t_s=t, span=span, held_out=None) for s in given.series)
+    page = render(findings(), replace(given, series=series))
+    assert len(page.encode()) < 2_000_000
+    assert Reader(page).open == []
+
+
+def test_stretches_that_took_no_part_in_the_fit_are_shaded():
+    given = evidence(9000)  # three minutes, every second 20 s held out
+    one = replace(given, series=given.series[:1], paths=())
+    assert render(findings(), one).count('class="band held"') == 4
+
+
+def test_channels_that_do_not_change_are_folded_away(page):
+    before, _, folded = page.partition("Channels that the extension does not change")
+    assert "<h3>nav.yaw_rad</h3>" in before
+    assert "<h3>wheel.fl.speed_rpm</h3>" not in before
+    assert "<h3>wheel.fl.speed_rpm</h3>" in folded
+
+
+def test_an_error_that_stays_is_not_called_better():
+    stays = findings(total_gain={"speed_rpm": gain(0.096, 0.0961, 0.99, 1.0)})
+    text = Reader(render(stays, Evidence())).text
+    assert "Not changed: wheel speed." in text
+    assert "better" not in text.split("What is wrong")[0]
+
+
+def test_missing_samples_and_constant_channels_are_drawn():
+    given = evidence(1000)
+    first = given.series[0]
+    gap = first.measured.copy()
+    gap[100:200] = np.nan
+    flat = replace(first, measured=np.ones(1000), simulated=np.ones(1000), extended=None)
+    page = render(findings(), replace(given, series=(replace(first, measured=gap), flat)))
+    assert "nan" not in page.lower().replace("nano", "")
+    assert MINUS in page
+
+
+def test_the_page_is_the_same_every_time(page):
+    assert render(findings(), evidence()) == page

@@ -1,0 +1,191 @@
+"""A diagnosis made up for tests: the page has to show whatever it is given."""
+
+import numpy as np
+
+from hilserver.diagnosis.evidence import (
+    Course,
+    CutRow,
+    Dependence,
+    Evidence,
+    FittedRange,
+    FittedTerm,
+    HorizonRow,
+    NoiseRow,
+    Path,
+    ScreenRow,
+    SelectionRow,
+    Series,
+    Similarity,
+)
+from hilserver.diagnosis.explain import separating_experiment
+from hilserver.diagnosis.findings import (
+    Detectable,
+    Finding,
+    Findings,
+    Gain,
+    LogFile,
+    NotJudged,
+    Parameter,
+)
+from hilserver.diagnosis.vocabulary import CAUSES
+
+GROUP = ("icr_offset", "nav_lever_arm")
+
+
+def gain(before, after, low, high, horizon_s=5.0):
+    return Gain(
+        horizon_s=horizon_s, before=before, after=after, ratio=before / after, ci95=(low, high)
+    )
+
+
+def findings(**changes):
+    """Two causes, one fault of the data, one unknown structure."""
+    everything = {
+        "verdict": "findings",
+        "logs": (LogFile(file="hall <3>.csv", sha256="5a" * 32),),
+        "seed": 0,
+        "version": "0.4.0",
+        "config_sha256": "c0" * 32,
+        "baseline": {"position_m": 0.31, "yaw_rad": 0.31},
+        "findings": (
+            Finding(
+                verdict="named",
+                causes=("rotation_gain",),
+                block="kinematics",
+                parameters={"rotation_gain": Parameter(value=-0.47, ci95=(-0.48, -0.46), unit="1")},
+                p_adjusted=0.001,
+                gain={"yaw_rad": gain(0.31, 0.04, 6.1, 9.0)},
+            ),
+            Finding(
+                verdict="named_group",
+                causes=GROUP,
+                block="kinematics",
+                parameters={
+                    "icr_offset": Parameter(value=0.06, ci95=(0.045, 0.074), unit="m"),
+                    "nav_lever_arm.x": Parameter(value=-0.06, ci95=(-0.074, -0.045), unit="m"),
+                },
+                p_adjusted=0.003,
+                separating_experiment=separating_experiment(GROUP),
+            ),
+            Finding(
+                verdict="structure_not_in_library",
+                causes=(),
+                block="kinematics",
+                p_adjusted=0.004,
+                regressors=("pose.yaw_rad", "t_s"),
+            ),
+            Finding(
+                verdict="data_fault",
+                causes=("unit_error",),
+                block="data",
+                parameters={
+                    "unit_error.imu.gyro_z_rad_s": Parameter(value=57.3, ci95=None, unit="1")
+                },
+            ),
+        ),
+        "total_gain": {
+            "position_m": gain(0.31, 0.1, 2.7, 3.6),
+            "yaw_rad": gain(0.31, 0.04, 6.1, 9.0),
+            "speed_rpm": gain(1.4, 1.3, 0.98, 1.2),
+        },
+        "ceiling": {"position_m": 3.9},
+        "smallest_detectable": tuple(
+            Detectable(cause=c.name, size=0.1 * (p.reference or 0.3), unit=p.unit)
+            for c in CAUSES.values()
+            if c.physical
+            for p in c.parts[:1]
+        ),
+        "not_judged": (
+            NotJudged(cause="dead_zone", reason="no duty in the log"),
+            NotJudged(cause="process_gain", reason="no duty in the log"),
+        ),
+        "notices": ("Row 18001 ends early and was dropped.",),
+        "model_patch": "model_patch.yaml",
+    }
+    return Findings.model_validate(everything | changes)
+
+
+def nothing_found():
+    return findings(
+        verdict="nothing_found", findings=(), total_gain={}, ceiling={}, model_patch=None
+    )
+
+
+def evidence(n=18000, seed=1):
+    """Six minutes at 50 Hz of a robot that turns less than its model."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * 0.02
+    span = np.zeros(n, dtype=np.int64)
+
+    def way(k):
+        v, om = 0.35 + 0.1 * np.sin(t / 9), k * (0.25 * np.sin(t / 7) + 0.12)
+        yaw = np.cumsum(om) * 0.02
+        x, y = np.cumsum(v * np.cos(yaw)) * 0.02, np.cumsum(v * np.sin(yaw)) * 0.02
+        return np.column_stack([x, y]), yaw, v, om
+
+    (true, yaw, v, om), (wrong, yaw_0, _, om_0), (close, yaw_1, _, om_1) = map(
+        way, (0.53, 0.6, 0.531)
+    )
+    noise = rng.normal(size=(6, n))
+
+    def series(name, unit, measured, simulated, extended):
+        held_out = (t // 20 % 2).astype(bool)
+        return Series(name, unit, t, measured, simulated, extended, span, held_out)
+
+    speed = v / 0.085 * 60 / (2 * np.pi)
+    x = np.linspace(-3, 3, 24)
+    bump = 0.01 * np.sin(2 * x)
+    names = ("rotation_gain", "gyro_scale", "icr_offset", "nav_lever_arm.x", "side_slip",
+             "nav_latency", "wheel_radius", "nav_scale", "gyro_bias")  # fmt: skip
+    cosine = np.eye(9) + np.diag([0.3, 0, -1, 0, -0.97, 0, 0.99, 0.1], 1)
+    cosine = np.clip(cosine + cosine.T - np.eye(9) + 0.05, -1, 1)
+    f = np.logspace(-2, 1, 120)
+    model = 0.05**2 / (1 + (f / 0.3) ** 2) + 1e-4
+    return Evidence(
+        series=(
+            series("nav.x_m", "m", true[:, 0] + 0.05 * noise[0], wrong[:, 0], close[:, 0]),
+            series("nav.yaw_rad", "rad", yaw + 0.015 * noise[1], yaw_0, yaw_1),
+            series("imu.gyro_z_rad_s", "rad/s", om + 0.006 * noise[2], om_0, om_1),
+            series("wheel.fl.speed_rpm", "rpm", speed + 0.12 * noise[3], speed, speed),
+        ),
+        paths=(Path(0, true + 0.03 * noise[4:6].T, wrong, close),),
+        cuts=(
+            CutRow("setpoints", "wheel.fl.speed_rpm", "rpm", 0.13, 0.12),
+            CutRow("duty", "wheel.fl.speed_rpm", "rpm", 0.125, 0.12),
+            CutRow("speed", "nav.yaw_rad", "rad", 0.11, 0.015),
+        ),
+        noise=(
+            NoiseRow("nav.x_m", "m", 0.01, 0.05, 0.6, 4.2, f, model * rng.uniform(0.6, 1.5, 120),
+                     model),
+            NoiseRow("wheel.fl.speed_rpm", "rpm", 0.12, 0.0, None, None),
+        ),
+        screen=tuple(
+            ScreenRow(c, "", s, 3.4, min(1.0, 40 * np.exp(-s * s / 2)), 0.01 * s, 0.01,
+                      CAUSES[c].unit, 38.0)
+            for c, s in zip([c for c in CAUSES if CAUSES[c].physical],
+                            [*np.abs(rng.normal(size=16)), 11.2, *np.abs(rng.normal(size=24))],
+                            strict=False)
+        ),
+        selection=(
+            SelectionRow("rotation_gain", "taken", 7.7, "passes every gate"),
+            SelectionRow("gyro_scale", "refused", 0.98, "brings nothing on held-out blocks"),
+        ),
+        similarity=Similarity(names, cosine),
+        gain_by_horizon=tuple(
+            HorizonRow(q, h, 0.06 * h, 0.06 * h / r, r, (0.8 * r, 1.2 * r))
+            for q, k in (("position_m", 0.9), ("yaw_rad", 2.0))
+            for h, r in ((0.0, 1.1), *((h, 1 + k * np.log1p(h)) for h in (0.5, 1, 2, 5, 10, 20)))
+        ),
+        dependences=(
+            Dependence("nav.yaw_rad", "rad", "pose.yaw_rad", "rad", x, bump, bump - 0.003,
+                       bump + 0.003, 6.1, 3.4),
+        ),
+        courses=(
+            Course("rotation_gain", "1", x + 3, -0.47 + 0.01 * x, -0.48 + 0.01 * x,
+                   -0.46 + 0.01 * x),
+        ),
+        extension=(FittedTerm("rotation_gain", -0.47, (-0.48, -0.46), "1", 0),),
+        fitted=FittedRange(speed_m_s=(0.0, 0.46), turn_rate_rad_s=(-0.3, 0.4)),
+        timings_s={"replay": 0.4, "screen": 2.1},
+        remarks=("Bootstrap over 18 blocks.",),
+    )  # fmt: skip

@@ -1,0 +1,204 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights
+from tests.diagnosis.uwb_trolley import range_errors
+
+NAVIGATION = NoiseModel(0.01, 0.05, 0.6)
+MODELS = [
+    pytest.param(NAVIGATION, id="position"),
+    pytest.param(NoiseModel(0.0, 0.015, 2.0), id="coloured only"),
+    pytest.param(NoiseModel(0.006), id="white only"),
+]
+
+
+def simulated(model, t_s, rng):
+    """Draw the noise from its covariance's definition, sample by sample."""
+    level, out = rng.normal() * model.ou_sd, np.empty(len(t_s))
+    for i, step in enumerate(np.diff(t_s, prepend=t_s[0])):
+        keep = math.exp(-step / model.ou_tau_s)
+        level = keep * level + model.ou_sd * math.sqrt(1.0 - keep**2) * rng.normal()
+        out[i] = level + model.white_sd * rng.normal()
+    return out
+
+
+def stamps(n, step_s, rng):
+    """Jittered stamps with a fifth of the samples missing."""
+    t_s = (np.arange(n) + rng.uniform(-0.4, 0.4, n)) * step_s
+    return t_s[rng.random(n) > 0.2]
+
+
+def covariance(model, t_s):
+    apart = np.abs(t_s[:, None] - t_s[None, :])
+    coloured = model.ou_sd**2 * np.exp(-apart / model.ou_tau_s)
+    return coloured + model.white_sd**2 * np.eye(len(t_s))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_whitened_noise_is_white(model):
+    lags = 20
+    rng = np.random.default_rng(3)
+    t_s = stamps(6000, 0.05, rng)
+    white = Whitener(model).whiten(t_s, simulated(model, t_s, rng))
+    n = len(white)
+    assert white.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / n))
+    rho = np.array([white[:-k] @ white[k:] for k in range(1, lags + 1)]) / (white @ white)
+    ljung_box = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1)))
+    assert ljung_box < 45.3  # 99.9 % of chi-square with 20 degrees of freedom
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_operator_is_the_inverse_root_of_the_covariance(model):
+    t_s = stamps(60, 0.05, np.random.default_rng(4))
+    operator, log_det = Whitener(model).whiten_with_log_det(t_s, np.eye(len(t_s)))
+    expected = covariance(model, t_s)
+    np.testing.assert_allclose(operator.T @ operator @ expected, np.eye(len(t_s)), atol=1e-7)
+    assert log_det == pytest.approx(np.linalg.slogdet(expected)[1], rel=1e-9)
+
+
+def test_skipped_samples_leave_no_trace():
+    rng = np.random.default_rng(5)
+    t_s = stamps(200, 0.05, rng)
+    r, kept = rng.normal(size=len(t_s)), rng.random(len(t_s)) > 0.3
+    spoilt = np.where(kept, r, 1e6)
+    white = Whitener(NAVIGATION).whiten(t_s, spoilt, kept.astype(float))
+    assert (white[~kept] == 0.0).all()
+    alone = Whitener(NAVIGATION).whiten(t_s[kept], r[kept])
+    np.testing.assert_allclose(white[kept], alone, rtol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.floats(-1e3, 1e3),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.01, 5.0),
+)
+def test_linear_in_the_columns(seed, factor, white_sd, ou_sd, tau_s):
+    rng = np.random.default_rng(seed)
+    t_s = stamps(80, 0.05, rng)
+    weights = rng.uniform(0.0, 2.0, len(t_s)) * (rng.random(len(t_s)) > 0.1)
+    whitener = Whitener(NoiseModel(white_sd + 1e-3, ou_sd, tau_s))
+    a, b = rng.normal(size=(2, len(t_s)))
+    both = whitener.whiten(t_s, np.stack([a, b, a + factor * b], axis=1), weights)
+    np.testing.assert_array_equal(both[:, 0], whitener.whiten(t_s, a, weights))
+    scale = np.abs(both).max() + 1e-30
+    error = both[:, 2] - both[:, 0] - factor * both[:, 1]
+    assert np.abs(error).max() <= 1e-12 * scale * (1.0 + abs(factor))
+
+
+def test_weights_keep_the_variance_and_bound_an_outlier():
+    z = np.random.default_rng(6).standard_t(5.0, 400_000) * math.sqrt(3.0 / 5.0)
+    weights = robust_weights(z, 5.0)
+    assert np.mean(weights * z**2) == pytest.approx(1.0, abs=0.02)
+    assert math.sqrt(robust_weights(np.array([1e6]), 5.0)[0]) * 1e6 <= math.sqrt(6.0)
+    assert (robust_weights(z, math.inf) == 1.0).all()
+
+
+def test_nothing_to_whiten_with_is_refused():
+    with pytest.raises(ValueError, match="no noise"):
+        Whitener(NoiseModel(0.0))
+
+
+@pytest.mark.parametrize("wrong", ["clean", "outliers", "drift"])
+@pytest.mark.parametrize("irregular", [False, True])
+def test_position_noise_is_recovered(wrong, irregular):
+    rng = np.random.default_rng(7)
+    spans = []
+    for _ in range(6):
+        t_s = stamps(1500, 0.05, rng) if irregular else np.arange(1200) * 0.05
+        r = simulated(NAVIGATION, t_s, rng)
+        if wrong == "outliers":
+            r += 1.5 * rng.choice([-1.0, 1.0], len(r)) * (rng.random(len(r)) < 0.03)
+        if wrong == "drift":
+            r += 0.15 * np.sin(2.0 * np.pi * t_s / 40.0)
+        spans.append((t_s, r))
+    found = fit_noise(spans)
+    assert found.white_sd == pytest.approx(0.01, rel=0.12)
+    assert found.ou_sd == pytest.approx(0.05, rel=0.12)
+    assert found.ou_tau_s == pytest.approx(0.6, rel=0.25)
+    assert found.tail_dof > 8.0
+
+
+@pytest.mark.parametrize("wrong", ["clean", "outliers"])
+def test_white_noise_stays_white(wrong):
+    rng = np.random.default_rng(8)
+    t_s = np.arange(9000) * 0.02
+    r = 0.12 * rng.normal(size=len(t_s))
+    if wrong == "outliers":
+        r += 5.0 * (rng.random(len(r)) < 0.03)
+    found = fit_noise([(t_s, r)])
+    assert found.ou_sd == 0.0
+    assert found.white_sd == pytest.approx(0.12, rel=0.03)
+
+
+@pytest.mark.parametrize(("dof", "low", "high"), [(3.0, 2.4, 4.5), (6.0, 4.5, 9.0)])
+def test_tails_are_recovered(dof, low, high):
+    rng = np.random.default_rng(9)
+    r = 0.1 * rng.standard_t(dof, 9000)
+    found = fit_noise([(np.arange(len(r)) * 0.02, r)])
+    assert low <= found.tail_dof <= high
+
+
+def test_whitener_of_the_fit_leaves_independent_samples_after_outliers():
+    rng = np.random.default_rng(10)
+    t_s = stamps(6000, 0.05, rng)
+    r = simulated(NAVIGATION, t_s, rng)
+    r += 1.5 * (rng.random(len(r)) < 0.03)
+    whitener = Whitener(fit_noise([(t_s, r)]))
+    kept = np.abs(r - np.median(r)) < 0.75
+    white = whitener.whiten(t_s, r - np.mean(r[kept]), kept.astype(float))[kept]
+    assert white.std() == pytest.approx(1.0, abs=0.05)
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [[], [(np.arange(3.0), np.ones(3))], [(np.arange(500.0), np.zeros(500))]],
+    ids=["none", "short", "perfect"],
+)
+def test_without_noise_the_floor_remains(spans):
+    assert fit_noise(spans, floor_sd=1e-6) == NoiseModel(1e-6)
+
+
+def test_short_spans_do_not_become_a_random_walk():
+    rng = np.random.default_rng(11)
+    model = NoiseModel(0.01, 0.05, 0.6)
+    spans = [
+        (t_s, simulated(model, t_s, rng)) for t_s in [np.arange(40) * 0.05 for _ in range(200)]
+    ]
+    found = fit_noise(spans)
+    assert found.sd == pytest.approx(model.sd, rel=0.25)
+
+
+@pytest.mark.parametrize(("drive", "half_s"), [("fast", 0.51), ("mid", 0.60)])
+def test_uwb_recording_shows_the_figures_of_its_readme(drive, half_s):
+    _, errors = range_errors(drive)
+    bias = np.median(errors, axis=0)
+    assert bias.min() == pytest.approx(0.08, abs=0.02)
+    assert bias.max() == pytest.approx(0.31, abs=0.02)
+    rest = errors - bias
+    assert 1.4826 * np.median(np.abs(rest)) == pytest.approx(0.068, abs=0.003)
+    lag = 50  # about 0.5 s at 100 Hz
+    rho = [np.corrcoef(v[:-lag], v[lag:])[0, 1] for v in rest.T]
+    assert np.mean(rho) == pytest.approx(half_s, abs=0.02)
+
+
+@pytest.mark.parametrize("drive", ["fast", "mid"])
+def test_uwb_noise_is_coloured_and_its_whitener_fits(drive):
+    t_s, errors = range_errors(drive)
+    for channel in range(0, 24, 4):
+        r = errors[:, channel] - np.median(errors[:, channel])
+        model = fit_noise([(t_s, r)])
+        assert 0.03 < model.ou_sd < 0.08
+        assert 0.01 < model.white_sd < 0.045
+        assert 0.1 < model.ou_tau_s < 0.6
+        kept = np.abs(r) < 5.0 * model.sd
+        white = Whitener(model).whiten(t_s, r, kept.astype(float))[kept]
+        assert np.corrcoef(r[1:], r[:-1])[0, 1] > 0.6
+        assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.25

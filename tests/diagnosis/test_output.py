@@ -1,0 +1,85 @@
+"""The files of a diagnosis: whole, consistent, and a patch that the daemon takes."""
+
+import hashlib
+import json
+from dataclasses import replace
+
+import pytest
+
+from hilserver.config.patch import load_patch
+from hilserver.diagnosis.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
+from hilserver.diagnosis.findings import Findings
+from hilserver.diagnosis.output import documents, write
+from hilserver.diagnosis.summary import one_line, summary
+from hilserver.errors import FailedError
+from tests.diagnosis.sample import evidence, findings, nothing_found
+
+FITTED = Evidence(
+    extension=(FittedTerm("rotation_gain", -0.47, (-0.48, -0.46), "1", 0),),
+    fitted=FittedRange(speed_m_s=(0.0, 0.4), turn_rate_rad_s=(-1.0, 1.0), conditions="carpet"),
+)
+
+
+def test_the_patch_can_be_loaded_and_names_the_findings(tmp_path):
+    write(tmp_path, documents(Diagnosis(findings(), FITTED)))
+    patch = load_patch(tmp_path / "model_patch.yaml").model
+    found = (tmp_path / "findings.json").read_bytes()
+    assert patch.made_from.findings_sha256 == hashlib.sha256(found).hexdigest()
+    assert patch.made_from.config_sha256 == findings().config_sha256
+    term = patch.terms["rotation_gain"]
+    assert (term.value, term.ci95, term.unit) == (-0.47, (-0.48, -0.46), "1")
+    assert term.fitted_in.speed_m_s == (0.0, 0.4)
+    assert term.fitted_in.conditions == "hall <3>.csv: carpet"
+    assert term.fitted_in.wheel_speed_rpm is None
+
+
+def test_the_findings_come_back_as_they_were(tmp_path):
+    write(tmp_path, documents(Diagnosis(findings(), evidence(500))))
+    data = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
+    assert data["schema"] == "hilserver.diagnosis/1"
+    assert Findings.model_validate(data) == findings()
+
+
+def test_without_an_extension_there_is_no_patch_and_an_old_one_goes(tmp_path):
+    write(tmp_path, documents(Diagnosis(findings(), FITTED)))
+    write(tmp_path, documents(Diagnosis(nothing_found())))
+    assert {p.name for p in tmp_path.iterdir()} == {"findings.json", "report.html"}
+    assert json.loads((tmp_path / "findings.json").read_text())["model_patch"] is None
+
+
+def test_findings_stand_last_so_that_they_mean_all_is_there():
+    assert list(documents(Diagnosis(findings(), FITTED)))[-1] == "findings.json"
+
+
+def test_what_cannot_be_written_is_a_sentence_and_leaves_no_half_file(tmp_path):
+    (tmp_path / "report.html").mkdir()
+    with pytest.raises(FailedError, match="is a directory"):
+        write(tmp_path, documents(Diagnosis(findings(), FITTED)))
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_the_summary_is_made_of_words():
+    text = summary(findings())
+    assert text.startswith("Three things are not as the simulation has it")
+    assert "The robot turns 47\u00a0% less" in text
+    assert "tell them apart" in text
+    assert "7.8 times smaller, 95 % 6.1 to 9" in " ".join(text.split())
+    assert max(map(len, text.splitlines())) <= 96
+
+
+def test_one_line_per_log():
+    assert one_line(nothing_found()) == "nothing_found"
+    told = one_line(findings())
+    assert told == (
+        "findings: rotation_gain, icr_offset or nav_lever_arm, structure_not_in_library, unit_error"
+    )
+
+
+def test_a_term_of_several_parts_keeps_them_all():
+    terms = (
+        FittedTerm("stribeck_friction.f_s", 4.0, None, "%", 0),
+        FittedTerm("stribeck_friction.n_s", 6.0, None, "rpm", 0),
+    )
+    text = documents(Diagnosis(findings(), replace(FITTED, extension=terms)))["model_patch.yaml"]
+    assert "stribeck_friction.f_s" in text
+    assert "stribeck_friction.n_s" in text

@@ -1,0 +1,84 @@
+"""Two programs of one contract: the injector and the plant, fed with the same set-points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hilserver_injector import CAUSES, REQUIRED, make, nothing, single
+from hilserver_injector.recipe import WHEELS
+from hilserver_injector.sensors import YAW, X, Y
+
+from hilserver.compiled import kernel
+from hilserver.plant import layout as at
+from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.robot import robot_step
+from hilserver.plant.terms import TERMS, main_part
+
+from .conftest import quiet
+
+SENSORS = {
+    "nav_frame_yaw", "nav_latency", "yaw_latency", "imu_latency", "gyro_bias", "gyro_scale",
+    "nav_scale", "nav_lever_arm", "nav_outliers", "heading_distortion", "battery_sag",
+}  # fmt: skip
+SAMPLED = {"encoder_filter", "encoder_quantization"}
+"""Continuous in the one and sampled in the other, or chaotic: compared more coarsely."""
+
+
+@kernel()
+def follow(p, x, u, y, q, ticks, setpoints, out):
+    k = 0
+    for tick in range(ticks[-1] + 1):
+        due = tick == ticks[k]
+        if due:
+            u[at.U_SETPOINT : at.U_SETPOINT + 4] = setpoints[k]
+        robot_step(p, x, u, y, q)
+        if due:
+            out[k, :4] = y[at.Y_SPEED : at.Y_SPEED + 4]
+            out[k, 4:7] = y[at.Y_POSE : at.Y_POSE + 3]
+            k += 1
+
+
+def differences(recipe, terms):
+    table, truth = make(quiet(recipe))
+    robot = RobotParameters(terms=terms)
+    p, x = robot.pack(), robot.initial_state()
+    x[at.X_POSE : at.X_POSE + 3] = truth.dense[0, [X, Y, YAW]]
+    u, y, q = np.zeros(at.N_U), np.zeros(at.N_Y), np.zeros(at.N_Y, np.int64)
+    u[at.U_ENABLE] = 1.0
+    ticks = np.round(table.t_s * 1e3).astype(np.int64)
+
+    def columns(what):
+        return np.stack([table.columns[f"wheel.{wheel}.{what}"] for wheel in WHEELS], axis=1)
+
+    out = np.zeros((len(ticks), 7))
+    follow(p, x, u, y, q, ticks, columns("setpoint_rpm"), out)
+    speed = np.sqrt(np.mean((columns("speed_rpm") - out[:, :4]) ** 2))
+    pose = truth.dense[ticks]
+    place = np.max(np.hypot(pose[:, X] - out[:, 4], pose[:, Y] - out[:, 5]))
+    return speed, place
+
+
+@pytest.mark.parametrize("kind", ["drive", "bench"])
+def test_nothing_hidden(kind):
+    speed, place = differences(nothing(kind, 1), {})
+    assert speed < 1e-3
+    assert kind == "bench" or place < 1e-3
+
+
+@pytest.mark.parametrize("name", sorted(set(REQUIRED) - SENSORS))
+def test_every_cause_acts_as_its_term(name):
+    recipe = replace(single(name, 2), duration_s=90.0)
+    speed, place = differences(recipe, recipe.causes)
+    without = differences(recipe, {})
+    assert speed < (0.3 if name in SAMPLED else 0.01)
+    assert recipe.kind == "bench" or place < 0.005
+    changed = max(without[0] / 0.12, without[1] / 0.05 if recipe.kind == "drive" else 0.0)
+    assert changed > 0.3, "the cause shows in the log"
+
+
+def test_sizes_are_those_of_the_vocabulary():
+    for cause in CAUSES.values():
+        term = TERMS[main_part(cause.parameter)]
+        if cause.required:
+            assert term.reference == cause.size, cause.name
+        assert term.null is None or term.null == cause.base, cause.name
