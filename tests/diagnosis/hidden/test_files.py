@@ -1,9 +1,9 @@
 """`hilserver diagnose` with the real engine: from files of the injector to files of findings."""
 
 import hashlib
-from pathlib import Path
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import jsonschema
 import numpy as np
