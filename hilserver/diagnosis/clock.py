@@ -92,5 +92,10 @@ def cut(
     ticks = np.ceil(length / period_s).astype(np.int64) + 2
     first = np.concatenate([[0], np.cumsum(ticks)]).astype(np.int64)
     return Segments(
-        np.array(span, dtype=np.int64), np.asarray(start), np.asarray(end_s), first, period_s, lead_s
+        np.array(span, dtype=np.int64),
+        np.asarray(start),
+        np.asarray(end_s),
+        first,
+        period_s,
+        lead_s,
     )

@@ -56,6 +56,19 @@ def _plain(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
     return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
 
 
+def _differences(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
+    """Return the white noise that neighbouring samples show.
+
+    The drive's sensors have no memory: what is correlated there is an effect, and at every moment
+    but the transients it is the same in two neighbours.
+    """
+    steps = np.concatenate([np.diff(r) for _, r in parts])
+    sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
+    if sd <= 0.0 and len(steps):
+        sd = float(np.std(steps)) / np.sqrt(2.0)
+    return NoiseModel(max(sd, 1e-6))
+
+
 @dataclass(frozen=True)
 class Point:
     """A model with its poses and what it leaves.
@@ -226,6 +239,13 @@ class Problem:
             out[:, j] = self._difference(self.predict(terms, point.poses), base) / step[j]
         return out
 
+    def accepted(self, point: Point) -> Array | None:
+        """Return whitened, projected sensitivities of a model's own parameters."""
+        if not point.model.fitted:
+            return None
+        bases = self.bases(self.nuisance(point.predicted, point.poses))
+        return self.project(self.whiten(self.columns(point, point.model)), bases)
+
     def column(self, point: Point, candidate: Candidate) -> Array:
         """Return the raw effect of a candidate per unit, or at its start value; shape (n, k)."""
         if not candidate.linear:
@@ -259,7 +279,10 @@ class Problem:
             return
         for name in self.stack.channels:
             parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
-            self.noise[name] = _plain(parts) or fit_noise(parts)
+            if isinstance(self.stage, DriveStage):
+                self.noise[name] = _differences(parts)
+            else:
+                self.noise[name] = _plain(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
         for _ in range(2):
             white = self.whiten(raw)

@@ -13,7 +13,6 @@ from hilserver.diagnosis.library import Candidate, drive_candidates, pose_candid
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.screen import SQUARE
 from hilserver.diagnosis.selection import Library
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.parameters import RobotParameters
@@ -184,15 +183,7 @@ def prepare(
 def clean(problem: Problem, library: Library, point: Point) -> None:
     """Learn the noise from what no cause at all can explain, so that no effect hides in it."""
     library.rewhiten(point)
-    norm = np.sqrt(np.einsum("ij,ij->j", library.columns, library.columns)) + 1e-30
-    gram = (library.columns.T @ library.columns).astype(np.float64) / np.outer(norm, norm)
-    along = (library.columns.T @ point.left[library.blocks.order].astype(np.float32)) / norm
-    weight = np.linalg.solve(gram + 1e-3 * np.eye(len(norm)), along.astype(np.float64)) / norm
-    raw = np.zeros(len(point.left))
-    for i, block in enumerate(library.raw):
-        mine = weight[library.owner == i]
-        theta = mine if block.shape[1] == 1 else np.array(SQUARE).T @ mine / library.norms[i]
-        raw += block @ theta
+    raw = library.effect(library.ridge(point), slice(None))
     left = problem.residual(point.predicted) - raw
     nuisance = problem.nuisance(point.predicted, point.poses)
     if nuisance is not None:
@@ -201,13 +192,25 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
     problem.learn_noise(left)
 
 
+NOT_OF_ITS_OWN = {
+    "friction_anisotropy": "its effect is told as rotation_gain and icr_offset",
+    "backlash": "the play between motor and wheel is not looked for",
+    "missed_ticks": "the log has no tick counter",
+}
+
+
 def vocabulary_reasons(
     judged: set[str], reasons: dict[str, str], stages: set[str]
 ) -> dict[str, str]:
     """Return a reason for every physical cause that was not judged."""
     out = dict(reasons)
     for name, cause in CAUSES.items():
-        if not cause.physical or name in judged or name in out:
+        if name in judged or name in out:
+            continue
+        if name in NOT_OF_ITS_OWN:
+            out[name] = NOT_OF_ITS_OWN[name]
+            continue
+        if not cause.physical:
             continue
         if cause.block in ("drive", "controller") and "drive" not in stages:
             out[name] = "no set-points with wheel speeds in the log"

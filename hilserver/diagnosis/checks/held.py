@@ -59,7 +59,9 @@ def _together(
     """
     own = fresh[name]
     for other in group:
-        if len(log[other]) == len(log[name]) and np.array_equal(along(log[other]), along(log[name])):
+        if len(log[other]) == len(log[name]) and np.array_equal(
+            along(log[other]), along(log[name])
+        ):
             own = own | fresh[other]
     return own
 
@@ -112,7 +114,7 @@ def _follow(channel: Channel, first: NDArray[np.int64], changes: Array) -> bool:
 def _fresh(channel: Channel, runs: Runs, period_s: float) -> NDArray[np.bool_]:
     """Return which samples begin a run; in longer runs also one per period."""
     begin = np.repeat(channel.t_s[runs.first], runs.length)
-    periods = np.floor((channel.t_s - begin) / period_s + 0.25)
+    periods = np.floor(np.maximum((channel.t_s - begin) / period_s - 0.5, 0.0))
     fresh = np.diff(periods, prepend=-1.0) != 0
     fresh[runs.first] = True
     return np.asarray(fresh)
