@@ -60,10 +60,11 @@ class PoseStage:
         drive: tuple[DriveStage, Array] | None,
         *,
         block_s: float,
-        longest_s: float = LONGEST_S,
+        longest_s: float | None = LONGEST_S,
     ) -> None:
         log = paired(log)
         self.log, self.robot = log, robot
+        self._drive, self._block_s = drive, block_s
         self.period_s = stride(log) * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
@@ -78,6 +79,10 @@ class PoseStage:
         self._state = robot.initial_state()
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
         self._tag_rows()
+
+    def uncut(self) -> "PoseStage":
+        """Return the stage with whole spans as its segments."""
+        return PoseStage(self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None)
 
     @staticmethod
     def judges(log: MeasuredLog) -> bool:

@@ -21,10 +21,10 @@ FEWEST_BURSTS = 3
 MISSING_ROWS = 0.05
 """Single rows go missing in sound logs, too."""
 MISSING_IN_BURSTS = 0.02
-ALTERNATING = 0.35
-"""Share of steps against the one before, in a channel with noise of its own."""
 SLOWEST_S = 0.22
 """Slower channels keep no steady clock of which one could say that a sample is missing."""
+ALTERNATING = 0.35
+"""Share of steps against the one before, in a channel with noise of its own."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -103,7 +103,7 @@ def _missing(channel: Channel, fewest: int) -> float:
     if len(steps) < 200:
         return 0.0
     means = np.convolve(steps, np.ones(20) / 20, mode="valid")
-    period_s = max(float(np.quantile(means, 0.3)), float(np.median(steps)))
+    period_s = float(np.quantile(means, 0.3))
     if not 0 < period_s < SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
