@@ -82,7 +82,10 @@ class Windows:
 
 
 def windows(problem: Problem, horizon_s: float) -> Windows | None:
-    """Return free runs of one length inside segments; whole segments where they are shorter."""
+    """Return free runs of one length inside segments; whole segments where they are shorter.
+
+    An infinite horizon means all segments whole.
+    """
     stack = problem.stack
     names = [n for n in TAG if n in stack.edges]
     if not names:
@@ -95,12 +98,13 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
         for a, b in zip([0, *bounds.tolist()], [*bounds.tolist(), len(t)], strict=True)
         if b - a >= 3
     ]
-    horizon_s = min(horizon_s, max((float(np.ptp(own)) for _, own in stretches), default=0.0))
+    longest_s = max((float(np.ptp(own)) for _, own in stretches), default=0.0)
+    whole, horizon_s = np.isinf(horizon_s), min(horizon_s, longest_s)
     runs: list[tuple[int, float, float]] = []
     for number, own in stretches:
         length = float(np.ptp(own))
-        if length < 1.5 * horizon_s:
-            if length > 0.6 * horizon_s:
+        if whole or length < 1.5 * horizon_s:
+            if whole or length > 0.6 * horizon_s:
                 runs.append((number, own[0], own[-1]))
             continue
         begins = np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s)
@@ -188,5 +192,5 @@ def gains(
     for key, channels in pairs.items():
         e = [channel_errors(problem, p, channels) for p in (before, after)]
         if e[0] is not None and e[1] is not None:
-            out[key] = compare(e[0], e[1], horizon_s, rng)
+            out[key] = compare(e[0], e[1], 0.0 if np.isinf(horizon_s) else horizon_s, rng)
     return out

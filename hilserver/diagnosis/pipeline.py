@@ -29,6 +29,8 @@ class Task:
         Not empty: do these differ from `logs`, and in what?
     mapping : str or None
         Mapping file, or the name of a built-in one.
+    test : tuple of Path
+        Not empty: the gain is measured on these, which take no part in selection or fit.
     jobs : int
         Threads or processes that the diagnosis itself may use; no result depends on it.
     """
@@ -39,6 +41,7 @@ class Task:
     against: tuple[Path, ...] = ()
     seed: int = 0
     jobs: int = 1
+    test: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
     if task.against:
         other = read_measured(task.against, task.mapping)
         return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
-    return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
+    test = read_measured(task.test, task.mapping) if task.test else None
+    return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test)
 
 
 def run(task: Task, progress: Progress | None = None) -> Outcome:

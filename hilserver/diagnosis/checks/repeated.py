@@ -21,6 +21,8 @@ FEWEST_BURSTS = 3
 MISSING_ROWS = 0.05
 """Single rows go missing in sound logs, too."""
 MISSING_IN_BURSTS = 0.02
+SLOWEST_S = 0.22
+"""Slower channels keep no steady clock of which one could say that a sample is missing."""
 ALTERNATING = 0.35
 """Share of steps against the one before, in a channel with noise of its own."""
 
@@ -102,7 +104,7 @@ def _missing(channel: Channel, fewest: int) -> float:
         return 0.0
     means = np.convolve(steps, np.ones(20) / 20, mode="valid")
     period_s = float(np.quantile(means, 0.3))
-    if period_s <= 0 or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
+    if not 0 < period_s < SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
     lost[lost < fewest] = 0

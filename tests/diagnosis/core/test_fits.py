@@ -83,7 +83,9 @@ def test_the_covariance_is_never_smaller_than_the_noise_model_says():
     point = fitted(problem, "c0", "c1")
     design = np.stack(list(problem.stage.columns.values()), axis=1)
     naive = np.diag(np.linalg.inv(design.T @ design))
-    assert np.all(np.diag(covariance(problem, point, problem.accepted(point))[0]) >= naive * (1.0 - 1e-6))
+    assert np.all(
+        np.diag(covariance(problem, point, problem.accepted(point))[0]) >= naive * (1.0 - 1e-6)
+    )
 
 
 # --- gain -----------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -56,8 +57,7 @@ def test_a_log_with_an_effect(logs, folder, capsys):
     the_cause_is_named(found, "coulomb_friction")
     the_value_is_right(found, "coulomb_friction", 1.5)
     (source,) = found.logs
-    with open(logs[0], "rb") as file:
-        assert source.sha256 == hashlib.sha256(file.read()).hexdigest()
+    assert source.sha256 == hashlib.sha256(Path(logs[0]).read_bytes()).hexdigest()
     patch = load_patch(folder / "out" / "model_patch.yaml").model
     assert patch.terms["coulomb_friction"].value == pytest.approx(
         found.findings[0].parameters["coulomb_friction"].value

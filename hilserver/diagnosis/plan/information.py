@@ -1,0 +1,203 @@
+"""What measurements tell about every cause, as sums over stretches: Gram matrices.
+
+The whitened sensitivities of a stretch, with its initial pose projected out, have a Gram matrix.
+Those of stretches that each begin with a pose of their own add up, so that the information of a
+sequence of pieces is known before the sequence exists; joined pieces share a pose and tell more.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.identifiability import TIE
+from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.selection import Library
+from hilserver.diagnosis.vocabulary import CAUSES
+
+Array = NDArray[np.float64]
+
+T_NEEDED: Final = 5.5
+"""Deviations at which an effect is found with good power in a log of a minute and more."""
+Z_APART: Final = 3.28
+"""Standard errors between the deviances of an effect and its best imitation at which a diagnosis
+tells them apart with good power: 2.33 (`identifiability.CLEAR_Z`) and 0.95."""
+SEEN: Final = 0.5
+"""Worth of seeing a cause, by the worth of telling it from all others."""
+ENOUGH: Final = 3.0
+REACH: Final = 1.5
+"""How far a column of an effect that is not linear may be extrapolated, in its own size."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One candidate in the Gram matrix.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        One row per parameter, at most two.
+    units : tuple of float
+        Physical size of a step of 1 along each row.
+    sizes : tuple of float or None
+        Reference sizes of the parameters.
+    """
+
+    candidate: Candidate
+    rows: tuple[int, ...]
+    units: tuple[float, ...]
+    sizes: tuple[float | None, ...]
+
+    @property
+    def cause(self) -> str:
+        """Public name."""
+        return self.candidate.cause
+
+
+def directions_of(library: Library) -> list[Direction]:
+    """Return where each candidate lies in the Gram matrix of a library's columns."""
+    found = []
+    for i, c in enumerate(library.candidates):
+        rows = tuple(int(j) for j in np.flatnonzero(library.owner == i)[: min(c.n, 2)])
+        names = list(c.terms(tuple(0.5 * s for s in c.step)))
+        sizes = tuple(reference(c.cause, n) for n in names[:2])
+        if is_limit(c.cause) and sizes[0]:
+            units: tuple[float, ...] = (sizes[0] ** 2 / c.start[0],)
+        elif not c.linear:
+            units = (abs(c.start[0] - c.null[0]),)
+        else:
+            units = (1.0,) if c.n == 1 else tuple(1.0 / float(n) for n in library.norms[i])
+        found.append(Direction(c, rows, units, sizes))
+    return found
+
+
+def is_limit(cause: str) -> bool:
+    """Return whether a cause has no finite null value: the smaller its parameter, the more it does.
+
+    A part of its reference size is then its reference value divided by that part.
+    """
+    return cause == "setpoint_rate_limit"
+
+
+def reference(cause: str, name: str) -> float | None:
+    """Return how far a parameter's reference size lies from null; that of its cause if none."""
+    parts = [p for p in CAUSES[cause].parts if not p.shape]
+    own = next((p for p in parts if p.name == name and p.reference is not None), None)
+    main = own or next((p for p in parts if p.reference is not None), None)
+    if main is None or main.reference is None:
+        return None
+    return abs(main.reference - (main.null or 0.0))
+
+
+def gram_of(library: Library) -> Array:
+    """Return the Gram matrix of a library's columns, shape (k, k)."""
+    columns = library.columns.astype(np.float64)
+    return np.asarray(columns.T @ columns)
+
+
+def grams_by_span(library: Library, n_spans: int) -> Array:
+    """Return the Gram matrix of each span of a log, shape (spans, k, k)."""
+    stack = library.problem.stack
+    span = library.problem.stage.segments.span[stack.segment][library.blocks.order]
+    k = library.columns.shape[1]
+    out = np.zeros((n_spans, k, k))
+    for i in range(n_spans):
+        columns = library.columns[span == i].astype(np.float64)
+        out[i] = columns.T @ columns
+    return out
+
+
+def sizes_of(directions: Sequence[Direction], gram: Array, needed: float = T_NEEDED) -> Array:
+    """Return the smallest detectable size of each candidate as a share of its reference size.
+
+    Infinite where a candidate cannot be seen or has no reference size.
+    """
+    out = np.full(len(directions), np.inf)
+    squares = np.diag(gram)
+    for i, d in enumerate(directions):
+        for row, unit, size in zip(d.rows, d.units, d.sizes, strict=False):
+            if squares[row] <= 1e-12 or size is None:
+                continue
+            steps = needed / np.sqrt(squares[row])
+            if d.candidate.linear or steps <= REACH:
+                out[i] = min(out[i], steps * unit / size)
+    return out
+
+
+def alike(directions: Sequence[Direction], gram: Array) -> Array:
+    """Return the |cos| of any two candidates' sensitivities, shape (m, m).
+
+    Of candidates with two parameters the largest over their directions (canonical correlation):
+    some effect of the one then looks like some effect of the other.
+    """
+    m = len(directions)
+    # each candidate gets an orthonormal pair of rows; a single parameter leaves the second empty
+    turn = np.zeros((m, 2, len(gram)))
+    for i, d in enumerate(directions):
+        rows = list(d.rows)
+        block = gram[np.ix_(rows, rows)]
+        scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+        value, vector = np.linalg.eigh(block / np.outer(scale, scale))
+        good = value > 1e-6
+        inverse = np.where(good, 1.0 / np.sqrt(np.where(good, value, 1.0)), 0.0)
+        if np.diag(block).max(initial=0.0) > 1e-12:
+            turn[i][: len(rows), rows] = (inverse[:, None] * vector.T) / scale
+    flat = turn.reshape(2 * m, -1)
+    cross = (flat @ gram @ flat.T).reshape(m, 2, m, 2).transpose(0, 2, 1, 3)
+    total = (cross**2).sum(axis=(2, 3))
+    det = cross[..., 0, 0] * cross[..., 1, 1] - cross[..., 0, 1] * cross[..., 1, 0]
+    largest = 0.5 * (total + np.sqrt(np.maximum(total**2 - 4.0 * det**2, 0.0)))
+    return np.asarray(np.sqrt(np.clip(largest, 0.0, 1.0)))
+
+
+def apart(directions: Sequence[Direction], gram: Array) -> Array:
+    """Return how clearly each candidate at its reference size beats its imitations, shape (m, m).
+
+    Row i is the truth and column j the rival. What the rival cannot imitate is x deviations long;
+    its deviance is then larger by about x^2 with a standard error of 2 x, plus a diagnosis' penalty
+    for every parameter more. 0 where the difference is too small to count; infinite for a truth
+    without a reference size.
+    """
+    sized = np.array([any(d.sizes) for d in directions])
+    t = np.where(sized, T_NEEDED / sizes_of(directions, gram), 0.0)
+    x = t[:, None] * np.sqrt(np.maximum(1.0 - alike(directions, gram) ** 2, 0.0))
+    weight = np.array([d.candidate.weight for d in directions])
+    worse = x**2 + TIE * (weight[None, :] - weight[:, None])
+    z = np.where(worse > TIE + 0.01, worse / (2.0 * x + 1e-9), 0.0)
+    return np.asarray(np.where(sized[:, None], z, np.inf))
+
+
+def score(directions: Sequence[Direction], gram: Array) -> float:
+    """Return how much a diagnosis could tell: small sizes and clear names of all sized causes."""
+    shares, z, total = sizes_of(directions, gram), apart(directions, gram), 0.0
+    owner = np.array([d.cause for d in directions])
+    for cause, mine in nearest(directions).items():
+        share = float(shares[owner == cause].min())
+        if not any(directions[mine[0]].sizes) or not share < np.inf:
+            continue
+        clear = float(np.median(z[mine][:, owner != cause].min(axis=1))) / Z_APART
+        total += SEEN * _worth(1.0 / share) + _worth(clear)
+    return total
+
+
+def _worth(times: float) -> float:
+    """Return 1 for what is just enough; more is worth less and less."""
+    return float(np.log2(1.0 + min(max(times, 0.0), ENOUGH)))
+
+
+def nearest(directions: Sequence[Direction]) -> dict[str, list[int]]:
+    """Return the candidates that stand for each cause: of several start values, the one nearest.
+
+    A cause with several shapes (regions of the floor, wheels) keeps them all.
+    """
+    found: dict[str, list[int]] = {}
+    for i, d in enumerate(directions):
+        found.setdefault(d.cause, []).append(i)
+    for cause, mine in found.items():
+        sizes = [d.units[0] / s for i in mine if not (d := directions[i]).candidate.linear
+                 and (s := d.sizes[0])]  # fmt: skip
+        if len(sizes) == len(mine):
+            found[cause] = [mine[int(np.argmin(np.abs(np.log(sizes))))]]
+    return found

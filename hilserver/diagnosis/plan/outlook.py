@@ -1,0 +1,188 @@
+"""What a diagnosis could tell from a manoeuvre: sizes, groups, and what it cannot judge."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilserver.diagnosis.detectable import HOPELESS, smallest
+from hilserver.diagnosis.findings import Detectable, NotJudged
+from hilserver.diagnosis.plan.information import (
+    Z_APART,
+    Array,
+    Direction,
+    alike,
+    apart,
+    directions_of,
+    gram_of,
+    is_limit,
+    nearest,
+    reference,
+    score,
+    sizes_of,
+)
+from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
+from hilserver.diagnosis.plan.null_log import Recording, null_log
+from hilserver.diagnosis.screen import critical, null_maxima
+from hilserver.diagnosis.selection import GROUP_COSINE
+from hilserver.diagnosis.stages import Prepared, prepare, stages_of, vocabulary_reasons
+from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.plant.parameters import RobotParameters
+
+Tell = Callable[[str, float], None]
+
+OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"
+LEAST_SHARE = 0.1
+"""A limit that only shows below a tenth of its reference effect is not worth a name."""
+NOT_SEEN = "the manoeuvre does not excite it"
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What one manoeuvre can show.
+
+    Attributes
+    ----------
+    sizes : mapping of str to Detectable
+        Smallest detectable size of each cause.
+    groups : list of tuple of str
+        Causes that cannot be told apart: each is alike to another of its group.
+    pairs : mapping of pair of str to float
+        |cos| of the pairs above the limit.
+    not_judged : mapping of str to str
+        Reasons.
+    score : float
+        How much can be told in all, `information.score`.
+    """
+
+    sizes: dict[str, Detectable]
+    groups: list[tuple[str, ...]]
+    pairs: dict[tuple[str, str], float]
+    not_judged: dict[str, str]
+    score: float
+
+    def share(self, cause: str) -> float | None:
+        """Return a cause's smallest detectable size by its reference size."""
+        found = self.sizes.get(cause)
+        size = None if found is None else reference(cause, cause)
+        if found is None or size is None:
+            return None
+        return size / found.size if is_limit(cause) else found.size / size
+
+    @property
+    def shown(self) -> list[str]:
+        """Causes that show at their reference size, or that have none."""
+        return [c for c in self.sizes if (share := self.share(c)) is None or share <= 1.0]
+
+    @property
+    def named(self) -> list[str]:
+        """Causes that show and can be told from all others."""
+        together = {c for group in self.groups for c in group}
+        return [c for c in self.shown if c not in together]
+
+
+def look(
+    spans: Sequence[Manoeuvre],
+    robot: RobotParameters,
+    recording: Recording,
+    *,
+    seed: int,
+    jobs: int,
+    tell: Tell,
+) -> Outlook:
+    """Replay a manoeuvre, add the reference noises and ask what a diagnosis could find."""
+    rng = np.random.default_rng(seed)
+    log = null_log(spans, robot, recording, rng)
+    prepared: dict[str, Prepared] = {}
+    reasons: dict[str, str] = {}
+    for name, stage in stages_of(log, robot).items():
+        one, why = prepare(stage, jobs, tell)
+        reasons |= why
+        if one is not None:
+            prepared[name] = one
+    return judge(prepared, reasons, rng)
+
+
+def judge(
+    prepared: dict[str, Prepared], reasons: dict[str, str], rng: np.random.Generator
+) -> Outlook:
+    """Return the outlook of a prepared null log."""
+    scores = {name: p.library.scores(p.base) for name, p in prepared.items()}
+    limit = critical(null_maxima(list(scores.values()), rng)) if scores else 0.0
+    sizes: dict[str, Detectable] = {}
+    silent: list[NotJudged] = []
+    pairs: dict[tuple[str, str], float] = {}
+    excited: set[str] = set()
+    total = 0.0
+    for name, p in prepared.items():
+        found, unseen = smallest(p.library, scores[name], limit)
+        silent += unseen
+        for d in found:
+            size = reference(d.cause, d.cause)
+            if size is None or d.size <= HOPELESS * size:
+                sizes[d.cause] = d
+        excited |= {c.cause for c in p.library.candidates}
+        directions, gram = directions_of(p.library), gram_of(p.library)
+        sizes |= limits(directions, gram)
+        total += score(directions, gram)
+        pairs |= confused(directions, gram, set(sizes))
+    reasons = {n.cause: n.reason for n in silent if n.cause not in sizes} | reasons
+    reasons = vocabulary_reasons(set(sizes), reasons, set(prepared))
+    for cause, entry in CAUSES.items():
+        if entry.physical and cause not in sizes and cause not in reasons:
+            reasons[cause] = NOT_SEEN if cause in excited else OTHERWISE
+    return Outlook(sizes, grouped(pairs), pairs, reasons, total)
+
+
+def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable]:
+    """Return the largest limits that would show; `smallest` cannot, as null is no number."""
+    found: dict[str, Detectable] = {}
+    for d, share in zip(directions, sizes_of(directions, gram), strict=True):
+        if is_limit(d.cause) and d.sizes[0] and share <= HOPELESS:
+            size = d.sizes[0] / max(float(share), LEAST_SHARE)
+            if d.cause not in found or size > found[d.cause].size:
+                found[d.cause] = Detectable(cause=d.cause, size=size, unit=CAUSES[d.cause].unit)
+    return found
+
+
+def confused(
+    directions: Sequence[Direction], gram: Array, visible: set[str]
+) -> dict[tuple[str, str], float]:
+    """Return the pairs of visible causes that imitate each other, with their |cos|.
+
+    As in a diagnosis, their sensitivities are alike and what is left of one of them at its
+    reference size does not decide.
+    """
+    cosines, z = alike(directions, gram), apart(directions, gram)
+    chosen = {c: rows for c, rows in nearest(directions).items() if c in visible}
+    names = list(chosen)
+    found = {}
+    for i, a in enumerate(names):
+        for b in names[i + 1 :]:
+            rows = np.ix_(chosen[a], chosen[b])
+            close = (cosines[rows] > GROUP_COSINE) & (np.minimum(z[rows], z.T[rows]) < Z_APART)
+            if close.any():
+                found[a, b] = float(cosines[rows][close].max())
+    return found
+
+
+def grouped(pairs: dict[tuple[str, str], float]) -> list[tuple[str, ...]]:
+    """Return the largest sets in which every two causes are alike."""
+    near: dict[str, set[str]] = {}
+    for a, b in pairs:
+        near.setdefault(a, set()).add(b)
+        near.setdefault(b, set()).add(a)
+    found: list[tuple[str, ...]] = []
+
+    def extend(clique: list[str], able: list[str], done: list[str]) -> None:
+        if not able and not done:
+            found.append(tuple(sorted(clique)))
+        for cause in list(able):
+            mine = near[cause]
+            extend([*clique, cause], [c for c in able if c in mine], [c for c in done if c in mine])
+            able.remove(cause)
+            done.append(cause)
+
+    if near:
+        extend([], sorted(near), [])
+    return sorted(found)

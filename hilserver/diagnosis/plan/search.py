@@ -1,0 +1,127 @@
+"""Puts the pieces together that tell most in the time there is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilserver.diagnosis.plan.information import (
+    Array,
+    Direction,
+    directions_of,
+    grams_by_span,
+    score,
+)
+from hilserver.diagnosis.plan.null_log import Recording, null_log
+from hilserver.diagnosis.plan.outlook import Tell
+from hilserver.diagnosis.plan.pieces import Piece
+from hilserver.diagnosis.stages import prepare, stages_of
+from hilserver.plant.parameters import RobotParameters
+
+MOST_PIECES = 200
+TURNS = 4
+LEAST_BETTER = 0.01
+
+
+@dataclass(frozen=True)
+class Told:
+    """What every piece tells to one stage; shapes (pieces, k, k)."""
+
+    directions: list[Direction]
+    grams: Array
+
+
+def told_by(
+    found: Sequence[Piece],
+    robot: RobotParameters,
+    recording: Recording,
+    *,
+    seed: int,
+    jobs: int,
+    tell: Tell,
+) -> list[Told]:
+    """Measure every piece once, each as a span of its own in one null log."""
+    rng = np.random.default_rng(seed)
+    log = null_log([piece.manoeuvre for piece in found], robot, recording, rng)
+    told = []
+    for stage in stages_of(log, robot).values():
+        prepared, _ = prepare(stage, jobs, tell)
+        if prepared is not None:
+            library = prepared.library
+            told.append(Told(directions_of(library), grams_by_span(library, len(found))))
+    return told
+
+
+def choose(
+    found: Sequence[Piece], told: Sequence[Told], duration_s: float, tell: Tell
+) -> list[Piece]:
+    """Return the pieces that tell most; repetitions are allowed.
+
+    They are added where a second tells most as long as one fits; then each is exchanged for a
+    better one until none is left.
+    """
+    search = _Search([p.manoeuvre.duration_s for p in found], told, duration_s)
+    search.add()
+    for turn in range(TURNS):
+        tell("choosing pieces", turn / TURNS)
+        if not search.exchange():
+            break
+        search.add()
+    return [found[i] for i in search.chosen]
+
+
+class _Search:
+    """The pieces chosen so far and what they tell together."""
+
+    def __init__(self, lengths_s: Sequence[float], told: Sequence[Told], left_s: float) -> None:
+        self.chosen: list[int] = []
+        self._lengths_s = np.array(lengths_s)
+        self._told = told
+        self._sums = [np.zeros(t.grams.shape[1:]) for t in told]
+        self._left_s = left_s
+        self._now = 0.0
+
+    def _able(self, room_s: float) -> list[int]:
+        return np.flatnonzero(self._lengths_s <= room_s + 1e-9).tolist()
+
+    def _with(self, more: int, less: int | None = None) -> float:
+        total = 0.0
+        for t, present in zip(self._told, self._sums, strict=True):
+            changed = present + t.grams[more] - (0.0 if less is None else t.grams[less])
+            total += score(t.directions, changed)
+        return total
+
+    def add(self) -> None:
+        """Add pieces while one fits."""
+        while len(self.chosen) < MOST_PIECES and (able := self._able(self._left_s)):
+            totals = np.array([self._with(i) for i in able])
+            rates = (totals - self._now) / self._lengths_s[able]
+            self._put(able[int(np.argmax(rates))])
+
+    def exchange(self) -> bool:
+        """Exchange every piece for the best in its place; return whether one was better."""
+        better = False
+        for place in range(len(self.chosen)):
+            mine = self.chosen[place]
+            able = self._able(self._left_s + float(self._lengths_s[mine]))
+            totals = [self._with(i, mine) if i != mine else self._now for i in able]
+            best = int(np.argmax(totals))
+            if totals[best] > self._now + LEAST_BETTER:
+                self._take(place)
+                self._put(able[best], place)
+                better = True
+        return better
+
+    def _put(self, piece: int, place: int | None = None) -> None:
+        self.chosen.insert(len(self.chosen) if place is None else place, piece)
+        self._change(piece, 1.0)
+
+    def _take(self, place: int) -> None:
+        self._change(self.chosen.pop(place), -1.0)
+
+    def _change(self, piece: int, sign: float) -> None:
+        self._left_s -= sign * float(self._lengths_s[piece])
+        self._sums = [
+            total + sign * t.grams[piece] for t, total in zip(self._told, self._sums, strict=True)
+        ]
+        self._now = sum(score(t.directions, s) for t, s in zip(self._told, self._sums, strict=True))
