@@ -36,7 +36,7 @@ LEAD_S: Final = 0.7
 STRIDES: Final = (2, 10)
 """Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ..."""
 SLOW_ROWS_S: Final = 0.04
-"""... and 10 ms where the wheel speeds come in slower rows."""
+"""... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
 
@@ -68,7 +68,8 @@ class PoseStage:
         log = paired(log)
         self.log, self.robot = log, robot
         self._drive, self._block_s = drive, block_s
-        self.period_s = stride(log) * robot.period_s
+        slices = stride(log) if drive is None else STRIDES[0]
+        self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
         self._neighbours = neighbours(log)
