@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.clock import LONGEST_S, cut
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
@@ -29,8 +30,12 @@ RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
 MARGIN_S: Final = 1.0
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""
-STRIDE: Final = 2
-"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms will do."""
+STRIDES: Final = (2, 10)
+"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ..."""
+SLOW_ROWS_S: Final = 0.04
+"""... and 10 ms where the wheel speeds come in slower rows."""
+SAME_START_M: Final = 0.01
+FEWEST_STARTS: Final = 4
 
 
 class PoseStage:
@@ -59,7 +64,8 @@ class PoseStage:
     ) -> None:
         log = paired(log)
         self.log, self.robot = log, robot
-        self.period_s = STRIDE * robot.period_s
+        self.period_s = stride(log) * robot.period_s
+        self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
         self._neighbours = neighbours(log)
         self.left, self.right = self._sides(drive)
@@ -289,6 +295,27 @@ class PoseStage:
         t, v = (np.concatenate(column) for column in zip(*pieces, strict=True))
         low, high = np.searchsorted(t, [start_s, end_s])
         return t[low:high], v[low:high]
+
+
+def stride(log: MeasuredLog) -> int:
+    """Return how many plant slices a step of the pose takes."""
+    periods = [row_period_s(log[n]) for n in SPEEDS if n in log]
+    return STRIDES[bool(periods) and min(periods) > SLOW_ROWS_S]
+
+
+def begins_anew(log: MeasuredLog) -> bool:
+    """Return whether the navigation's frame begins anew with every segment.
+
+    Place and heading in the room are not known then.
+    """
+    if not log.has(*POSITION) or len(log.spans) < FEWEST_STARTS:
+        return False
+    starts = []
+    for name in POSITION:
+        channel = log[name]
+        _, first = np.unique(channel.span, return_index=True)
+        starts.append(channel.values[first])
+    return all(len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts)
 
 
 def neighbours(log: MeasuredLog) -> list[list[int]]:

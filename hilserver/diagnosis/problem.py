@@ -167,7 +167,14 @@ class Problem:
         """Whiten raw columns, shape (n,) or (n, k), channel by channel and segment by segment."""
         two = columns[:, None] if columns.ndim == 1 else columns
         out = np.empty_like(two)
+        white = {n for n in self.stack.channels if self.noise[n].ou_sd == 0.0}
+        for name in white:
+            edge = self.stack.edges[name]
+            scale = np.sqrt(self.weights[edge]) / self.noise[name].white_sd
+            out[edge] = scale[:, None] * two[edge]
         for name, _, part in self._runs:
+            if name in white:
+                continue
             whitener = Whitener(self.noise[name])
             out[part] = whitener.whiten(self.stack.t_s[part], two[part], self.weights[part])
         return out[:, 0] if columns.ndim == 1 else out

@@ -20,7 +20,8 @@ from hilserver.plant.parameters import RobotParameters
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
-NEEDS_DUTY = {"coulomb_friction", "dead_zone", "viscous_load", "stribeck_friction", "wheel_load"}
+NEEDS_DUTY = {"dead_zone", "stribeck_friction"}
+"""Other loads still show without duty where they keep wheels from their set-points."""
 NEEDS_POSITION = {
     "wheel_radius",
     "longitudinal_slip",
@@ -37,6 +38,7 @@ NEEDS_POSITION = {
     "nav_position_bias",
     "nav_frame_yaw",
 }
+NEEDS_PLACE = {"surface_change", "floor_slope", "heading_distortion", "nav_position_bias"}
 NEEDS_YAW = {"nav_frame_yaw", "yaw_latency", "heading_distortion"}
 NEEDS_GYRO = {"gyro_bias", "gyro_scale", "imu_latency"}
 NEEDS_STAMPS = {
@@ -115,17 +117,15 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
             reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
             if YAW in log or GYRO in log:
                 reasons.pop("wheel_radius", None)
+        if stage.begins_anew:
+            text = "the navigation's frame begins anew with every segment"
+            reasons |= dict.fromkeys(NEEDS_PLACE, text)
         if YAW not in log:
             reasons |= dict.fromkeys(NEEDS_YAW, "no navigation yaw in the log")
         if GYRO not in log:
             reasons |= dict.fromkeys(NEEDS_GYRO, "no turn rate in the log")
     if not log.has_stamps:
         reasons |= dict.fromkeys(NEEDS_STAMPS, "the log has no time stamps")
-    if not any(n in log for n in DUTIES):
-        # without duty friction can still be seen where it keeps wheels from their set-points
-        for cause in NEEDS_DUTY - {"wheel_load"}:
-            reasons.pop(cause, None)
-        reasons.pop("wheel_load", None)
     return [c for c in found if c.cause not in reasons], reasons
 
 

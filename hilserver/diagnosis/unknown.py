@@ -5,6 +5,7 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -40,12 +41,16 @@ class Family:
     columns: Array
 
 
+GRID_S = 0.02
+
+
 class _Motion:
     """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
 
-    def __init__(self, problem: Problem, point: Point, stride: int = 10) -> None:
+    def __init__(self, problem: Problem, point: Point) -> None:
         assert isinstance(problem.stage, PoseStage)
         stage = self.stage = problem.stage
+        stride = max(round(GRID_S / stage.period_s), 1)
         self.problem, self.stride = problem, stride
         dense = stage.simulate(point.model.terms, point.poses)
         self.dt = stage.period_s * stride
@@ -124,8 +129,9 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     columns = [m.column(*d) for h in heading for d in
                ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
                 (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)))]  # fmt: skip
-    families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
-    if POSITION[0] in problem.stack.edges:
+    if not m.stage.begins_anew:
+        families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
+    if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
         shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
                   np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
         families.append(family("place", POSITION, shapes))
@@ -280,7 +286,7 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
             change = np.flatnonzero(np.abs(np.diff(s)) > 4.0) + 1
-            for a, b in zip(change, [*change[1:], len(ts)], strict=True):
+            for a, b in itertools.pairwise([*change, len(ts)]):
                 end = ts[b - 1] if b < len(ts) else ts[-1]
                 low, high = np.searchsorted(t, [ts[a] + 0.25, min(end, ts[a] + 3.0)])
                 if high - low < 5:

@@ -23,6 +23,8 @@ MISSING_ROWS = 0.05
 MISSING_IN_BURSTS = 0.02
 ALTERNATING = 0.35
 """Share of steps against the one before, in a channel with noise of its own."""
+SLOWEST_S = 0.22
+"""Slower channels keep no steady clock of which one could say that a sample is missing."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -101,8 +103,8 @@ def _missing(channel: Channel, fewest: int) -> float:
     if len(steps) < 200:
         return 0.0
     means = np.convolve(steps, np.ones(20) / 20, mode="valid")
-    period_s = float(np.quantile(means, 0.3))
-    if period_s <= 0 or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
+    period_s = max(float(np.quantile(means, 0.3)), float(np.median(steps)))
+    if not 0 < period_s < SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
     lost[lost < fewest] = 0
