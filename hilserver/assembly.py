@@ -38,6 +38,8 @@ class Assembly:
 
     Attributes
     ----------
+    config : Config
+        What is in force: `from_file` and what options of the command line changed in it.
     path : Path or None
         The configuration file; relative paths in it are relative to its folder.
     base_period_ns : int
@@ -48,6 +50,7 @@ class Assembly:
     """
 
     config: Config
+    from_file: Config
     path: Path | None
     robot: RobotParameters
     table: SignalTable
@@ -150,7 +153,9 @@ class _Builder:
             hall=robot.hall,
             fitted=None if self._patch is None else fitted_limits(self._patch.model),
         )
-        return Assembly(config, self._path, robot, table, base_ns, slices, composition, self._patch)
+        return Assembly(
+            config, config, self._path, robot, table, base_ns, slices, composition, self._patch
+        )
 
     def _robot(self, periods_s: dict[str, float]) -> RobotParameters:
         config = self._config

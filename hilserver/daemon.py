@@ -367,7 +367,7 @@ class Daemon:
             faults=self.faults.counts,
             tasks=lambda: len(asyncio.all_tasks()),
             kernel_hash=kernel_hash(),
-            config_sha256=self.config.sha256,
+            config_sha256=lambda: self.config.sha256,
         )
 
     def _make_http(self) -> HttpServer:

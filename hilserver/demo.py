@@ -6,12 +6,13 @@ short-circuited: what the demo shows is what a real controller gets.
 
 import asyncio
 import contextlib
+import dataclasses
 import re
 import signal
 import sys
 from collections.abc import AsyncIterator
 
-from hilserver.assembly import Assembly, assemble_config
+from hilserver.assembly import Assembly
 from hilserver.controller.nodes import demo_peer
 from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
@@ -89,4 +90,4 @@ def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     config = assembly.config.model_copy(
         update={"peers": (demo_peer(endpoint),), "control": control}
     )
-    return assemble_config(config, assembly.folder, assembly.patch)
+    return dataclasses.replace(assembly, config=config)

@@ -74,13 +74,13 @@ class Reloader:
 
     Attributes
     ----------
-    config : Config
-        What is in force, as far as it can change while running.
+    from_file : Config
+        The file's values that are in force: what options of the command line replaced is no change.
     """
 
     def __init__(self, daemon: Daemon) -> None:
         self._daemon = daemon
-        self.config = daemon.config
+        self.from_file = daemon.assembly.from_file
         self._lock = asyncio.Lock()
 
     async def reload(self) -> bool:
@@ -101,7 +101,7 @@ class Reloader:
             return True
 
     def _apply(self, new: Config) -> None:
-        found = changes(self.config, new)
+        found = changes(self.from_file, new)
         uses: set[str] = set()
         for change in found:
             begin = next((key for key in RELOADABLE if change.key.startswith(key)), None)
@@ -121,14 +121,17 @@ class Reloader:
                 _log.info("reload: changed", key=change.key, before=change.before, now=change.after)
         if not found:
             _log.info("reload: the configuration has not changed")
-        self.config = self.config.model_copy(
-            update={
-                "logging": new.logging,
-                "scheduler": self.config.scheduler.model_copy(
-                    update={"limits": new.scheduler.limits}
-                ),
-                "control": self.config.control.model_copy(
-                    update={"opcua_stale_after_ms": new.control.opcua_stale_after_ms}
-                ),
-            }
-        )
+        self.from_file = _reloaded(self.from_file, new)
+        self._daemon.config = _reloaded(self._daemon.config, new)
+
+
+def _reloaded(config: Config, new: Config) -> Config:
+    """Return `config` with those values of `new` that can change while running."""
+    limits, stale_ms = new.scheduler.limits, new.control.opcua_stale_after_ms
+    return config.model_copy(
+        update={
+            "logging": new.logging,
+            "scheduler": config.scheduler.model_copy(update={"limits": limits}),
+            "control": config.control.model_copy(update={"opcua_stale_after_ms": stale_ms}),
+        }
+    )

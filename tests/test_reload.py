@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 import structlog
 
-from hilserver.assembly import assemble
+from hilserver.assembly import Assembly, assemble
+from hilserver.commands import run
 from hilserver.config.root import Config
 from hilserver.daemon import Daemon
+from hilserver.demo import demo_assembly
 from hilserver.reload import RELOADABLE, Reloader, changes
 from hilserver.scheduler import OverrunLimits
 from tests.commands.test_cli import write_config
@@ -59,7 +61,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
             assert not await reloader.reload()
         [line] = said
         assert "config.yaml:4: unknown key 'plant.max_rmp'" in line["reason"]
-        assert reloader.config == daemon.config
+        assert reloader.from_file == daemon.config
 
         path.write_text(
             good
@@ -79,7 +81,34 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
         }
         assert given == [OverrunLimits(single_ns=0, consecutive=7)]
         assert daemon.supervision.opcua_stale_after_ms == 250.0
+        assert daemon.config.control.opcua_stale_after_ms == 250.0
+        after = daemon.metrics.render()[0].decode()
+        assert f'config="{daemon.config.sha256}"' in after, "hil_build_info names what is in force"
+        assert daemon.config.sha256 != daemon.assembly.config.sha256
 
         with structlog.testing.capture_logs() as said:  # what waits for a restart is told again
             assert await reloader.reload()
         assert [line.get("key") for line in said] == ["plant.max_rpm"]
+
+
+def recorded(assembly: Assembly, path: Path) -> Assembly:
+    return run._recorded(assembly, path.with_name("out.mcap"))
+
+
+def demonstrated(assembly: Assembly, _: Path) -> Assembly:
+    return demo_assembly(assembly, "opc.tcp://127.0.0.1:1/x")
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "other.yaml"])
+@pytest.mark.parametrize("option", [recorded, demonstrated])
+async def test_what_options_replaced_is_no_change(tmp_path, option, name) -> None:
+    path = write_config(tmp_path).rename(tmp_path / name)
+    reloader = Reloader(Daemon(option(assemble(path), path)))
+    with structlog.testing.capture_logs() as said:
+        assert await reloader.reload()
+    assert [line["event"] for line in said] == ["reload: the configuration has not changed"]
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f"{text}recording: {{buffer_mb: 33}}\n", encoding="utf-8")
+    with structlog.testing.capture_logs() as said:
+        assert await reloader.reload()
+    assert [line["key"] for line in said] == ["recording.buffer_mb"]

@@ -82,11 +82,12 @@ def run(args: argparse.Namespace) -> int:
     path = config_path(args)
     config = load_config(path).opcua
     folder = Path.cwd() if path is None else path.resolve().parent
+    key = config.private_key
     trust = TrustList(folder / config.certificates)
     trust.make_folders()
     try:
         if args.action in ("make", "renew"):
-            return _make(trust, config, args)
+            return _make(trust, config, None if key is None else folder / key, args)
         if args.action == "list":
             return _list(trust, args.expiring)
         return _move(trust, args.action, args.certificate)
@@ -97,17 +98,20 @@ def run(args: argparse.Namespace) -> int:
 # --- our own ------------------------------------------------------------------------------------
 
 
-def _make(trust: TrustList, config: OpcUaConfig, args: argparse.Namespace) -> int:
+def _make(
+    trust: TrustList, config: OpcUaConfig, private_key: Path | None, args: argparse.Namespace
+) -> int:
     own = trust.folder / "own"
-    certificate_path, key_path = own / "certificate.der", own / "key.pem"
+    certificate_path, key_path = own / "certificate.der", private_key or own / "key.pem"
     hosts = args.host
     if args.action == "make":
-        if certificate_path.exists() or key_path.exists():
-            raise FailedError(f"{own} has a certificate already; use 'hilserver certs renew'")
+        for path in (certificate_path, key_path):
+            if path.exists():
+                raise FailedError(f"{path} exists already; use 'hilserver certs renew'")
         key = make_key()
         hosts = hosts or _hosts_of(config)
     else:
-        old, key = trust.own(config.private_key)
+        old, key = trust.own(private_key)
         hosts = hosts or host_names(old)
         key = make_key() if args.new_key else key
     if args.days < 1:

@@ -40,6 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--each", action="store_true", help="a report for every log, in a folder of its name"
     )
     parser.add_argument(
+        "--test",
+        nargs="+",
+        type=Path,
+        metavar="LOG",
+        help="other logs of the machine: the gain is measured on them, nothing is fitted to them",
+    )
+    parser.add_argument(
         "--dask", metavar="ADDRESS", help="with --each: on this Dask cluster, as tcp://host:8786"
     )
     parser.add_argument(
@@ -72,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
     task = Task(
         logs=tuple(args.compare or args.logs),
         against=tuple(args.against or ()),
+        test=tuple(args.test or ()),
         config=config_path(args),
         mapping=args.mapping,
         seed=args.seed,
@@ -97,6 +105,8 @@ def _check(args: argparse.Namespace) -> None:
         raise FailedError("--compare A... --against B... takes no other logs and no --each")
     if not args.compare and not args.logs:
         raise FailedError("name at least one log, or two sets with --compare and --against")
+    if args.test and (args.compare or args.each):
+        raise FailedError("--test goes with the logs of one diagnosis, not --compare or --each")
     if args.dask and not args.each:
         raise FailedError("--dask distributes many logs: use it with --each")
     if args.out.exists() and not args.out.is_dir():

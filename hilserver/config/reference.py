@@ -23,11 +23,15 @@ is left out has its default. Units stand at the end of the names.
 
 def as_markdown() -> str:
     """Return the reference as Markdown."""
-    rows = [
-        f"| `{key}` | {_type(field.annotation)} | {_default(field)} | {_text(field)} |"
-        for key, field in _leaves(Config, "")
-    ]
-    return HEAD + "\n".join(rows) + "\n"
+    return HEAD + rows_of(Config)
+
+
+def rows_of(model: type[BaseModel], prefix: str = "") -> str:
+    """Return a row of the table for every key of a model."""
+    return "".join(
+        f"| `{key}` | {_type(field.annotation)} | {_default(field)} | {_text(field)} |\n"
+        for key, field in _leaves(model, prefix)
+    )
 
 
 def _leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, FieldInfo]]:

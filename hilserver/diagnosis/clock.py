@@ -27,6 +27,8 @@ class Segments:
         First row of each segment in the dense arrays, and their end.
     period_s : float
         Time between rows.
+    lead_s : float
+        The dense arrays begin this long before the segment: what comes late began there.
     """
 
     span: Indices
@@ -34,6 +36,7 @@ class Segments:
     end_s: Array
     first: Indices
     period_s: float
+    lead_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.span)
@@ -43,10 +46,15 @@ class Segments:
         """Rows of the dense arrays."""
         return int(self.first[-1])
 
+    @property
+    def longest_s(self) -> float:
+        """Length of the longest segment; 0 without any."""
+        return float((self.end_s - self.start_s).max(initial=0.0))
+
     def times(self, index: int) -> Array:
         """Return the times of the rows of a segment."""
         n = int(self.first[index + 1] - self.first[index])
-        return np.asarray(self.start_s[index] + self.period_s * np.arange(n))
+        return np.asarray(self.start_s[index] - self.lead_s + self.period_s * np.arange(n))
 
     def locate(self, span: Indices, t_s: Array) -> tuple[Indices, Array]:
         """Return the segment of each sample (-1: none) and its row as a fraction."""
@@ -57,11 +65,14 @@ class Segments:
             t = t_s[low:high]
             a, b = low + np.searchsorted(t, [self.start_s[i] - 1e-9, self.end_s[i] - 1e-9])
             segment[a:b] = i
-            at[a:b] = self.first[i] + (t_s[a:b] - self.start_s[i]) / self.period_s
+            since_s = t_s[a:b] - self.start_s[i] + self.lead_s
+            at[a:b] = self.first[i] + since_s / self.period_s
         return segment, at
 
 
-def cut(log: MeasuredLog, period_s: float, longest_s: float | None) -> Segments:
+def cut(
+    log: MeasuredLog, period_s: float, longest_s: float | None, lead_s: float = 0.0
+) -> Segments:
     """Cut the spans of a log into segments of equal length, at most `longest_s`."""
     span: list[int] = []
     edges: list[tuple[float, float]] = []
@@ -76,8 +87,15 @@ def cut(log: MeasuredLog, period_s: float, longest_s: float | None) -> Segments:
             end = s.end_s + period_s if k == n - 1 else s.start_s + (k + 1) * step
             edges.append((s.start_s + k * step, end))
     start, end_s = (np.array(e) for e in zip(*edges, strict=True)) if edges else ([], [])
-    ticks = np.ceil((np.asarray(end_s) - np.asarray(start)) / period_s).astype(np.int64) + 2
+    lead_s = period_s * round(lead_s / period_s)
+    length = np.asarray(end_s) - np.asarray(start) + lead_s
+    ticks = np.ceil(length / period_s).astype(np.int64) + 2
     first = np.concatenate([[0], np.cumsum(ticks)]).astype(np.int64)
     return Segments(
-        np.array(span, dtype=np.int64), np.asarray(start), np.asarray(end_s), first, period_s
+        np.array(span, dtype=np.int64),
+        np.asarray(start),
+        np.asarray(end_s),
+        first,
+        period_s,
+        lead_s,
     )

@@ -39,6 +39,9 @@ INPUTS: Final[Mapping[str, int]] = {
 }
 NOMINAL_V: Final = 19.2
 SETTLING_S: Final = 1.0
+SMOOTHING_S: Final = 2.0
+LATELY_S: Final = 0.02
+"""A voltage is used where the load did not change for so long: the sensor may lag."""
 
 
 class DriveStage:
@@ -66,8 +69,11 @@ class DriveStage:
             skip_s=0.0 if self._at_rest() else SETTLING_S,
         )
         self._inputs, self._row = self._latched()
-        self._volts = self._voltage()
         self._speed_0 = self._start()
+        self._volts = np.full(self.segments.ticks, NOMINAL_V)
+        if "battery.voltage_v" in log:
+            _, _, duty = self.simulate({})
+            self._volts = self._voltage(np.abs(duty).sum(axis=1))
 
     @staticmethod
     def judges(log: MeasuredLog) -> bool:
@@ -178,16 +184,40 @@ class DriveStage:
                     rows.append(now.copy())
         return np.array(rows), index
 
-    def _voltage(self) -> Array:
+    def _voltage(self, load: Array) -> Array:
+        """Return the battery voltage at every tick, without the noise of its sensor.
+
+        Noise on the voltage would drive the simulated loop. So the voltage is taken apart: what
+        follows the load at once (the simulated sum of the duties), and what is left, smoothed.
+        """
         volts = np.full(self.segments.ticks, NOMINAL_V)
-        if "battery.voltage_v" not in self.log:
-            return volts
         for i, span in enumerate(self.segments.span):
             t, v = self.log["battery.voltage_v"].of(int(span))
-            if len(t):
-                part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
-                volts[part] = np.interp(self.segments.times(i), t, v)
+            if len(t) < 2:
+                continue
+            part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
+            ticks = self.segments.times(i)
+            at_samples = np.interp(t, ticks, load[part])
+            lately = np.interp(t - LATELY_S, ticks, load[part])
+            calm = np.abs(at_samples - lately) < 5.0
+            if calm.sum() < 10:
+                continue
+            t, v, at_samples = t[calm], v[calm], at_samples[calm]
+            width = max(1, round(SMOOTHING_S / float(np.median(np.diff(t)))))
+            fast_v, fast_load = v - _mean(v, width), at_samples - _mean(at_samples, width)
+            drop = float(fast_load @ fast_v) / max(float(fast_load @ fast_load), 1e-9)
+            slow = _mean(v - drop * at_samples, width)
+            volts[part] = np.interp(ticks, t, slow) + drop * load[part]
         return volts
+
+
+def _mean(values: Array, width: int) -> Array:
+    """Return the moving mean over `width` samples, shorter at the ends."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(len(values))
+    low = np.maximum(index - width // 2, 0)
+    high = np.minimum(index + width // 2 + 1, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low))
 
 
 def quantum(robot: RobotParameters) -> float:

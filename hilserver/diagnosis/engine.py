@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.assembly import Assembly
+from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
@@ -26,6 +27,7 @@ from hilserver.diagnosis.findings import (
 from hilserver.diagnosis.gain import crossed, gains, held_out
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.model import Fitted, Model
+from hilserver.diagnosis.other_logs import gain_on
 from hilserver.diagnosis.outcome import extension, lost, named, outliers, structure
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import Scores, critical, null_maxima
@@ -53,7 +55,7 @@ Tell = Callable[[str, float], None]
 
 HORIZON_S = 5.0
 LEAST_GAIN = 10.0
-LOST_SHARE = 0.02
+LOST_SHARE = 0.01
 DRIVEN = ("speed_rpm", "duty_pct")
 
 
@@ -82,6 +84,7 @@ def diagnose(
     seed: int = 0,
     jobs: int = 2,
     progress: Tell | None = None,
+    test: MeasuredLog | None = None,
 ) -> Diagnosis:
     """Judge measured data of the machine that a configuration describes; see `judge`."""
     return judge(
@@ -91,6 +94,7 @@ def diagnose(
         seed=seed,
         jobs=jobs,
         progress=progress,
+        test=test,
     )
 
 
@@ -103,6 +107,7 @@ def judge(
     jobs: int = 2,
     horizon_s: float = HORIZON_S,
     progress: Tell | None = None,
+    test: MeasuredLog | None = None,
 ) -> Diagnosis:
     """Judge measured data of one machine.
 
@@ -119,6 +124,8 @@ def judge(
         Length of the free runs that the gain is told for.
     progress : callable, optional
         Called with what is being done and its share.
+    test : MeasuredLog, optional
+        Other logs of the machine: the total gain is measured on these, and nothing else is.
     """
     started = time.perf_counter()
     timings: dict[str, float] = {}
@@ -144,11 +151,22 @@ def judge(
         fitted |= _findings(stage, j, found)
     lap("structure")
     tell("measuring the gain", 0.0)
-    totals, before, after = _gains(judged, horizon_s, rng)
+    own, before, after = _gains(judged, horizon_s, rng)
+    totals, notices = own, log.notices
+    if test is not None:
+        models = {stage: j.point.model for stage, j in judged.items()}
+        totals = gain_on(check(test, robot).log, robot, models, horizon_s, rng)
+        files = ", ".join(s.file for s in test.sources)
+        notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
     found = [
-        _with_gain(f, fitted.get(i), judged, totals, after, horizon_s, rng)
+        _with_gain(f, fitted.get(i), judged, own, after, horizon_s, rng)
         for i, f in enumerate(found)
     ]
+    ceiling: dict[str, float] = {}
+    for stage, j in judged.items():
+        p = j.prepared
+        p.library.rewhiten(j.point)
+        ceiling |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
     sizes, unseen = _detectable(judged, rng)
     lap("gain")
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
@@ -162,13 +180,13 @@ def judge(
         baseline={key: gain.before for key, gain in totals.items()},
         findings=tuple(found),
         total_gain=totals if fitted else {},
-        ceiling={},
+        ceiling=ceiling,
         smallest_detectable=tuple(sizes),
         not_judged=(
             *unseen,
             *(NotJudged(cause=c, reason=r) for c, r in reasons.items()),
         ),
-        notices=log.notices,
+        notices=notices,
     )
     terms = extension(found, fitted)
     shown = {
@@ -206,11 +224,13 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
         if point.model.fitted:
             point, ties = settle(p.library, point)
             point = prune(p.problem, point, LEAST_GAIN)
-        unknown = remaining(p.problem, point, rng, families_of(p.problem, point))
+        explained = max(p.base.deviance - point.deviance, 0.0)
+        unknown = remaining(p.problem, point, rng, families_of(p.problem, point), explained)
         for index in reversed(without_unknown(p.problem, point, unknown)):
             point = fit(p.problem, point.model.without(index), point, iterations=3)
         if unknown:
-            unknown = remaining(p.problem, point, rng, families_of(p.problem, point)) or unknown
+            again = remaining(p.problem, point, rng, families_of(p.problem, point), 0.0)
+            unknown = again or unknown
         drift = drifting(p.problem, point, rng)
         scores = p.library.scores(p.base)
         kept = {c: t for c, t in ties.items() if c in point.model.causes}

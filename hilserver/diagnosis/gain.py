@@ -4,7 +4,7 @@ A free run starts at the measured pose of a window and is compared at its end; w
 every `horizon / 2`. Blocks alternate between training and test, both ways round.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings import Gain
 from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
+from hilserver.diagnosis.pose_stage import GYRO, POSITION, TAG, YAW
 from hilserver.diagnosis.problem import Point, Problem, fit
 
 Array = NDArray[np.float64]
 
 RESAMPLES = 400
+FEWEST_RUNS = 4
+SEGMENTS_APART_S = 1e7
+"""Longer than any segment; tells the stamps of two segments apart."""
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 
@@ -64,38 +67,67 @@ def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> 
 
 @dataclass(frozen=True)
 class Windows:
-    """Pairs of samples of the tag: start and end of free runs, as indices into its channels."""
+    """Free runs: where they begin and end, as indices into the samples of each channel.
 
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
+    Attributes
+    ----------
+    start, end : mapping of str to ndarray of int64, shape (n,)
+    horizon_s : float
+        Their mean length.
+    """
+
+    start: Mapping[str, NDArray[np.int64]]
+    end: Mapping[str, NDArray[np.int64]]
     horizon_s: float
 
 
 def windows(problem: Problem, horizon_s: float) -> Windows | None:
-    """Return free runs of one length inside segments; whole segments where they are shorter."""
+    """Return free runs of one length inside segments; whole segments where they are shorter.
+
+    An infinite horizon means all segments whole.
+    """
     stack = problem.stack
-    name = POSITION[0] if POSITION[0] in stack.edges else YAW
-    if name not in stack.edges:
+    names = [n for n in TAG if n in stack.edges]
+    if not names:
         return None
-    edge = stack.edges[name]
+    edge = stack.edges[names[0]]
     t, segment = stack.t_s[edge], stack.segment[edge]
     bounds = np.flatnonzero(np.diff(segment)) + 1
-    starts, ends = [], []
-    for a, b in zip([0, *bounds.tolist()], [*bounds.tolist(), len(t)], strict=True):
-        if b - a < 3:
+    stretches = [
+        (int(segment[a]), t[a:b])
+        for a, b in zip([0, *bounds.tolist()], [*bounds.tolist(), len(t)], strict=True)
+        if b - a >= 3
+    ]
+    longest_s = max((float(np.ptp(own)) for _, own in stretches), default=0.0)
+    whole, horizon_s = np.isinf(horizon_s), min(horizon_s, longest_s)
+    runs: list[tuple[int, float, float]] = []
+    for number, own in stretches:
+        length = float(np.ptp(own))
+        if whole or length < 1.5 * horizon_s:
+            if whole or length > 0.6 * horizon_s:
+                runs.append((number, own[0], own[-1]))
             continue
-        if t[b - 1] - t[a] < 1.5 * horizon_s:
-            if t[b - 1] - t[a] > 0.6 * horizon_s:
-                starts.append(a)
-                ends.append(b - 1)
-            continue
-        for begin in np.arange(t[a], t[b - 1] - horizon_s, 0.5 * horizon_s):
-            starts.append(a + int(np.searchsorted(t[a:b], begin)))
-            ends.append(min(a + int(np.searchsorted(t[a:b], begin + horizon_s)), b - 1))
-    if len(starts) < 4:
+        begins = np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s)
+        runs += [(number, begin, begin + horizon_s) for begin in begins]
+    if len(runs) < FEWEST_RUNS:
         return None
-    start, end = np.array(starts), np.array(ends)
-    return Windows(start, end, float(np.mean(t[end] - t[start])))
+    segments, begin, end = (np.array(column) for column in zip(*runs, strict=True))
+    starts = {n: _nearest(problem, n, segments, begin) for n in names}
+    ends = {n: _nearest(problem, n, segments, end) for n in names}
+    length_s = t[ends[names[0]]] - t[starts[names[0]]]
+    return Windows(starts, ends, float(np.mean(length_s)))
+
+
+def _nearest(
+    problem: Problem, name: str, segment: NDArray[np.int64], t_s: Array
+) -> NDArray[np.int64]:
+    """Return the samples of a channel next to some times of some segments."""
+    edge = problem.stack.edges[name]
+    own = problem.stack.segment[edge] * SEGMENTS_APART_S + problem.stack.t_s[edge]
+    wanted = segment * SEGMENTS_APART_S + t_s
+    above = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
+    below = above - 1
+    return np.asarray(np.where(wanted - own[below] < own[above] - wanted, below, above))
 
 
 def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
@@ -104,17 +136,18 @@ def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str,
     values = stack.values
     turn: Array | float = 0.0
     if YAW in stack.edges:
-        edge = stack.edges[YAW]
+        edge, start, end = stack.edges[YAW], w.start[YAW], w.end[YAW]
         measured, said = values[edge], predicted[edge]
-        d = (measured[w.end] - said[w.end]) - (measured[w.start] - said[w.start])
+        d = (measured[end] - said[end]) - (measured[start] - said[start])
         d = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
-        out["yaw_rad"] = Errors(np.abs(d), stack.block[edge][w.end])
-        turn = measured[w.start] - said[w.start]
+        out["yaw_rad"] = Errors(np.abs(d), stack.block[edge][end])
+        turn = measured[start] - said[start]
     if all(n in stack.edges for n in POSITION):
         x, y = (stack.edges[n] for n in POSITION)
+        start, end = w.start[POSITION[0]], w.end[POSITION[0]]
         z, s = values[x] + 1j * values[y], predicted[x] + 1j * predicted[y]
-        move = (s[w.end] - s[w.start]) * np.exp(1j * np.asarray(turn))
-        out["position_m"] = Errors(np.abs(z[w.end] - z[w.start] - move), stack.block[x][w.end])
+        move = (s[end] - s[start]) * np.exp(1j * np.asarray(turn))
+        out["position_m"] = Errors(np.abs(z[end] - z[start] - move), stack.block[x][end])
     return out
 
 
@@ -159,5 +192,5 @@ def gains(
     for key, channels in pairs.items():
         e = [channel_errors(problem, p, channels) for p in (before, after)]
         if e[0] is not None and e[1] is not None:
-            out[key] = compare(e[0], e[1], horizon_s, rng)
+            out[key] = compare(e[0], e[1], 0.0 if np.isinf(horizon_s) else horizon_s, rng)
     return out

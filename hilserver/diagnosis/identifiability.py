@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.selection import Library, Trial, accepted_columns, physical
+from hilserver.diagnosis.selection import Library, Trial, physical
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def cosines(library: Library, point: Point, index: int) -> Array:
     What the other accepted causes explain is taken out of both.
     """
     problem, f = library.problem, point.model.fitted[index]
-    columns = accepted_columns(problem, point)
+    columns = problem.accepted(point)
     assert columns is not None
     columns = columns[library.blocks.order]
     begin = sum(g.candidate.n for g in point.model.fitted[:index])

@@ -5,17 +5,23 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.selection import accepted_columns
 
 Array = NDArray[np.float64]
 
+MODEL_SHARE = 0.005
+"""Share of a value that the plant's own steps of time may cost: no machine runs at them."""
 
-def covariance(problem: Problem, point: Point) -> tuple[Array, int]:
+
+def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[Array, int]:
     """Return the covariance of a model's parameters and its degrees of freedom.
 
     The larger of the sandwich over the blocks and the one that trusts the noise model.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, k)
+        Whitened sensitivities, initial poses projected out (`Problem.accepted`).
     """
-    columns = accepted_columns(problem, point)
     assert columns is not None
     n, k = problem.stack.n_blocks, columns.shape[1]
     scale = np.sqrt((columns**2).sum(axis=0)) + 1e-300
@@ -39,8 +45,8 @@ def intervals(problem: Problem, point: Point, extra: Array | None = None) -> Arr
     extra : ndarray, shape (k,), optional
         Standard deviations to add for what is rounded (a delay to whole ticks).
     """
-    cov, dof = covariance(problem, point)
-    variance = np.diag(cov).copy()
+    cov, dof = covariance(problem, point, problem.accepted(point))
+    variance = np.diag(cov) + (MODEL_SHARE * point.model.theta()) ** 2
     if extra is not None:
         variance += extra**2
     half = stats.t.ppf(0.975, max(dof, 2)) * np.sqrt(variance)

@@ -302,6 +302,23 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
     ]
     if place is not None:
         found += _surfaces(place)
+        found += [
+            replace(
+                _several(
+                    "nav_position_bias",
+                    f"nav_position_bias@{length:g}",
+                    stage,
+                    ("nav_position_bias.amplitude",),
+                    (0.02,),
+                    0.02,
+                    {"nav_position_bias.wavelength": length},
+                    -5.0,
+                    5.0,
+                ),
+                hidden=1,
+            )
+            for length in (3.0, 5.0, 8.0, 12.0)
+        ]
     return found
 
 

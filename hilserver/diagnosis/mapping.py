@@ -58,6 +58,7 @@ class ChannelMap(_Section):
     sign: Literal[-1, 1] = Field(1, description="-1 turns it around")
     scale: float | None = Field(None, description="factor, after the unit")
     offset: float = Field(0.0, description="added last, in the signal's unit")
+    optional: bool = Field(default=False, description="true: a log may lack it")
 
     @model_validator(mode="after")
     def _column_or_topic(self) -> Self:

@@ -22,7 +22,7 @@ from hilserver.diagnosis.whitening import (
 )
 from hilserver.diagnosis.windows import Windows
 
-__all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights"]
+__all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
 
 TAU_MAX_S: Final = 5.0
 WINDOW_S: Final = 12.0
@@ -35,6 +35,8 @@ _SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
 _LOGIT_RANGE = (-8.0, 10.0)
 _DOFS = (SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
 _FALLBACK_SD = 1e-9
+_SHORT_DOF = 4.0
+_LAGS = 40
 
 
 def fit_noise(
@@ -73,6 +75,43 @@ def fit_noise(
         model = _fit(windows, tau_max_s, model)
     dof = _tail_dof(windows.innovations(model))
     return NoiseModel(max(model.white_sd, floor_sd), model.ou_sd, model.ou_tau_s, dof)
+
+
+def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
+    """Return white noise that tells as much as the residuals of short segments, and their scale.
+
+    In a segment of a second or two nobody can tell slow noise from what the model misses: a
+    correlation fitted there would swallow the effect that is looked for. So the samples count as
+    white, with the scale of Student's t, and their variance is raised by what their correlation
+    takes from their number.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray
+        Per segment.
+
+    Returns
+    -------
+    NoiseModel
+    float
+        Scale of a sample, for `robust_weights`.
+    """
+    square = np.square(np.concatenate(residuals)) if residuals else np.zeros(0)
+    if len(square) < 8 or not square.max() > 0.0:
+        return NoiseModel(_FALLBACK_SD), _FALLBACK_SD
+    scale = float(np.mean(square))
+    for _ in range(20):
+        scale = float(np.mean(square * (_SHORT_DOF + 1.0) / (_SHORT_DOF + square / scale)))
+    sd = max(math.sqrt(scale), _FALLBACK_SD)
+    bounded = [np.clip(r / sd, -3.0, 3.0) for r in residuals]
+    power = sum(float(r @ r) for r in bounded)
+    total = 1.0
+    for lag in range(1, _LAGS):
+        together = sum(float(r[lag:] @ r[:-lag]) for r in bounded if len(r) > lag) / power
+        if together < 0.05:
+            break
+        total += 2.0 * together
+    return NoiseModel(sd * math.sqrt(total), tail_dof=_SHORT_DOF), sd
 
 
 def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseModel:

@@ -2,19 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
 
 from hilserver.assembly import assemble
+from hilserver.diagnosis.compare import compare
+from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.evidence import Diagnosis
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.reading import read_measured
 from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import EXIT_DONE, UserError
 
 Progress = Callable[[str, float], None]
 """Told the stage and the share of the whole that is done."""
-_ROOM: Final = "hilserver.diagnosis"
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Task:
         Not empty: do these differ from `logs`, and in what?
     mapping : str or None
         Mapping file, or the name of a built-in one.
+    test : tuple of Path
+        Not empty: the gain is measured on these, which take no part in selection or fit.
     jobs : int
         Threads or processes that the diagnosis itself may use; no result depends on it.
     """
@@ -39,6 +41,7 @@ class Task:
     against: tuple[Path, ...] = ()
     seed: int = 0
     jobs: int = 1
+    test: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -63,15 +66,12 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
         If the configuration cannot be used.
     """
     assembly = assemble(task.config)
-    read = _stage("reading", "read_measured")
-    log = read(task.logs, task.mapping)
-    options = {"seed": task.seed, "jobs": task.jobs, "progress": progress}
+    log = read_measured(task.logs, task.mapping)
     if task.against:
-        other = read(task.against, task.mapping)
-        compared: Diagnosis = _stage("compare", "compare")(log, other, assembly, **options)
-        return compared
-    judged: Diagnosis = _stage("engine", "diagnose")(log, assembly, **options)
-    return judged
+        other = read_measured(task.against, task.mapping)
+        return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
+    test = read_measured(task.test, task.mapping) if task.test else None
+    return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test)
 
 
 def run(task: Task, progress: Progress | None = None) -> Outcome:
@@ -82,8 +82,3 @@ def run(task: Task, progress: Progress | None = None) -> Outcome:
         return Outcome(error.exit_code, str(error))
     found = diagnosis.findings
     return Outcome(line=one_line(found), summary=summary(found), files=documents(diagnosis))
-
-
-def _stage(module: str, function: str) -> Any:
-    """Return a stage; only those that a task needs are loaded."""
-    return getattr(import_module(f"{_ROOM}.{module}"), function)

@@ -1,12 +1,14 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.clock import LONGEST_S, cut
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
@@ -21,11 +23,19 @@ Array = NDArray[np.float64]
 POSITION: Final = ("nav.x_m", "nav.y_m")
 YAW: Final = "nav.yaw_rad"
 GYRO: Final = "imu.gyro_z_rad_s"
+GOES_ON_S: Final = 0.11
+"""Largest time between the last row of a segment and the first one of the next."""
 TAG: Final = (*POSITION, YAW)
 RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
 MARGIN_S: Final = 1.0
-STRIDE: Final = 2
-"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms will do."""
+LEAD_S: Final = 0.7
+"""Simulated before a segment begins: what the navigation shows late happened there."""
+STRIDES: Final = (2, 10)
+"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ..."""
+SLOW_ROWS_S: Final = 0.04
+"""... and 10 ms where the wheel speeds come in slower rows."""
+SAME_START_M: Final = 0.01
+FEWEST_STARTS: Final = 4
 
 
 class PoseStage:
@@ -50,12 +60,15 @@ class PoseStage:
         drive: tuple[DriveStage, Array] | None,
         *,
         block_s: float,
-        longest_s: float = LONGEST_S,
+        longest_s: float | None = LONGEST_S,
     ) -> None:
         log = paired(log)
         self.log, self.robot = log, robot
-        self.period_s = STRIDE * robot.period_s
-        self.segments = cut(log, self.period_s, longest_s)
+        self._drive, self._block_s = drive, block_s
+        self.period_s = stride(log) * robot.period_s
+        self.begins_anew = begins_anew(log)
+        self.segments = cut(log, self.period_s, longest_s, LEAD_S)
+        self._neighbours = neighbours(log)
         self.left, self.right = self._sides(drive)
         self.angle_0 = self._angles()
         names = [n for n in (*TAG, GYRO) if n in log]
@@ -66,6 +79,10 @@ class PoseStage:
         self._state = robot.initial_state()
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
         self._tag_rows()
+
+    def uncut(self) -> "PoseStage":
+        """Return the stage with whole spans as its segments."""
+        return PoseStage(self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None)
 
     @staticmethod
     def judges(log: MeasuredLog) -> bool:
@@ -223,13 +240,16 @@ class PoseStage:
         """Return the left wheels' angle at the start of each segment, counted over the span."""
         angle = np.zeros(len(self.segments))
         step = 0.5 * RADIANS_PER_RPM_S * self.segments.period_s
-        for i in range(1, len(self.segments)):
-            if self.segments.span[i] == self.segments.span[i - 1]:
-                first, end = int(self.segments.first[i - 1]), int(self.segments.first[i])
+        lead, rows = round(self.segments.lead_s / self.segments.period_s), self.segments.first
+        for i in range(len(self.segments)):
+            if i and self.segments.span[i] == self.segments.span[i - 1]:
+                first, end = int(rows[i - 1]), int(rows[i])
                 n = round((self.segments.start_s[i] - self.segments.start_s[i - 1])
                           / self.segments.period_s)  # fmt: skip
                 turned = self.left[first : min(first + n, end)].sum() * step
                 angle[i] = angle[i - 1] + turned
+            else:
+                angle[i] = -self.left[rows[i] : rows[i] + lead].sum() * step
         return angle
 
     def _sides(self, drive: tuple[DriveStage, Array] | None) -> tuple[Array, Array]:
@@ -276,9 +296,49 @@ class PoseStage:
     def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
         if name not in self.log:
             return np.zeros(0), np.zeros(0)
-        t, v = self.log[name].of(span)
+        pieces = [self.log[name].of(s) for s in self._neighbours[span]]
+        t, v = (np.concatenate(column) for column in zip(*pieces, strict=True))
         low, high = np.searchsorted(t, [start_s, end_s])
         return t[low:high], v[low:high]
+
+
+def stride(log: MeasuredLog) -> int:
+    """Return how many plant slices a step of the pose takes."""
+    periods = [row_period_s(log[n]) for n in SPEEDS if n in log]
+    return STRIDES[bool(periods) and min(periods) > SLOW_ROWS_S]
+
+
+def begins_anew(log: MeasuredLog) -> bool:
+    """Return whether the navigation's frame begins anew with every segment.
+
+    Place and heading in the room are not known then.
+    """
+    if not log.has(*POSITION) or len(log.spans) < FEWEST_STARTS:
+        return False
+    starts = []
+    for name in POSITION:
+        channel = log[name]
+        _, first = np.unique(channel.span, return_index=True)
+        starts.append(channel.values[first])
+    return all(len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts)
+
+
+def neighbours(log: MeasuredLog) -> list[list[int]]:
+    """Return each span with those before and behind it that the same drive goes on in.
+
+    Only spans of one block count: between blocks time runs on although the drive does not.
+    """
+    spans = log.spans
+    joined = [
+        a.block is not None and a.block == b.block and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
+        for a, b in pairwise(spans)
+    ]
+    out = []
+    for i in range(len(spans)):
+        first = i - 1 if i and joined[i - 1] else i
+        last = i + 1 if i < len(joined) and joined[i] else i
+        out.append(list(range(first, last + 1)))
+    return out
 
 
 def paired(log: MeasuredLog) -> MeasuredLog:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.drive_stage import DriveStage
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise
+from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.pose_stage import PoseStage
 from hilserver.diagnosis.stack import Stack
 
@@ -26,6 +26,8 @@ MOST_IN_A_ROW = 4
 WHITE = 0.05
 """Largest autocorrelation at the first lags of a channel that is taken for white at once."""
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
+SHORT_S = 6.0
+"""In segments that are all shorter the noise counts as white, see `short_noise`."""
 
 
 def lonely(white: Array) -> NDArray[np.bool_]:
@@ -52,6 +54,19 @@ def _plain(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
         if abs(together) > WHITE * power:
             return None
     return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
+
+
+def _differences(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
+    """Return the white noise that neighbouring samples show.
+
+    The drive's sensors have no memory: what is correlated there is an effect, and at every moment
+    but the transients it is the same in two neighbours.
+    """
+    steps = np.concatenate([np.diff(r) for _, r in parts])
+    sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
+    if sd <= 0.0 and len(steps):
+        sd = float(np.std(steps)) / np.sqrt(2.0)
+    return NoiseModel(max(sd, 1e-6))
 
 
 @dataclass(frozen=True)
@@ -152,7 +167,14 @@ class Problem:
         """Whiten raw columns, shape (n,) or (n, k), channel by channel and segment by segment."""
         two = columns[:, None] if columns.ndim == 1 else columns
         out = np.empty_like(two)
+        white = {n for n in self.stack.channels if self.noise[n].ou_sd == 0.0}
+        for name in white:
+            edge = self.stack.edges[name]
+            scale = np.sqrt(self.weights[edge]) / self.noise[name].white_sd
+            out[edge] = scale[:, None] * two[edge]
         for name, _, part in self._runs:
+            if name in white:
+                continue
             whitener = Whitener(self.noise[name])
             out[part] = whitener.whiten(self.stack.t_s[part], two[part], self.weights[part])
         return out[:, 0] if columns.ndim == 1 else out
@@ -217,6 +239,13 @@ class Problem:
             out[:, j] = self._difference(self.predict(terms, point.poses), base) / step[j]
         return out
 
+    def accepted(self, point: Point) -> Array | None:
+        """Return whitened, projected sensitivities of a model's own parameters."""
+        if not point.model.fitted:
+            return None
+        bases = self.bases(self.nuisance(point.predicted, point.poses))
+        return self.project(self.whiten(self.columns(point, point.model)), bases)
+
     def column(self, point: Point, candidate: Candidate) -> Array:
         """Return the raw effect of a candidate per unit, or at its start value; shape (n, k)."""
         if not candidate.linear:
@@ -245,9 +274,15 @@ class Problem:
     # --- noise ------------------------------------------------------------------------------------
     def learn_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
+        if self.stage.segments.longest_s < SHORT_S:
+            self._learn_short_noise(raw)
+            return
         for name in self.stack.channels:
             parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
-            self.noise[name] = _plain(parts) or fit_noise(parts)
+            if isinstance(self.stage, DriveStage):
+                self.noise[name] = _differences(parts)
+            else:
+                self.noise[name] = _plain(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
         for _ in range(2):
             white = self.whiten(raw)
@@ -255,6 +290,14 @@ class Problem:
                 if name in self.stack.edges:
                     edge = self.stack.edges[name]
                     self.weights[edge] *= ~lonely(white[edge])
+
+    def _learn_short_noise(self, raw: Array) -> None:
+        self.weights = np.ones(len(self.stack))
+        for name in self.stack.channels:
+            mine = [part for n, _, part in self._runs if n == name]
+            self.noise[name], scale = short_noise([raw[part] for part in mine])
+            for part in mine:
+                self.weights[part] = robust_weights(raw[part] / scale, self.noise[name].tail_dof)
 
 
 Progress = Callable[[str, float], None]

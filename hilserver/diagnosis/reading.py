@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.bag import is_bag, read_bag
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
-from hilserver.diagnosis.mapping import LogMapping, load_mapping
-from hilserver.diagnosis.tables import Recording, Stamped, read_mapped_csv, read_own
+from hilserver.diagnosis.mapping import LogMapping, builtin_mappings, load_mapping
+from hilserver.diagnosis.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
 from hilserver.errors import LogError
 
 SHORTEST_S = 1.0
@@ -34,8 +35,10 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
     recordings = [_read(path, table) for path in paths]
     if not recordings:
         raise LogError("there is no log; name at least one")
+    sources = tuple(Source(str(path), _sha256(path)) for path in paths)
+    _refuse_others(sources, recordings)
     log = MeasuredLog(
-        sources=tuple(Source(str(path), _sha256(path)) for path in paths),
+        sources=sources,
         channels={},
         spans=(),
         has_stamps=all(recording.has_stamps for recording in recordings),
@@ -46,7 +49,10 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
 
 
 def _read(path: Path, mapping: LogMapping | None) -> Recording:
-    recording = read_own(path) if mapping is None else read_mapped_csv(path, mapping)
+    try:
+        recording = _by_kind(path, mapping)
+    except OSError as error:
+        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not any(np.isfinite(v).any() for part in recording.parts for v in part.columns.values()):
         raise LogError(f"{path}: holds no sample of any signal; record some, or map its columns")
     seconds = sum(span.end_s - span.start_s for span in _spans(recording, 0)[0])
@@ -55,6 +61,41 @@ def _read(path: Path, mapping: LogMapping | None) -> Recording:
             f"{path}: holds only {seconds:.3g} s; a diagnosis needs at least {SHORTEST_S:g} s"
         )
     return recording
+
+
+def _by_kind(path: Path, mapping: LogMapping | None) -> Recording:
+    if mapping is None:
+        if path.is_dir() or path.suffix == ".db3":
+            raise LogError(
+                f"{path}: a bag needs a mapping of its topics; name a file or one of"
+                f" {', '.join(builtin_mappings())}"
+            )
+        return read_own_parquet(path) if path.suffix == ".parquet" else read_own(path)
+    if mapping.is_for_bags and is_bag(path):
+        return read_bag(path, mapping)
+    if mapping.is_for_bags:
+        raise LogError(f"{path}: the mapping names topics of a bag, this is a table; name columns")
+    if is_bag(path):
+        raise LogError(f"{path}: the mapping names columns, this is a bag; name topic and field")
+    if path.suffix not in (".csv", ".parquet"):
+        raise LogError(
+            f"{path}: is no table that can be read; known are .csv and .parquet, unpacked"
+        )
+    return read_mapped(path, mapping)
+
+
+def _refuse_others(sources: Sequence[Source], recordings: Sequence[Recording]) -> None:
+    """Refuse what cannot be pooled: one log twice, and recordings of different machines."""
+    for index, source in enumerate(sources):
+        for earlier, recording in zip(sources[:index], recordings, strict=False):
+            if source.sha256 == earlier.sha256:
+                raise LogError(f"{source.file}: is the same as {earlier.file}; name it once")
+            machines = {recording.machine, recordings[index].machine} - {None}
+            if len(machines) > 1:
+                raise LogError(
+                    f"{source.file}: was recorded with another plant than {earlier.file}; pool logs"
+                    " of one machine, or use --each"
+                )
 
 
 def _sha256(path: Path) -> str:

@@ -3,9 +3,10 @@
 For every block of the log and every direction the efficient score is taken. Their sum is compared
 with the scatter of the blocks about the fitted effect, or with what the noise model says if that is
 more. Under "no effect" the sign of what a block leaves is a coin's, so all directions are tested
-together by flipping signs of whole blocks and taking the maximum over the directions (Westfall and
-Young 1993; wild bootstrap of clusters): the family-wise error holds whatever the correlation
-between directions, and between samples of a block.
+together by flipping signs of whole blocks, fitting each flip anew for the same statistic, and
+taking its maximum over the directions (Westfall and Young 1993; wild bootstrap of clusters): the
+family-wise error holds whatever the correlation between directions, and between samples of a block.
+What a block leaves is flipped, not its score, lest a strong effect hide a weaker one.
 """
 
 from collections.abc import Sequence
@@ -30,8 +31,10 @@ class Scores:
 
     Attributes
     ----------
-    rest : ndarray, shape (blocks, k)
-        Efficient score of each block, less what the fitted effect explains of it.
+    blocks : ndarray, shape (blocks, k)
+        Efficient score of each block.
+    own : ndarray, shape (blocks, k)
+        Sum of squares of the efficient column over each block.
     t : ndarray, shape (k,)
         Sum of the scores by its deviation.
     deviation : ndarray, shape (k,)
@@ -43,7 +46,8 @@ class Scores:
         Step along the direction that would save it.
     """
 
-    rest: Array
+    blocks: Array
+    own: Array
     t: Array
     deviation: Array
     information: Array
@@ -129,10 +133,11 @@ def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = Non
     per = np.where(usable, per, 0.0)
     total, safe = per.sum(axis=0), np.where(usable, information, 1.0)
     size = np.where(usable, total / safe, 0.0)
-    rest = per - size * own
-    deviation = np.sqrt(np.maximum((rest**2).sum(axis=0), safe))
+    scatter = ((per - size * own) ** 2).sum(axis=0)
+    deviation = np.sqrt(np.maximum(scatter, safe))
     return Scores(
-        rest,
+        per,
+        own,
         np.where(usable, total / deviation, 0.0),
         deviation,
         np.where(usable, information, 0.0),
@@ -145,13 +150,18 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
     """Return the largest |t| of every sign flip over all directions of all stages."""
     largest = np.zeros(flips)
     for s in scores:
-        n, k = s.rest.shape
-        if k == 0 or n == 0:
-            continue
         used = s.information > 1e-12
-        norm = np.sqrt((s.rest**2).sum(axis=0)) + 1e-300
-        signs = rng.integers(0, 2, size=(flips, n)).astype(np.float64) * 2.0 - 1.0
-        largest = np.maximum(largest, np.abs(signs @ (s.rest / norm)[:, used]).max(axis=1))
+        if not used.any():
+            continue
+        own, information = s.own[:, used], s.information[used]
+        rest = s.blocks[:, used] - s.size[used] * own
+        signs = rng.integers(0, 2, size=(flips, len(own))).astype(np.float64) * 2.0 - 1.0
+        total = signs @ rest
+        size = total / information
+        scatter = (rest**2).sum(axis=0) - 2.0 * size * (signs @ (rest * own))
+        scatter += size**2 * (own**2).sum(axis=0)
+        deviation = np.sqrt(np.maximum(scatter, information))
+        largest = np.maximum(largest, np.abs(total / deviation).max(axis=1))
     return largest
 
 

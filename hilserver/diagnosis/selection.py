@@ -1,11 +1,12 @@
 """Forward selection with held-out blocks, joint refit, and a swap check against every rival."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.intervals import covariance
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
@@ -24,14 +25,15 @@ from hilserver.diagnosis.screen import (
 Array = NDArray[np.float64]
 
 MOST_CAUSES = 6
+RIDGE = 1e-3
 TRIALS = 8
 """Candidates of a round that are fitted in full: those with the largest linear gain."""
 RIVAL_COSINE = 0.6
 GROUP_COSINE = 0.95
 TIE = 4.0
 """Deviance within which two causes explain the data alike, per parameter."""
-LEAST_SAVED = 8.0
-"""Deviance that a cause must save on held-out blocks."""
+LEAST_LINEAR, LEAST_GAIN, LEAST_SAVED = 9.0, 10.0, 8.0
+"""Deviance that a cause must save: linearly, in its fit, and on held-out blocks."""
 
 
 @dataclass
@@ -80,9 +82,35 @@ class Library:
             self.columns[:, begin:end] = spread[self.blocks.order]
             begin = end
 
+    def ridge(self, point: Point, rows: NDArray[np.bool_] | None = None) -> Array:
+        """Return coefficients of all directions at once for what a model leaves.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), optional
+            Samples that count, in the order of the blocks; all.
+        """
+        chosen = slice(None) if rows is None else rows
+        columns = self.columns[chosen]
+        squares = np.einsum("ij,ij->j", columns, columns).astype(np.float64)
+        norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
+        gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
+        left = point.left[self.blocks.order][chosen].astype(np.float32)
+        along = (columns.T @ left).astype(np.float64) / norm
+        return np.asarray(np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm)
+
+    def effect(self, weight: Array, rows: NDArray[np.int64] | slice) -> Array:
+        """Return what coefficients of all directions add to the prediction of some samples."""
+        total = np.zeros(len(self.problem.stack))[rows]
+        for i, raw in enumerate(self.raw):
+            mine = weight[self.owner == i]
+            theta = mine if raw.shape[1] == 1 else np.array(SQUARE).T @ mine / self.norms[i]
+            total += raw[rows] @ theta
+        return np.asarray(total)
+
     def scores(self, point: Point) -> Scores:
         """Score all candidates at a model."""
-        accepted = accepted_columns(self.problem, point)
+        accepted = self.problem.accepted(point)
         order = self.blocks.order
         return score(
             self.columns,
@@ -90,14 +118,6 @@ class Library:
             self.blocks,
             None if accepted is None else accepted[order].astype(np.float32),
         )
-
-
-def accepted_columns(problem: Problem, point: Point) -> Array | None:
-    """Return whitened, projected sensitivities of a model's own parameters."""
-    if not point.model.fitted:
-        return None
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    return problem.project(problem.whiten(problem.columns(point, point.model)), bases)
 
 
 @dataclass(frozen=True)
@@ -169,19 +189,30 @@ def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
     return sum(saved) > LEAST_SAVED and min(saved) > -1.0
 
 
-def best_starts(scores: Scores, library: Library, t_critical: float) -> list[tuple[int, float]]:
-    """Return candidates above the critical value with their best gain, largest first; one each."""
+def best_starts(scores: Scores, library: Library) -> list[tuple[int, float]]:
+    """Return the candidates that could explain most, with their linear gain; one of each cause.
+
+    Where much is left to explain no cause is linear any more, so significance is asked of the fit
+    and not of the screen.
+    """
     found: dict[str, tuple[int, float]] = {}
     for j, owner in enumerate(library.owner):
-        if abs(scores.t[j]) < t_critical:
+        c, gain = library.candidates[owner], float(scores.gain[j])
+        if gain < LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
             continue
-        c = library.candidates[owner]
-        if not c.linear and scores.size[j] < 0.15:
-            continue
-        # one best start for every cause; regions and wheels of a cause compete by their gain
-        if c.cause not in found or scores.gain[j] > found[c.cause][1]:
-            found[c.cause] = (int(owner), float(scores.gain[j]))
+        if c.cause not in found or gain > found[c.cause][1]:
+            found[c.cause] = (int(owner), gain)
     return sorted(found.values(), key=lambda item: -item[1])
+
+
+def wald(problem: Problem, point: Point, index: int) -> float:
+    """Return how many robust deviations a fitted cause lies from its null."""
+    cov, _ = covariance(problem, point, problem.accepted(point))
+    begin = sum(f.candidate.n for f in point.model.fitted[:index])
+    f = point.model.fitted[index]
+    part = slice(begin, begin + f.candidate.n)
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    return float(np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0)))
 
 
 def attempt(
@@ -189,13 +220,35 @@ def attempt(
 ) -> Trial | None:
     """Fit a candidate together with the accepted causes."""
     c = library.candidates[index]
-    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=5)
+    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
     if c.moved is not None:
         trial = refine(problem, trial, len(trial.model.fitted) - 1)
         c = trial.model.fitted[-1].candidate
     if not physical(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+LATE, TOGETHER = "nav_latency", ("clock_offset", "side_slip")
+"""In a bend a late position lies where side slip would put it. Where the whole source is late and
+the robot slips, the latency of the position alone explains part of both; from there no exchange of
+one cause for another leads on."""
+
+
+def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
+    """Return a late source and side slip in the place of a late position, if clearly better."""
+    causes = point.model.causes
+    missing = [c for c in library.candidates if c.cause in TOGETHER and c.cause not in causes]
+    if LATE not in causes or not missing:
+        return point
+    model = point.model.without(causes.index(LATE))
+    for c in missing:
+        model = model.plus(c, c.beginning)
+    trial = fit(problem, model, point, iterations=8)
+    gain = point.deviance - trial.deviance
+    if gain < LEAST_SAVED + TIE * (len(missing) - 1) or not physical(trial):
+        return point
+    return trial if holds(problem, point, trial.model, trial) else point
 
 
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
@@ -248,8 +301,10 @@ def _forward(
         if round_:
             maxima = null_maxima([scores, *other], rng)
         limit = critical(maxima)
-        starts = best_starts(scores, library, limit)[:TRIALS]
-        trials = []
+        starts = best_starts(scores, library)[:TRIALS]
+        trials: list[Trial] = []
+        if np.abs(scores.t).max(initial=0.0) < limit:
+            break
         for index, _ in starts:
             mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
             t = float(mine.max())
@@ -265,13 +320,17 @@ def _forward(
             )
         accepted = None
         for trial in trials[:3]:
-            if trial.gain > 10.0 and holds(problem, point, trial.point.model, trial.point):
-                accepted = trial
+            fitted = fit(problem, trial.point.model, trial.point, iterations=4)
+            last = len(fitted.model.fitted) - 1
+            clear = trial.gain > LEAST_GAIN and wald(problem, fitted, last) > limit
+            if clear and holds(problem, point, fitted.model, fitted):
+                accepted = replace(trial, point=fitted)
                 break
         if accepted is None:
             break
-        point = accepted.point
-        selected.p[accepted.candidate.cause] = min(accepted.p, LEVEL)
+        point = both_at_once(problem, accepted.point, library)
+        for cause in point.model.causes:
+            selected.p.setdefault(cause, min(accepted.p, LEVEL))
         _refresh_noise(problem, library, point)
         point = fit(problem, point.model, point, iterations=3)
     selected.point = point

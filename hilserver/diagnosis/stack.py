@@ -105,7 +105,7 @@ def make_stack(
         segment, at = segments.locate(channel.span, channel.t_s)
         keep = segment >= 0
         index = np.maximum(segment, 0)
-        keep &= channel.t_s >= segments.start_s[index] + skip_s
+        keep &= channel.t_s >= segments.start_s[index] + skip_s - 1e-9
         if usable is not None:
             keep &= usable[index]
         edges[name] = slice(begin, begin + int(keep.sum()))

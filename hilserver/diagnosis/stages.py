@@ -13,7 +13,6 @@ from hilserver.diagnosis.library import Candidate, drive_candidates, pose_candid
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.screen import SQUARE
 from hilserver.diagnosis.selection import Library
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.parameters import RobotParameters
@@ -21,7 +20,8 @@ from hilserver.plant.parameters import RobotParameters
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
-NEEDS_DUTY = {"coulomb_friction", "dead_zone", "viscous_load", "stribeck_friction", "wheel_load"}
+NEEDS_DUTY = {"dead_zone", "stribeck_friction"}
+"""Other loads still show without duty where they keep wheels from their set-points."""
 NEEDS_POSITION = {
     "wheel_radius",
     "longitudinal_slip",
@@ -38,6 +38,7 @@ NEEDS_POSITION = {
     "nav_position_bias",
     "nav_frame_yaw",
 }
+NEEDS_PLACE = {"surface_change", "floor_slope", "heading_distortion", "nav_position_bias"}
 NEEDS_YAW = {"nav_frame_yaw", "yaw_latency", "heading_distortion"}
 NEEDS_GYRO = {"gyro_bias", "gyro_scale", "imu_latency"}
 NEEDS_STAMPS = {
@@ -116,17 +117,15 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
             reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
             if YAW in log or GYRO in log:
                 reasons.pop("wheel_radius", None)
+        if stage.begins_anew:
+            text = "the navigation's frame begins anew with every segment"
+            reasons |= dict.fromkeys(NEEDS_PLACE, text)
         if YAW not in log:
             reasons |= dict.fromkeys(NEEDS_YAW, "no navigation yaw in the log")
         if GYRO not in log:
             reasons |= dict.fromkeys(NEEDS_GYRO, "no turn rate in the log")
     if not log.has_stamps:
         reasons |= dict.fromkeys(NEEDS_STAMPS, "the log has no time stamps")
-    if not any(n in log for n in DUTIES):
-        # without duty friction can still be seen where it keeps wheels from their set-points
-        for cause in NEEDS_DUTY - {"wheel_load"}:
-            reasons.pop(cause, None)
-        reasons.pop("wheel_load", None)
     return [c for c in found if c.cause not in reasons], reasons
 
 
@@ -180,16 +179,7 @@ def prepare(
 def clean(problem: Problem, library: Library, point: Point) -> None:
     """Learn the noise from what no cause at all can explain, so that no effect hides in it."""
     library.rewhiten(point)
-    squares = np.einsum("ij,ij->j", library.columns, library.columns).astype(np.float64)
-    norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
-    gram = (library.columns.T @ library.columns).astype(np.float64) / np.outer(norm, norm)
-    along = (library.columns.T @ point.left[library.blocks.order].astype(np.float32)) / norm
-    weight = np.linalg.solve(gram + 1e-3 * np.eye(len(norm)), along.astype(np.float64)) / norm
-    raw = np.zeros(len(point.left))
-    for i, block in enumerate(library.raw):
-        mine = weight[library.owner == i]
-        theta = mine if block.shape[1] == 1 else np.array(SQUARE).T @ mine / library.norms[i]
-        raw += block @ theta
+    raw = library.effect(library.ridge(point), slice(None))
     left = problem.residual(point.predicted) - raw
     nuisance = problem.nuisance(point.predicted, point.poses)
     if nuisance is not None:
@@ -198,13 +188,25 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
     problem.learn_noise(left)
 
 
+NOT_OF_ITS_OWN = {
+    "friction_anisotropy": "its effect is told as rotation_gain and icr_offset",
+    "backlash": "the play between motor and wheel is not looked for",
+    "missed_ticks": "the log has no tick counter",
+}
+
+
 def vocabulary_reasons(
     judged: set[str], reasons: dict[str, str], stages: set[str]
 ) -> dict[str, str]:
     """Return a reason for every physical cause that was not judged."""
     out = dict(reasons)
     for name, cause in CAUSES.items():
-        if not cause.physical or name in judged or name in out:
+        if name in judged or name in out:
+            continue
+        if name in NOT_OF_ITS_OWN:
+            out[name] = NOT_OF_ITS_OWN[name]
+            continue
+        if not cause.physical:
             continue
         if cause.block in ("drive", "controller") and "drive" not in stages:
             out[name] = "no set-points with wheel speeds in the log"

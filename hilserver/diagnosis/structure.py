@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.selection import accepted_columns
 from hilserver.diagnosis.unknown import Family, LostSteps, drive_families, lost_steps, pose_families
 
 Array = NDArray[np.float64]
@@ -16,6 +15,10 @@ Array = NDArray[np.float64]
 LEVEL = 0.001
 LEAST_GAIN = 40.0
 LEAST_T = 3.0
+LEAST_SHARE = 0.001
+"""Of the samples' variance: what explains less is of no use to anybody."""
+INEXACT = 0.005
+"""Share of what the accepted causes explain that their own form may leave."""
 DOMINANCE = 4.0
 """A named cause stays beside unknown structure only if it explains so many times as much."""
 
@@ -47,12 +50,22 @@ def families_of(problem: Problem, point: Point) -> Iterable[Family]:
 
 
 def remaining(
-    problem: Problem, point: Point, rng: np.random.Generator, families: Iterable[Family]
+    problem: Problem,
+    point: Point,
+    rng: np.random.Generator,
+    families: Iterable[Family],
+    explained: float,
 ) -> list[Unknown]:
-    """Return the families that the residual significantly depends on, the strongest first."""
+    """Return the families that the residual significantly depends on, the strongest first.
+
+    Parameters
+    ----------
+    explained : float
+        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+    """
     stack = problem.stack
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    accepted = accepted_columns(problem, point)
+    accepted = problem.accepted(point)
     blocks = Blocks.of(stack.block, stack.n_blocks)
     order = blocks.order
     scores, strong = [], []
@@ -65,7 +78,8 @@ def remaining(
         t = float(np.abs(scores[-1].t).max(initial=0.0))
         if t > LEAST_T:
             gain = joint_gain(white, point.left)
-            if gain > LEAST_GAIN and holds_out(problem, white, point.left):
+            least = max(LEAST_GAIN, LEAST_SHARE * len(stack), INEXACT * explained)
+            if gain > least and holds_out(problem, white, point.left):
                 slim = Family(family.name, family.regressors, np.zeros((0, 0)))
                 strong.append(Unknown(slim, t, 1.0, gain, white))
     maxima = null_maxima(scores, rng)
@@ -111,7 +125,7 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
     """Return the accepted causes that unknown structure leaves in doubt.
 
     A cause is in doubt when, with the structure's columns beside it, it explains less than
-    `DOMINANCE` times what the structure does.
+    `DOMINANCE` times what the structure does; or when the structure explains more in its place.
     """
     if not unknown or not point.model.fitted:
         return []
@@ -124,14 +138,15 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
         rest = reduced.left - base @ (base.T @ reduced.left)
         full = point.left - base @ (base.T @ point.left)
         own = float((rest**2).sum() - (full**2).sum())
-        if own < DOMINANCE * strength:
+        instead = float((rest**2).sum()) + columns.shape[1] < point.deviance
+        if own < DOMINANCE * strength or instead:
             doubtful.append(index)
     return doubtful
 
 
 def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
     """Return accepted causes whose value changes along the log, with their p."""
-    accepted = accepted_columns(problem, point)
+    accepted = problem.accepted(point)
     if accepted is None:
         return {}
     stack = problem.stack

@@ -1,16 +1,17 @@
 """Files to tables: CSV, recordings of ours and Parquet, in our names or through a mapping."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Array
 from hilserver.diagnosis.mapping import PER_SECOND, ColumnMap, LogMapping
 from hilserver.diagnosis.names import closest, is_input, known_columns, known_signals
+from hilserver.diagnosis.parquet import read_parquet
 from hilserver.errors import LogError
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
@@ -40,20 +41,36 @@ class Stamped:
 
 @dataclass(frozen=True)
 class Recording:
-    """What one file holds."""
+    """What one file holds.
+
+    Attributes
+    ----------
+    machine : str or None
+        The plant that a recording of ours was made with, as YAML.
+    """
 
     path: Path
     parts: Sequence[Stamped]
     has_stamps: bool = True
-    notices: Sequence[str] = field(default=())
+    notices: Sequence[str] = ()
+    machine: str | None = None
 
 
 def read_own(path: Path) -> Recording:
     """Read a table whose columns are signal names: CSV, or a recording of ours."""
     log = read_log(path, known_columns())
     for name, values in log.columns.items():
-        _refuse_absurd(values, lambda row, name=name: f"{path}: row {row + 2}, column '{name}'")
-    return Recording(path, [_own_part(log)], notices=list(log.notices))
+        refuse_absurd(values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'")
+    return Recording(path, [_own_part(log)], notices=list(log.notices), machine=_machine(log))
+
+
+def _machine(log: Log) -> str | None:
+    try:
+        configuration = yaml.safe_load((log.run or {}).get("configuration") or "")
+        sections = {key: configuration[key] for key in ("plant", "kinematics")}
+    except (yaml.YAMLError, TypeError, KeyError):
+        return None
+    return yaml.safe_dump(sections)
 
 
 def _own_part(log: Log) -> Stamped:
@@ -77,13 +94,37 @@ def _good(log: Log, name: str) -> Array:
     return np.where(log.status[name] & _UNUSABLE, np.nan, values)
 
 
-def read_mapped_csv(path: Path, mapping: LogMapping) -> Recording:
-    """Read a foreign CSV table through a mapping."""
+def read_own_parquet(path: Path) -> Recording:
+    """Read a Parquet table whose columns are signal names."""
+    table = read_parquet(path)
+    if TIME not in table.header:
+        raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
+    known = (*known_columns(), TIME, SEGMENT, BLOCK)
+    for name in table.header:
+        if name not in known:
+            hint = closest(name, known, "see 'hilserver signals' for the names")
+            raise LogError(f"{path}: column '{name}': there is no such signal; {hint}")
+    measured = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
+    segment = table.integers(SEGMENT)
+    if segment is None:
+        segment = np.zeros(len(table.lines), dtype=np.int64)
+    check_time(table, TIME, segment)
+    columns = {name: table.column(name) for name in measured}
+    for name, values in columns.items():
+        refuse_absurd(values, name, table.where)
+    log = Log(path, table.column(TIME), segment, columns, table.integers(BLOCK))
+    return Recording(path, [_own_part(log)])
+
+
+def read_mapped(path: Path, mapping: LogMapping) -> Recording:
+    """Read a foreign table, CSV or Parquet, through a mapping."""
     time = None if mapping.time.rate_hz else mapping.time.column or TIME
-    try:
+    if path.suffix != ".parquet":
         return _map_table(read_table(path, time=time), mapping, time)
-    except OSError as error:
-        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+    table = read_parquet(path)
+    if time is not None:
+        _demand(table, time, "time")
+    return _map_table(table, mapping, time)
 
 
 def _map_table(table: Table, mapping: LogMapping, time: str | None) -> Recording:
@@ -98,7 +139,11 @@ def _map_table(table: Table, mapping: LogMapping, time: str | None) -> Recording
     else:
         check_time(table, time, segment)
         t_s = table.column(time) * PER_SECOND[mapping.time.unit]
-    columns = {name: _mapped(table, mapping, name) for name in mapping.channels}
+    columns = {
+        name: _mapped(table, mapping, name)
+        for name, channel in mapping.channels.items()
+        if not channel.optional or channel.column in table.header
+    }
     block = _whole_numbers(table, mapping.block, BLOCK)
     part = Stamped(t_s, segment, columns, block)
     return Recording(table.path, [part], time is not None, table.notices)
@@ -123,16 +168,17 @@ def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
     column = str(mapping.channels[name].column)
     _demand(table, column, name)
     values = table.column(column)
-    _refuse_absurd(values, lambda row: table.where(row, column))
+    refuse_absurd(values, column, table.where)
     converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
     return converted
 
 
-def _refuse_absurd(values: Array, where: Any) -> None:
+def refuse_absurd(values: Array, name: str, where: Callable[[int, str], str]) -> None:
+    """Refuse infinite and impossibly large values; `where` names the place of a row and `name`."""
     wrong = np.flatnonzero(np.abs(values) > _ABSURD)
     if wrong.size:
         row = int(wrong[0])
         raise LogError(
-            f"{where(row)}: {float(values[row]):g} is no value of a robot; write a finite number"
-            " or nothing"
+            f"{where(row, name)}: {float(values[row]):g} is no value of a robot; write a finite"
+            " number or nothing"
         )

@@ -40,12 +40,16 @@ class Family:
     columns: Array
 
 
+GRID_S = 0.02
+
+
 class _Motion:
     """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
 
-    def __init__(self, problem: Problem, point: Point, stride: int = 10) -> None:
+    def __init__(self, problem: Problem, point: Point) -> None:
         assert isinstance(problem.stage, PoseStage)
         stage = self.stage = problem.stage
+        stride = max(round(GRID_S / stage.period_s), 1)
         self.problem, self.stride = problem, stride
         dense = stage.simulate(point.model.terms, point.poses)
         self.dt = stage.period_s * stride
@@ -60,7 +64,7 @@ class _Motion:
         self.v = (left - right) * scale
         self.side = (left, right)
         self.t = np.concatenate([
-            stage.segments.start_s[i] + stage.period_s * (r - first[i])
+            stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
             for i, r in enumerate(self.rows)
         ])  # fmt: skip
         self.moving = np.tanh((np.abs(left) + np.abs(right)) / 10.0) ** 2
@@ -124,8 +128,9 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     columns = [m.column(*d) for h in heading for d in
                ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
                 (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)))]  # fmt: skip
-    families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
-    if POSITION[0] in problem.stack.edges:
+    if not m.stage.begins_anew:
+        families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
+    if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
         shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
                   np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
         families.append(family("place", POSITION, shapes))
@@ -246,51 +251,56 @@ def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
 
 @dataclass(frozen=True)
 class LostSteps:
-    """Set-point steps that the log shows as sent and the wheels did not make.
+    """Set-point steps that the log shows as sent and that reached the wheels late or never.
 
     Attributes
     ----------
     share : float
-        Of the steps large enough to judge.
+        Of the steps that can be judged.
     events, judged : int
-    times : ndarray, shape (events,)
     """
 
     share: float
     events: int
     judged: int
-    times: Array
+
+
+LARGE_STEP_RPM = 4.0
+RESPONSE_S = 0.15
+LATE_S, SHARP_S = 0.008, 0.002
+"""A step counts as late from here on; and only if its delay is known so well."""
 
 
 def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
-    """Return how many steps of the set-points the wheels did not make; None if few can be judged.
+    """Return how many steps of the set-points were lost on the way; None if few can be judged.
 
-    The residual after a step is compared with minus the step itself. A wheel that ignored it shows
-    about -1 of it, one that followed about 0.
+    A step that waits for the next message is late by one message, others are not at all: after
+    every step the residual is compared with the slope of the simulated response.
     """
     assert isinstance(problem.stage, DriveStage)
-    log, stack = problem.stage.log, problem.stack
+    log, stack, stage = problem.stage.log, problem.stack, problem.stage
     residual = problem.residual(point.predicted)
-    shares, times = [], []
-    for setpoint, speed in zip(SETPOINTS, SPEEDS, strict=True):
+    _, seen, _ = stage.simulate(point.model.terms)
+    slope = np.gradient(seen, axis=0) / stage.segments.period_s
+    late: list[bool] = []
+    for wheel, (setpoint, speed) in enumerate(zip(SETPOINTS, SPEEDS, strict=True)):
         if setpoint not in log or speed not in stack.edges:
             continue
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
+        g = slope[np.rint(stack.at[edge]).astype(np.int64), wheel]
+        noise = problem.noise[speed].white_sd
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
-            change = np.flatnonzero(np.abs(np.diff(s)) > 4.0) + 1
-            for a, b in zip(change, [*change[1:], len(ts)], strict=True):
-                end = ts[b - 1] if b < len(ts) else ts[-1]
-                low, high = np.searchsorted(t, [ts[a] + 0.25, min(end, ts[a] + 3.0)])
-                if high - low < 5:
+            for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
+                low, high = np.searchsorted(t, [ts[a], ts[a] + RESPONSE_S])
+                power = float(g[low:high] @ g[low:high])
+                if power <= 0.0 or noise / np.sqrt(power) > SHARP_S:
                     continue
-                shares.append(float(np.median(r[low:high])) / float(s[a] - s[a - 1]))
-                times.append(float(ts[a]))
-    if len(shares) < 8:
+                late.append(-float(r[low:high] @ g[low:high]) / power > LATE_S)
+    if len(late) < 12:
         return None
-    found = np.abs(np.array(shares) + 1.0) < 0.25
-    return LostSteps(float(found.mean()), int(found.sum()), len(shares), np.array(times)[found])
+    return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))
 
 
 __all__ = ["DUTIES", "Family", "LostSteps", "drive_families", "lost_steps", "pose_families"]

@@ -5,7 +5,7 @@ anybody: the plant writes complete frames into a ring, readers take the last com
 push rows into queues that the plant drains at the next tick.
 """
 
-from hilserver.image.batch import FrameBatch, read_frames
+from hilserver.image.batch import FrameBatch, read_frames, to_batch
 from hilserver.image.process_image import Frame, ImageReader, ProcessImage, Row
 
-__all__ = ["Frame", "FrameBatch", "ImageReader", "ProcessImage", "Row", "read_frames"]
+__all__ = ["Frame", "FrameBatch", "ImageReader", "ProcessImage", "Row", "read_frames", "to_batch"]

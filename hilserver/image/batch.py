@@ -1,11 +1,12 @@
 """Many frames at once: what recorders and replays read from the ring."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.image.process_image import ImageReader
+from hilserver.image.process_image import Frame, ImageReader
 from hilserver.image.ring import copy_frames
 
 
@@ -53,6 +54,14 @@ class FrameBatch:
     def n_bytes(self) -> int:
         """Memory that the frames take."""
         return self.words.nbytes + self.values.nbytes
+
+
+def to_batch(frames: Sequence[Frame]) -> FrameBatch:
+    """Put frames together that follow each other, one at least."""
+    heads = [(frame.tick, frame.planned_ns, frame.latched_rows) for frame in frames]
+    status = np.stack([frame.status for frame in frames])
+    words = np.concatenate([np.array(heads, dtype=np.int64), status], axis=1)
+    return FrameBatch(frames[0].number, words, np.stack([frame.values for frame in frames]))
 
 
 def read_frames(reader: ImageReader, first: int, limit: int) -> FrameBatch:

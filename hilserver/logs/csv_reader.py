@@ -194,8 +194,11 @@ def _check_header(
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
-    if len(header) == 1 and ";" in header[0]:
-        raise LogError(f"{path}: row 1: columns are separated by ';'; separate them by commas")
+    for separator, name in ((";", "';'"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise LogError(
+                f"{path}: row 1: columns are separated by {name}; separate them by commas"
+            )
     if all(_is_number(name) for name in header):
         raise LogError(
             f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"

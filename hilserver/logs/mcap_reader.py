@@ -91,7 +91,7 @@ def read_mcap(path: Path) -> Log:
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise LogError(f"{path}: is no MCAP file; was it cut off at its start?")
-        for offset, opcode, body in _records(file):
+        for offset, opcode, body in records_of(file):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 contents.ended = True
                 break
@@ -106,7 +106,7 @@ def read_mcap(path: Path) -> Log:
     return _to_log(path, contents)
 
 
-def _records(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
+def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
     """Yield offset, opcode and body of every whole record; a torn last one ends it."""
     while True:
         offset = file.tell()

@@ -144,7 +144,8 @@ class MetricsSources:
         Kind (injected, forced) -> number of those at work.
     tasks : callable
         Number of asyncio tasks that have not ended.
-    kernel_hash, config_sha256 : str
+    kernel_hash : str
+    config_sha256 : callable
         What runs: labels of ``hil_build_info``.
     """
 
@@ -163,4 +164,4 @@ class MetricsSources:
     faults: Callable[[], Mapping[str, int]] = dict
     tasks: Callable[[], int] = lambda: 0
     kernel_hash: str = ""
-    config_sha256: str = ""
+    config_sha256: Callable[[], str] = str

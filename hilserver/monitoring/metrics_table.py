@@ -158,7 +158,7 @@ def _audit(sources: MetricsSources) -> Iterator[Row]:
 
 
 def _build_labels(sources: MetricsSources) -> tuple[str, ...]:
-    return (__version__, platform.python_version(), sources.kernel_hash, sources.config_sha256)
+    return (__version__, platform.python_version(), sources.kernel_hash, sources.config_sha256())
 
 
 METRICS: tuple[Metric, ...] = (

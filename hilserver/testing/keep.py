@@ -1,15 +1,20 @@
 """What is kept of a failed test: recording, scenario, configuration, seed."""
 
-import csv
 import json
 import re
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.faults.scenario import as_yaml
+from hilserver.image import Frame, to_batch
+from hilserver.logs import Segmented, open_writer
+from hilserver.logs.provenance import make_run
 from hilserver.testing.hil import Hil
 
 
@@ -46,11 +51,27 @@ def keep(hil: Hil, folder: Path, test: str) -> Path:
 
 
 def write_recording(hil: Hil, place: Path) -> None:
-    """Write the newest frames as ``recording.csv``, all signals with their names."""
-    signals = [signal for signal in hil.daemon.table if not signal.is_array]
-    slots = [signal.slots[0] for signal in signals]
-    with (place / "recording.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["tick", *(signal.name for signal in signals)])
-        for tick, values in hil.tap.kept:
-            writer.writerow([tick, *(f"{value:.9g}" for value in values[slots])])
+    """Write the newest frames, all signals, as ``recording.mcap``."""
+    run = make_run(hil.daemon.image.description)
+    frames = list(hil.tap.kept)
+    planned_ns = frames[-1].planned_ns if frames else 0
+    utc_minus_planned_ns = hil.daemon.clock.utc_ns(planned_ns) - planned_ns
+    slots = range(len(run["signals"]))
+    writer = open_writer(place / "recording.mcap", run, slots, utc_minus_planned_ns)
+    for batch in _segmented(frames):
+        writer.write(batch)
+    writer.close()
+
+
+def _segmented(frames: Sequence[Frame]) -> Iterator[Segmented]:
+    """Begin a batch where frames are missing, and a segment where the simulation was set back."""
+    numbers, ticks = (
+        np.array([getattr(frame, name) for frame in frames], dtype=np.int64)
+        for name in ("number", "tick")
+    )
+    follows = np.diff(numbers) == 1
+    segments = np.concatenate([[0], np.cumsum(follows & (np.diff(ticks) != 1))])
+    cuts = [0, *(np.flatnonzero(~follows) + 1), len(frames)]
+    for begin, end in pairwise(cuts):
+        if end > begin:
+            yield Segmented(to_batch(frames[begin:end]), segments[begin:end])

@@ -21,7 +21,7 @@ class Tap:
 
     Attributes
     ----------
-    kept : deque of (tick, values)
+    kept : deque of Frame
         The newest `KEPT_FRAMES` frames.
     lost : int
         Frames that the ring had overwritten.
@@ -30,7 +30,7 @@ class Tap:
     def __init__(self, image: ImageReader) -> None:
         self._image = image
         self._next = image.head
-        self.kept: deque[tuple[int, NDArray[np.float64]]] = deque(maxlen=KEPT_FRAMES)
+        self.kept: deque[Frame] = deque(maxlen=KEPT_FRAMES)
         self.lost = 0
         self.captures: list[Capture] = []
 
@@ -44,7 +44,7 @@ class Tap:
                 self.lost += 1
                 continue
             frames.append(frame)
-            self.kept.append((frame.tick, frame.values))
+            self.kept.append(frame)
             for capture in self.captures:
                 capture.add(frame)
         self._next = head

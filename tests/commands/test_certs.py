@@ -52,6 +52,25 @@ def test_make_and_renew(config: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert certificate.public_key() != first.public_key()
 
 
+@pytest.mark.parametrize("place", ["keys/opcua.pem", "{folder}/elsewhere/opcua.pem"])
+def test_the_key_goes_where_the_configuration_wants_it(tmp_path: Path, place: str) -> None:
+    key = Path(place.format(folder=tmp_path))
+    config = tmp_path / "config.yaml"
+    config.write_text(yaml.safe_dump({"opcua": {"private_key": str(key)}}))
+    (tmp_path / key).parent.mkdir()
+    assert certs(config, "make") == 0
+    assert (tmp_path / key).stat().st_mode & 0o777 == 0o600
+    assert not (tmp_path / "certificates" / "own" / "key.pem").exists()
+    trust = TrustList(tmp_path / "certificates")
+    first, private = trust.own(tmp_path / key)
+    assert first.public_key() == private.public_key()
+    assert certs(config, "make") == 1
+    assert certs(config, "renew") == 0
+    assert trust.own(tmp_path / key)[0].public_key() == first.public_key()
+    assert certs(config, "renew", "--new-key") == 0
+    assert trust.own(tmp_path / key)[0].public_key() != first.public_key()
+
+
 def test_expiry_is_shown(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     certs(config, "make", "--days", "10")
     capsys.readouterr()

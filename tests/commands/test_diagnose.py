@@ -30,8 +30,9 @@ def stages(monkeypatch, tmp_path):
         asked.append(("compare", log, other))
         return Diagnosis(findings(verdict="no_difference", findings=()))
 
-    table = {"read_measured": read, "diagnose": judge, "compare": compare}
-    monkeypatch.setattr(pipeline, "_stage", lambda module, function: table[function])
+    monkeypatch.setattr(pipeline, "read_measured", read)
+    monkeypatch.setattr(pipeline, "diagnose", judge)
+    monkeypatch.setattr(pipeline, "compare", compare)
     monkeypatch.chdir(tmp_path)
     return asked
 

@@ -195,6 +195,30 @@ async def test_a_snapshot_brings_everything_back(at_rest):
     assert [(f.tick, f.values.tobytes()) for f in frames(daemon, first)] == expected
 
 
+async def test_clients_see_what_was_restored_while_the_daemon_is_paused(at_rest):
+    daemon, client = at_rest
+    await pause(daemon, client)
+    await call(client, "SetPose", double(1.0), double(2.0), double(0.5))
+    await call(client, "Step", uint32(20))
+    await daemon.scheduler.wait_paused()
+    seen = ("sim.tick", "pose.x_m", "pose.y_m", "pose.yaw_rad")
+    before = daemon.image.latest()
+    expected = [before.values[daemon.table.slot(name)] for name in seen]
+    assert expected[1:3] == pytest.approx([1.0, 2.0], abs=0.01)
+    assert await call(client, "SaveSnapshot", text("paused")) == "Good"
+    await call(client, "SetPose", double(-3.0), double(-4.0), double(0.0))
+    await call(client, "Step", uint32(20))
+    await daemon.scheduler.wait_paused()
+
+    assert await call(client, "LoadSnapshot", text("paused")) == "Good"
+    for name, value in zip(seen, expected, strict=True):
+        await wait_until(partial(_reads, client, value, name), 2.0)
+    assert await call(client, "Reset") == "Good"
+    for name in seen:
+        await wait_until(partial(_reads, client, 0.0, name), 2.0)
+    assert daemon.scheduler.paused
+
+
 async def test_a_snapshot_that_is_not_there_or_has_a_path(at_rest):
     _, client = at_rest
     assert await call(client, "LoadSnapshot", text("nowhere")) == "BadInvalidState"

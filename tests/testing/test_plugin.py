@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hilserver.faults.scenario import load_scenario
+from hilserver.logs import read_log
 from hilserver.testing.keep import keep
 from hilserver.testing.opening import open_hil
 
@@ -81,9 +82,12 @@ def test_an_assertion_in_a_generator_fails_and_everything_is_kept(project, pytes
     run = json.loads((folder / "run.json").read_text())
     assert run["test"].endswith("::test_wrong")
     assert run["seed"] == 0
-    lines = (folder / "recording.csv").read_text().splitlines()
-    assert len(lines) == 302
-    assert lines[0].startswith("tick,wheel.fl.setpoint_rpm,")
+    log = read_log(folder / "recording.mcap")
+    assert len(log) == 301
+    assert log.is_ours
+    assert log.run["seed"] == 0
+    assert log.columns["wheel.fl.setpoint_rpm"][-1] == 40.0
+    assert log.columns["sim.tick"].tolist() == list(range(301))
     scenario = load_scenario(folder / "scenario.yaml")
     assert scenario.steps[0].at_s == 0.001
     assert (scenario.faults[0].from_s, scenario.faults[0].until_s) == (0.101, 0.201)
@@ -107,7 +111,21 @@ async def test_what_was_kept_plays_again_to_the_bit(tmp_path, request):
     async with open_hil(first / "config.yaml", "virtual", scenario=scenario) as hil:
         await hil.step(370)
         second = keep(hil, tmp_path, "second")
-    assert (first / "recording.csv").read_text() == (second / "recording.csv").read_text()
+    one, two = (read_log(folder / "recording.mcap") for folder in (first, second))
+    assert len(one) == 371
+    for name, values in one.columns.items():
+        assert values.tobytes() == two.columns[name].tobytes(), name
+
+
+async def test_a_kept_recording_shows_where_time_was_set_back(tmp_path):
+    async with open_hil({}, "virtual") as hil:
+        await hil.step(20)
+        hil.daemon.control.reset()
+        await hil.step(30)
+        log = read_log(keep(hil, tmp_path, "reset") / "recording.mcap")
+    assert log.segment[0] == 0
+    assert log.segment[-1] == 1
+    assert log.columns["sim.tick"][log.segment == 1][-1] == 29
 
 
 def test_options_reach_the_simulation(project, pytester):

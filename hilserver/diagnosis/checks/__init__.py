@@ -5,8 +5,10 @@ matters, because units and signs can only be judged on samples that are real.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
+
+import numpy as np
 
 from hilserver.diagnosis.checks import (
     clocks,
@@ -18,9 +20,12 @@ from hilserver.diagnosis.checks import (
     units,
     wrapped,
 )
-from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.data import Array, MeasuredLog
 from hilserver.diagnosis.findings import Finding
 from hilserver.plant.parameters import RobotParameters
+
+FAR_S = 1e5
+"""Stamps beyond are seconds since some epoch; they are counted from the start of each span."""
 
 Check = Callable[[MeasuredLog, RobotParameters], tuple[MeasuredLog, list[Finding]]]
 
@@ -61,7 +66,25 @@ def check(log: MeasuredLog, robot: RobotParameters) -> Checked:
         Dimensions and signs of the machine as configured.
     """
     findings: list[Finding] = []
+    far = max((abs(span.end_s) for span in log.spans), default=0.0) > FAR_S
+    start_s = np.array([span.start_s for span in log.spans]) if far else np.zeros(len(log.spans))
+    log = _moved(log, -start_s)
     for find in ORDER:
         log, found = find(log, robot)
         findings += found
-    return Checked(log, tuple(findings))
+    return Checked(_moved(log, start_s), tuple(findings))
+
+
+def _moved(log: MeasuredLog, by_s: Array) -> MeasuredLog:
+    """Return the log with the stamps of each span moved."""
+    if not by_s.any():
+        return log
+    channels = {
+        name: replace(channel, t_s=channel.t_s + by_s[channel.span])
+        for name, channel in log.channels.items()
+    }
+    spans = tuple(
+        replace(span, start_s=span.start_s + by, end_s=span.end_s + by)
+        for span, by in zip(log.spans, by_s.tolist(), strict=True)
+    )
+    return replace(log, channels=channels, spans=spans)

@@ -33,7 +33,7 @@ SPREAD = 3.0
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find held channels; of each run only the first sample, the real one, is kept."""
     changes = _changes_s(log)
-    kept: dict[str, Channel] = {}
+    fresh: dict[str, NDArray[np.bool_]] = {}
     rates: dict[str, tuple[float, float]] = {}
     for name in measured_channels(log.channels):
         channel = log[name]
@@ -41,8 +41,29 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
         found = _rate(channel, runs, changes)
         if found is not None:
             rates[name] = found
-            kept[name] = _thinned(channel, runs, 1.0 / found[0])
-    return log.with_channels(kept), [_finding(group, rates) for group in _alike(rates)]
+            fresh[name] = _fresh(channel, runs, 1.0 / found[0])
+    kept: dict[str, Channel] = {}
+    groups = _alike(rates)
+    for group in groups:
+        for name in group:
+            kept[name] = subset(log[name], _together(log, name, group, fresh))
+    return log.with_channels(kept), [_finding(group, rates) for group in groups]
+
+
+def _together(
+    log: MeasuredLog, name: str, group: list[str], fresh: dict[str, NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """Return which samples are real: a source sends all its channels at once.
+
+    One of them may stay the same by chance where another shows a new sample.
+    """
+    own = fresh[name]
+    for other in group:
+        if len(log[other]) == len(log[name]) and np.array_equal(
+            along(log[other]), along(log[name])
+        ):
+            own = own | fresh[other]
+    return own
 
 
 def _changes_s(log: MeasuredLog) -> Array:
@@ -90,13 +111,13 @@ def _follow(channel: Channel, first: NDArray[np.int64], changes: Array) -> bool:
     return bool(np.mean((after >= -1e-6) & (after < 0.1)) > 0.5)
 
 
-def _thinned(channel: Channel, runs: Runs, period_s: float) -> Channel:
-    """Return the first sample of each run and, in longer runs, one per period."""
+def _fresh(channel: Channel, runs: Runs, period_s: float) -> NDArray[np.bool_]:
+    """Return which samples begin a run; in longer runs also one per period."""
     begin = np.repeat(channel.t_s[runs.first], runs.length)
-    periods = np.floor((channel.t_s - begin) / period_s + 0.25)
+    periods = np.floor(np.maximum((channel.t_s - begin) / period_s - 0.5, 0.0))
     fresh = np.diff(periods, prepend=-1.0) != 0
     fresh[runs.first] = True
-    return subset(channel, fresh)
+    return np.asarray(fresh)
 
 
 def _alike(rates: dict[str, tuple[float, float]]) -> list[list[str]]:

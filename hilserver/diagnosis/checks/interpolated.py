@@ -53,7 +53,7 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
 def _pieces(channel: Channel) -> tuple[Ints, NDArray[np.float64]]:
     """Return first sample and slope of every piece of constant slope."""
     dt = np.diff(channel.t_s)
-    inside = np.diff(channel.span) == 0
+    inside = (np.diff(channel.span) == 0) & (dt > 0)
     slope = np.where(inside, np.diff(channel.values) / np.where(inside, dt, 1.0), np.nan)
     size = np.maximum(np.abs(slope[1:]), np.abs(slope[:-1]))
     moving = np.abs(slope[np.nan_to_num(slope) != 0])

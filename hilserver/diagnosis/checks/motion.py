@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.checks.support import along
+from hilserver.diagnosis.checks.support import SPAN_S, along
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 
 WINDOW_S = 1.0
@@ -36,7 +36,7 @@ def windows_of(log: MeasuredLog, width_s: float = WINDOW_S) -> Windows:
     edges = []
     for index, span in enumerate(log.spans):
         n = max(round((span.end_s - span.start_s) / width_s), 1)
-        times = np.linspace(span.start_s, span.end_s, n + 1) + 1e6 * index
+        times = np.linspace(span.start_s, span.end_s, n + 1) + SPAN_S * index
         edges.append(np.stack([times[:-1], times[1:]]))
     begin, end = np.concatenate(edges, axis=1)
     return Windows(begin, end)
@@ -116,10 +116,11 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     if (np.abs(x) > least).sum() < 10 or not (x**2).sum() or not (y**2).sum():
         return None
     keep = np.ones(len(x), dtype=np.bool_)
+    slope = 0.0
     for _ in range(4):
         slope = float((x[keep] * y[keep]).sum() / max((x[keep] ** 2).sum(), 1e-300))
         error = np.abs(y - slope * x)
-        keep[:] = error <= np.quantile(error, 0.9)
+        np.less_equal(error, np.quantile(error, 0.9), out=keep)
     correlation = float(
         (x[keep] * y[keep]).sum()
         / max(np.sqrt((x[keep] ** 2).sum() * (y[keep] ** 2).sum()), 1e-300)
@@ -129,5 +130,4 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
 
 def finite(*columns: Array) -> NDArray[np.bool_]:
     """Return where all columns have a value."""
-    result: NDArray[np.bool_] = np.isfinite(np.stack(columns)).all(axis=0)
-    return result
+    return np.asarray(np.isfinite(np.stack(columns)).all(axis=0))

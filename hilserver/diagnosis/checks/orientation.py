@@ -31,6 +31,7 @@ SURE = 0.7
 """Least correlation at which a sign is believed."""
 SLOWEST_M_S, SLOWEST_RAD_S = 0.02, 0.03
 FEWEST_WINDOWS = 15
+LARGEST_SKEW_RAD = 0.3
 Found = tuple[MeasuredLog, list[Finding]]
 
 
@@ -186,7 +187,7 @@ def _wheel_rate(log: MeasuredLog, robot: RobotParameters) -> Array | None:
 
 def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Judge both sides by the tag: w = a v + b om, with a > 0 on the left and < 0 on the right."""
-    found = _forward(log)
+    found = _forward(log) if _is_aligned(log) else None
     kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
     if found is None or not kinds:
         return log, []
@@ -201,7 +202,7 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
         fits.append((forward * np.sign(fit[0]), robot.yaw_sign * np.sign(fit[1])))
     (left_v, left_om), (right_v, right_om) = fits
     if left_v == right_v == -1 and left_om == right_om == 1:
-        text = "they roll backward where the tag goes forward"
+        text = "they roll backward where the tag, unless it is mounted so, goes forward"
         return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
     against = [
         f"wheel.{wheel}.{kind}"
@@ -214,6 +215,15 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     if not against:
         return log, []
     return _flipped(log, against, 0.99, "the wheels roll against the motion that the tag measured")
+
+
+def _is_aligned(log: MeasuredLog) -> bool:
+    """Return whether the heading lies along the course, forward or backward."""
+    found = _course(log)
+    if found is None or len(found[0]) < FEWEST_WINDOWS:
+        return False
+    course, yaw, speed = found
+    return bool(abs(np.angle((speed * np.exp(2j * (course - yaw))).sum())) < 2.0 * LARGEST_SKEW_RAD)
 
 
 def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:

@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import (
+    SPAN_S,
+    along,
     data_fault,
     listed,
     measured_channels,
@@ -16,9 +18,13 @@ from hilserver.plant.parameters import RobotParameters
 
 SHORTEST_BURST = 4
 FEWEST_BURSTS = 3
-ALLOWED_MISSING = 0.04
+MISSING_ROWS = 0.05
 """Single rows go missing in sound logs, too."""
-LONG_GAP_ROWS, LONG_GAP_S = 10, 0.15
+MISSING_IN_BURSTS = 0.02
+SLOWEST_S = 0.22
+"""Slower channels keep no steady clock of which one could say that a sample is missing."""
+ALTERNATING = 0.35
+"""Share of steps against the one before, in a channel with noise of its own."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -28,19 +34,27 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
     missing: dict[str, float] = {}
     for name in measured_channels(log.channels):
         channel = log[name]
-        again = _repetitions(channel)
+        again = None if name.endswith("duty_pct") else _repetitions(channel)
         if again is not None:
             repeated[name] = float(again.mean())
             kept[name] = subset(channel, ~again)
-        share = _missing_share(channel) if log.has_stamps else 0.0
-        if share > 0:
+        elif log.has_stamps and (share := _missing(channel, SHORTEST_BURST)) > MISSING_IN_BURSTS:
             missing[name] = share
+    if log.has_stamps and not missing and (share := _missing(_rows(log), 1)) > MISSING_ROWS:
+        missing = dict.fromkeys(measured_channels(log.channels), share)
     findings = []
     if repeated:
         findings.append(_finding(repeated, "stand there again instead of new ones"))
-    if missing := {name: share for name, share in missing.items() if name not in repeated}:
+    if missing:
         findings.append(_finding(missing, "are missing"))
     return log.with_channels(kept), findings
+
+
+def _rows(log: MeasuredLog) -> Channel:
+    """Return the rows of the table: the stamps of all channels."""
+    stamps = np.unique(np.concatenate([along(channel) for channel in log.channels.values()]))
+    span = np.floor(stamps / SPAN_S + 0.5).astype(np.int64)
+    return Channel(stamps - SPAN_S * span, stamps, span)
 
 
 def _finding(shares: dict[str, float], what: str) -> Finding:
@@ -59,43 +73,42 @@ def _finding(shares: dict[str, float], what: str) -> Finding:
 def _repetitions(channel: Channel) -> NDArray[np.bool_] | None:
     """Return which samples repeat the one before in bursts; None if the channel is sound.
 
-    Judged only where equal values are no accident: a channel that nearly always changes. Bursts
-    begin behind an ordinary step, which tells them from a signal that comes to rest.
+    Judged only where equal values are no accident: in a channel with noise of its own, which a
+    computed one (the duty) and a coarse one have not.
     """
     if len(channel) < 200:
         return None
     runs = runs_of(channel)
-    if np.mean(runs.length[runs.length < SHORTEST_BURST] == 1) < 0.95:
+    short = runs.length < SHORTEST_BURST
+    if not short.any() or np.mean(runs.length[short] == 1) < 0.95:
         return None
-    steps = np.abs(np.diff(channel.values))
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    middle = np.quantile(channel.values, [0.01, 0.99])
-    burst = (
-        (runs.length >= SHORTEST_BURST)
-        & (runs.before > 0.05 * usual)
-        & (runs.after > 0.05 * usual)
-        & (channel.values[runs.first] != 0)
-        & (channel.values[runs.first] > middle[0] - usual)
-        & (channel.values[runs.first] < middle[1] + usual)
-    )
+    steps = np.diff(channel.values)
+    steps = steps[steps != 0]
+    if not len(steps) or np.mean(steps[1:] * steps[:-1] < 0) < ALTERNATING:
+        return None
+    least = 0.05 * float(np.median(np.abs(steps)))
+    burst = ~short & (channel.values[runs.first] != 0)
+    sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())
-    if burst.sum() < FEWEST_BURSTS or samples > 0.5 * len(channel):
+    if sudden.sum() < max(FEWEST_BURSTS, 0.7 * burst.sum()) or samples > 0.5 * len(channel):
         return None
     again = np.repeat(burst, runs.length)
     again[runs.first] = False
     return again
 
 
-def _missing_share(channel: Channel) -> float:
-    """Return the share of missing samples; 0 if the channel is sound or has no steady rate."""
+def _missing(channel: Channel, fewest: int) -> float:
+    """Return the share of samples missing in gaps of at least `fewest`; 0 without a steady rate."""
     steps = np.diff(channel.t_s)[np.diff(channel.span) == 0]
     if len(steps) < 200:
         return 0.0
-    means = np.convolve(steps, np.ones(10) / 10, mode="valid")
+    means = np.convolve(steps, np.ones(20) / 20, mode="valid")
     period_s = float(np.quantile(means, 0.3))
-    if period_s <= 0 or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
+    if not 0 < period_s < SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
-    share = float(lost.sum() / (lost.sum() + len(steps)))
-    long = (lost >= LONG_GAP_ROWS) & (steps > LONG_GAP_S)
-    return share if share > ALLOWED_MISSING or long.sum() >= FEWEST_BURSTS else 0.0
+    lost[lost < fewest] = 0
+    if (lost > 0).sum() < FEWEST_BURSTS:
+        return 0.0
+    expected = float(steps.sum()) / period_s
+    return min(float(lost.sum()) / expected, max(1.0 - len(steps) / expected, 0.0))

@@ -21,14 +21,17 @@ from hilserver.diagnosis.findings import Finding
 from hilserver.plant.parameters import RobotParameters
 from hilserver.signals import WHEELS
 
-TURN = {
+WHEEL = {
     np.pi / 30.0: "holds rad/s where rpm is meant",
     30.0 / np.pi: "holds rpm where rad/s is meant",
+    6.0: "holds deg/s where rpm is meant",
+    1.0 / 60.0: "holds turns per second where turns per minute are meant",
+    1e-3: "is a thousand times too small",
+    1e3: "is a thousand times too large",
+}
+ANGLE = {
     180.0 / np.pi: "holds degrees where radians are meant",
     np.pi / 180.0: "holds radians where degrees are meant",
-    1.0 / 60.0: "holds turns per second where turns per minute are meant",
-    60.0: "holds turns per minute where turns per second are meant",
-    6.0: "holds deg/s where rpm is meant",
     1e-3: "is a thousand times too small",
     1e3: "is a thousand times too large",
 }
@@ -94,7 +97,7 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     windows = windows_of(log)
     travelled = _chord(log)
     by_nav = {
-        what: _known(line(_rolled(log, what, robot), travelled, 0.02), TURN)
+        what: _known(line(_rolled(log, what, robot), travelled, 0.02), WHEEL)
         for what in ("speed_rpm", "setpoint_rpm")
     }
     if speeds and (fault := by_nav["speed_rpm"]) is not None and _near(log, fault, robot, speeds):
@@ -109,11 +112,11 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     if not pairs or travelled is not None:
         return [], None
     speed, wanted = (np.abs(np.concatenate(column)) for column in zip(*pairs, strict=True))
-    fault = _known(line(speed, wanted, 1e-3), TURN, 1.15)
+    fault = _known(line(speed, wanted, 1e-3), WHEEL, 1.15)
     if fault is not None and np.nanquantile(wanted, 0.99) > 2.0 * robot.max_rpm:
         factor, ratio, _ = fault
-        inverse = min(TURN, key=lambda f: abs(float(np.log(f * factor))))
-        return sent, (inverse, ratio, TURN[inverse])
+        inverse = min(WHEEL, key=lambda f: abs(float(np.log(f * factor))))
+        return sent, (inverse, ratio, WHEEL[inverse])
     return speeds, fault
 
 
@@ -165,9 +168,9 @@ def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | 
         return [], None
     gyro = mean_in(log[name], windows)
     if "nav.yaw_rad" in log:
-        fault = _known(line(gyro, rate_in(log["nav.yaw_rad"], windows), 0.02), TURN, 1.5)
+        fault = _known(line(gyro, rate_in(log["nav.yaw_rad"], windows), 0.02), ANGLE, 1.5)
     else:
-        fault = _known(line(gyro, _turned(log, robot), 0.02), TURN, 2.2)
+        fault = _known(line(gyro, _turned(log, robot), 0.02), ANGLE, 2.2)
     return [name], fault
 
 
@@ -181,7 +184,7 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
         turned = _turned(log, robot)
         if turned is None and "imu.gyro_z_rad_s" in log:
             turned = mean_in(log["imu.gyro_z_rad_s"], windows)
-        fault = _known(line(rate, turned, 0.02), {180.0 / np.pi: TURN[180.0 / np.pi]}, 2.5)
+        fault = _known(line(rate, turned, 0.02), ANGLE, 2.5)
         if fault is not None:
             return [name], fault
     return [], None

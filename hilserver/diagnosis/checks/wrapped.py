@@ -33,13 +33,16 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     """Return by how much the angle jumps back; 0 if it does not."""
     inside = np.diff(channel.span) == 0
     step, dt = np.diff(channel.values)[inside], np.diff(channel.t_s)[inside]
-    jumps = np.abs(step[np.abs(step) > fastest_rad_s * dt + 1.0])
+    jumps = np.flatnonzero(np.abs(step) > fastest_rad_s * dt + 1.0)
+    jumps = jumps[(jumps > 0) & (jumps < len(step) - 1)]
     if not len(jumps):
         return 0.0
-    size = float(np.median(jumps))
+    turned = (step[jumps - 1] + step[jumps + 1]) / 2.0
+    sizes = np.abs(step[jumps] - turned)
+    size = float(np.median(sizes))
     if abs(size / (2.0 * np.pi) - 1.0) < 0.2:
         size = 2.0 * np.pi
-    return size if np.all(np.abs(jumps / size - 1.0) < 0.2) else 0.0
+    return size if np.all(np.abs(sizes / size - 1.0) < 0.2) else 0.0
 
 
 def _unwrap(channel: Channel, size: float) -> Channel:

@@ -1,0 +1,248 @@
+"""ROS 2 bags, sqlite3 and MCAP, read without ROS: whole ones, and torn ones as far as they go."""
+
+import sqlite3
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from mcap import records as rec
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.data import Array
+from hilserver.diagnosis.mapping import LogMapping
+from hilserver.diagnosis.messages import Decoder
+from hilserver.diagnosis.names import closest
+from hilserver.diagnosis.tables import Recording, Stamped, refuse_absurd
+from hilserver.errors import LogError
+from hilserver.logs.mcap_reader import records_of
+
+SUFFIXES = (".db3", ".mcap")
+_BROKEN = (ValueError, KeyError, struct.error, zlib.error, EndOfFile, McapError)
+_TORN = "the recorder did not close the file; what stands in it was read"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """What a bag says of a topic; the definition is empty where it holds none."""
+
+    type: str
+    definition: str = ""
+    encoding: str = "ros2msg"
+
+
+@dataclass
+class Bag:
+    """The messages of one file.
+
+    Attributes
+    ----------
+    topics : mapping of str to Topic
+    messages : mapping of str to list of (int, bytes)
+        Stamp of reception [ns] and CDR, of the topics that were asked for.
+    """
+
+    path: Path
+    topics: dict[str, Topic] = field(default_factory=dict)
+    messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path looks like a bag."""
+    return path.suffix in SUFFIXES or path.is_dir()
+
+
+def read_bag(path: Path, mapping: LogMapping) -> Recording:
+    """Read the topics that a mapping names.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or the folder with all files of the bag.
+
+    Raises
+    ------
+    LogError
+        One sentence that names file, topic, field and mend.
+    """
+    wanted = {str(channel.topic) for channel in mapping.channels.values()}
+    bags = [_read_file(file, wanted) for file in _files(path)]
+    topics = {name: topic for bag in bags for name, topic in bag.topics.items()}
+    messages = {
+        name: [message for bag in bags for message in bag.messages.get(name, ())]
+        for name in wanted & set(topics)
+    }
+    for name, channel in mapping.channels.items():
+        if channel.topic not in topics and not channel.optional:
+            known = f"the topics are {', '.join(sorted(topics)):.200}"
+            raise LogError(
+                f"{path}: there is no topic '{channel.topic}', which the mapping names for {name};"
+                f" {closest(str(channel.topic), topics, known)}"
+            )
+    notices = [notice for bag in bags for notice in bag.notices]
+    parts = []
+    for name, sent in sorted(messages.items()):
+        if sent:
+            parts.append(_part(path, name, topics[name], sent, mapping, notices))
+    if not parts:
+        raise LogError(f"{path}: the mapped topics hold no message; record them")
+    start_ns = min(int(stamps_ns[0]) for stamps_ns, _ in parts)
+    stamped = [
+        Stamped(
+            np.multiply(stamps_ns - start_ns, 1e-9, dtype=np.float64),
+            np.zeros(len(stamps_ns), dtype=np.int64),
+            columns,
+        )
+        for stamps_ns, columns in parts
+    ]
+    return Recording(path, stamped, notices=notices)
+
+
+def _files(path: Path) -> Sequence[Path]:
+    if not path.is_dir():
+        return [path]
+    files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+    if not files:
+        raise LogError(f"{path}: is a folder without a bag (.db3 or .mcap); name the log itself")
+    return files
+
+
+def _read_file(path: Path, wanted: set[str]) -> Bag:
+    return _read_sqlite(path, wanted) if path.suffix == ".db3" else _read_mcap(path, wanted)
+
+
+def _read_sqlite(path: Path, wanted: set[str]) -> Bag:
+    bag = Bag(path)
+    path.open("rb").close()  # the system's own words for what cannot be opened
+    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+    try:
+        _take_sqlite(connection, bag, wanted)
+    except sqlite3.Error as error:
+        if not any(bag.messages.values()):
+            raise LogError(
+                f"{path}: is no readable bag ({error}); copy it again, or run 'ros2 bag reindex'"
+            ) from None
+        bag.notices.append(f"{path}: is damaged ({error}); what stands before that was read")
+    finally:
+        connection.close()
+    return bag
+
+
+def _take_sqlite(connection: sqlite3.Connection, bag: Bag, wanted: set[str]) -> None:
+    tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+    definitions: dict[str, tuple[str, str]] = {}
+    if "message_definitions" in tables:
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        definitions = {row[0]: (row[2], row[1]) for row in connection.execute(query)}
+    names = {}
+    for number, name, kind in connection.execute("SELECT id, name, type FROM topics"):
+        bag.topics[name] = Topic(kind, *definitions.get(kind, ()))
+        names[number] = name
+    query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
+    for number, stamp_ns, data in connection.execute(query):
+        name = names.get(number)
+        if name in wanted:
+            bag.messages.setdefault(name, []).append((stamp_ns, data))
+
+
+def _read_mcap(path: Path, wanted: set[str]) -> Bag:
+    bag = Bag(path)
+    schemas: dict[int, rec.Schema] = {}
+    names: dict[int, str] = {}
+    ended = False
+    with path.open("rb") as file:
+        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise LogError(f"{path}: is no MCAP file; was it cut off at its start?")
+        for offset, opcode, body in records_of(file):
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                ended = True
+                break
+            try:
+                for record in _opened(opcode, body):
+                    _take_mcap(record, bag, wanted, schemas, names)
+            except (*_BROKEN, zstandard.ZstdError) as error:
+                bag.notices.append(
+                    f"{path}: the record at byte {offset} is damaged"
+                    f" ({type(error).__name__}); what stands before it was read"
+                )
+                return bag
+    if not ended:
+        bag.notices.append(f"{path}: {_TORN}")
+    return bag
+
+
+_READ: Mapping[int, Callable[[ReadDataStream], rec.McapRecord]] = {
+    Opcode.SCHEMA: rec.Schema.read,
+    Opcode.CHANNEL: rec.Channel.read,
+}
+
+
+def _opened(opcode: int, body: bytes) -> Iterator[rec.McapRecord]:
+    """Yield a record, or those inside a chunk."""
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.CHUNK:
+        yield from breakup_chunk(rec.Chunk.read(stream), validate_crc=True)
+    elif opcode == Opcode.MESSAGE:
+        yield rec.Message.read(stream, len(body))
+    elif opcode in _READ:
+        yield _READ[opcode](stream)
+
+
+def _take_mcap(
+    record: rec.McapRecord,
+    bag: Bag,
+    wanted: set[str],
+    schemas: dict[int, rec.Schema],
+    names: dict[int, str],
+) -> None:
+    if isinstance(record, rec.Schema):
+        schemas[record.id] = record
+    elif isinstance(record, rec.Channel):
+        schema = schemas.get(record.schema_id)
+        names[record.id] = record.topic
+        bag.topics[record.topic] = (
+            Topic("") if schema is None
+            else Topic(schema.name, schema.data.decode(), schema.encoding)
+        )  # fmt: skip
+    elif isinstance(record, rec.Message) and (name := names.get(record.channel_id)) in wanted:
+        bag.messages.setdefault(str(name), []).append((record.log_time, record.data))
+
+
+def _part(
+    path: Path,
+    name: str,
+    topic: Topic,
+    messages: list[tuple[int, bytes]],
+    mapping: LogMapping,
+    notices: list[str],
+) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """Return stamps [ns] and channels of one topic, sorted; of equal stamps the first counts."""
+    where = f"{path}: topic '{name}'"
+    decoder = Decoder(where, topic.type, topic.definition, topic.encoding)
+    channels = {s: str(c.field) for s, c in mapping.channels.items() if c.topic == name}
+    stamps, values = decoder.numbers(
+        messages, list(channels.values()), from_header=mapping.time.stamp == "header"
+    )
+    order = np.argsort(stamps, kind="stable")
+    fresh = np.diff(stamps[order], prepend=stamps[order][:1] - 1) > 0
+    if not fresh.all():
+        notices.append(
+            f"{where}: {int((~fresh).sum())} messages with the stamp of another left out"
+        )
+    kept = order[fresh]
+    columns: dict[str, Array] = {}
+    for (signal, at), column in zip(channels.items(), values.T, strict=True):
+        refuse_absurd(column, at, lambda row, at: f"{where}: message {row + 1}, field '{at}'")
+        converted = column[kept] * mapping.factor(signal) + mapping.channels[signal].offset
+        columns[signal] = converted
+    return stamps[kept], columns

@@ -1,0 +1,53 @@
+"""The reference of mapping files: ``python -m hilserver.diagnosis.mapping_reference``."""
+
+from hilserver.config.reference import rows_of
+from hilserver.diagnosis.mapping import ChannelMap, ColumnMap, TimeMap, builtin_mappings
+from hilserver.diagnosis.names import known_signals, units_of
+
+HEAD = """# Mapping files: logs of others
+
+Made from the code by `python -m hilserver.diagnosis.mapping_reference`; a test keeps it up to date.
+A mapping says which column of a table, or which topic and field of a ROS 2 bag, is which signal:
+`hilserver diagnose LOG --mapping map.yaml`. Columns that it does not name are left alone. How to
+write one: [Read logs of other recorders](../how-to/read-foreign-logs.md).
+
+Built in, to be named instead of a file: {builtin}.
+
+| key | type | default | meaning |
+|---|---|---|---|
+"""
+
+PLANT = """| `plant.<key>` | as in the configuration | none | the measured machine: the keys of \
+[`plant`](configuration.md); a `track_m` without `wheelbase_m` means two wheels, K_om = 1/track |
+"""
+
+TAIL = """
+Unit, sign, scale and offset are applied in this order. A unit has to measure what the signal
+measures; `unit: "1"` with a `scale` turns bare counts into the signal's unit. Wheels have the
+plant's signs: driving forward is positive on the left and negative on the right, so a right wheel
+that counts forward as positive has `sign: -1`.
+
+| signal | its unit | units that fit |
+|---|---|---|
+"""
+
+
+def as_markdown() -> str:
+    """Return the reference as Markdown."""
+    builtin = ", ".join(f"`{name}`" for name in builtin_mappings())
+    keys = [
+        rows_of(TimeMap, "time."),
+        rows_of(ColumnMap, "segment."),
+        rows_of(ColumnMap, "block."),
+        PLANT,
+        rows_of(ChannelMap, "channels.<signal>."),
+    ]
+    signals = "".join(
+        f"| `{name}` | {signal.unit} | {', '.join(units_of(signal.unit))} |\n"
+        for name, signal in known_signals().items()
+    )
+    return HEAD.format(builtin=builtin) + "".join(keys) + TAIL + signals
+
+
+if __name__ == "__main__":
+    print(as_markdown(), end="")

@@ -1,0 +1,62 @@
+"""Measurements of real machines through the mappings of the how-to (HIL_DATA_DIR)."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.mapping import builtin_mappings, load_mapping
+from hilserver.diagnosis.reading import read_measured
+from hilserver.plant.parameters import RobotParameters
+
+MAPPINGS = Path(__file__).parents[3] / "docs" / "how-to" / "mappings"
+DATA = Path(os.environ.get("HIL_DATA_DIR", ""))
+recorded = pytest.mark.skipif(
+    not (DATA / "skidsteer_drive").is_dir(),
+    reason="HIL_DATA_DIR names no folder with the recordings of real machines",
+)
+
+
+def checked(file, mapping):
+    log = read_measured([DATA / file], MAPPINGS / f"{mapping}.yaml")
+    return check(log, RobotParameters(icr_offset_m=0.0, **log.plant))
+
+
+def causes(result):
+    return {(f.causes[0], r) for f in result.findings for r in f.regressors}
+
+
+@pytest.mark.parametrize("path", sorted(MAPPINGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_mappings_of_the_how_to_are_valid(path):
+    assert load_mapping(path).plant_keys["wheelbase_m"] is None
+
+
+@pytest.mark.parametrize("name", builtin_mappings())
+def test_the_built_in_mappings_are_valid(name):
+    assert load_mapping(name).is_for_bags
+
+
+@recorded
+@pytest.mark.parametrize("floor", ["asphalt", "gravel", "sand"])
+def test_the_encoder_of_the_warthog_is_held_at_4_hz(floor):
+    result = checked(f"skidsteer_drive/warthog_{floor}.csv", "warthog")
+    (held,) = [f for f in result.findings if "wheel.fl.speed_rpm" in f.regressors]
+    assert held.causes == ("held_samples",)
+    assert held.parameters["held_samples"].value == pytest.approx(4.0, rel=0.05)
+    flipped = {channel for cause, channel in causes(result) if cause == "sign_flip"}
+    assert flipped == ({"imu.gyro_z_rad_s"} if floor == "gravel" else set())
+    assert {cause for cause, _ in causes(result)} <= {"held_samples", "sign_flip"}
+
+
+@recorded
+def test_nothing_but_held_samples_is_wrong_with_the_husky():
+    result = checked("skidsteer_drive/husky_mixed.csv", "husky")
+    assert {cause for cause, _ in causes(result)} == {"held_samples"}
+    assert "imu.gyro_z_rad_s" not in {channel for _, channel in causes(result)}
+
+
+@recorded
+def test_nothing_is_wrong_with_the_differential_drive():
+    for path in sorted((DATA / "diffdrive_umbmark").glob("*.csv")):
+        assert not checked(path, "diffdrive").findings, path.name

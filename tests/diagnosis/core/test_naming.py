@@ -1,0 +1,165 @@
+"""Selection, twins, drift and the smallest effect, on a regression whose truth is known."""
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.detectable import POWER
+from hilserver.diagnosis.identifiability import GROUP_COSINE, cosines, prune, settle
+from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.problem import fit
+from hilserver.diagnosis.screen import critical, null_maxima
+from hilserver.diagnosis.selection import select
+from hilserver.diagnosis.structure import drifting, holds_out, joint_gain
+from tests.diagnosis import toy
+
+N = 3000
+
+
+def columns_of(rng, *names):
+    return {name: 20.0 * toy.smooth(rng, N) for name in names}
+
+
+def selected(problem, seed=0):
+    library, base = toy.library(problem)
+    found = select({"drive": problem}, {"drive": library}, {"drive": base},
+                   np.random.default_rng(seed))  # fmt: skip
+    return library, found["drive"]
+
+
+def test_what_is_there_is_selected_and_nothing_else():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        columns = columns_of(rng, *"abcdefgh")
+        values = 0.5 * columns["b"] - 0.3 * columns["f"] + rng.normal(size=N)
+        _, found = selected(toy.problem(values, columns))
+        assert set(found.point.model.causes) == {"b", "f"}
+        assert found.point.model.terms == pytest.approx({"b": 0.5, "f": -0.3}, abs=0.05)
+        assert all(p <= 0.01 for p in found.p.values())
+
+
+def test_nothing_is_selected_from_noise():
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        problem = toy.problem(rng.normal(size=N), columns_of(rng, *"abcdefgh"))
+        _, found = selected(problem)
+        assert found.point.model.causes == ()
+
+
+def twins(seed, likeness):
+    """One effect, and a column that is `likeness` of it and the rest its own."""
+    rng = np.random.default_rng(seed)
+    columns = columns_of(rng, "true", "own", "other")
+    own = columns.pop("own")
+    columns["twin"] = likeness * columns["true"] + np.sqrt(1.0 - likeness**2) * own
+    values = 0.5 * columns["true"] + rng.normal(size=N)
+    problem = toy.problem(values, columns)
+    library, base = toy.library(problem)
+    return library, fit(problem, toy.model("true"), base)
+
+
+def test_exact_twins_tie_and_others_do_not():
+    for seed in range(5):
+        library, point = twins(seed, 1.0)
+        settled, ties = settle(library, point)
+        assert settled.model.causes == ("true",)
+        assert [r.candidate.cause for r in ties["true"]] == ["twin"]
+        assert ties["true"][0].cosine == pytest.approx(1.0, abs=1e-3)
+        assert abs(ties["true"][0].worse) < 0.1
+        library, point = twins(seed, 0.9)
+        assert settle(library, point)[1]["true"] == [], "below 0.95 and clearly worse"
+
+
+def test_a_wrong_name_is_swapped_for_the_right_one():
+    library, point = twins(3, 0.9)
+    wrong = fit(library.problem, toy.model("twin"), point)
+    settled, _ = settle(library, wrong)
+    assert settled.model.causes == ("true",)
+
+
+def test_the_cosine_is_that_of_the_columns_without_what_others_explain():
+    library, point = twins(4, 0.9)
+    columns = library.problem.stage.columns
+    plain = columns["true"] @ columns["twin"]
+    plain /= np.linalg.norm(columns["true"]) * np.linalg.norm(columns["twin"])
+    names = [c.cause for c in library.candidates]
+    found = dict(zip(names, cosines(library, point, 0), strict=True))
+    assert found["twin"] == pytest.approx(abs(plain), abs=1e-3)
+    assert found["other"] < 0.6
+    both = fit(library.problem, toy.model("twin", "true"), point)
+    index = both.model.causes.index("true")
+    rest = columns["true"] - columns["twin"] * (columns["true"] @ columns["twin"]) / (
+        columns["twin"] @ columns["twin"]
+    )
+    other = columns["other"]
+    aside = other - columns["twin"] * (other @ columns["twin"]) / (
+        columns["twin"] @ columns["twin"]
+    )
+    wanted = abs(rest @ aside) / np.linalg.norm(rest) / np.linalg.norm(aside)
+    found = dict(zip(names, cosines(library, both, index), strict=True))
+    assert found["other"] == pytest.approx(wanted, abs=1e-3)
+    assert 0.9 < GROUP_COSINE < 1.0
+
+
+def test_a_superfluous_cause_is_pruned():
+    rng = np.random.default_rng(5)
+    columns = columns_of(rng, "a", "b")
+    problem = toy.problem(0.5 * columns["a"] + rng.normal(size=N), columns)
+    base = problem.point(Model(), np.zeros((0, 3)))
+    both = fit(problem, toy.model("a", "b"), base)
+    assert prune(problem, both, 10.0).model.causes == ("a",)
+
+
+def test_drift_is_seen_and_a_constant_is_none():
+    course = np.linspace(-1.0, 1.0, N)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        columns, noise = columns_of(rng, "a"), rng.normal(size=N)
+        for slope, wanted in ((0.3, {"a"}), (0.0, set())):
+            problem = toy.problem((0.5 + slope * course) * columns["a"] + noise, columns)
+            base = problem.point(Model(), np.zeros((0, 3)))
+            point = fit(problem, toy.model("a"), base)
+            assert set(drifting(problem, point, np.random.default_rng(0))) == wanted
+
+
+def test_structure_must_hold_on_blocks_that_its_coefficients_were_not_fitted_to():
+    rng = np.random.default_rng(6)
+    problem = toy.problem(rng.normal(size=N), columns_of(rng, "a"))
+    family = np.stack(list(columns_of(rng, *"bcdefghij").values()), axis=1)
+    left = rng.normal(size=N)
+    assert not holds_out(problem, family, left)
+    assert joint_gain(family, left) < 40.0
+    there = left + 0.4 * family[:, 2] - 0.4 * family[:, 7]
+    assert holds_out(problem, family, there)
+    assert joint_gain(family, there) > 100.0
+    once = np.where(problem.stack.fold[problem.stack.block] == 0, there, left)
+    assert not holds_out(problem, family, once), "in one half of the blocks alone"
+    assert joint_gain(np.zeros((N, 2)), left) == 0.0
+
+
+def test_an_effect_of_the_smallest_visible_size_is_usually_seen():
+    rng, seen = np.random.default_rng(7), 0
+    for _ in range(60):
+        columns = columns_of(rng, *"abcd")
+        problem = toy.problem(rng.normal(size=N), columns)
+        library, base = toy.library(problem)
+        scores = library.scores(base)
+        limit = critical(null_maxima([scores], rng, flips=999))
+        size = (limit + POWER) * scores.deviation[0] / scores.information[0]
+        values = problem.stack.values + size * columns["a"]
+        library, base = toy.library(toy.problem(values, columns))
+        scores = library.scores(base)
+        seen += abs(scores.t[0]) > critical(null_maxima([scores], rng, flips=999))
+    assert 0.65 <= seen / 60 <= 0.97, f"{seen} of 60"
+
+
+def test_columns_of_noughts_and_of_any_unit_have_a_ridge_fit():
+    rng = np.random.default_rng(8)
+    columns = columns_of(rng, "a", "b") | {"nothing": np.zeros(N)}
+    columns["b"] *= 1e-6
+    problem = toy.problem(0.5 * columns["a"] + rng.normal(size=N), columns)
+    library, base = toy.library(problem)
+    weight = library.ridge(base)
+    assert np.isfinite(weight).all()
+    assert weight[0] == pytest.approx(0.5, abs=0.05)
+    effect = library.effect(weight, slice(None))
+    assert effect == pytest.approx(0.5 * columns["a"], abs=2.0)

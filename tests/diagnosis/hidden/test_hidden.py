@@ -1,0 +1,116 @@
+"""Effects hidden by another program than the plant come out by name, size and sign.
+
+A quick sample; `hilserver bench diagnose` runs the campaign. The logs are shorter than the
+reference logs where the effect shows in less.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.findings import Verdict
+from hilserver.plant.terms import TERMS, main_part
+from tests.diagnosis.assertions import (
+    nothing_is_found,
+    the_cause_is_named,
+    the_gain_is_honest,
+    the_twins_are_one_group,
+    the_value_is_right,
+)
+from tests.diagnosis.hidden.logs import diagnosis, judged, recipe
+
+NULL = [("nothing drive", 101, 120.0), ("nothing drive", 102, 120.0),
+        ("nothing drive", 103, 60.0), ("nothing bench", 101, 15.0)]  # fmt: skip
+NAMED = [
+    ("rotation_gain", 1, 120.0, "yaw_rad"),
+    ("wheel_radius", 1, 240.0, "position_m"),
+    ("side_slip", 1, 240.0, None),
+    ("nav_latency", 1, 120.0, None),
+    ("gyro_bias", 1, 120.0, "gyro_z_rad_s"),
+    ("saturation_limit", 1, 60.0, "speed_rpm"),
+    ("actuation_delay", 1, 60.0, "speed_rpm"),
+    ("coulomb_friction", 2, 20.0, "duty_pct"),
+    ("time_constant", 1, 20.0, "speed_rpm"),
+    ("process_gain", 1, 20.0, "duty_pct"),
+]
+GROUPS = [
+    ("icr_offset", 1, 120.0, ("icr_offset", "nav_lever_arm")),
+    ("wheel_misalignment", 1, 120.0, ("wheel_misalignment", "nav_frame_yaw")),
+]
+IMITATED = {"icr_offset": "nav_lever_arm.x", "wheel_misalignment": "nav_frame_yaw"}
+
+
+def hidden(*log):
+    """Parameter and true value of what a recipe hides."""
+    name, value = next(iter(recipe(*log).causes.items()))
+    return main_part(name), value, TERMS[main_part(name)].null or 0.0
+
+
+@pytest.mark.parametrize("log", NULL, ids=str)
+def test_where_nothing_is_hidden_nothing_is_found(log):
+    findings = diagnosis(*log).findings
+    nothing_is_found(findings)
+    sizes = {d.cause: d.size for d in findings.smallest_detectable}
+    judged_there = "rotation_gain" if "drive" in log[0] else "coulomb_friction"
+    assert 0.0 < sizes[judged_there] < np.inf
+    told = {n.cause for n in findings.not_judged}
+    assert not told & set(sizes), "judged and not judged at once"
+
+
+@pytest.mark.parametrize(("cause", "seed", "duration_s", "gains"), NAMED, ids=str)
+def test_the_name_comes_out_with_size_and_sign(cause, seed, duration_s, gains):
+    found = diagnosis(cause, seed, duration_s)
+    the_cause_is_named(found.findings, cause)
+    the_value_is_right(found.findings, *hidden(cause, seed, duration_s))
+    (finding,) = found.findings.findings
+    assert finding.p_adjusted is not None
+    assert finding.p_adjusted <= 0.01
+    assert finding.explanation
+    assert [term.name for term in found.evidence.extension] == [hidden(cause, seed, duration_s)[0]]
+    if gains is not None:
+        the_gain_is_honest(found.findings, gains)
+        assert finding.gain == {
+            k: g for k, g in found.findings.total_gain.items() if k in finding.gain
+        }
+
+
+@pytest.mark.parametrize(("cause", "seed", "duration_s", "twins"), GROUPS, ids=str)
+def test_twins_come_out_as_one_group_with_both_values(cause, seed, duration_s, twins):
+    findings = diagnosis(cause, seed, duration_s).findings
+    the_twins_are_one_group(findings, *twins)
+    name, value, null = hidden(cause, seed, duration_s)
+    the_value_is_right(findings, name, value, null)
+    the_value_is_right(findings, IMITATED[cause], -value)
+    assert len(diagnosis(cause, seed, duration_s).evidence.extension) >= 1
+
+
+def test_neither_threads_nor_a_second_time_change_a_digit():
+    log = ("actuation_delay", 1, 60.0)
+    first = diagnosis(*log)
+    again = judged(recipe(*log), jobs=2)
+    assert again.findings == first.findings
+    assert again.evidence.extension == first.evidence.extension
+
+
+def test_the_verdict_does_not_hang_on_the_seed_of_the_draws():
+    log = ("coulomb_friction", 2, 20.0)
+    other = judged(recipe(*log), seed=77).findings
+    the_cause_is_named(other, "coulomb_friction")
+    first = diagnosis(*log).findings.findings[0].parameters
+    assert other.findings[0].parameters == first
+    assert other.seed == 77
+
+
+def test_every_finding_has_a_verdict_of_its_own_kind():
+    for log in ([*case[:3]] for case in (*NAMED, *GROUPS)):
+        for finding in diagnosis(*log).findings.findings:
+            grouped = len(finding.causes) > 1
+            assert finding.verdict == (Verdict.NAMED_GROUP if grouped else Verdict.NAMED)
+
+
+@pytest.mark.parametrize("manoeuvre", ["spins", "ramps", "straights"])
+def test_drives_that_excite_little_are_judged_and_found_sound(manoeuvre):
+    """On the spot no forward speed, in ramps no step of a set-point, on straights no turn."""
+    made = replace(recipe("nothing drive", 21, 90.0), manoeuvre=manoeuvre)
+    nothing_is_found(judged(made).findings)
