@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import uniform_filter1d
 
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.clock import LONGEST_S, cut
@@ -28,12 +29,14 @@ GOES_ON_S: Final = 0.11
 TAG: Final = (*POSITION, YAW)
 RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
 MARGIN_S: Final = 1.0
+NOISE_WINDOW_S: Final = 0.4
+NOISE_MEMORY: Final = 0.15
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""
 STRIDES: Final = (2, 10)
 """Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ..."""
 SLOW_ROWS_S: Final = 0.04
-"""... and 10 ms where the wheel speeds come in slower rows."""
+"""... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
 
@@ -65,7 +68,8 @@ class PoseStage:
         log = paired(log)
         self.log, self.robot = log, robot
         self._drive, self._block_s = drive, block_s
-        self.period_s = stride(log) * robot.period_s
+        slices = stride(log) if drive is None else STRIDES[0]
+        self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
         self._neighbours = neighbours(log)
@@ -266,7 +270,7 @@ class PoseStage:
         """Return one wheel's speed at every tick.
 
         The closed loop's own model interpolates: simulated speed plus the interpolated difference
-        to the measured one. Without set-points a smooth curve goes through the samples.
+        to the measured one, of its noise only the slow part. Without set-points a smooth curve goes through the samples.
         """
         dense = np.zeros(self.segments.ticks)
         for i in range(len(self.segments)):
@@ -291,7 +295,7 @@ class PoseStage:
         if len(t) == 0:
             return np.asarray(model)
         at_samples = _read(simulated, (t - start_s) / stage.segments.period_s, last)
-        return np.asarray(model + np.interp(times, t, v - at_samples))
+        return np.asarray(model + np.interp(times, t, steadied(t, v - at_samples)))
 
     def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
         if name not in self.log:
@@ -339,6 +343,24 @@ def neighbours(log: MeasuredLog) -> list[list[int]]:
         last = i + 1 if i < len(joined) and joined[i] else i
         out.append(list(range(first, last + 1)))
     return out
+
+
+def steadied(t_s: Array, difference: Array) -> Array:
+    """Return the slow part of what the drive's model leaves, if the rest of it is noise.
+
+    An encoder's noise in the speeds would make turns and ways of its own: a cause that only moves
+    them between the samples, or takes them out where the robot does not turn, would explain them.
+    What has a memory is no noise, and stays.
+    """
+    n = round(NOISE_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
+    if n < 3 or len(t_s) < 2 * n:
+        return difference
+    swing = difference - difference.mean()
+    power = float(swing @ swing)
+    for lag in (1, 2, 3, 5):
+        if abs(float(swing[lag:] @ swing[:-lag])) > NOISE_MEMORY * power:
+            return difference
+    return np.asarray(uniform_filter1d(difference, n, mode="nearest"))
 
 
 def paired(log: MeasuredLog) -> MeasuredLog:

@@ -163,7 +163,7 @@ def physical(point: Point) -> bool:
             width = high - low
             margin = 1e-6 * width if np.isfinite(width) else 0.0
             at_edge = value <= low + margin or value >= high - margin
-            if at_edge and c.n == 1:
+            if at_edge:
                 return False
         if size < c.least:
             return False
