@@ -25,6 +25,7 @@ COMMANDS = {
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
     "diagnose": "what the simulation gets wrong in measured data, why, and what would mend it",
+    "plan": "what an experiment can show before it is driven, and a better manoeuvre",
     "identify": "K_om, step response, update rate, dead zone or noise from a log",
     "latency-test": "what this computer can do, before the model is blamed",
     "install-service": "install the daemon as a systemd service",

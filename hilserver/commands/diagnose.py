@@ -7,12 +7,11 @@ logs are taken for one machine and pooled, unless --each gives every log a repor
 import argparse
 import os
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TextIO
 
 from hilserver.commands.options import add_config, config_path
+from hilserver.commands.progress import Progress
 from hilserver.diagnosis.many import in_processes, on_cluster
 from hilserver.diagnosis.output import REPORT, write
 from hilserver.diagnosis.pipeline import Outcome, Task
@@ -20,7 +19,6 @@ from hilserver.diagnosis.pipeline import run as diagnose
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
 
 EXAMPLE = "hilserver diagnose run1.csv run2.csv -c config.yaml -o diagnosis"
-PROGRESS_AFTER_S = 2.0
 _ERRORS = {2: LogError, 78: ConfigError}
 
 
@@ -87,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         jobs=args.jobs,
     )
-    progress = _Progress()
+    progress = Progress()
     try:
         outcome = diagnose(task, progress)
     finally:
@@ -123,7 +121,7 @@ def _each(args: argparse.Namespace) -> int:
         mapping = str(Path(mapping).absolute())
     tasks = [Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs]
     folders = _folders(args.logs)
-    code, progress, done = EXIT_DONE, _Progress(), 0
+    code, progress, done = EXIT_DONE, Progress(), 0
     try:
         for index, outcome in _outcomes(args, tasks):
             done += 1
@@ -154,33 +152,3 @@ def _folders(logs: list[Path]) -> list[str]:
             name, number = f"{log.stem}-{number}", number + 1
         names.append(name)
     return names
-
-
-class _Progress:
-    """A bar on a terminal once it takes longer than two seconds; nothing elsewhere."""
-
-    def __init__(self) -> None:
-        self._start_s = time.monotonic()
-        self._shown = 0
-
-    def __call__(self, stage: str, share: float) -> None:
-        if not sys.stderr.isatty() or time.monotonic() - self._start_s < PROGRESS_AFTER_S:
-            return
-        bar = "#" * round(30 * share)
-        self._show(f"[{bar:<30}] {share:4.0%} {stage}")
-
-    def _show(self, line: str) -> None:
-        print(f"\r{line:<{self._shown}}", end="", file=sys.stderr, flush=True)
-        self._shown = len(line)
-
-    def say(self, line: str, file: TextIO) -> None:
-        """Print a line where the bar stood."""
-        self.end()
-        print(line, file=file, flush=True)
-
-    def end(self) -> None:
-        """Wipe the bar."""
-        if self._shown:
-            self._show("")
-            print("\r", end="", file=sys.stderr, flush=True)
-            self._shown = 0

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from hilserver.config.hall import load_hall
 from hilserver.plant import parts
 from hilserver.plant.errors import PlantError
-from hilserver.plant.hall import load_hall
 from hilserver.plant.parameters import GEOMETRIC_GAINS, ROTATION_GAINS, RobotParameters
 from hilserver.plant.terms import complete
 
@@ -133,7 +133,9 @@ class TofConfig(_Section):
 
     enabled: bool = Field(default=True, description="false: their outputs are BadOutOfService")
     slice: Slice = "sensors"
-    hall: str = Field("default", description="YAML file of the walls, or default")
+    hall: str = Field(
+        "default", description="default, or a YAML file with walls: [[x1, y1, x2, y2], ...] in m"
+    )
     mount_x_m: float = Field(0.20, gt=0, le=10, description="front sensors +x, rear ones -x")
     mount_y_m: float = Field(0.12, gt=0, le=10, description="left sensors +y, right ones -y")
     field_of_view_rad: float = Field(0.1745, gt=0, lt=3.14, description="whole angle of the cone")

@@ -42,7 +42,11 @@ class RealtimeConfig(Section):
     """What the pacing thread asks of the system; what it does not get, the audit names."""
 
     priority: int = Field(80, ge=0, le=99, description="SCHED_FIFO priority; 0: ordinary thread")
-    cpu: int | None = Field(None, ge=0, description="Pin the pacing thread to this core")
+    cpu: int | None = Field(
+        None,
+        ge=0,
+        description="Give this core to the pacing thread; the rest of the daemon leaves it",
+    )
     lock_memory: bool = Field(True, description="Lock and prefault memory")
     hold_latency_target: bool = Field(True, description="Hold /dev/cpu_dma_latency at 0")
 

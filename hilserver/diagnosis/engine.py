@@ -55,7 +55,7 @@ Tell = Callable[[str, float], None]
 
 HORIZON_S = 5.0
 LEAST_GAIN = 10.0
-LOST_SHARE = 0.02
+LOST_SHARE = 0.01
 DRIVEN = ("speed_rpm", "duty_pct")
 
 

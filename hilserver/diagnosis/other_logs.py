@@ -35,12 +35,11 @@ def gain_on(
     if len(lengths) >= FEWEST_RUNS and max(lengths) <= LONGEST_RUN_S:
         horizon_s = math.inf
     found: dict[str, Gain] = {}
-    for name, stage in stages_of(log, robot).items():
-        if isinstance(stage, PoseStage):
-            stage = stage.uncut()
+    for name, cut in stages_of(log, robot).items():
+        stage = cut.uncut() if isinstance(cut, PoseStage) else cut
         problem, model = Problem(stage), models.get(name, Model())
-        predicted = [
+        before, after = (
             problem.predict(terms, problem.start_poses(terms)) for terms in ({}, model.terms)
-        ]
-        found |= gains(problem, *predicted, horizon_s, rng)
+        )
+        found |= gains(problem, before, after, horizon_s, rng)
     return found

@@ -136,8 +136,8 @@ def structure(unknown: Sequence[Unknown], stage: str) -> Finding:
 def lost(steps: LostSteps) -> Finding:
     """Return the finding of set-points that were logged as sent and never arrived."""
     text = (
-        f"{steps.events} of {steps.judged} set-point steps stand in the log as sent, and the wheels"
-        " did not make them: they were lost on the way."
+        f"{steps.events} of {steps.judged} set-point steps stand in the log as sent, but reached"
+        " the wheels a message too late or never: messages were lost on the way."
     )
     return Finding(
         verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,

@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -43,9 +43,20 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
     FailedError
         If the folder cannot be written.
     """
+    write_files(folder, files, (FINDINGS, PATCH, REPORT))
+
+
+def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = ()) -> None:
+    """Write files, each whole or not at all; remove those of the `known` that are not written.
+
+    Raises
+    ------
+    FailedError
+        If the folder cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name in (FINDINGS, PATCH, REPORT):
+        for name in known:
             if name not in files:
                 (folder / name).unlink(missing_ok=True)
         for name, text in files.items():

@@ -71,9 +71,7 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
         other = read_measured(task.against, task.mapping)
         return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
     test = read_measured(task.test, task.mapping) if task.test else None
-    return diagnose(
-        log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test
-    )
+    return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test)
 
 
 def run(task: Task, progress: Progress | None = None) -> Outcome:

@@ -31,7 +31,7 @@ MARGIN_S: Final = 1.0
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""
 STRIDES: Final = (2, 10)
-"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms will do; ..."""
+"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ..."""
 SLOW_ROWS_S: Final = 0.04
 """... and 10 ms where the wheel speeds come in slower rows."""
 SAME_START_M: Final = 0.01
@@ -82,9 +82,7 @@ class PoseStage:
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""
-        return PoseStage(
-            self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None
-        )
+        return PoseStage(self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None)
 
     @staticmethod
     def judges(log: MeasuredLog) -> bool:

@@ -2,10 +2,11 @@
 
 For every block of the log and every direction the efficient score is taken. Their sum is compared
 with the scatter of the blocks about the fitted effect, or with what the noise model says if that is
-more. Under "no effect" the sign of a block's score is a coin's, so all directions are tested
-together by flipping signs of whole blocks, taking the same statistic and its maximum over the
-directions (Westfall and Young 1993; wild bootstrap of clusters under the null hypothesis): the
+more. Under "no effect" the sign of what a block leaves is a coin's, so all directions are tested
+together by flipping signs of whole blocks, fitting each flip anew for the same statistic, and
+taking its maximum over the directions (Westfall and Young 1993; wild bootstrap of clusters): the
 family-wise error holds whatever the correlation between directions, and between samples of a block.
+What a block leaves is flipped, not its score, lest a strong effect hide a weaker one.
 """
 
 from collections.abc import Sequence
@@ -152,11 +153,12 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
         used = s.information > 1e-12
         if not used.any():
             continue
-        per, own, information = s.blocks[:, used], s.own[:, used], s.information[used]
-        signs = rng.integers(0, 2, size=(flips, len(per))).astype(np.float64) * 2.0 - 1.0
-        total = signs @ per
+        own, information = s.own[:, used], s.information[used]
+        rest = s.blocks[:, used] - s.size[used] * own
+        signs = rng.integers(0, 2, size=(flips, len(own))).astype(np.float64) * 2.0 - 1.0
+        total = signs @ rest
         size = total / information
-        scatter = (per**2).sum(axis=0) - 2.0 * size * (signs @ (per * own))
+        scatter = (rest**2).sum(axis=0) - 2.0 * size * (signs @ (rest * own))
         scatter += size**2 * (own**2).sum(axis=0)
         deviation = np.sqrt(np.maximum(scatter, information))
         largest = np.maximum(largest, np.abs(total / deviation).max(axis=1))

@@ -20,7 +20,8 @@ from hilserver.plant.parameters import RobotParameters
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
-NEEDS_DUTY = {"coulomb_friction", "dead_zone", "viscous_load", "stribeck_friction", "wheel_load"}
+NEEDS_DUTY = {"dead_zone", "stribeck_friction"}
+"""Other loads still show without duty where they keep wheels from their set-points."""
 NEEDS_POSITION = {
     "wheel_radius",
     "longitudinal_slip",
@@ -137,11 +138,6 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
             reasons |= dict.fromkeys(NEEDS_GYRO, "no turn rate in the log")
     if not log.has_stamps:
         reasons |= dict.fromkeys(NEEDS_STAMPS, "the log has no time stamps")
-    if not any(n in log for n in DUTIES):
-        # without duty friction can still be seen where it keeps wheels from their set-points
-        for cause in NEEDS_DUTY - {"wheel_load"}:
-            reasons.pop(cause, None)
-        reasons.pop("wheel_load", None)
     return [c for c in found if c.cause not in reasons], reasons
 
 

@@ -125,7 +125,7 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
     """Return the accepted causes that unknown structure leaves in doubt.
 
     A cause is in doubt when, with the structure's columns beside it, it explains less than
-    `DOMINANCE` times what the structure does.
+    `DOMINANCE` times what the structure does; or when the structure explains more in its place.
     """
     if not unknown or not point.model.fitted:
         return []
@@ -138,7 +138,8 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
         rest = reduced.left - base @ (base.T @ reduced.left)
         full = point.left - base @ (base.T @ point.left)
         own = float((rest**2).sum() - (full**2).sum())
-        if own < DOMINANCE * strength:
+        instead = float((rest**2).sum()) + columns.shape[1] < point.deviance
+        if own < DOMINANCE * strength or instead:
             doubtful.append(index)
     return doubtful
 

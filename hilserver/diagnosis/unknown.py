@@ -7,6 +7,7 @@ the body velocity (pose) or of speed and duty (drive) that depends on its regres
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,12 @@ from hilserver.plant.layout import WHEELS
 
 Array = NDArray[np.float64]
 
+DRIVES, TURNS = 0.1, 0.1
+"""Speed [m/s] and turn rate [rad/s] from which a direction is remembered."""
 TURNING, DRIVING = 0.2, 0.05
 """Turn rate [rad/s] and speed [m/s] from which a direction counts."""
-FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 29))
+FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
+PEAKS, FINEST_HZ = 3, 5.0
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,17 @@ class _Motion:
         offset = total[begin]
         return np.asarray(total - np.repeat(offset, np.diff(self.bounds)))
 
+    def last_side(self, signal: Array, least: float) -> Array:
+        """Return the side that a signal was last clearly on, +1 or -1; +1 at a segment's start."""
+        out = np.ones_like(signal)
+        for a, b in pairwise(self.bounds.tolist()):
+            clear = np.flatnonzero(np.abs(signal[a:b]) > least)
+            if not len(clear):
+                continue
+            latest = np.searchsorted(clear, np.arange(b - a), side="right") - 1
+            out[a:b] = np.sign(signal[a:b][clear[np.maximum(latest, 0)]])
+        return out
+
     def smoothed(self, signal: Array, tau_s: float) -> Array:
         """Return a signal's recent past: low-passed within each segment."""
         from scipy.signal import lfilter  # noqa: PLC0415 (slow to import)
@@ -127,7 +142,8 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     signal = YAW if YAW in problem.stack.edges else "pose.yaw_rad"
     columns = [m.column(*d) for h in heading for d in
                ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
-                (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)))]  # fmt: skip
+                (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)),
+                (zero, zero, h * om))]  # fmt: skip
     if not m.stage.begins_anew:
         families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
     if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
@@ -147,7 +163,9 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
             m.column(zero, zero, np.abs(om)), m.column(zero, np.abs(om), zero),
             m.column(zero, zero, _side(om, TURNING))]  # fmt: skip
     families.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
-    history = []
+    went, turned = m.last_side(v, DRIVES), m.last_side(om, TURNS)
+    history = [m.column(zero, zero, went * om), m.column(turned * v, zero, zero),
+               m.column(went * v, zero, zero), m.column(zero, zero, turned * om)]  # fmt: skip
     for tau_s in (0.3, 1.0, 3.0):
         past_v, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
         history += [m.column(zero, zero, past_om - om), m.column(past_v - v, zero, zero),
@@ -157,13 +175,40 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
                     m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
     names = ("wheels.speeds_rpm", "velocity.angular_rad_s", "velocity.linear_m_s")
     families.append(Family("history", names, np.stack(history, axis=1)))
-    families.append(_periodic_pose(m))
+    found = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
+    families.append(_periodic_pose(m, found))
     return families
 
 
-def _periodic_pose(m: _Motion) -> Family:
+def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, ...]:
+    """Return the frequencies [Hz] at which the residual of some channels is strongest."""
+    residual, stack = problem.residual(point.predicted), problem.stack
+    power: Array | None = None
+    for name in names:
+        t, r = stack.t_s[stack.edges[name]], residual[stack.edges[name]]
+        if len(t) < 200 or t[-1] <= t[0]:
+            continue
+        grid = np.arange(t[0], t[-1], 0.5 / FINEST_HZ)
+        total = np.concatenate([[0.0], np.cumsum(r)])
+        edges = np.searchsorted(t, np.append(grid, t[-1]))
+        even = (total[edges[1:]] - total[edges[:-1]]) / np.maximum(np.diff(edges), 1)
+        spectrum = np.abs(np.fft.rfft(even - even.mean(), 4 * len(even))) ** 2
+        power = spectrum if power is None else power + spectrum[: len(power)]
+        step_hz = FINEST_HZ / (len(spectrum) - 1)
+        width = 6
+    if power is None:
+        return ()
+    out = []
+    for _ in range(PEAKS):
+        k = int(np.argmax(power))
+        out.append(max(k, 1) * step_hz)
+        power[max(k - width, 0) : k + width + 1] = 0.0
+    return tuple(out)
+
+
+def _periodic_pose(m: _Motion, found: Sequence[float]) -> Family:
     zero, columns = np.zeros_like(m.v), []
-    for f in FREQUENCIES_HZ:
+    for f in (*found, *FREQUENCIES_HZ):
         for wave in (np.cos, np.sin):
             shape = wave(2.0 * np.pi * f * m.t)
             columns.append(m.column(zero, zero, shape * m.moving))
@@ -237,7 +282,9 @@ def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
             )
         )
     columns = []
-    for f in FREQUENCIES_HZ:
+    duties = [n for n in DUTIES if n in stack.edges]
+    found = peaks(problem, point, duties or [n for n in SPEEDS if n in stack.edges])
+    for f in (*found, *FREQUENCIES_HZ):
         for wave in (np.cos, np.sin):
             columns += disturbed(range(4), wave(2.0 * np.pi * f * t))[:1]
     yield (Family("time", ("t_s",), np.stack(columns, axis=1)))
@@ -251,51 +298,56 @@ def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
 
 @dataclass(frozen=True)
 class LostSteps:
-    """Set-point steps that the log shows as sent and the wheels did not make.
+    """Set-point steps that the log shows as sent and that reached the wheels late or never.
 
     Attributes
     ----------
     share : float
-        Of the steps large enough to judge.
+        Of the steps that can be judged.
     events, judged : int
-    times : ndarray, shape (events,)
     """
 
     share: float
     events: int
     judged: int
-    times: Array
+
+
+LARGE_STEP_RPM = 4.0
+RESPONSE_S = 0.15
+LATE_S, SHARP_S = 0.008, 0.002
+"""A step counts as late from here on; and only if its delay is known so well."""
 
 
 def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
-    """Return how many steps of the set-points the wheels did not make; None if few can be judged.
+    """Return how many steps of the set-points were lost on the way; None if few can be judged.
 
-    The residual after a step is compared with minus the step itself. A wheel that ignored it shows
-    about -1 of it, one that followed about 0.
+    A step that waits for the next message is late by one message, others are not at all: after
+    every step the residual is compared with the slope of the simulated response.
     """
     assert isinstance(problem.stage, DriveStage)
-    log, stack = problem.stage.log, problem.stack
+    log, stack, stage = problem.stage.log, problem.stack, problem.stage
     residual = problem.residual(point.predicted)
-    shares, times = [], []
-    for setpoint, speed in zip(SETPOINTS, SPEEDS, strict=True):
+    _, seen, _ = stage.simulate(point.model.terms)
+    slope = np.gradient(seen, axis=0) / stage.segments.period_s
+    late: list[bool] = []
+    for wheel, (setpoint, speed) in enumerate(zip(SETPOINTS, SPEEDS, strict=True)):
         if setpoint not in log or speed not in stack.edges:
             continue
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
+        g = slope[np.rint(stack.at[edge]).astype(np.int64), wheel]
+        noise = problem.noise[speed].white_sd
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
-            change = np.flatnonzero(np.abs(np.diff(s)) > 4.0) + 1
-            for a, b in zip(change, [*change[1:], len(ts)], strict=True):
-                end = ts[b - 1] if b < len(ts) else ts[-1]
-                low, high = np.searchsorted(t, [ts[a] + 0.25, min(end, ts[a] + 3.0)])
-                if high - low < 5:
+            for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
+                low, high = np.searchsorted(t, [ts[a], ts[a] + RESPONSE_S])
+                power = float(g[low:high] @ g[low:high])
+                if power <= 0.0 or noise / np.sqrt(power) > SHARP_S:
                     continue
-                shares.append(float(np.median(r[low:high])) / float(s[a] - s[a - 1]))
-                times.append(float(ts[a]))
-    if len(shares) < 8:
+                late.append(-float(r[low:high] @ g[low:high]) / power > LATE_S)
+    if len(late) < 12:
         return None
-    found = np.abs(np.array(shares) + 1.0) < 0.25
-    return LostSteps(float(found.mean()), int(found.sum()), len(shares), np.array(times)[found])
+    return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))
 
 
 __all__ = ["DUTIES", "Family", "LostSteps", "drive_families", "lost_steps", "pose_families"]

@@ -8,7 +8,7 @@ from hilserver.image import ProcessImage
 from hilserver.image.layout import W_MAIL_HEAD, W_MAIL_TAIL, W_TIMED_HEAD
 from hilserver.kernel import modifier_layout as lay
 from hilserver.kernel.modifier_layout import Kind
-from hilserver.kernel.modifiers import show_mail
+from hilserver.kernel.modifier_mail import show_mail
 
 
 @dataclass(frozen=True, slots=True)

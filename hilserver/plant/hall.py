@@ -1,65 +1,34 @@
-"""The hall that the range finders see: a YAML file of line segments."""
+"""The hall that the range finders see: walls as line segments."""
 
-from functools import cache
-from importlib.resources import as_file, files
-from pathlib import Path
 from typing import Final
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from hilserver.plant.errors import PlantError
-
-MOST_WALLS: Final = 4096
-
-
-def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
-    """Return the walls of a hall, shape (4 n,): x1, y1, x2, y2 [m] of each.
-
-    Parameters
-    ----------
-    hall : str
-        ``default`` or the path of a YAML file, relative to `base_dir`.
-    base_dir : Path
-        The directory of the configuration file.
-
-    Raises
-    ------
-    PlantError
-        When the file is missing or is no list of finite segments.
-    """
-    if hall == "default":
-        return default_hall()
-    return _read_hall(base_dir / hall)
-
-
-def _read_hall(path: Path) -> NDArray[np.float64]:
-    where = f"sensors.tof.hall: {path}"
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
-        msg = f"{where} cannot be read: {reason}."
-        raise PlantError(msg) from error
-    walls = content.get("walls") if isinstance(content, dict) else None
-    if not isinstance(walls, list) or len(walls) > MOST_WALLS:
-        msg = f"{where} must have a list `walls` of at most {MOST_WALLS} segments."
-        raise PlantError(msg)
-    for number, wall in enumerate(walls, start=1):
-        numbers = isinstance(wall, list) and len(wall) == 4
-        if not numbers or not all(
-            isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in wall
-        ):
-            msg = f"{where}: wall {number} must be four finite numbers [x1, y1, x2, y2] in m."
-            raise PlantError(msg)
-    return np.array(walls, dtype=np.float64).reshape(-1)
+DEFAULT_WALLS: Final = (
+    (-3.0, -3.0, 5.0, -3.0),  # south
+    (5.0, -3.0, 5.0, 0.8),  # east, up to the doorway
+    (5.0, 1.8, 5.0, 3.0),  # east, beyond the doorway
+    (5.0, 3.0, -3.0, 3.0),  # north
+    (-3.0, 3.0, -3.0, -3.0),  # west
+    (5.0, 0.8, 7.0, 0.8),  # corridor behind the doorway
+    (5.0, 1.8, 7.0, 1.8),
+    (2.8, 1.9, 3.2, 1.9),  # pillar, 0.4 m square
+    (3.2, 1.9, 3.2, 2.3),
+    (3.2, 2.3, 2.8, 2.3),
+    (2.8, 2.3, 2.8, 1.9),
+    (-2.2, -2.3, -1.8, -2.3),  # pillar
+    (-1.8, -2.3, -1.8, -1.9),
+    (-1.8, -1.9, -2.2, -1.9),
+    (-2.2, -1.9, -2.2, -2.3),
+    (0.0, -2.6, 2.0, -2.6),  # shelf along the south wall
+    (0.0, -2.6, 0.0, -3.0),
+    (2.0, -2.6, 2.0, -3.0),
+)
+"""x1, y1, x2, y2 [m] in the world frame; the robot starts in the origin and looks along x. A room
+of 8 m by 6 m with two pillars, a shelf and a doorway."""
 
 
-@cache
 def default_hall() -> NDArray[np.float64]:
-    """Return the walls of the shipped hall, as `load_hall` does; read once."""
-    with as_file(files("hilserver.plant").joinpath("halls/default.yaml")) as path:
-        walls = _read_hall(path)
-    walls.flags.writeable = False
-    return walls
+    """Return the walls of the default hall, shape (4 n,): x1, y1, x2, y2 [m] of each."""
+    return np.array(DEFAULT_WALLS, dtype=np.float64).reshape(-1)

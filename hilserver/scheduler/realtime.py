@@ -63,10 +63,13 @@ class ProcessGrants:
         self._settings = settings
         self._latency_target: int | None = None
         self._locked = False
+        self._cores: set[int] | None = None
 
     def request(self) -> list[Grant]:
         """Ask for what the settings want."""
         grants = []
+        if self._settings.cpu is not None:
+            grants.append(self._leave_core(self._settings.cpu))
         if self._settings.lock_memory:
             grants.append(self._lock_memory())
         if self._settings.hold_latency_target:
@@ -78,9 +81,27 @@ class ProcessGrants:
         if self._latency_target is not None:
             os.close(self._latency_target)
             self._latency_target = None
+        if self._cores is not None:
+            _move_all_threads(self._cores)
+            self._cores = None
         if self._locked:
             ctypes.CDLL(None).munlockall()
             self._locked = False
+
+    def _leave_core(self, cpu: int) -> Grant:
+        """Move what runs beside the pacing thread, and what it starts later, to other cores.
+
+        A priority does not help against a long system call of another thread on the same core,
+        unless the kernel is preemptible.
+        """
+        wanted = f"core {cpu} for the pacing thread alone"
+        cores = os.sched_getaffinity(0)
+        others = cores - {cpu}
+        if not others:
+            return Grant("core_of_its_own", False, wanted, "the only core", "use a second core")
+        _move_all_threads(others)
+        self._cores = cores
+        return Grant("core_of_its_own", True, wanted, f"the rest on {sorted(others)}")
 
     def _lock_memory(self) -> Grant:
         limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
@@ -115,6 +136,12 @@ def request_for_this_thread(settings: RealtimeSettings) -> list[Grant]:
     if settings.priority > 0:
         grants.append(_real_time_priority(settings.priority))
     return grants
+
+
+def _move_all_threads(cpus: set[int]) -> None:
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            os.sched_setaffinity(int(thread.name), cpus)
 
 
 def _timer_slack() -> Grant:

@@ -10,11 +10,11 @@ from pydantic import ValidationError
 from scipy.optimize import minimize
 
 import hilserver.plant.layout as at
+from hilserver.config.hall import load_hall
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig, to_parameters
 from hilserver.errors import ConfigError
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import balance
-from hilserver.plant.hall import load_hall
 from hilserver.plant.parameters import Battery, Controller, Navigation, Process, RobotParameters
 from tests.plant.rig import Rig
 

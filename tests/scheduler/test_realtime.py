@@ -31,6 +31,35 @@ def test_core_and_slack_concern_the_thread_alone():
     assert [(g.name, g.ok) for g in grants] == [("timer_slack", True), ("thread_core", True)]
 
 
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: there is no other")
+def test_the_core_of_the_pacing_thread_is_left_by_all_others_until_the_end():
+    before = os.sched_getaffinity(0)
+    cpu = max(before)
+    settings = RealtimeSettings(cpu=cpu, lock_memory=False, hold_latency_target=False)
+    waiting, done = threading.Event(), threading.Event()
+    bystander = threading.Thread(target=lambda: (waiting.set(), done.wait()))
+    bystander.start()
+    waiting.wait()
+    grants = ProcessGrants(settings)
+    (core,) = grants.request()
+    try:
+        assert (core.name, core.ok) == ("core_of_its_own", True)
+        for thread in (0, bystander.native_id):
+            assert os.sched_getaffinity(thread) == before - {cpu}
+        assert in_thread(RealtimeSettings(priority=0, cpu=cpu))[1] == {cpu}
+    finally:
+        grants.release()
+        done.set()
+    assert os.sched_getaffinity(0) == os.sched_getaffinity(bystander.native_id) == before
+
+
+def test_the_only_core_is_named(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
+    settings = RealtimeSettings(cpu=3, lock_memory=False, hold_latency_target=False)
+    (core,) = ProcessGrants(settings).request()
+    assert (core.ok, core.mend) == (False, "use a second core")
+
+
 def test_a_core_that_is_not_there_is_named():
     grants, _ = in_thread(RealtimeSettings(priority=0, cpu=4000))
     (core,) = (g for g in grants if g.name == "thread_core")

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from hilserver.bench.attack_figures import ATTACK, CONTROL, IDLE, Block, Campaign, results
 from hilserver.bench.attack_floods import FLOODS
 from hilserver.bench.attack_packets import STAGES, captures, packets
-from hilserver.bench.poisson import rate_ratio_interval
+from hilserver.bench.poisson import block_ratio_interval, rate_ratio_interval
 from hilserver.bench.wire import Wire
 from tests.io.opcua_server.rig import Rig
 
@@ -34,13 +36,26 @@ def check(found: dict[str, dict], count: int) -> None:
     assert raw["not_sent"] == 0
     assert raw["unanswered"] == []
     assert found["memory_growth_mb"]["value"] < 50
-    assert {block["name"] for block in raw["blocks"]} == {"idle", "packets", *FLOODS}
+    names = {block["name"] for block in raw["blocks"]}
+    assert names == {"idle", "packets", *FLOODS}
+    if len(os.sched_getaffinity(0)) > 1:
+        assert found["pacing_priority"]["raw"]["plant_core"] == max(os.sched_getaffinity(0))
     # A healthy client was served in every block.
     assert all(block["reads"] > 0 for block in raw["blocks"])
 
 
 def test_two_thousand_packets_and_the_floods(tmp_path: Path) -> None:
-    sizes = ("--packets", "2000", "--idle-s", "0.5", "--flood-s", "1")
+    sizes = (
+        "--packets",
+        "2000",
+        "--idle-s",
+        "0.5",
+        "--flood-s",
+        "1",
+        "--rounds",
+        "1",
+        "--no-control",
+    )
     check(campaign(tmp_path / "attack.json", *sizes, timeout_s=110), 2000)
 
 
@@ -51,6 +66,7 @@ def test_the_whole_campaign(tmp_path: Path) -> None:
     check(found, 20_000)
     # The plant misses no more ticks than at rest (spec 3).
     assert found["missed_ticks_rate_ratio_low"]["value"] <= 1.0
+    assert found["missed_ticks_to_load_rate_ratio_low"]["value"] <= 1.0
 
 
 def test_the_same_seed_makes_the_same_packets() -> None:
@@ -93,3 +109,31 @@ def test_interval_is_that_of_clopper_and_pearson(count: int, reference: int, fac
         assert high == pytest.approx(p_high / (1 - p_high) / factor, rel=1e-6)
     else:
         assert math.isinf(high)
+
+
+def test_bursts_widen_the_interval_of_blocks_and_a_real_difference_is_still_found() -> None:
+    burst, still = [(40, 5.0), *[(0, 5.0)] * 19], [(1, 5.0)] * 20
+    low, high = rate_ratio_interval(40, 100.0, 20, 100.0)
+    assert low > 1.0, "taken one by one, the ticks of the burst look like a difference"
+    low, high = block_ratio_interval(burst, still)
+    assert low < 1.0 < high
+    low, high = block_ratio_interval([(4, 5.0), (6, 5.0)] * 10, still)
+    assert 4.0 < low < 5.0 < high < 6.0
+    low, high = block_ratio_interval([(0, 5.0)] * 5, [(0, 5.0)] * 5)
+    assert low == high == 1.0
+
+
+def block(kind: str, missed: int, stolen_s: float) -> Block:
+    return Block(kind, kind, 5.0, missed, [1.0], 100.0, stolen_s)
+
+
+def test_what_the_hypervisor_stole_is_told_apart() -> None:
+    quiet = [block(kind, 1, 0.0) for kind in (IDLE, ATTACK, CONTROL)] * 10
+    stolen = [block(ATTACK, 40, 0.05), block(CONTROL, 40, 0.05)] * 2
+    found = {row.name: row for row in results(Campaign(blocks=quiet + stolen))}
+    assert found["missed_ticks_per_s"].ratio == pytest.approx(90 / 60 / 0.2)
+    assert found["missed_ticks_to_load_per_s"].ratio == 1.0
+    assert found["missed_ticks_unstolen_per_s"].ratio == 1.0
+    assert found["missed_ticks_unstolen_per_s"].raw["times_s"] == [50.0, 50.0]
+    without = {row.name for row in results(Campaign(blocks=quiet[:2]))}
+    assert "missed_ticks_to_load_per_s" not in without

@@ -171,7 +171,7 @@ def _scalars(write: Mapping[str, Any], where: str) -> dict[str, float]:
 
 def _present(now: Mapping[str, float], robot: RobotParameters) -> Array:
     columns = {name: np.array([value]) for name, value in now.items()}
-    return _to_wheels(columns, robot, now[MODE] > 0.5)[0]
+    return np.asarray(_to_wheels(columns, robot, now[MODE] > 0.5)[0])
 
 
 def _last_of_each(at_s: Array, rpm: Array, duration_s: float) -> Manoeuvre:

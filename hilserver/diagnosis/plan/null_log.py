@@ -1,6 +1,6 @@
 """What the sensors would show of a manoeuvre if the model were right: a log without an effect."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,6 +69,7 @@ def null_log(
     robot: RobotParameters,
     recording: Recording,
     rng: np.random.Generator | None,
+    terms: Mapping[str, float] | None = None,
 ) -> MeasuredLog:
     """Replay manoeuvres and add the noise of the reference logs.
 
@@ -78,6 +79,8 @@ def null_log(
         Each becomes a span of its own that begins at rest at the origin.
     rng : Generator or None
         None: no noise.
+    terms : mapping of str to float, optional
+        Deviations of the robot from its model; a null log has none.
     """
     rate_hz, jitter = recording.rate_hz, np.random.default_rng(0)
     rows = [_stamps(m.duration_s, rate_hz, robot.period_s, jitter) for m in spans]
@@ -94,7 +97,7 @@ def null_log(
             for i, m in enumerate(spans)
         ),
     )
-    log = _with_truth(log, robot)
+    log = _with_truth(log, robot, dict(terms or {}))
     noisy = {}
     for name in recording.channels:
         c = log[name]
@@ -104,9 +107,7 @@ def null_log(
     return MeasuredLog(log.sources, {**kept, **noisy}, log.spans)
 
 
-def _stamps(
-    duration_s: float, rate_hz: float, period_s: float, rng: np.random.Generator
-) -> Array:
+def _stamps(duration_s: float, rate_hz: float, period_s: float, rng: np.random.Generator) -> Array:
     nominal = np.arange(0.0, duration_s, 1.0 / rate_hz)
     most = 0.2 / rate_hz
     moved = nominal + np.clip(JITTER_S * rng.standard_normal(len(nominal)), -most, most)
@@ -127,22 +128,27 @@ def _commands(spans: Sequence[Manoeuvre], begin: Array) -> dict[str, Channel]:
     return {name: at.with_values(rpm[:, i].copy()) for i, name in enumerate(SETPOINTS)}
 
 
-def _with_truth(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
+def _with_truth(
+    log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]
+) -> MeasuredLog:
     """Fill in what the model shows: the drive's own replay first, then the pose of its speeds."""
     volts = log[VOLTAGE]
     log = log.with_channels({VOLTAGE: volts.with_values(NOMINAL_V - SAG_V_PER_S * volts.t_s)})
     drive = DriveStage(log, robot, block_s=1.0)
-    log = log.with_channels(_filled(log, drive.stack.edges, drive.predict({}), (*SPEEDS, *DUTIES)))
-    pose = PoseStage(log, robot, (drive, drive.simulate({})[0]), block_s=1.0, longest_s=AT_ONCE_S)
+    log = log.with_channels(
+        _filled(log, drive.stack.edges, drive.predict(terms), (*SPEEDS, *DUTIES))
+    )
+    pose = PoseStage(
+        log, robot, (drive, drive.simulate(terms)[0]), block_s=1.0, longest_s=AT_ONCE_S
+    )
     at_origin = np.zeros((len(pose.segments), 3))
     names = (*POSITION, YAW, GYRO)
-    return log.with_channels(_filled(log, pose.stack.edges, pose.predict({}, at_origin), names))
+    return log.with_channels(_filled(log, pose.stack.edges, pose.predict(terms, at_origin), names))
 
 
 def _filled(
-    log: MeasuredLog, edges: dict[str, slice] | object, predicted: Array, names: Sequence[str]
+    log: MeasuredLog, edges: Mapping[str, slice], predicted: Array, names: Sequence[str]
 ) -> dict[str, Channel]:
-    assert isinstance(edges, dict)
     return {name: log[name].with_values(predicted[edges[name]].copy()) for name in names}
 
 

@@ -135,7 +135,7 @@ def judge(
 
 
 def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable]:
-    """Return the largest limits that would show: `smallest` asks how far from null, which is far."""
+    """Return the largest limits that would show; `smallest` cannot, as null is no number."""
     found: dict[str, Detectable] = {}
     for d, share in zip(directions, sizes_of(directions, gram), strict=True):
         if is_limit(d.cause) and d.sizes[0] and share <= HOPELESS:

@@ -20,7 +20,10 @@ Move = tuple[float, float, float]
 """Seconds, speeds of the left and the right wheels [rpm]; forward is positive."""
 
 PAUSE: Final[Move] = (0.4, 0.0, 0.0)
+STAY: Final[Move] = (1.2, 0.0, 0.0)
+"""Long enough to see where the robot is, in spite of the navigation's correlated error."""
 LONGEST_S: Final = 2.5
+ACROSS_S: Final = 5.0
 MARGIN_M: Final = 0.4
 """Kept between the robot's centre and the edge of the room."""
 RADIANS_PER_RPM_S: Final = 2.0 * math.pi / 60.0
@@ -79,6 +82,11 @@ def _straights(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, li
         rpm = share * top
         seconds = min(LONGEST_S, 0.95 * reach_m / (rpm * m_s))
         yield f"straight there and back, {rpm:.0f} rpm", there_and_back([(seconds, rpm, rpm)])
+        across_s = 0.95 * reach_m / (rpm * m_s)
+        if across_s <= ACROSS_S:
+            there, back = (across_s, rpm, rpm), (across_s, -rpm, -rpm)
+            legs = [back, STAY, there, there, STAY, back, PAUSE]
+            yield f"straight across the room with stays, {rpm:.0f} rpm", legs
     parts = [(0.25, 0.8), (0.5, 0.6), (0.9, 0.5)]
     factor = min(1.0, 0.95 * reach_m / sum(share * top * m_s * s for share, s in parts))
     stairs = [(factor * s, share * top, share * top) for share, s in parts]

@@ -19,8 +19,8 @@ from hilserver.diagnosis.stages import prepare, stages_of
 from hilserver.plant.parameters import RobotParameters
 
 MOST_PIECES = 200
-SETTLED = 1e-3
-"""Score per second below which another piece is only a repetition."""
+TURNS = 4
+LEAST_BETTER = 0.01
 
 
 @dataclass(frozen=True)
@@ -52,31 +52,76 @@ def told_by(
     return told
 
 
-def choose(found: Sequence[Piece], told: Sequence[Told], duration_s: float) -> list[Piece]:
-    """Add pieces where a second tells most, as long as one fits; repetitions are allowed."""
-    chosen: list[int] = []
-    sums = [np.zeros(t.grams.shape[1:]) for t in told]
-    now, left_s = 0.0, duration_s
-    while len(chosen) < MOST_PIECES:
-        able = [i for i, p in enumerate(found) if p.manoeuvre.duration_s <= left_s + 1e-9]
-        if not able:
+def choose(
+    found: Sequence[Piece], told: Sequence[Told], duration_s: float, tell: Tell
+) -> list[Piece]:
+    """Return the pieces that tell most; repetitions are allowed.
+
+    They are added where a second tells most as long as one fits; then each is exchanged for a
+    better one until none is left.
+    """
+    search = _Search([p.manoeuvre.duration_s for p in found], told, duration_s)
+    search.add()
+    for turn in range(TURNS):
+        tell("choosing pieces", turn / TURNS)
+        if not search.exchange():
             break
-        totals = np.array([_total(told, sums, i) for i in able])
-        seconds = np.array([found[i].manoeuvre.duration_s for i in able])
-        rates = (totals - now) / seconds
-        best = int(np.argmax(rates))
-        if rates[best] <= SETTLED:
-            # what is there is known well: the rest of the time goes to what was driven least
-            counts = np.array([chosen.count(i) for i in able])
-            best = int(np.lexsort((-rates, counts))[0])
-        chosen.append(able[best])
-        now, left_s = float(totals[best]), left_s - float(seconds[best])
-        for total, t in zip(sums, told, strict=True):
-            total += t.grams[able[best]]
-    return [found[i] for i in chosen]
+        search.add()
+    return [found[i] for i in search.chosen]
 
 
-def _total(told: Sequence[Told], sums: Sequence[Array], more: int) -> float:
-    return sum(
-        score(t.directions, total + t.grams[more]) for t, total in zip(told, sums, strict=True)
-    )
+class _Search:
+    """The pieces chosen so far and what they tell together."""
+
+    def __init__(self, lengths_s: Sequence[float], told: Sequence[Told], left_s: float) -> None:
+        self.chosen: list[int] = []
+        self._lengths_s = np.array(lengths_s)
+        self._told = told
+        self._sums = [np.zeros(t.grams.shape[1:]) for t in told]
+        self._left_s = left_s
+        self._now = 0.0
+
+    def _able(self, room_s: float) -> list[int]:
+        return np.flatnonzero(self._lengths_s <= room_s + 1e-9).tolist()
+
+    def _with(self, more: int, less: int | None = None) -> float:
+        total = 0.0
+        for t, present in zip(self._told, self._sums, strict=True):
+            changed = present + t.grams[more] - (0.0 if less is None else t.grams[less])
+            total += score(t.directions, changed)
+        return total
+
+    def add(self) -> None:
+        """Add pieces while one fits."""
+        while len(self.chosen) < MOST_PIECES and (able := self._able(self._left_s)):
+            totals = np.array([self._with(i) for i in able])
+            rates = (totals - self._now) / self._lengths_s[able]
+            self._put(able[int(np.argmax(rates))])
+
+    def exchange(self) -> bool:
+        """Exchange every piece for the best in its place; return whether one was better."""
+        better = False
+        for place in range(len(self.chosen)):
+            mine = self.chosen[place]
+            able = self._able(self._left_s + float(self._lengths_s[mine]))
+            totals = [self._with(i, mine) if i != mine else self._now for i in able]
+            best = int(np.argmax(totals))
+            if totals[best] > self._now + LEAST_BETTER:
+                self._take(place)
+                self._put(able[best], place)
+                better = True
+        return better
+
+    def _put(self, piece: int, place: int | None = None) -> None:
+        self.chosen.insert(len(self.chosen) if place is None else place, piece)
+        self._change(piece, 1.0)
+
+    def _take(self, place: int) -> None:
+        self._change(self.chosen.pop(place), -1.0)
+
+    def _change(self, piece: int, sign: float) -> None:
+        self._left_s -= sign * float(self._lengths_s[piece])
+        self._sums = [
+            total + sign * t.grams[piece] for t, total in zip(self._told, self._sums, strict=True)
+        ]
+        self._now = sum(score(t.directions, s) for t, s in zip(self._told, self._sums, strict=True))

@@ -150,3 +150,16 @@ def test_an_effect_of_the_smallest_visible_size_is_usually_seen():
         scores = library.scores(base)
         seen += abs(scores.t[0]) > critical(null_maxima([scores], rng, flips=999))
     assert 0.65 <= seen / 60 <= 0.97, f"{seen} of 60"
+
+
+def test_columns_of_noughts_and_of_any_unit_have_a_ridge_fit():
+    rng = np.random.default_rng(8)
+    columns = columns_of(rng, "a", "b") | {"nothing": np.zeros(N)}
+    columns["b"] *= 1e-6
+    problem = toy.problem(0.5 * columns["a"] + rng.normal(size=N), columns)
+    library, base = toy.library(problem)
+    weight = library.ridge(base)
+    assert np.isfinite(weight).all()
+    assert weight[0] == pytest.approx(0.5, abs=0.05)
+    effect = library.effect(weight, slice(None))
+    assert effect == pytest.approx(0.5 * columns["a"], abs=2.0)

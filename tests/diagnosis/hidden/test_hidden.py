@@ -4,6 +4,8 @@ A quick sample; `hilserver bench diagnose` runs the campaign. The logs are short
 reference logs where the effect shows in less.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -105,3 +107,10 @@ def test_every_finding_has_a_verdict_of_its_own_kind():
         for finding in diagnosis(*log).findings.findings:
             grouped = len(finding.causes) > 1
             assert finding.verdict == (Verdict.NAMED_GROUP if grouped else Verdict.NAMED)
+
+
+@pytest.mark.parametrize("manoeuvre", ["spins", "ramps", "straights"])
+def test_drives_that_excite_little_are_judged_and_found_sound(manoeuvre):
+    """On the spot no forward speed, in ramps no step of a set-point, on straights no turn."""
+    made = replace(recipe("nothing drive", 21, 90.0), manoeuvre=manoeuvre)
+    nothing_is_found(judged(made).findings)

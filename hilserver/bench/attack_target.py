@@ -1,0 +1,174 @@
+"""What is attacked: a daemon and its healthy client, processes of their own on loopback."""
+
+import asyncio
+import contextlib
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import yaml
+from asyncua import ua
+
+from hilserver.bench.wire import Wire
+from hilserver.errors import FailedError
+from hilserver.image import ImageReader
+from hilserver.scheduler import Statistics
+
+START_WITHIN_S = 120.0
+_DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
+_CONTROL = {
+    "scheduler": {
+        "base_period_ms": 10,
+        "slices": {"plant": 10, "sensors": 10, "publish": 20, "supervise": 100},
+        "realtime": {"priority": 0, "lock_memory": False, "hold_latency_target": False},
+    }
+}
+"""The second daemon serves the same nodes as often, and competes with no plant."""
+
+
+@dataclass
+class Target:
+    """The daemon and the healthy client."""
+
+    url: str
+    daemon: "subprocess.Popen[str]"
+    probe: "subprocess.Popen[str]"
+    statistics: Statistics
+
+    @property
+    def missed_ticks(self) -> int:
+        """Ticks of the plant that did not take place."""
+        return self.statistics.tick.missed_ticks
+
+    @property
+    def memory_mb(self) -> float:
+        """Resident memory of the daemon."""
+        status = Path(f"/proc/{self.daemon.pid}/status").read_text(encoding="ascii")
+        found = re.search(r"VmRSS:\s+(\d+)", status)
+        return int(found[1]) / 1024 if found else 0.0
+
+    @property
+    def pacing_priority(self) -> int:
+        """SCHED_FIFO priority that the pacing thread was granted; 0: none."""
+        tasks = Path(f"/proc/{self.daemon.pid}/task").iterdir()
+        return max(os.sched_getparam(int(task.name)).sched_priority for task in tasks)
+
+    def reads_ms(self) -> list[float]:
+        """Return the latencies of the healthy client's reads since the last call."""
+        stdin, stdout = _pipes(self.probe)
+        try:
+            stdin.write("\n")
+            stdin.flush()
+            line = stdout.readline()
+        except OSError:
+            line = ""
+        if not line:
+            raise FailedError("the healthy client lost its connection")
+        return [float(value) for value in json.loads(line)]
+
+    def check(self) -> None:
+        """Raise FailedError if the daemon is gone."""
+        if self.daemon.poll() is not None:
+            raise FailedError(f"the daemon ended with code {self.daemon.returncode}: a crash")
+
+
+def _pipes(process: "subprocess.Popen[str]") -> tuple[IO[str], IO[str]]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    return process.stdin, process.stdout
+
+
+@contextlib.asynccontextmanager
+async def running_target(cpu: int | None) -> AsyncIterator[Target]:
+    """Start a daemon and a healthy client; `cpu` is for the pacing thread alone."""
+    # With policy `skip` every late tick is one missed tick.
+    settings = {"scheduler": {"policy": "skip", "realtime": {"cpu": cpu}}}
+    image = f"bench-attack-{os.getpid()}"
+    async with _daemon(settings, image) as (url, daemon):
+        with _process(["-m", "hilserver.bench.attack_probe", url]) as probe:
+            _, words = ImageReader.attach(image).region("statistics")
+            subject = Target(url, daemon, probe, Statistics.attach(words))
+            await asyncio.sleep(1.0)
+            subject.reads_ms()
+            yield subject
+
+
+@contextlib.asynccontextmanager
+async def running_control() -> AsyncIterator[str]:
+    """Start a second daemon for the same load, which leaves the first alone; give its address."""
+    async with _daemon(_CONTROL, f"bench-control-{os.getpid()}") as (url, _):
+        yield url
+
+
+@contextlib.asynccontextmanager
+async def _daemon(
+    settings: Mapping[str, Any], image: str
+) -> "AsyncIterator[tuple[str, subprocess.Popen[str]]]":
+    with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            url = f"opc.tcp://127.0.0.1:{free.getsockname()[1]}/hilserver"
+        ours = {
+            "image": {"name": image},
+            "opcua": {"endpoint": url},
+            "metrics": {"enabled": False},
+            "logging": {"level": "ERROR"},
+        }
+        path = Path(folder) / "config.yaml"
+        path.write_text(yaml.safe_dump({**ours, **settings}), encoding="utf-8")
+        with _process(["-c", _DAEMON, "run", "-c", str(path)]) as daemon:
+            await _wait_for_server(url, daemon)
+            yield url, daemon
+
+
+def core_for_the_plant() -> int | None:
+    """Leave one core to the plant and return its number; None if there is but one.
+
+    Attacker and clients stand for other computers: neither their load nor their system calls,
+    which an ordinary kernel does not interrupt, are the daemon's.
+    """
+    cores = os.sched_getaffinity(0)
+    if len(cores) < 2:
+        return None
+    cpu = max(cores)
+    os.sched_setaffinity(0, cores - {cpu})
+    return cpu
+
+
+@contextlib.contextmanager
+def _process(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        try:
+            process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+async def _wait_for_server(url: str, daemon: "subprocess.Popen[str]") -> None:
+    deadline = time.monotonic() + START_WITHIN_S
+    while time.monotonic() < deadline and daemon.poll() is None:
+        with contextlib.suppress(OSError, ua.UaError, TimeoutError):
+            async with Wire(url) as wire:
+                await wire.log_in()
+                value = (await wire.read(ua.NodeId("sim.state", 2)))[0].Value
+                if value is not None and value.Value == 1:  # running
+                    return
+        await asyncio.sleep(0.2)
+    raise FailedError(f"the daemon did not start within {START_WITHIN_S:.0f} s")

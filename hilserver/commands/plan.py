@@ -1,0 +1,117 @@
+"""Before an experiment: what its manoeuvre can show, how small, and what it cannot tell apart.
+
+Replays the set-points of a log or a scenario, adds the noise of usual sensors, and asks what a
+diagnosis could find. Writes plan.json and a better manoeuvre as a scenario, manoeuvre.yaml, that
+'hilserver run --scenario' and the test kit execute.
+"""
+
+import argparse
+import os
+import re
+from functools import partial
+from pathlib import Path
+
+from hilserver.assembly import assemble
+from hilserver.commands.options import add_config, config_path, number_within
+from hilserver.commands.progress import Progress
+from hilserver.diagnosis.output import write_files
+from hilserver.diagnosis.plan.manoeuvre import LONGEST_S, SHORTEST_S
+from hilserver.diagnosis.plan.null_log import ALL, GROUPS
+from hilserver.diagnosis.plan.planning import ROOM_M, SCENARIO, Wish, plan
+from hilserver.diagnosis.plan.text import lines
+from hilserver.errors import EXIT_DONE, FailedError
+
+EXAMPLE = "hilserver plan drive.yaml -c config.yaml --duration 120 --room 5x5 -o plan"
+SIDES_M = (1.0, 1000.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument(
+        "manoeuvre", type=Path, metavar="MANOEUVRE", help="scenario (.yaml), or log of set-points"
+    )
+    add_config(parser)
+    parser.add_argument("--mapping", metavar="FILE", help="mapping file for a foreign log")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the plan"
+    )
+    parser.add_argument(
+        "--channels",
+        type=_channels,
+        metavar="NAMES",
+        help=f"what will be recorded besides set-points, of {','.join(GROUPS)} or names of"
+        " signals; default: what the log has, all for a scenario",
+    )
+    parser.add_argument(
+        "--rate",
+        type=partial(number_within, 1.0, 1000.0, what="rate (1 .. 1000 Hz)"),
+        default=50.0,
+        metavar="HZ",
+        help="rows per second; default 50",
+    )
+    parser.add_argument(
+        "--duration",
+        type=partial(number_within, SHORTEST_S, LONGEST_S, what="duration (2 .. 3600 s)"),
+        metavar="S",
+        help="of the better manoeuvre; default: that of MANOEUVRE",
+    )
+    parser.add_argument(
+        "--room",
+        type=_room,
+        default=ROOM_M,
+        metavar="AxB",
+        help="sides of the free floor in m, the robot in its middle; default 5x5",
+    )
+    parser.add_argument(
+        "--seed",
+        type=partial(number_within, 0, 2**32 - 1, what="seed (0 .. 4294967295)"),
+        default=0,
+        help="of the noise; default 0",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan; print what can be told and write both files."""
+    if args.out.exists() and not args.out.is_dir():
+        raise FailedError(f"{args.out}: is a file; name a folder for the plan")
+    assembly = assemble(config_path(args))
+    wish = Wish(
+        manoeuvre=args.manoeuvre,
+        mapping=args.mapping,
+        channels=args.channels,
+        rate_hz=args.rate,
+        duration_s=args.duration,
+        room_m=args.room,
+        seed=int(args.seed),
+        jobs=os.cpu_count() or 1,
+    )
+    progress = Progress()
+    try:
+        document, files = plan(wish, assembly, progress)
+    finally:
+        progress.end()
+    write_files(args.out, files)
+    print("\n".join(lines(document)))
+    print(f"The manoeuvre to drive is {args.out / SCENARIO}")
+    return EXIT_DONE
+
+
+def _channels(text: str) -> tuple[str, ...]:
+    wanted: set[str] = set()
+    for word in text.split(","):
+        if word in GROUPS:
+            wanted |= set(GROUPS[word])
+        elif word in ALL:
+            wanted.add(word)
+        else:
+            known = ", ".join(GROUPS)
+            raise argparse.ArgumentTypeError(f"{word!r} is none of {known} and no measured signal")
+    return tuple(name for name in ALL if name in wanted)
+
+
+def _room(text: str) -> tuple[float, float]:
+    match = re.fullmatch(r"([\d.]+)[x\u00d7]([\d.]+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no room; write its sides in m as 5x5")
+    sides = [number_within(*SIDES_M, side, "side (1 .. 1000 m)") for side in match.groups()]
+    return sides[0], sides[1]

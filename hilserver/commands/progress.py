@@ -1,0 +1,38 @@
+"""Progress of what has stages and shares: a bar on a terminal."""
+
+import sys
+import time
+from typing import TextIO
+
+PROGRESS_AFTER_S = 2.0
+
+
+class Progress:
+    """A bar on a terminal once it takes longer than two seconds; nothing elsewhere."""
+
+    def __init__(self) -> None:
+        self._start_s = time.monotonic()
+        self._shown = 0
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Show a stage and its share."""
+        if not sys.stderr.isatty() or time.monotonic() - self._start_s < PROGRESS_AFTER_S:
+            return
+        bar = "#" * round(30 * share)
+        self._show(f"[{bar:<30}] {share:4.0%} {stage}")
+
+    def _show(self, line: str) -> None:
+        print(f"\r{line:<{self._shown}}", end="", file=sys.stderr, flush=True)
+        self._shown = len(line)
+
+    def say(self, line: str, file: TextIO) -> None:
+        """Print a line where the bar stood."""
+        self.end()
+        print(line, file=file, flush=True)
+
+    def end(self) -> None:
+        """Wipe the bar."""
+        if self._shown:
+            self._show("")
+            print("\r", end="", file=sys.stderr, flush=True)
+            self._shown = 0

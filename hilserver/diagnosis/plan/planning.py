@@ -1,0 +1,198 @@
+"""A whole plan: the manoeuvre as it is, the better one, and what to record besides."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hilserver import __version__
+from hilserver.assembly import Assembly
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.plan.document import Missing, PlanDocument, Proposed, prospect
+from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
+from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, path_of
+from hilserver.diagnosis.plan.outlook import Outlook, Tell, look
+from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
+from hilserver.diagnosis.plan.search import choose, told_by
+from hilserver.diagnosis.reading import read_measured
+from hilserver.diagnosis.stages import machine
+from hilserver.errors import FailedError
+from hilserver.faults.scenario import as_yaml
+from hilserver.plant.parameters import RobotParameters
+
+PLAN, SCENARIO = "plan.json", "manoeuvre.yaml"
+ROOM_M = (5.0, 5.0)
+START = of_moves([(1.0, 0.0, 0.0)])
+"""The robot stands while people step back."""
+YAML = (".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked for.
+
+    Attributes
+    ----------
+    channels : tuple of str or None
+        Measured signals of the experiment; None: those of the log, all for a scenario.
+    duration_s : float or None
+        Of the better manoeuvre; None: that of the given one.
+    """
+
+    manoeuvre: Path
+    mapping: str | None = None
+    channels: tuple[str, ...] | None = None
+    rate_hz: float = 50.0
+    duration_s: float | None = None
+    room_m: tuple[float, float] = ROOM_M
+    seed: int = 0
+    jobs: int = 2
+
+
+@dataclass(frozen=True)
+class Given:
+    """The manoeuvre that was handed in."""
+
+    spans: list[Manoeuvre]
+    robot: RobotParameters
+    channels: tuple[str, ...]
+    notices: tuple[str, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """All spans together."""
+        return sum(span.duration_s for span in self.spans)
+
+
+def plan(wish: Wish, assembly: Assembly, tell: Tell) -> tuple[PlanDocument, dict[str, str]]:
+    """Plan an experiment; return the document and the text of every file by its name.
+
+    Raises
+    ------
+    LogError, ConfigError
+        If the manoeuvre cannot be read.
+    FailedError
+        If no piece fits into the room or the time.
+    """
+    given = read(wish, assembly.robot)
+    recording = Recording(wish.channels or given.channels, wish.rate_hz)
+    studio = _Studio(given.robot, wish.seed, wish.jobs, tell)
+    now = studio.look(given.spans, recording)
+    missing = _missing(studio, given.spans, recording, now)
+    chosen = studio.better(recording, wish.room_m, wish.duration_s or given.duration_s)
+    spans = [_joined(chosen)]
+    if not _inside(spans, given.robot, wish.room_m):
+        raise FailedError(f"the pieces drift out of {_sides(wish.room_m)}; give more --room")
+    then = studio.look(spans, recording)
+    fits = given.duration_s <= (wish.duration_s or given.duration_s)
+    stays = _inside(given.spans, given.robot, wish.room_m)
+    better = then.score > now.score or not (fits and stays)
+    if not better:
+        spans, then = given.spans, now
+    text = f"what a diagnosis sees best in {sum(s.duration_s for s in spans):.0f} s"
+    document = PlanDocument(
+        version=__version__,
+        config_sha256=assembly.config.sha256,
+        seed=wish.seed,
+        manoeuvre=wish.manoeuvre.name,
+        channels=recording.channels,
+        rate_hz=recording.rate_hz,
+        navigation_hz=recording.navigation_hz,
+        room_m=wish.room_m,
+        as_planned=prospect(now, given.duration_s),
+        proposed=Proposed(
+            **dict(prospect(then, sum(s.duration_s for s in spans))),
+            better=better,
+            pieces=tuple(piece.name for piece in chosen) if better else (),
+            scenario=SCENARIO,
+        ),
+        missing_channels=missing,
+        notices=given.notices if stays else (*given.notices, _leaves(wish)),
+    )
+    files = {
+        SCENARIO: as_yaml(as_scenario(spans, text)),
+        PLAN: document.model_dump_json(by_alias=True, indent=1) + "\n",
+    }
+    return document, files
+
+
+def read(wish: Wish, robot: RobotParameters) -> Given:
+    """Read the manoeuvre: a scenario by its ending, otherwise a log."""
+    if wish.manoeuvre.suffix.lower() in YAML:
+        return Given(of_scenario(wish.manoeuvre, robot), robot, ALL)
+    log = read_measured([wish.manoeuvre], wish.mapping)
+    robot = machine(log, robot)
+    return Given(of_log(log, robot), robot, _measured(log), log.notices)
+
+
+def _measured(log: MeasuredLog) -> tuple[str, ...]:
+    return tuple(name for name in ALL if name in log) or ALL
+
+
+@dataclass(frozen=True)
+class _Studio:
+    """What stays the same for every manoeuvre that is looked at."""
+
+    robot: RobotParameters
+    seed: int
+    jobs: int
+    tell: Tell
+
+    def look(self, spans: Sequence[Manoeuvre], recording: Recording) -> Outlook:
+        return look(spans, self.robot, recording, seed=self.seed, jobs=self.jobs, tell=self.tell)
+
+    def better(
+        self, recording: Recording, room_m: tuple[float, float], duration_s: float
+    ) -> list[Piece]:
+        left_s = duration_s - START.duration_s
+        able = [p for p in pieces(self.robot, room_m) if p.manoeuvre.duration_s <= left_s]
+        if not able:
+            raise FailedError(
+                f"no piece fits into {duration_s:.3g} s and {_sides(room_m)};"
+                " give more --duration or --room"
+            )
+        told = told_by(able, self.robot, recording, seed=self.seed, jobs=self.jobs, tell=self.tell)
+        return choose(able, told, left_s, self.tell)
+
+
+def _joined(chosen: Sequence[Piece]) -> Manoeuvre:
+    whole = START
+    for piece in chosen:
+        whole = whole.then(piece.manoeuvre)
+    return whole
+
+
+def _inside(
+    spans: Sequence[Manoeuvre], robot: RobotParameters, room_m: tuple[float, float]
+) -> bool:
+    """Return whether the model stays in the room, each span begun in its middle."""
+    return all(
+        np.abs(x).max() <= 0.5 * room_m[0] and np.abs(y).max() <= 0.5 * room_m[1]
+        for x, y, _ in path_of(spans, robot)
+    )
+
+
+def _sides(room_m: tuple[float, float]) -> str:
+    return f"{room_m[0]:g} m x {room_m[1]:g} m"
+
+
+def _leaves(wish: Wish) -> str:
+    return f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when begun in the middle"
+
+
+def _missing(
+    studio: _Studio, spans: Sequence[Manoeuvre], recording: Recording, now: Outlook
+) -> tuple[Missing, ...]:
+    """Return what every channel that is not recorded would add."""
+    found = []
+    for channel, signals in GROUPS.items():
+        absent = tuple(n for n in signals if n not in recording.channels)
+        if not absent:
+            continue
+        then = studio.look(spans, recording.with_channels(*absent))
+        shows = tuple(c for c in then.shown if c not in now.shown)
+        before = {c for group in now.groups for c in group}
+        separates = tuple(c for c in then.named if c in before)
+        found.append(Missing(channel=channel, signals=absent, shows=shows, separates=separates))
+    return tuple(found)
