@@ -246,7 +246,8 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
         return point
     beginnings = [(point.model.without(causes.index(LATE)), len(missing) - 1)]
     beginnings.append((point.model, len(missing) + 1))
-    for model, added in beginnings:
+    for beginning, added in beginnings:
+        model = beginning
         for c in missing:
             model = model.plus(c, c.beginning)
         trial = fit(problem, model, point, iterations=12)
