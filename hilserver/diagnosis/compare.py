@@ -147,12 +147,17 @@ def compare(
 def run_of_spans(logs: Sequence[MeasuredLog]) -> NDArray[np.int64]:
     """Return the run that every span of the pooled log belongs to: its file.
 
-    A set of one file with several segments counts every segment as a run.
+    A set of one file with several segments counts every block of its own as a run, every segment
+    where it has none.
     """
     runs: list[int] = []
     for log in logs:
-        begin = runs[-1] + 1 if runs else 0
-        if len(log.sources) in (0, 1) or len(log.sources) != len(log.spans):
+        begin = max(runs, default=-1) + 1
+        blocks = [s.block for s in log.spans]
+        if len(log.sources) in (0, 1) and None not in blocks and len(set(blocks)) > 1:
+            number = {block: i for i, block in enumerate(dict.fromkeys(blocks))}
+            runs += [begin + number[block] for block in blocks]
+        elif len(log.sources) in (0, 1) or len(log.sources) != len(log.spans):
             runs += [begin + i for i in range(len(log.spans))]
         else:
             runs += [begin + i for i in range(len(log.sources))]

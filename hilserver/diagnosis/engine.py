@@ -24,7 +24,7 @@ from hilserver.diagnosis.findings import (
     NotJudged,
     Overall,
 )
-from hilserver.diagnosis.gain import crossed, gains, held_out
+from hilserver.diagnosis.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.other_logs import gain_on
@@ -270,7 +270,9 @@ def _gains(
         after[stage] = base.predicted
         if j.point.model.fitted:
             after[stage] = held_out(problem, crossed(problem, j.point, j.point.model))
-        totals |= gains(problem, before[stage], after[stage], horizon_s, rng)
+        totals |= gains(
+            problem, before[stage], after[stage], horizon_s, rng, fold=reported(problem)
+        )
     return totals, before, after
 
 
@@ -295,7 +297,7 @@ def _with_gain(
     without = j.point.model.without(j.point.model.fitted.index(fitted))
     start = problem.point(without, j.point.poses)
     reduced = held_out(problem, crossed(problem, start, without))
-    own = gains(problem, reduced, after[stage], horizon_s, rng)
+    own = gains(problem, reduced, after[stage], horizon_s, rng, fold=reported(problem))
     return finding.model_copy(update={"gain": own})
 
 

@@ -31,6 +31,11 @@ class Errors:
     values: Array
     block: NDArray[np.int64]
 
+    def of(self, problem: Problem, fold: int | None) -> "Errors":
+        """Return those of the blocks of a fold; all of them where it has none."""
+        mine = problem.stack.fold[self.block] == fold
+        return Errors(self.values[mine], self.block[mine]) if mine.any() else self
+
 
 def crossed(problem: Problem, point: Point, model: Model) -> list[Array]:
     """Return predictions of both folds by parameters fitted on the other fold.
@@ -52,6 +57,12 @@ def held_out(problem: Problem, predictions: Sequence[Array]) -> Array:
     """Return every sample's prediction by the fit that did not see its block."""
     fold = problem.stack.fold[problem.stack.block]
     return np.where(fold == 0, predictions[0], predictions[1])
+
+
+def reported(problem: Problem) -> int | None:
+    """Return the fold that gains are told of: the odd blocks, where the log has its own."""
+    spans = problem.stage.log.spans
+    return 1 if len({s.block for s in spans} - {None}) > 1 else None
 
 
 def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> Errors | None:
@@ -173,15 +184,18 @@ def gains(
     after: Array,
     horizon_s: float,
     rng: np.random.Generator,
+    *,
+    fold: int | None = None,
 ) -> dict[str, Gain]:
-    """Return the gain of every quantity of a stage at one horizon."""
+    """Return the gain of every quantity of a stage at one horizon, of one fold or of both."""
     out: dict[str, Gain] = {}
     if problem.stage.name == "pose":
         w = windows(problem, horizon_s)
         if w is not None:
             first, second = (free_run_errors(problem, p, w) for p in (before, after))
             for key in first:
-                out[key] = compare(first[key], second[key], w.horizon_s, rng)
+                pair = (first[key].of(problem, fold), second[key].of(problem, fold))
+                out[key] = compare(*pair, w.horizon_s, rng)
         pairs: dict[str, tuple[str, ...]] = {"gyro_z_rad_s": (GYRO,)}
     else:
         names = problem.stack.channels
@@ -192,5 +206,6 @@ def gains(
     for key, channels in pairs.items():
         e = [channel_errors(problem, p, channels) for p in (before, after)]
         if e[0] is not None and e[1] is not None:
-            out[key] = compare(e[0], e[1], 0.0 if np.isinf(horizon_s) else horizon_s, rng)
+            pair = (e[0].of(problem, fold), e[1].of(problem, fold))
+            out[key] = compare(*pair, 0.0 if np.isinf(horizon_s) else horizon_s, rng)
     return out

@@ -38,8 +38,8 @@ def gain_on(
     for name, cut in stages_of(log, robot).items():
         stage = cut.uncut() if isinstance(cut, PoseStage) else cut
         problem, model = Problem(stage), models.get(name, Model())
-        predicted = [
+        before, after = (
             problem.predict(terms, problem.start_poses(terms)) for terms in ({}, model.terms)
-        ]
-        found |= gains(problem, *predicted, horizon_s, rng)
+        )
+        found |= gains(problem, before, after, horizon_s, rng)
     return found

@@ -270,7 +270,8 @@ class PoseStage:
         """Return one wheel's speed at every tick.
 
         The closed loop's own model interpolates: simulated speed plus the interpolated difference
-        to the measured one, of its noise only the slow part. Without set-points a smooth curve goes through the samples.
+        to the measured one, of its noise only the slow part. Without set-points a smooth curve goes
+        through the samples.
         """
         dense = np.zeros(self.segments.ticks)
         for i in range(len(self.segments)):

@@ -236,19 +236,27 @@ one cause for another leads on."""
 
 
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
-    """Return a late source and side slip in the place of a late position, if clearly better."""
+    """Return a late source and side slip in the place of a late position, or beside it.
+
+    As it is, unless one of these is clearly better.
+    """
     causes = point.model.causes
     missing = [c for c in library.candidates if c.cause in TOGETHER and c.cause not in causes]
     if LATE not in causes or not missing:
         return point
-    model = point.model.without(causes.index(LATE))
-    for c in missing:
-        model = model.plus(c, c.beginning)
-    trial = fit(problem, model, point, iterations=8)
-    gain = point.deviance - trial.deviance
-    if gain < LEAST_SAVED + TIE * (len(missing) - 1) or not physical(trial):
-        return point
-    return trial if holds(problem, point, trial.model, trial) else point
+    beginnings = [(point.model.without(causes.index(LATE)), len(missing) - 1)]
+    beginnings.append((point.model, len(missing) + 1))
+    for beginning, added in beginnings:
+        model = beginning
+        for c in missing:
+            model = model.plus(c, c.beginning)
+        trial = fit(problem, model, point, iterations=12)
+        gain = point.deviance - trial.deviance
+        if gain < LEAST_SAVED + TIE * added or not physical(trial):
+            continue
+        if holds(problem, point, trial.model, trial):
+            return trial
+    return point
 
 
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)

@@ -46,6 +46,9 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 
 
+DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
+
+
 @dataclass
 class Prepared:
     """One stage, ready to be judged."""
@@ -74,11 +77,20 @@ def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) 
     return float(np.clip(total_s / aim, shortest_s, longest_s))
 
 
+def drive_is_known(log: MeasuredLog) -> bool:
+    """Return whether the configured process and controller are those of the log's machine.
+
+    A mapping that gives the dimensions of another machine but not its process says nothing about
+    its motors, and every cause of the drive would be named.
+    """
+    return "process" in log.plant or not DIMENSIONS & set(log.plant)
+
+
 def stages_of(log: MeasuredLog, robot: RobotParameters) -> dict[str, DriveStage | PoseStage]:
     """Return the stages that a log has the channels for."""
     total_s = sum(s.end_s - s.start_s for s in log.spans)
     stages: dict[str, DriveStage | PoseStage] = {}
-    if DriveStage.judges(log):
+    if DriveStage.judges(log) and drive_is_known(log):
         stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
     if PoseStage.judges(log):
         stages["pose"] = pose_stage(log, robot, stages.get("drive"), {})
@@ -209,7 +221,7 @@ def vocabulary_reasons(
         if not cause.physical:
             continue
         if cause.block in ("drive", "controller") and "drive" not in stages:
-            out[name] = "no set-points with wheel speeds in the log"
+            out[name] = "no set-points with wheel speeds, or the mapping gives no plant.process"
         elif cause.block not in ("drive", "controller") and "pose" not in stages:
             out[name] = "no pose and no turn rate in the log"
     return {k: v for k, v in out.items() if k not in judged}

@@ -7,6 +7,7 @@ the body velocity (pose) or of speed and duty (drive) that depends on its regres
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,12 @@ from hilserver.plant.layout import WHEELS
 
 Array = NDArray[np.float64]
 
+DRIVES, TURNS = 0.1, 0.1
+"""Speed [m/s] and turn rate [rad/s] from which a direction is remembered."""
 TURNING, DRIVING = 0.2, 0.05
 """Turn rate [rad/s] and speed [m/s] from which a direction counts."""
-FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 29))
+FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
+PEAKS, FINEST_HZ = 3, 5.0
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,17 @@ class _Motion:
         offset = total[begin]
         return np.asarray(total - np.repeat(offset, np.diff(self.bounds)))
 
+    def last_side(self, signal: Array, least: float) -> Array:
+        """Return the side that a signal was last clearly on, +1 or -1; +1 at a segment's start."""
+        out = np.ones_like(signal)
+        for a, b in pairwise(self.bounds.tolist()):
+            clear = np.flatnonzero(np.abs(signal[a:b]) > least)
+            if not len(clear):
+                continue
+            latest = np.searchsorted(clear, np.arange(b - a), side="right") - 1
+            out[a:b] = np.sign(signal[a:b][clear[np.maximum(latest, 0)]])
+        return out
+
     def smoothed(self, signal: Array, tau_s: float) -> Array:
         """Return a signal's recent past: low-passed within each segment."""
         from scipy.signal import lfilter  # noqa: PLC0415 (slow to import)
@@ -127,7 +142,8 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     signal = YAW if YAW in problem.stack.edges else "pose.yaw_rad"
     columns = [m.column(*d) for h in heading for d in
                ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
-                (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)))]  # fmt: skip
+                (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)),
+                (zero, zero, h * om))]  # fmt: skip
     if not m.stage.begins_anew:
         families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
     if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
@@ -147,7 +163,9 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
             m.column(zero, zero, np.abs(om)), m.column(zero, np.abs(om), zero),
             m.column(zero, zero, _side(om, TURNING))]  # fmt: skip
     families.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
-    history = []
+    went, turned = m.last_side(v, DRIVES), m.last_side(om, TURNS)
+    history = [m.column(zero, zero, went * om), m.column(turned * v, zero, zero),
+               m.column(went * v, zero, zero), m.column(zero, zero, turned * om)]  # fmt: skip
     for tau_s in (0.3, 1.0, 3.0):
         past_v, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
         history += [m.column(zero, zero, past_om - om), m.column(past_v - v, zero, zero),
@@ -157,13 +175,40 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
                     m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
     names = ("wheels.speeds_rpm", "velocity.angular_rad_s", "velocity.linear_m_s")
     families.append(Family("history", names, np.stack(history, axis=1)))
-    families.append(_periodic_pose(m))
+    found = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
+    families.append(_periodic_pose(m, found))
     return families
 
 
-def _periodic_pose(m: _Motion) -> Family:
+def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, ...]:
+    """Return the frequencies [Hz] at which the residual of some channels is strongest."""
+    residual, stack = problem.residual(point.predicted), problem.stack
+    power: Array | None = None
+    for name in names:
+        t, r = stack.t_s[stack.edges[name]], residual[stack.edges[name]]
+        if len(t) < 200 or t[-1] <= t[0]:
+            continue
+        grid = np.arange(t[0], t[-1], 0.5 / FINEST_HZ)
+        total = np.concatenate([[0.0], np.cumsum(r)])
+        edges = np.searchsorted(t, np.append(grid, t[-1]))
+        even = (total[edges[1:]] - total[edges[:-1]]) / np.maximum(np.diff(edges), 1)
+        spectrum = np.abs(np.fft.rfft(even - even.mean(), 4 * len(even))) ** 2
+        power = spectrum if power is None else power + spectrum[: len(power)]
+        step_hz = FINEST_HZ / (len(spectrum) - 1)
+        width = 6
+    if power is None:
+        return ()
+    out = []
+    for _ in range(PEAKS):
+        k = int(np.argmax(power))
+        out.append(max(k, 1) * step_hz)
+        power[max(k - width, 0) : k + width + 1] = 0.0
+    return tuple(out)
+
+
+def _periodic_pose(m: _Motion, found: Sequence[float]) -> Family:
     zero, columns = np.zeros_like(m.v), []
-    for f in FREQUENCIES_HZ:
+    for f in (*found, *FREQUENCIES_HZ):
         for wave in (np.cos, np.sin):
             shape = wave(2.0 * np.pi * f * m.t)
             columns.append(m.column(zero, zero, shape * m.moving))
@@ -237,7 +282,9 @@ def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
             )
         )
     columns = []
-    for f in FREQUENCIES_HZ:
+    duties = [n for n in DUTIES if n in stack.edges]
+    found = peaks(problem, point, duties or [n for n in SPEEDS if n in stack.edges])
+    for f in (*found, *FREQUENCIES_HZ):
         for wave in (np.cos, np.sin):
             columns += disturbed(range(4), wave(2.0 * np.pi * f * t))[:1]
     yield (Family("time", ("t_s",), np.stack(columns, axis=1)))

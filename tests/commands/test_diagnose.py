@@ -20,7 +20,7 @@ def stages(monkeypatch, tmp_path):
             raise LogError("bad.csv:3: column 't_s': not a number; mend the row")
         return [p.name for p in paths]
 
-    def judge(log, assembly, *, seed, jobs, progress):
+    def judge(log, assembly, *, seed, jobs, progress, test=None):
         asked.append(("judge", log, seed, assembly.config.sha256))
         if progress:
             progress("screen", 0.5)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hilserver.assembly import assemble
 from hilserver.commands import main
+from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.plan.document import PlanDocument
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
@@ -17,7 +18,7 @@ from hilserver.diagnosis.plan.null_log import GROUPS, Recording, null_log, path_
 from hilserver.diagnosis.plan.outlook import grouped, look
 from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
-from hilserver.diagnosis.plan.search import Told, choose
+from hilserver.diagnosis.plan.search import choose
 from hilserver.diagnosis.reading import read_measured
 from hilserver.faults.scenario import as_yaml
 from hilserver.testing.opening import open_hil
@@ -39,11 +40,19 @@ def written(folder, manoeuvre, name="given.yaml"):
     return path
 
 
+def recorded(path, manoeuvre, rate_hz=50.0):
+    t = np.arange(0.0, manoeuvre.duration_s + 1e-9, 1.0 / rate_hz)
+    table = np.column_stack([t, manoeuvre.held(t)])
+    header = ",".join(["t_s", *SETPOINTS])
+    np.savetxt(path, table, "%.9g", delimiter=",", header=header, comments="")
+    return path
+
+
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory):
     """A circle at one speed, and what is proposed for 40 s in its place."""
     folder = tmp_path_factory.mktemp("plan")
-    path = written(folder, CIRCLE)
+    path = recorded(folder / "circle.csv", CIRCLE)
     out = folder / "out"
     assert main(["plan", str(path), "--duration", "40", "-o", str(out)]) == 0
     return out
@@ -136,7 +145,7 @@ async def test_the_daemon_drives_the_proposed_manoeuvre_inside_the_room(planned)
     for name, foreseen in ((names[2], x), (names[3], y)):
         assert np.abs(trace[name].values).max() <= 2.5
         assert trace[name].values[-1] == pytest.approx(foreseen[-1], abs=0.02)
-    assert np.ptp(trace[names[2]].values) > 2.0
+    assert np.ptp(trace[names[2]].values) > 1.0
 
 
 def test_pieces_stay_in_the_room_and_come_back():
@@ -149,15 +158,13 @@ def test_pieces_stay_in_the_room_and_come_back():
             assert np.hypot(x[-1], y[-1]) < 0.1
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.floats(2.0, 60.0), st.integers(0, 99))
-def test_no_choice_is_longer_than_allowed(duration_s, seed):
-    found = pieces(ROBOT, (4.0, 4.0))[::4]
-    assert not choose(found, [], 0.5, lambda text, share: None)
-    rng = np.random.default_rng(seed)
-    told = [Told([], rng.random((len(found), 2, 2)))]
-    chosen = choose(found, told, duration_s, lambda text, share: None)
-    assert sum(piece.manoeuvre.duration_s for piece in chosen) <= duration_s + 1e-6
+def test_no_choice_is_longer_than_allowed_and_little_time_is_left():
+    found = pieces(ROBOT, (4.0, 4.0))
+    shortest_s = min(piece.manoeuvre.duration_s for piece in found)
+    for duration_s in (0.5, 3.0, 10.0, 61.0):
+        chosen = choose(found, [], duration_s, lambda text, share: None)
+        left_s = duration_s - sum(piece.manoeuvre.duration_s for piece in chosen)
+        assert -1e-6 <= left_s < shortest_s
 
 
 # --- reading and writing --------------------------------------------------------------------------
@@ -194,10 +201,11 @@ def test_a_log_of_twists_is_the_same_manoeuvre_as_its_scenario(tmp_path):
     assert left < 0.0 < right  # backwards
 
 
+@pytest.mark.long
 def test_the_documents_are_the_same_again(planned, tmp_path):
     again = tmp_path / "again"
-    given_ = planned.parent / "given.yaml"
-    assert main(["plan", str(given_), "--duration", "40", "-o", str(again)]) == 0
+    path = planned.parent / "circle.csv"
+    assert main(["plan", str(path), "--duration", "40", "-o", str(again)]) == 0
     for name in (PLAN, SCENARIO):
         assert (again / name).read_text() == (planned / name).read_text()
 
@@ -211,7 +219,8 @@ def test_it_says_what_a_channel_would_add(tmp_path, capsys):
     assert "cannot tell apart: gyro_scale, rotation_gain, wheel_radius" in said
     missing = {m.channel: m for m in document(tmp_path / "out").missing_channels}
     assert set(missing) == {"duty", "position", "yaw", "voltage"}
-    assert "nav_scale" in missing["position"].shows
+    assert {"floor_slope", "nav_lever_arm"} <= set(missing["position"].shows)
+    assert "gyro_scale" in missing["position"].separates
     assert json.loads((tmp_path / "out" / PLAN).read_text())["schema"] == "hilserver.plan/1"
 
 
@@ -246,7 +255,7 @@ def test_a_log_without_set_points_is_one_sentence(tmp_path, capsys):
 def test_options_that_make_no_sense_are_refused(tmp_path, capsys, option):
     with pytest.raises(SystemExit):
         main(["plan", "x.yaml", "-o", str(tmp_path), *option])
-    assert option[1] in capsys.readouterr().err
+    assert f"argument {option[0]}: " in capsys.readouterr().err
 
 
 def test_too_small_a_room_is_one_sentence(tmp_path, capsys):
