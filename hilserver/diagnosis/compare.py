@@ -31,7 +31,9 @@ from hilserver.diagnosis.findings import (
 )
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.outcome import unit_of
-from hilserver.diagnosis.selection import Library
+from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.screen import Scores, score
+from hilserver.diagnosis.selection import Library, select
 from hilserver.diagnosis.stages import Prepared, machine, prepare, stages_of, vocabulary_reasons
 from hilserver.diagnosis.vocabulary import CAUSES
 
@@ -119,8 +121,14 @@ def compare(
             prepared[name] = one_stage
     runs = run_of_spans(cleaned)
     differences: list[Difference] = []
+    shared = select(
+        {n: p.problem for n, p in prepared.items()},
+        {n: p.library for n, p in prepared.items()},
+        {n: p.base for n, p in prepared.items()},
+        np.random.default_rng(seed),
+    )
     for name, p in prepared.items():
-        differences += differences_of(name, p, second, runs)
+        differences += differences_of(name, p, shared[name].point, second, runs)
     count = max(len({d.candidate.cause for d in differences}), 1)
     differences = [replace(d, p=min(d.p * count, 1.0)) for d in differences]
     found = _findings(differences, prepared)
@@ -165,49 +173,61 @@ def run_of_spans(logs: Sequence[MeasuredLog]) -> NDArray[np.int64]:
 
 
 def differences_of(
-    stage: str, prepared: Prepared, second: NDArray[np.bool_], runs: NDArray[np.int64]
+    stage: str,
+    prepared: Prepared,
+    point: Point,
+    second: NDArray[np.bool_],
+    runs: NDArray[np.int64],
 ) -> list[Difference]:
-    """Estimate every cause of a stage in both sets."""
-    library, problem = prepared.library, prepared.problem
-    stack, segments = problem.stack, problem.stage.segments
-    left = prepared.base.left[library.blocks.order]
-    columns = library.columns
-    starts = library.blocks.starts
+    """Estimate every cause of a stage in both sets, beside the causes that both share.
+
+    Parameters
+    ----------
+    point : Point
+        The model that explains both sets together.
+    """
+    library, stack = prepared.library, prepared.problem.stack
     span_of_block = np.full(stack.n_blocks, -1)
-    span_of_block[stack.block] = segments.span[stack.segment]
-    score = np.zeros((stack.n_blocks, columns.shape[1]))
-    information = np.zeros_like(score)
-    for b in range(stack.n_blocks):
-        part = slice(starts[b], starts[b + 1])
-        score[b] = columns[part].T @ left[part]
-        information[b] = np.einsum("ij,ij->j", columns[part], columns[part])
-    sides = [span_of_block == -2, span_of_block == -2]
+    span_of_block[stack.block] = prepared.problem.stage.segments.span[stack.segment]
     known = span_of_block >= 0
-    sides[0] = known & ~second[np.maximum(span_of_block, 0)]
-    sides[1] = known & second[np.maximum(span_of_block, 0)]
+    later = second[np.maximum(span_of_block, 0)]
+    sides = (known & ~later, known & later)
+    shared = library.scores(point)
     out = []
     for i, c in enumerate(library.candidates):
-        mine = np.flatnonzero(library.owner == i)
-        for k, j in enumerate(mine[: c.n]):
-            d = _one(score[:, j], information[:, j], sides, runs, span_of_block)
+        mine = np.flatnonzero(library.owner == i)[: c.n]
+        scores, offset = _own_scores(library, point, c, mine) or (shared, np.zeros(c.n))
+        rows = mine if scores is shared else np.arange(len(mine))
+        for k, j in enumerate(rows):
+            if scores.information[j] <= 0.0:
+                continue
+            d = _one(scores.blocks[:, j], scores.own[:, j], sides, runs, span_of_block)
             if d is None:
                 continue
             unit = library.norms[i][k] if c.n > 1 else 1.0
             scale = (1.0 / unit) if c.linear else abs(c.start[0] - c.null[0])
             values, errors, p, gain, dof = d
-            out.append(
-                Difference(
-                    c,
-                    stage,
-                    int(j),
-                    (values[0] * scale, values[1] * scale),
-                    (errors[0] * scale, errors[1] * scale),
-                    p,
-                    gain,
-                    dof,
-                )
-            )
+            both = tuple(v * scale + float(offset[k]) for v in values)
+            spread = (errors[0] * scale, errors[1] * scale)
+            place = int(mine[k])
+            out.append(Difference(c, stage, place, (both[0], both[1]), spread, p, gain, dof))
     return out
+
+
+def _own_scores(
+    library: Library, point: Point, c: Candidate, mine: NDArray[np.int64]
+) -> tuple[Scores, Array] | None:
+    """Return scores and values of a shared cause, beside the others; None for other causes."""
+    index = next((k for k, f in enumerate(point.model.fitted) if f.candidate.label == c.label), -1)
+    if index < 0:
+        return None
+    begin = sum(f.candidate.n for f in point.model.fitted[:index])
+    accepted = library.problem.accepted(point)
+    assert accepted is not None
+    others = np.delete(accepted, np.s_[begin : begin + c.n], axis=1)
+    order = library.blocks.order
+    scores = score(library.columns[:, mine], point.left[order], library.blocks, others[order])
+    return scores, np.asarray(point.model.fitted[index].theta) - np.asarray(c.null)
 
 
 def _one(
