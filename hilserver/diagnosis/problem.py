@@ -26,6 +26,8 @@ MOST_IN_A_ROW = 4
 WHITE = 0.05
 """Largest autocorrelation at the first lags of a channel that is taken for white at once."""
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
+WITHIN_3_SD = 0.97334
+"""Variance of a normal variable that lies within three deviations, by that of all."""
 SHORT_S = 6.0
 """In segments that are all shorter the noise counts as white, see `short_noise`."""
 
@@ -64,6 +66,9 @@ def _differences(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
     """
     steps = np.concatenate([np.diff(r) for _, r in parts])
     sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
+    quiet = steps[np.abs(steps) < 3.0 * np.sqrt(2.0) * sd]
+    if len(quiet):  # the median alone would tell the level from a third of the samples
+        sd = float(np.sqrt(np.mean(quiet**2) / 2.0 / WITHIN_3_SD))
     if sd <= 0.0 and len(steps):
         sd = float(np.std(steps)) / np.sqrt(2.0)
     return NoiseModel(max(sd, 1e-6))
