@@ -248,9 +248,13 @@ class PoseStage:
         for i in range(len(self.segments)):
             if i and self.segments.span[i] == self.segments.span[i - 1]:
                 first, end = int(rows[i - 1]), int(rows[i])
-                n = round((self.segments.start_s[i] - self.segments.start_s[i - 1])
-                          / self.segments.period_s)  # fmt: skip
-                turned = self.left[first : min(first + n, end)].sum() * step
+                steps = (
+                    self.segments.start_s[i] - self.segments.start_s[i - 1]
+                ) / self.segments.period_s
+                n = min(int(steps), end - first - 1)
+                # the part of a step counts: rounded, it would add up to a drift of the phase
+                whole = float(self.left[first : first + n].sum())
+                turned = (whole + (steps - n) * float(self.left[first + n])) * step
                 angle[i] = angle[i - 1] + turned
             else:
                 angle[i] = -self.left[rows[i] : rows[i] + lead].sum() * step
