@@ -31,7 +31,8 @@ from hilserver.diagnosis.findings import (
 )
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.outcome import unit_of
-from hilserver.diagnosis.selection import Library
+from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.selection import Library, select
 from hilserver.diagnosis.stages import Prepared, machine, prepare, stages_of, vocabulary_reasons
 from hilserver.diagnosis.vocabulary import CAUSES
 
@@ -117,10 +118,17 @@ def compare(
         reasons |= why
         if one_stage is not None:
             prepared[name] = one_stage
+    tell("fitting what both sets have", 0.0)
+    common = select(
+        {n: p.problem for n, p in prepared.items()},
+        {n: p.library for n, p in prepared.items()},
+        {n: p.base for n, p in prepared.items()},
+        np.random.default_rng(seed),
+    )
     runs = run_of_spans(cleaned)
     differences: list[Difference] = []
     for name, p in prepared.items():
-        differences += differences_of(name, p, second, runs)
+        differences += differences_of(name, p, common[name].point, second, runs)
     count = max(len({d.candidate.cause for d in differences}), 1)
     differences = [replace(d, p=min(d.p * count, 1.0)) for d in differences]
     found = _findings(differences, prepared)
@@ -165,12 +173,17 @@ def run_of_spans(logs: Sequence[MeasuredLog]) -> NDArray[np.int64]:
 
 
 def differences_of(
-    stage: str, prepared: Prepared, second: NDArray[np.bool_], runs: NDArray[np.int64]
+    stage: str,
+    prepared: Prepared,
+    point: Point,
+    second: NDArray[np.bool_],
+    runs: NDArray[np.int64],
 ) -> list[Difference]:
-    """Estimate every cause of a stage in both sets."""
+    """Estimate every cause of a stage in both sets, at the model `point` that they share."""
     library, problem = prepared.library, prepared.problem
     stack, segments = problem.stack, problem.stage.segments
-    left = prepared.base.left[library.blocks.order]
+    left = point.left[library.blocks.order]
+    fitted = {f.candidate.cause: f for f in point.model.fitted}
     columns = library.columns
     starts = library.blocks.starts
     span_of_block = np.full(stack.n_blocks, -1)
@@ -195,12 +208,14 @@ def differences_of(
             unit = library.norms[i][k] if c.n > 1 else 1.0
             scale = (1.0 / unit) if c.linear else abs(c.start[0] - c.null[0])
             values, errors, p, gain, dof = d
+            both = fitted.get(c.cause)
+            off = both.theta[k] - both.candidate.null[k] if both and k < len(both.theta) else 0.0
             out.append(
                 Difference(
                     c,
                     stage,
                     int(j),
-                    (values[0] * scale, values[1] * scale),
+                    (values[0] * scale + off, values[1] * scale + off),
                     (errors[0] * scale, errors[1] * scale),
                     p,
                     gain,
