@@ -44,6 +44,7 @@ from hilserver.diagnosis.structure import (
     Unknown,
     drifting,
     families_of,
+    imitated,
     lost_steps,
     remaining,
     without_unknown,
@@ -226,9 +227,12 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
             point = prune(p.problem, point, LEAST_GAIN)
         explained = max(p.base.deviance - point.deviance, 0.0)
         unknown = remaining(p.problem, point, rng, families_of(p.problem, point), explained)
-        for index in reversed(without_unknown(p.problem, point, unknown)):
+        doubtful = set(without_unknown(p.problem, point, unknown))
+        if point.model.fitted:
+            doubtful |= set(imitated(p.problem, point, families_of(p.problem, point)))
+        for index in sorted(doubtful, reverse=True):
             point = fit(p.problem, point.model.without(index), point, iterations=3)
-        if unknown:
+        if unknown or doubtful:
             again = remaining(p.problem, point, rng, families_of(p.problem, point), 0.0)
             unknown = again or unknown
         drift = drifting(p.problem, point, rng)

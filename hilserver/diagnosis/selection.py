@@ -11,6 +11,7 @@ from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import (
+    GROSS,
     LEVEL,
     SQUARE,
     Blocks,
@@ -18,7 +19,10 @@ from hilserver.diagnosis.screen import (
     adjusted,
     critical,
     directions,
+    freedom_of,
+    normal,
     null_maxima,
+    orthogonal,
     score,
 )
 
@@ -28,8 +32,9 @@ MOST_CAUSES = 6
 RIDGE = 1e-3
 TRIALS = 8
 """Candidates of a round that are fitted in full: those with the largest linear gain."""
-RIVAL_COSINE = 0.6
 GROUP_COSINE = 0.95
+PROMISING = 0.5
+"""Share of the best trial's gain from which the shape of another is worth a search."""
 TIE = 4.0
 """Deviance within which two causes explain the data alike, per parameter."""
 LEAST_LINEAR, LEAST_GAIN, LEAST_SAVED = 9.0, 10.0, 8.0
@@ -206,13 +211,20 @@ def best_starts(scores: Scores, library: Library) -> list[tuple[int, float]]:
 
 
 def wald(problem: Problem, point: Point, index: int) -> float:
-    """Return how many robust deviations a fitted cause lies from its null."""
-    cov, _ = covariance(problem, point, problem.accepted(point))
+    """Return how far a fitted cause lies from its null, as a normal deviation.
+
+    The blocks that tell it from the causes beside it count, see `screen.normal`.
+    """
+    columns = problem.accepted(point)
+    assert columns is not None
+    cov, _ = covariance(problem, point, columns)
     begin = sum(f.candidate.n for f in point.model.fitted[:index])
     f = point.model.fitted[index]
     part = slice(begin, begin + f.candidate.n)
     away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    return float(np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0)))
+    t = np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0))
+    mine = orthogonal(columns[:, part] @ away[:, None], np.delete(columns, part, axis=1))
+    return float(normal(t, freedom_of(problem.stack.block_sums(mine**2)))[0])
 
 
 def attempt(
@@ -221,12 +233,24 @@ def attempt(
     """Fit a candidate together with the accepted causes."""
     c = library.candidates[index]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
-    if c.moved is not None:
-        trial = refine(problem, trial, len(trial.model.fitted) - 1)
-        c = trial.model.fitted[-1].candidate
     if not physical(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Trial]:
+    """Search the shapes of those trials that could win with a better one; the best first."""
+    most = max((trial.gain for trial in trials), default=0.0)
+    out = []
+    for trial in trials:
+        if trial.candidate.moved is None or trial.gain < PROMISING * most:
+            out.append(trial)
+            continue
+        moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
+        if physical(moved):
+            candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
+            out.append(replace(trial, candidate=candidate, point=moved, gain=gain))
+    return sorted(out, key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
 
 
 LATE, TOGETHER = "nav_latency", ("clock_offset", "side_slip")
@@ -311,7 +335,8 @@ def _forward(
         limit = critical(maxima)
         starts = best_starts(scores, library)[:TRIALS]
         trials: list[Trial] = []
-        if np.abs(scores.t).max(initial=0.0) < limit:
+        gross = point.deviance > GROSS * len(point.left)
+        if np.abs(scores.t).max(initial=0.0) < limit and not gross:
             break
         for index, _ in starts:
             mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
@@ -320,7 +345,7 @@ def _forward(
             trial = attempt(problem, point, library, index, t, p)
             if trial is not None:
                 trials.append(trial)
-        trials.sort(key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
+        trials = refined(problem, point, trials)
         if log is not None:
             log.append(
                 f"round {round_}: critical {limit:.2f}: "
