@@ -7,15 +7,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.clock import Segments, cut
+from hilserver.diagnosis.clock import cut
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.kernels import run_drive, run_process, sample
 from hilserver.diagnosis.model import robot_with
-from hilserver.diagnosis.stack import Stack, make_stack
+from hilserver.diagnosis.stack import make_stack
 from hilserver.plant.layout import (
     N_U,
     N_Y,
-    P_QUANTUM,
     U_ENABLE,
     U_MODE,
     U_SETPOINT,
@@ -125,17 +124,39 @@ class DriveStage:
             )
         return out
 
-    def process_only(self, measured_duty: Array) -> Array:
-        """Return the speeds that the process makes of a dense measured duty, cut point B."""
-        speed = np.empty((self.segments.ticks, 4))
-        run_process(self.robot.pack(), self.segments.first, measured_duty, self._speed_0, speed)
-        return speed
+    def process_only(self, duty: Array) -> Array:
+        """Return the speeds that the process makes of a dense duty, shape (ticks, 4): cut point B.
 
-    @property
-    def saturates(self) -> bool:
-        """Whether the simulated duty reaches its limit."""
-        _, _, duty = self.simulate({})
-        return bool(np.abs(duty).max(initial=0.0) > 0.98 * self.robot.controller.limit_pct)
+        The duty is taken as it is: a measured one has gone through the limit already. The battery's
+        voltage is that of the whole chain, and counts only if the plant has a `battery_sag`.
+        """
+        seen = np.empty((self.segments.ticks, 4))
+        run_process(
+            self.robot.pack(),
+            replace(self.robot, seed=0).initial_state(),
+            self.segments.first,
+            duty,
+            self._volts,
+            self._speed_0,
+            seen,
+        )
+        return seen
+
+    def stepped(self, wheel: int) -> NDArray[np.bool_]:
+        """Return at which ticks an input of a wheel changes, shape (ticks,)."""
+        others = [U_SETPOINT + w for w in range(4) if w != wheel]
+        own = np.delete(self._inputs, others, axis=1)
+        differs = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
+        changed = np.concatenate([[False], np.diff(self._row) != 0]) & differs[self._row]
+        changed[self.segments.first[:-1]] = False
+        return changed
+
+    def since(self, happens: NDArray[np.bool_]) -> Array:
+        """Return the time since something happened last, or infinity, at every tick; in seconds."""
+        tick = np.arange(self.segments.ticks)
+        last = np.maximum.accumulate(np.where(happens, tick, -1))
+        begin = np.repeat(self.segments.first[:-1], np.diff(self.segments.first))
+        return np.where(last < begin, np.inf, (tick - last) * self.segments.period_s)
 
     def _at_rest(self) -> bool:
         firsts = [abs(self.log[n].of(s)[1][:3]).max(initial=0.0)
@@ -218,11 +239,3 @@ def _mean(values: Array, width: int) -> Array:
     low = np.maximum(index - width // 2, 0)
     high = np.minimum(index + width // 2 + 1, len(values))
     return np.asarray((total[high] - total[low]) / (high - low))
-
-
-def quantum(robot: RobotParameters) -> float:
-    """Return the step of the measured speed [rpm]; 0 for none."""
-    return float(robot.pack()[P_QUANTUM])
-
-
-__all__ = ["DUTIES", "SETPOINTS", "SPEEDS", "DriveStage", "Segments", "Stack"]

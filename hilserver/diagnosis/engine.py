@@ -191,7 +191,7 @@ def judge(
     )
     terms = extension(found, fitted)
     shown = {
-        stage: Shown(j.prepared, j.point, before[stage], after[stage], j.scores)
+        stage: Shown(j.prepared, j.point, before[stage], after[stage], j.scores, j.unknown, j.drift)
         for stage, j in judged.items()
     }
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))

@@ -202,9 +202,9 @@ class Dependence:
     channel, regressor : str
         Residual of which signal, and against what (``pose.yaw_rad``, ``t_s``).
     x, mean, low, high : ndarray of float64, shape (k,)
-        Middle of the bin, mean residual and its interval of 95 %.
+        Middle of the bin, mean residual and its interval of 95 %, which counts blocks.
     statistic, critical : float
-        As in the screen.
+        As in the screen, among the structures that were found.
     """
 
     channel: str

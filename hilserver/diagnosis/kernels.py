@@ -7,6 +7,7 @@ Segments lie one after the other in all arrays: segment i covers the rows ``firs
 from typing import Any
 
 from hilserver.compiled import kernel
+from hilserver.plant.drive import encoder, load, process_of_tick
 from hilserver.plant.layout import (
     P_DT,
     P_NAV_DELAY,
@@ -27,7 +28,7 @@ from hilserver.plant.layout import (
     Y_SPEED,
     Y_VELOCITY,
 )
-from hilserver.plant.nav import _position, _yaw
+from hilserver.plant.nav import shown_position, shown_yaw
 from hilserver.plant.pose import wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, robot_step
 
@@ -81,19 +82,34 @@ def run_drive(
 
 
 @kernel()
-def run_process(p: Any, first: Any, duty: Any, speed_0: Any, speed: Any) -> None:
-    """Run the process alone under a given duty, cut point B; base model."""
-    a00, a01, a10, a11, b0, b1 = p[5], p[6], p[7], p[8], p[9], p[10]
+def run_process(
+    p: Any, x0: Any, first: Any, duty: Any, volts: Any, speed_0: Any, seen: Any
+) -> None:
+    """Run process and encoder alone under a given duty, cut point B.
+
+    Parameters
+    ----------
+    duty : ndarray, shape (ticks, 4)
+        Of the controller; friction and dead zone of a plant that has them come after it.
+    volts, speed_0
+        As for `run_drive`.
+    seen : ndarray, shape (ticks, 4)
+        Written: speed as the encoder shows it.
+    """
+    x = x0.copy()
     for s in range(first.size - 1):
+        x[:] = x0
         for i in range(4):
-            motor = speed_0[s, i]
-            n = speed_0[s, i]
-            for k in range(first[s], first[s + 1]):
-                speed[k, i] = n
-                u = duty[k, i]
-                following = a10 * motor + a11 * n + b1 * u
-                motor = a00 * motor + a01 * n + b0 * u
-                n = following
+            x[X_SPEED + i] = speed_0[s, i]
+            x[X_MOTOR + i] = speed_0[s, i]
+        for k in range(first[s], first[s + 1]):
+            a00, a01, a10, a11, b0, b1 = process_of_tick(p, volts[k])
+            for i in range(4):
+                motor, n = x[X_MOTOR + i], x[X_SPEED + i]
+                seen[k, i] = encoder(p, x, i)
+                u = load(p, i, duty[k, i], n)
+                x[X_MOTOR + i] = a00 * motor + a01 * n + b0 * u
+                x[X_SPEED + i] = a10 * motor + a11 * n + b1 * u
 
 
 @kernel()
@@ -178,10 +194,10 @@ def sample_tag(
         share = where - k
         for c in range(3):
             x[X_NAV_RING + c] = dense[k, c] + share * (dense[following, c] - dense[k, c])
-        out[j, 0], out[j, 1] = _position(p, x)
+        out[j, 0], out[j, 1] = shown_position(p, x)
         where = min(max(at_yaw[j], float(low[j])), float(high[j]))
         k = int(where)
         following = min(k + 1, int(high[j]))
         yaw = dense[k, 2] + (where - k) * (dense[following, 2] - dense[k, 2])
         x[X_NAV_RING + 2] = yaw
-        out[j, 2] = yaw + wrap(_yaw(p, x) - yaw)
+        out[j, 2] = yaw + wrap(shown_yaw(p, x) - yaw)

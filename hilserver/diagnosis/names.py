@@ -26,6 +26,12 @@ def known_signals() -> dict[str, Signal]:
     }
 
 
+def signal_unit(name: str) -> str:
+    """Return the symbol of a signal's unit; 1 where there is no such signal."""
+    signal = known_signals().get(name)
+    return "1" if signal is None else signal.unit
+
+
 @cache
 def known_columns() -> tuple[str, ...]:
     """Return the columns that a log in our own names may have, besides time and segment."""

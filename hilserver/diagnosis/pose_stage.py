@@ -170,12 +170,15 @@ class PoseStage:
 
     def residual(self, predicted: Array) -> Array:
         """Return measured minus predicted; yaw along the shorter way."""
-        difference = self.stack.values - predicted
+        return self.difference(self.stack.values, predicted)
+
+    def difference(self, samples: Array, others: Array) -> Array:
+        """Return samples minus others; yaw along the shorter way."""
+        out = samples - others
         if self.has_yaw:
             edge = self.stack.edges[YAW]
-            d = difference[edge]
-            difference[edge] = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
-        return difference
+            out[edge] -= 2.0 * np.pi * np.rint(out[edge] / (2.0 * np.pi))
+        return out
 
     def nuisance(self, predicted: Array, poses: Array) -> Array:
         """Return how the prediction moves with the initial pose of its segment, shape (n, 3)."""

@@ -269,12 +269,9 @@ class Problem:
         return out
 
     def _difference(self, moved: Array, base: Array) -> Array:
-        difference = moved - base
-        if isinstance(self.stage, PoseStage) and self.stage.has_yaw:
-            edge = self.stack.edges["nav.yaw_rad"]
-            d = difference[edge]
-            difference[edge] = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
-        return difference
+        if isinstance(self.stage, PoseStage):
+            return self.stage.difference(moved, base)
+        return moved - base
 
     # --- noise ------------------------------------------------------------------------------------
     def learn_noise(self, raw: Array) -> None:

@@ -1,14 +1,19 @@
 """Fills the evidence: what the report draws."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis import cuts
+from hilserver.diagnosis.course import courses
 from hilserver.diagnosis.data import MeasuredLog
-from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS
+from hilserver.diagnosis.dependence import dependences
+from hilserver.diagnosis.drive_stage import SPEEDS
 from hilserver.diagnosis.evidence import (
+    Course,
+    Dependence,
     Evidence,
     FittedRange,
     FittedTerm,
@@ -20,10 +25,12 @@ from hilserver.diagnosis.evidence import (
     Similarity,
 )
 from hilserver.diagnosis.gain import HORIZONS_S, compare, free_run_errors, windows
+from hilserver.diagnosis.names import signal_unit
 from hilserver.diagnosis.pose_stage import POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point
 from hilserver.diagnosis.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.stages import Prepared
+from hilserver.diagnosis.structure import Unknown
 from hilserver.diagnosis.vocabulary import part_of
 from hilserver.plant.parameters import RobotParameters
 
@@ -32,13 +39,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Shown:
-    """One stage with its predictions before and after the extension."""
+    """One stage with its predictions before and after the extension.
+
+    Attributes
+    ----------
+    unknown : sequence of Unknown
+        What the residual of `point` depends on without a name.
+    drift : mapping of str to float
+        Causes of `point` that change along the log, with their p.
+    """
 
     prepared: Prepared
     point: Point
     before: Array
     after: Array
     scores: Scores
+    unknown: Sequence[Unknown]
+    drift: Mapping[str, float]
 
 
 def evidence(
@@ -55,11 +72,16 @@ def evidence(
     horizons: list[HorizonRow] = []
     paths: tuple[Path, ...] = ()
     similarity = None
+    rest: list[Dependence] = []
+    over_time: list[Course] = []
     extended = bool(terms)
+    prepared = {name: s.prepared for name, s in stages.items()}
     for name, s in stages.items():
         series += _series(s, extended)
         noise += _noise(s)
         screen += _screen(s)
+        rest += dependences(s.prepared.problem, s.point, s.unknown)
+        over_time += courses(s.prepared.problem, s.point, set(s.drift))
         if name == "pose":
             horizons += _horizons(s)
             paths = _paths(s, extended)
@@ -67,27 +89,18 @@ def evidence(
     return Evidence(
         series=tuple(series),
         paths=paths,
+        cuts=cuts.cuts(prepared),
         noise=tuple(noise),
         screen=tuple(screen),
         similarity=similarity,
         gain_by_horizon=tuple(horizons),
+        dependences=tuple(rest),
+        courses=tuple(over_time),
         extension=terms,
         fitted=_range(log, robot, stages),
         timings_s=dict(timings),
+        remarks=cuts.remarks(prepared),
     )
-
-
-def _unit(channel: str) -> str:
-    for end, unit in (
-        ("_rpm", "rpm"),
-        ("_pct", "%"),
-        ("_rad_s", "rad/s"),
-        ("_rad", "rad"),
-        ("_m", "m"),
-    ):
-        if channel.endswith(end):
-            return unit
-    return "1"
 
 
 def _series(s: Shown, extended: bool) -> list[Series]:
@@ -103,7 +116,7 @@ def _series(s: Shown, extended: bool) -> list[Series]:
         out.append(
             Series(
                 name,
-                _unit(name),
+                signal_unit(name),
                 stack.t_s[e],
                 measured,
                 measured - first[e],
@@ -127,7 +140,7 @@ def _noise(s: Shown) -> list[NoiseRow]:
         rows.append(
             NoiseRow(
                 name,
-                _unit(name),
+                signal_unit(name),
                 float(model.white_sd),
                 float(model.ou_sd),
                 float(model.ou_tau_s) if model.ou_sd > 0.0 else None,
@@ -232,6 +245,3 @@ def _range(log: MeasuredLog, robot: RobotParameters, stages: Mapping[str, Shown]
         b = log["battery.voltage_v"].values
         volts = (float(b.min()), float(b.max()))
     return FittedRange(speed, rpm, turn, volts)
-
-
-__all__ = ["DUTIES", "Shown", "evidence"]

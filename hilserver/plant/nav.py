@@ -66,7 +66,8 @@ def _correlated(p: Any, x: Any, part: int, keep: float, deviation: float) -> flo
 
 
 @part
-def _position(p: Any, x: Any) -> tuple[float, float]:
+def shown_position(p: Any, x: Any) -> tuple[float, float]:
+    """Return x, y [m] of the tag, of the pose that lies the delay back in the ring."""
     newer, older, share = weights(int(x[X_NAV_HEAD]), x[X_NAV_COUNT], p[P_NAV_DELAY])
     a, b = X_NAV_RING + 3 * newer, X_NAV_RING + 3 * older
     px, py = between(x[a], x[b], share), between(x[a + 1], x[b + 1], share)
@@ -82,7 +83,8 @@ def _position(p: Any, x: Any) -> tuple[float, float]:
 
 
 @part
-def _yaw(p: Any, x: Any) -> float:
+def shown_yaw(p: Any, x: Any) -> float:
+    """Return the yaw [rad] that the tag shows, not wrapped."""
     newer, older, share = weights(int(x[X_NAV_HEAD]), x[X_NAV_COUNT], p[P_NAV_YAW_DELAY])
     a, b = X_NAV_RING + 3 * newer + 2, X_NAV_RING + 3 * older + 2
     yaw = between_angles(x[a], x[b], share)
@@ -100,8 +102,8 @@ def _yaw(p: Any, x: Any) -> float:
 def _sample(p: Any, x: Any) -> None:
     """Take one sample: what the tag shows until the next."""
     seed, sample = p[P_SEED], x[X_NAV_SAMPLES]
-    px, py = _position(p, x)
-    yaw = _yaw(p, x)
+    px, py = shown_position(p, x)
+    yaw = shown_yaw(p, x)
     if p[P_NAV_OU] != 0.0:
         px += _correlated(p, x, 0, p[P_NAV_OU_KEEP], p[P_NAV_OU])
         py += _correlated(p, x, 1, p[P_NAV_OU_KEEP], p[P_NAV_OU])

@@ -138,6 +138,7 @@ def _behind(findings: Findings, evidence: Evidence) -> str:
         for k in rounds
     )
     like = "" if evidence.similarity is None else figures.likeness(evidence.similarity)
+    where = words.where(evidence.cuts)
     spectra = [s for row in evidence.noise if (s := figures.spectrum(row))]
     return "".join(
         (
@@ -145,7 +146,7 @@ def _behind(findings: Findings, evidence: Evidence) -> str:
                 "cuts",
                 "In which block",
                 "The recording is replayed from three points. Where the residual is larger than"
-                " the sensors' noise, something before that channel is wrong.",
+                f" the sensors' noise, something before that channel is wrong. {where}".rstrip(),
                 tables.cuts(evidence.cuts),
             ),
             section(

@@ -14,6 +14,7 @@ from hilserver.diagnosis.evidence import (
 from hilserver.diagnosis.explain import number
 from hilserver.diagnosis.findings import Findings
 from hilserver.diagnosis.report.markup import bar, code, table
+from hilserver.diagnosis.report.words import is_large
 
 CUTS = {
     "setpoints": ("From the set-points", "the whole chain"),
@@ -36,7 +37,7 @@ def cuts(rows: Sequence[CutRow]) -> str:
             number(item.rms, item.unit),
             "" if item.expected is None else number(item.expected, item.unit),
             "" if excess is None else number(excess, digits=2),
-            "" if excess is None else bar(excess / 10, "simulated" if excess > 1.5 else ""),
+            "" if excess is None else bar(excess / 10, "simulated" if is_large(item) else ""),
         ]
 
     head = ("Replayed", "channel", "residual, rms", "noise alone", "ratio", "")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 
+from hilserver.diagnosis.evidence import CutRow
 from hilserver.diagnosis.explain import QUANTITIES, explain_finding, mend, number
 from hilserver.diagnosis.findings import Finding, Findings, Gain, Overall, Parameter, Verdict
 from hilserver.diagnosis.report import markup
@@ -19,6 +20,8 @@ BADGES = {
     Verdict.DIFFERS: "Differs",
     Verdict.NO_DIFFERENCE: "No difference",
 }
+LARGE = 1.5
+"""Residual, by what the noise alone would give, from which a replay is clearly wrong."""
 COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 INTERVAL_WIDTH = 260.0
 
@@ -200,6 +203,29 @@ def _interval(name: str, parameter: Parameter) -> str:
         f'<path class="whisker" d="M{a:.1f} 12H{b:.1f}"/>'
         f'<circle class="dot" cx="{at:.1f}" cy="12" r="5"/><title>{text}</title></svg>'
     )
+
+
+def where(cuts: Sequence[CutRow]) -> str:
+    """Return in which block the error arises, as one sentence; nothing where none is large."""
+    judged = {r.cut for r in cuts}
+    large = {(r.cut, r.channel.startswith("wheel.")) for r in cuts if is_large(r)}
+    told = []
+    if ("duty", True) in large:
+        told.append("in the motors, the gears or their load")
+    elif ("setpoints", True) in large and "duty" in judged:
+        told.append(
+            "in the controller, on the way of the set-points or in how fast the motors follow"
+        )
+    elif ("setpoints", True) in large:
+        told.append("in the drive")
+    if ("speed", False) in large:
+        told.append("in the kinematics or the sensors of the pose")
+    return f"The error arises {', and '.join(told)}." if told else ""
+
+
+def is_large(row: CutRow) -> bool:
+    """Return whether a residual is clearly more than the sensors' noise."""
+    return row.expected is not None and row.rms > LARGE * row.expected
 
 
 def steps(findings: Findings) -> str:
