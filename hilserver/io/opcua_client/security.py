@@ -193,9 +193,8 @@ class LinkSecurity:
         shown, uri = data or b"", server.ApplicationUri or ""
         verdict = self._verdict(shown, uri)
         if verdict is not Verdict.GOOD:
-            if verdict is Verdict.UNTRUSTED:
-                self._identity.trust.keep_rejected(shown)
-            raise self._refuse(verdict, shown, uri)
+            kept = verdict is Verdict.UNTRUSTED and self._identity.trust.keep_rejected(shown)
+            raise self._refuse(verdict, shown, uri, is_kept=kept is not None)
         self._shown = (shown, uri)
         return x509.load_der_x509_certificate(first_of_chain(shown))
 
@@ -204,11 +203,13 @@ class LinkSecurity:
         trust, only = self._identity.trust, self._identity.only
         return trust.judge_server(data, self._host, uri, only=only)
 
-    def _refuse(self, verdict: Verdict, data: bytes, uri: str) -> RefusedError:
-        assert self._identity is not None
-        return refusal.certificate_refused(
-            verdict, data, self._host, uri, self._identity.trust_with
-        )
+    def _refuse(
+        self, verdict: Verdict, data: bytes, uri: str, *, is_kept: bool = True
+    ) -> RefusedError:
+        identity = self._identity
+        assert identity is not None
+        mend = identity.trust_with if is_kept else f"put it into {identity.trust.folder}/trusted"
+        return refusal.certificate_refused(verdict, data, self._host, uri, mend)
 
 
 class PeerClient(Client):  # type: ignore[misc]

@@ -306,6 +306,16 @@ async def test_connects_as_soon_as_the_rejected_certificate_is_trusted(
         assert harness.status.faults == {}
 
 
+async def test_a_certificate_that_cannot_be_kept_has_another_mend(
+    ours: Rig, station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick(monkeypatch)
+    (station.trust.folder / "rejected").rmdir()
+    (station.trust.folder / "rejected").write_text("no folder")
+    sentence = await refused(station.link(ours.server.url))
+    assert f"is not trusted: put it into {station.trust.folder}/trusted" in sentence
+
+
 async def test_trust_taken_away_ends_the_session(
     ours: Rig, pki: Pki, station: Station, monkeypatch: pytest.MonkeyPatch
 ) -> None:
