@@ -45,6 +45,11 @@ class PeerSecurity(BaseModel):
         description="the certificate that the peer must show, or of the authority that issued it;"
         " replaces the folder trusted",
     )
+    peer_host: Annotated[str, Field(min_length=1, max_length=253)] | None = Field(
+        None,
+        description="name or address that the peer's certificate must name; when left out the host"
+        " of endpoint",
+    )
     user: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
         None, description="name to log in with; when left out anonymous"
     )
@@ -69,7 +74,7 @@ class PeerSecurity(BaseModel):
     @model_validator(mode="after")
     def _only_what_acts(self) -> "PeerSecurity":
         if not self.is_secure:
-            names = ("mode", "certificate", "private_key", "trust", "peer_certificate")
+            names = ("mode", "certificate", "private_key", "trust", "peer_certificate", "peer_host")
             idle = [name for name in names if getattr(self, name) is not None]
             if idle:
                 raise ValueError(

@@ -85,6 +85,7 @@ def test_what_is_no_node_id(text):
         ({"read": {}, "write": {}}, "reads and writes nothing"),
         ({"security": {"policy": "Basic256"}}, "Input should be 'None', 'Basic256Sha256'"),
         ({"security": {"mode": "sign"}}, "mode is without effect while policy is None"),
+        ({"security": {"peer_host": "x"}}, "peer_host is without effect while policy is None"),
         ({"security": {"trust": "x"}}, "trust is without effect while policy is None"),
         (
             {"security": SECURE | {"certificate": "a.der"}},

@@ -77,8 +77,8 @@ def _about(certificate: x509.Certificate, verdict: Verdict, host: str, trust_wit
     if verdict is Verdict.HOST:
         names = _listed(host_names(certificate)) or "no host"
         return (
-            f"its certificate names {names}, not {_quoted(host)}: put a name of the certificate"
-            " into endpoint, or make the certificate anew"
+            f"its certificate names {names}, not {_quoted(host)}: if it is the right one, put a"
+            " name of the certificate into endpoint or peer_host"
         )
     if verdict is Verdict.TIME:
         begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
@@ -154,6 +154,16 @@ def refused_by_peer(
     else:
         return None
     return RefusedError(kind, code, f"not connected: {sentence} ({code})")
+
+
+def hung_up(ours: str) -> RefusedError:
+    """Return that the peer closed the connection instead of answering our certificate `ours`."""
+    return RefusedError(
+        FaultKind.OWN_CERTIFICATE,
+        "closed",
+        f"not connected: it closes the connection when it sees our certificate {ours}: trust it"
+        " there, and check both clocks",
+    )
 
 
 def _quoted(text: str | None) -> str:

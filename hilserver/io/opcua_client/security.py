@@ -83,7 +83,7 @@ class LinkSecurity:
 
     def __init__(self, config: PeerConfig, opcua: OpcUaConfig, folder: Path) -> None:
         security = config.security
-        self._host = config.host
+        self._host = security.peer_host or config.host
         self._wanted = f"{security.policy} and {security.effective_mode}"
         self.user = security.user
         self._password_file = security.password_file and folder / security.password_file

@@ -14,7 +14,7 @@ from typing import Any
 from asyncua import Client, ua
 
 from hilserver.config.peers import NodeAddress
-from hilserver.io.opcua_client.refusal import refused_by_peer
+from hilserver.io.opcua_client.refusal import RefusedError, hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
 
 CONNECT_TIMEOUT_S = 2.0
@@ -90,16 +90,23 @@ class Session:
                 if self._security is not None:
                     await self._security.prepare(self._client, self._ask_endpoints)
                 await self._client.connect()
-        except ua.UaStatusCodeError as error:
+        except (ua.UaStatusCodeError, ConnectionError) as error:
             await self._close(graceful=False)
-            user, ours = None, ""
-            if self._security is not None:
-                user, ours = self._security.user, self._security.thumbprint
-            raise (refused_by_peer(error, user, ours) or error) from None
+            raise (self._refusal(error) or error) from None
         except BaseException:
             await self._close(graceful=False)
             raise
         return self
+
+    def _refusal(self, error: Exception) -> RefusedError | None:
+        security = self._security
+        ours = "" if security is None else security.thumbprint
+        if isinstance(error, ua.UaStatusCodeError):
+            return refused_by_peer(error, None if security is None else security.user, ours)
+        is_protected = self._client.security_policy.Mode != ua.MessageSecurityMode.None_
+        if is_protected and not isinstance(error, ConnectionRefusedError):
+            return hung_up(ours)
+        return None
 
     async def _ask_endpoints(self) -> list[ua.EndpointDescription]:
         """Ask on a connection of its own, without protection, as discovery goes."""

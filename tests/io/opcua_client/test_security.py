@@ -196,6 +196,16 @@ async def test_trusted_through_its_authority(ours: Rig, pki: Pki, station: Stati
             await wait_until(lambda: harness.status.writes > 1)
 
 
+async def test_reached_by_an_address_that_the_certificate_does_not_name(
+    ours: Rig, pki: Pki, station: Station
+) -> None:
+    certificate = certificate_of(pki, ["robot.example"])
+    station.put("trusted", certificate)
+    with showing(ours, certificate):
+        async with running(station.link(ours.server.url, peer_host="robot.example")) as harness:
+            await wait_until(lambda: harness.status.connected)
+
+
 async def test_own_certificate_key_and_trust_of_one_peer(
     ours: Rig, pki: Pki, station: Station, tmp_path: Path
 ) -> None:
