@@ -3,7 +3,7 @@
 import numpy as np
 
 from hilserver.diagnosis.findings import Detectable, NotJudged
-from hilserver.diagnosis.screen import Scores
+from hilserver.diagnosis.screen import Scores, student
 from hilserver.diagnosis.selection import Library
 from hilserver.diagnosis.vocabulary import CAUSES
 
@@ -18,7 +18,7 @@ def smallest(
     library: Library, scores: Scores, t_critical: float
 ) -> tuple[list[Detectable], list[NotJudged]]:
     """Return sizes for the causes of one stage, and those that the drive did not excite."""
-    needed = max(t_critical + POWER, np.sqrt(LEAST_GAIN) + POWER)
+    needed = np.maximum(student(t_critical, scores.freedom), np.sqrt(LEAST_GAIN)) + POWER
     found: dict[str, tuple[float, str]] = {}
     for i, c in enumerate(library.candidates):
         part = next(iter(c.terms(c.start)))
@@ -30,9 +30,9 @@ def smallest(
             visible = information / max(scores.deviation[j], 1e-300)  # t per unit
             if c.linear:
                 norm = _unit(library, i, k)
-                size = needed / visible / norm
+                size = needed[j] / visible / norm
             else:
-                size = abs(c.start[0] - c.null[0]) * needed / visible
+                size = abs(c.start[0] - c.null[0]) * needed[j] / visible
                 if size > 1.5 * abs(c.start[0] - c.null[0]):
                     continue
             size = max(size, c.least)

@@ -7,6 +7,10 @@ together by flipping signs of whole blocks, fitting each flip anew for the same 
 taking its maximum over the directions (Westfall and Young 1993; wild bootstrap of clusters): the
 family-wise error holds whatever the correlation between directions, and between samples of a block.
 What a block leaves is flipped, not its score, lest a strong effect hide a weaker one.
+
+A direction that shows in three or four blocks alone has a scatter that is hardly known, and its t
+the long tails of Student's law. One such direction would set the critical value for all others, so
+every t is told as the normal deviation of equal probability.
 """
 
 from collections.abc import Sequence
@@ -22,6 +26,10 @@ Real = NDArray[Any]
 
 FLIPS = 4999
 LEVEL = 0.002
+GROSS = 1.5
+"""Variance of the whitened residual that is no noise, whatever a test with few blocks says."""
+LEAST_FREEDOM = 0.5
+"""Of a direction that shows in a single block."""
 SQUARE = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
 
 
@@ -36,8 +44,10 @@ class Scores:
     own : ndarray, shape (blocks, k)
         Sum of squares of the efficient column over each block.
     t : ndarray, shape (k,)
-        Sum of the scores by its deviation.
+        Sum of the scores by its deviation, as a normal deviation.
     deviation : ndarray, shape (k,)
+    freedom : ndarray, shape (k,)
+        Degrees of freedom of the deviation: blocks that count, less one.
     information : ndarray, shape (k,)
         Sum of squares of the efficient column.
     gain : ndarray, shape (k,)
@@ -50,9 +60,34 @@ class Scores:
     own: Array
     t: Array
     deviation: Array
+    freedom: Array
     information: Array
     gain: Array
     size: Array
+
+
+def normal(t: Array, freedom: Array) -> Array:
+    """Return the normal deviation as probable as Student's t (Wallace 1959); it keeps its sign."""
+    scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
+    return np.asarray(np.sign(t) * scale * np.sqrt(freedom * np.log1p(t**2 / freedom)))
+
+
+def student(z: Array | float, freedom: Array) -> Array:
+    """Return the t whose normal deviation is z: the inverse of `normal`."""
+    scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
+    return np.asarray(np.sqrt(freedom * np.expm1(np.minimum((z / scale) ** 2 / freedom, 300.0))))
+
+
+def freedom_of(own: Array) -> Array:
+    """Return the degrees of freedom of a direction's scatter over the blocks.
+
+    Parameters
+    ----------
+    own : ndarray, shape (blocks, k)
+        Information of each block.
+    """
+    total, squares = own.sum(axis=0), (own**2).sum(axis=0)
+    return np.asarray(np.maximum(total**2 / np.maximum(squares, 1e-300) - 1.0, LEAST_FREEDOM))
 
 
 def directions(block: Array) -> Array:
@@ -135,11 +170,13 @@ def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = Non
     size = np.where(usable, total / safe, 0.0)
     scatter = ((per - size * own) ** 2).sum(axis=0)
     deviation = np.sqrt(np.maximum(scatter, safe))
+    freedom = freedom_of(own)
     return Scores(
         per,
         own,
-        np.where(usable, total / deviation, 0.0),
+        np.where(usable, normal(total / deviation, freedom), 0.0),
         deviation,
+        freedom,
         np.where(usable, information, 0.0),
         np.where(usable, total**2 / safe, 0.0),
         size,
@@ -161,7 +198,8 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
         scatter = (rest**2).sum(axis=0) - 2.0 * size * (signs @ (rest * own))
         scatter += size**2 * (own**2).sum(axis=0)
         deviation = np.sqrt(np.maximum(scatter, information))
-        largest = np.maximum(largest, np.abs(total / deviation).max(axis=1))
+        t = normal(total / deviation, s.freedom[used])
+        largest = np.maximum(largest, np.abs(t).max(axis=1))
     return largest
 
 

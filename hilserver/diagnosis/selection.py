@@ -6,11 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.intervals import covariance
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import (
+    GROSS,
     LEVEL,
     SQUARE,
     Blocks,
@@ -18,7 +20,10 @@ from hilserver.diagnosis.screen import (
     adjusted,
     critical,
     directions,
+    freedom_of,
+    normal,
     null_maxima,
+    orthogonal,
     score,
 )
 
@@ -27,9 +32,12 @@ Array = NDArray[np.float64]
 MOST_CAUSES = 6
 RIDGE = 1e-3
 TRIALS = 8
-"""Candidates of a round that are fitted in full: those with the largest linear gain."""
-RIVAL_COSINE = 0.6
+"""Candidates of a round that are fitted: those with the largest linear gain, ..."""
+MOST_FITTED = 3
+"""... and of these in full."""
 GROUP_COSINE = 0.95
+PROMISING = 0.5
+"""Share of the best trial's gain from which the shape of another is worth a search."""
 TIE = 4.0
 """Deviance within which two causes explain the data alike, per parameter."""
 LEAST_LINEAR, LEAST_GAIN, LEAST_SAVED = 9.0, 10.0, 8.0
@@ -142,15 +150,15 @@ class Selected:
 
     Attributes
     ----------
-    rivals : mapping of str to list of Trial
-        Per accepted cause, those that explain the data as well in its place.
     p : mapping of str to float
         Family-wise p of each accepted cause when it was accepted.
+    rows : list of SelectionRow
+        What was taken and what was refused, in order.
     """
 
     point: Point
-    rivals: dict[str, list[Trial]] = field(default_factory=dict)
     p: dict[str, float] = field(default_factory=dict)
+    rows: list[SelectionRow] = field(default_factory=list)
 
 
 def physical(point: Point) -> bool:
@@ -206,13 +214,20 @@ def best_starts(scores: Scores, library: Library) -> list[tuple[int, float]]:
 
 
 def wald(problem: Problem, point: Point, index: int) -> float:
-    """Return how many robust deviations a fitted cause lies from its null."""
-    cov, _ = covariance(problem, point, problem.accepted(point))
+    """Return how far a fitted cause lies from its null, as a normal deviation.
+
+    The blocks that tell it from the causes beside it count, see `screen.normal`.
+    """
+    columns = problem.accepted(point)
+    assert columns is not None
+    cov, _ = covariance(problem, point, columns)
     begin = sum(f.candidate.n for f in point.model.fitted[:index])
     f = point.model.fitted[index]
     part = slice(begin, begin + f.candidate.n)
     away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    return float(np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0)))
+    t = np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0))
+    mine = orthogonal(columns[:, part] @ away[:, None], np.delete(columns, part, axis=1))
+    return float(normal(t, freedom_of(problem.stack.block_sums(mine**2)))[0])
 
 
 def attempt(
@@ -221,12 +236,24 @@ def attempt(
     """Fit a candidate together with the accepted causes."""
     c = library.candidates[index]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
-    if c.moved is not None:
-        trial = refine(problem, trial, len(trial.model.fitted) - 1)
-        c = trial.model.fitted[-1].candidate
     if not physical(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Trial]:
+    """Search the shapes of those trials that could win with a better one; the best first."""
+    most = max((trial.gain for trial in trials), default=0.0)
+    out = []
+    for trial in trials:
+        if trial.candidate.moved is None or trial.gain < PROMISING * most:
+            out.append(trial)
+            continue
+        moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
+        if physical(moved):
+            candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
+            out.append(replace(trial, candidate=candidate, point=moved, gain=gain))
+    return sorted(out, key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
 
 
 LATE, TOGETHER = "nav_latency", ("clock_offset", "side_slip")
@@ -281,8 +308,6 @@ def select(
     libraries: Mapping[str, Library],
     points: Mapping[str, Point],
     rng: np.random.Generator,
-    *,
-    log: list[str] | None = None,
 ) -> dict[str, Selected]:
     """Select causes, stage by stage, at one family-wise level."""
     scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
@@ -290,7 +315,7 @@ def select(
     out = {}
     for name in libraries:
         other = [s for n, s in scores.items() if n != name]
-        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima, log)
+        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima)
     return out
 
 
@@ -301,7 +326,6 @@ def _forward(
     other: Sequence[Scores],
     rng: np.random.Generator,
     maxima: Array,
-    log: list[str] | None,
 ) -> Selected:
     selected = Selected(point)
     for round_ in range(MOST_CAUSES):
@@ -309,31 +333,18 @@ def _forward(
         if round_:
             maxima = null_maxima([scores, *other], rng)
         limit = critical(maxima)
-        starts = best_starts(scores, library)[:TRIALS]
-        trials: list[Trial] = []
-        if np.abs(scores.t).max(initial=0.0) < limit:
+        gross = point.deviance > GROSS * len(point.left)
+        if np.abs(scores.t).max(initial=0.0) < limit and not gross:
             break
-        for index, _ in starts:
+        trials: list[Trial] = []
+        for index, _ in best_starts(scores, library)[:TRIALS]:
             mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
             t = float(mine.max())
             p = float(adjusted(np.array([t]), maxima)[0])
             trial = attempt(problem, point, library, index, t, p)
             if trial is not None:
                 trials.append(trial)
-        trials.sort(key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
-        if log is not None:
-            log.append(
-                f"round {round_}: critical {limit:.2f}: "
-                + ", ".join(f"{t.candidate.label} {t.gain:.0f} {t.theta}" for t in trials[:6])
-            )
-        accepted = None
-        for trial in trials[:3]:
-            fitted = fit(problem, trial.point.model, trial.point, iterations=4)
-            last = len(fitted.model.fitted) - 1
-            clear = trial.gain > LEAST_GAIN and wald(problem, fitted, last) > limit
-            if clear and holds(problem, point, fitted.model, fitted):
-                accepted = replace(trial, point=fitted)
-                break
+        accepted = _accepted(problem, point, refined(problem, point, trials), limit, selected)
         if accepted is None:
             break
         point = both_at_once(problem, accepted.point, library)
@@ -343,6 +354,29 @@ def _forward(
         point = fit(problem, point.model, point, iterations=3)
     selected.point = point
     return selected
+
+
+def _accepted(
+    problem: Problem, point: Point, trials: Sequence[Trial], limit: float, selected: Selected
+) -> Trial | None:
+    """Return the best trial that is significant and holds on blocks it was not fitted to."""
+    for trial in trials[:MOST_FITTED]:
+        fitted = fit(problem, trial.point.model, trial.point, iterations=4)
+        z = wald(problem, fitted, len(fitted.model.fitted) - 1)
+        saved = f"saves {trial.gain:.0f} of a deviance of {point.deviance:.0f}"
+        cause, why = trial.candidate.cause, None
+        if trial.gain <= LEAST_GAIN:
+            why = f"{saved}, too little"
+        elif z <= limit:
+            why = f"{saved}, but lies only {z:.1f} deviations from nought; {limit:.1f} are asked"
+        elif not holds(problem, point, fitted.model, fitted):
+            why = f"{saved}, but not on the blocks that it was not fitted to"
+        if why is None:
+            why = f"{saved}, {z:.1f} deviations from nought"
+            selected.rows.append(SelectionRow(cause, "taken", None, why))
+            return replace(trial, point=fitted)
+        selected.rows.append(SelectionRow(cause, "refused", None, why))
+    return None
 
 
 def _refresh_noise(problem: Problem, library: Library, point: Point) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.screen import GROSS, Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.unknown import Family, LostSteps, drive_families, lost_steps, pose_families
 
 Array = NDArray[np.float64]
@@ -19,6 +19,8 @@ LEAST_SHARE = 0.001
 """Of the samples' variance: what explains less is of no use to anybody."""
 INEXACT = 0.005
 """Share of what the accepted causes explain that their own form may leave."""
+LEAST_BETTER = 10.0
+"""Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
 DOMINANCE = 4.0
 """A named cause stays beside unknown structure only if it explains so many times as much."""
 
@@ -62,6 +64,11 @@ def remaining(
     ----------
     explained : float
         Deviance that the accepted causes save: a small share of it may be their own inexactness.
+
+    Notes
+    -----
+    A model without any cause that misses grossly is never left without a word: where no family is
+    significant, because all that was missed lies in few blocks, the one that explains most is told.
     """
     stack = problem.stack
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
@@ -69,6 +76,8 @@ def remaining(
     blocks = Blocks.of(stack.block, stack.n_blocks)
     order = blocks.order
     scores, strong = [], []
+    gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
+    most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)
         before = (white**2).sum(axis=0)
@@ -76,19 +85,54 @@ def remaining(
         white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
         scores.append(score(white[order], point.left[order], blocks))
         t = float(np.abs(scores[-1].t).max(initial=0.0))
-        if t > LEAST_T:
-            gain = joint_gain(white, point.left)
-            least = max(LEAST_GAIN, LEAST_SHARE * len(stack), INEXACT * explained)
-            if gain > least and holds_out(problem, white, point.left):
-                slim = Family(family.name, family.regressors, np.zeros((0, 0)))
-                strong.append(Unknown(slim, t, 1.0, gain, white))
+        if t <= LEAST_T and not gross:
+            continue
+        slim = Family(family.name, family.regressors, np.zeros((0, 0)))
+        u = Unknown(slim, t, 1.0, joint_gain(white, point.left), white)
+        if gross and (most is None or u.gain > most.gain):
+            most = u
+        least = max(LEAST_GAIN, LEAST_SHARE * len(stack), INEXACT * explained)
+        if t > LEAST_T and u.gain > least and holds_out(problem, white, point.left):
+            strong.append(u)
     maxima = null_maxima(scores, rng)
     found = []
     for u in strong:
         p = float(adjusted(np.array([u.t]), maxima)[0])
         if p < LEVEL:
             found.append(Unknown(u.family, u.t, p, u.gain, u.white))
+    if not found and most is not None:
+        return [most]
     return sorted(found, key=lambda u: -u.gain)
+
+
+def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list[int]:
+    """Return the accepted causes that a single column of unknown structure explains better.
+
+    What the other causes explain is taken out of both. A column that is better by little may be a
+    twin of the cause, whose own form is exact and the column's linear.
+    """
+    accepted = problem.accepted(point)
+    if accepted is None:
+        return []
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    white = np.concatenate(
+        [problem.project(problem.whiten(f.columns), bases) for f in families], axis=1
+    )
+    doubtful, begin = [], 0
+    for index, f in enumerate(point.model.fitted):
+        mine = np.s_[begin : begin + f.candidate.n]
+        begin += f.candidate.n
+        others = np.delete(accepted, mine, axis=1)
+        own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+        target = orthogonal((point.left + own)[:, None], others)[:, 0]
+        columns = orthogonal(white, others)
+        squares = (columns**2).sum(axis=0)
+        usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
+        saved = (columns.T @ target)[usable] ** 2 / squares[usable]
+        explained = float(target @ target - point.left @ point.left)
+        if saved.max(initial=0.0) > explained * (1.0 + INEXACT) + LEAST_BETTER:
+            doubtful.append(index)
+    return doubtful
 
 
 def joint_gain(white: Array, left: Array) -> float:
@@ -168,4 +212,4 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
     return out
 
 
-__all__ = ["LostSteps", "Unknown", "drifting", "families_of", "lost_steps", "remaining"]
+__all__ = ["LostSteps", "Unknown", "drifting", "families_of", "imitated", "lost_steps", "remaining"]
