@@ -13,6 +13,7 @@ from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
+from hilserver.diagnosis.drift import Drifting, with_drift
 from hilserver.diagnosis.drive_stage import DriveStage
 from hilserver.diagnosis.evidence import Diagnosis, SelectionRow
 from hilserver.diagnosis.findings import (
@@ -35,6 +36,7 @@ from hilserver.diagnosis.selection import Selected, select
 from hilserver.diagnosis.showing import Shown, evidence
 from hilserver.diagnosis.stages import (
     Prepared,
+    judged_candidates,
     machine,
     prepare,
     stages_of,
@@ -42,13 +44,12 @@ from hilserver.diagnosis.stages import (
 )
 from hilserver.diagnosis.structure import (
     Unknown,
-    drifting,
     families_of,
     imitated,
-    lost_steps,
     remaining,
     without_unknown,
 )
+from hilserver.diagnosis.unknown import lost_steps
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -57,6 +58,8 @@ Tell = Callable[[str, float], None]
 HORIZON_S = 5.0
 LEAST_GAIN = 10.0
 LOST_SHARE = 0.01
+SETPOINTS_LOST = {"interpolated_setpoint"}
+"""Faults of the recording after which nobody knows when a set-point changed."""
 DRIVEN = ("speed_rpm", "duty_pct")
 
 
@@ -141,7 +144,8 @@ def judge(
     checked = check(log, robot)
     log = checked.log
     lap("checks")
-    prepared, reasons = _prepare(log, robot, jobs, tell)
+    faults = {cause.partition(".")[0] for f in checked.findings for cause in f.causes}
+    prepared, reasons = _prepare(log, robot, jobs, tell, faults)
     lap("effects")
     tell("selecting causes", 0.0)
     judged = _judge(prepared, rng)
@@ -200,11 +204,16 @@ def judge(
 
 
 def _prepare(
-    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell
+    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell, faults: set[str]
 ) -> tuple[dict[str, Prepared], dict[str, str]]:
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot).items():
+        if name == "drive" and faults & SETPOINTS_LOST:
+            text = "the log does not hold the set-points that the machine got"
+            reasons |= dict.fromkeys(judged_candidates(stage)[1], text)
+            reasons |= {c.cause: text for c in judged_candidates(stage)[0]}
+            continue
         one, why = prepare(stage, jobs, tell)
         reasons |= why
         if one is not None:
@@ -243,9 +252,11 @@ def _settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judge
         point = less
     if unknown or doubtful:
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
-    drift = drifting(problem, point, rng)
+    changing = Drifting(point, {}) if unknown else with_drift(p.library, p.base, point, rng)
+    rows += _left_out(point, changing.point, "dropped", "another cause changes along the log")
+    point = changing.point
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
-    return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base))
+    return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
 
 
 def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:

@@ -12,7 +12,8 @@ from hilserver.diagnosis.identifiability import Rival
 from hilserver.diagnosis.intervals import intervals
 from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.structure import LostSteps, Unknown
+from hilserver.diagnosis.structure import Unknown
+from hilserver.diagnosis.unknown import LostSteps
 from hilserver.diagnosis.vocabulary import CAUSES, part_of
 
 Array = NDArray[np.float64]
