@@ -14,7 +14,7 @@ from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
 from hilserver.diagnosis.drive_stage import DriveStage
-from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.evidence import Diagnosis, SelectionRow
 from hilserver.diagnosis.findings import (
     Detectable,
     Finding,
@@ -191,7 +191,9 @@ def judge(
     )
     terms = extension(found, fitted)
     shown = {
-        stage: Shown(j.prepared, j.point, before[stage], after[stage], j.scores)
+        stage: Shown(
+            j.prepared, j.point, before[stage], after[stage], j.scores, tuple(j.selected.rows)
+        )
         for stage, j in judged.items()
     }
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
@@ -218,28 +220,38 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
         {n: p.base for n, p in prepared.items()},
         rng,
     )
-    out = {}
-    for name, p in prepared.items():
-        point = selected[name].point
-        ties: dict[str, list[Rival]] = {}
-        if point.model.fitted:
-            point, ties = settle(p.library, point)
-            point = prune(p.problem, point, LEAST_GAIN)
-        explained = max(p.base.deviance - point.deviance, 0.0)
-        unknown = remaining(p.problem, point, rng, families_of(p.problem, point), explained)
-        doubtful = set(without_unknown(p.problem, point, unknown))
-        if point.model.fitted:
-            doubtful |= set(imitated(p.problem, point, families_of(p.problem, point)))
-        for index in sorted(doubtful, reverse=True):
-            point = fit(p.problem, point.model.without(index), point, iterations=3)
-        if unknown or doubtful:
-            again = remaining(p.problem, point, rng, families_of(p.problem, point), 0.0)
-            unknown = again or unknown
-        drift = drifting(p.problem, point, rng)
-        scores = p.library.scores(p.base)
-        kept = {c: t for c, t in ties.items() if c in point.model.causes}
-        out[name] = Judged(p, selected[name], point, kept, unknown, drift, scores)
-    return out
+    return {name: _settled(p, selected[name], rng) for name, p in prepared.items()}
+
+
+def _settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
+    """Weigh the selected causes against rivals, each other and unknown structure."""
+    problem, point, rows = p.problem, selected.point, selected.rows
+    ties: dict[str, list[Rival]] = {}
+    if point.model.fitted:
+        settled, ties = settle(p.library, point)
+        rows += _left_out(point, settled, "swapped", "a rival explains the data better")
+        point = prune(problem, settled, LEAST_GAIN)
+        rows += _left_out(settled, point, "dropped", "the others have made it superfluous")
+    explained = max(p.base.deviance - point.deviance, 0.0)
+    unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+    doubtful = set(without_unknown(problem, point, unknown))
+    if point.model.fitted:
+        doubtful |= set(imitated(problem, point, families_of(problem, point)))
+    for index in sorted(doubtful, reverse=True):
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        rows += _left_out(point, less, "dropped", "unknown structure explains as much")
+        point = less
+    if unknown or doubtful:
+        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
+    drift = drifting(problem, point, rng)
+    kept = {c: t for c, t in ties.items() if c in point.model.causes}
+    return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base))
+
+
+def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:
+    """Return a row for each cause that one model has and the next has not."""
+    gone = [c for c in before.model.causes if c not in after.model.causes]
+    return [SelectionRow(cause, action, None, reason) for cause in gone]
 
 
 def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:

@@ -16,6 +16,7 @@ from hilserver.diagnosis.evidence import (
     NoiseRow,
     Path,
     ScreenRow,
+    SelectionRow,
     Series,
     Similarity,
 )
@@ -39,6 +40,7 @@ class Shown:
     before: Array
     after: Array
     scores: Scores
+    selection: tuple[SelectionRow, ...] = ()
 
 
 def evidence(
@@ -69,6 +71,7 @@ def evidence(
         paths=paths,
         noise=tuple(noise),
         screen=tuple(screen),
+        selection=tuple(row for s in stages.values() for row in s.selection),
         similarity=similarity,
         gain_by_horizon=tuple(horizons),
         extension=terms,
