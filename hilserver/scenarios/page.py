@@ -27,8 +27,8 @@ _HEAD = """\
 Seventeen drives, each with one thing hidden in it. The truth is another program than the plant, and
 the logs have the channels that the robot of the thesis had. `hilserver scenarios page` writes this
 page and its plots; `hilserver scenarios make NAME -o DIR` writes the logs of one. All figures here
-are of seed 0: other seeds draw other sizes and, in some scenarios, other causes. Where the diagnosis
-does not say what it should, the section says so.
+are of seed 0: other seeds draw other sizes and, in some scenarios, other causes. Where a diagnosis
+is not what it should be, the section says so.
 
 See also [how a diagnosis comes about](diagnosis.md), [how to make one](../how-to/diagnose.md) and
 [what the causes mean](../reference/findings.md).

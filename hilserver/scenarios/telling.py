@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from textwrap import fill
+from typing import Final
 
 import yaml
 from hilserver_injector import Recipe
@@ -11,6 +13,8 @@ from hilserver_injector import Recipe
 from hilserver.diagnosis.explain import QUANTITIES, number
 from hilserver.diagnosis.findings import Finding, Findings, Verdict
 from hilserver.scenarios.expectation import Drive, Scenario, judge
+
+COLUMNS: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +48,26 @@ def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) 
         f"**What to do:** {own.do}",
         *(f"**To tell them apart:** {text}" for text in _experiments(findings)),
     ]
-    return "\n\n".join(paragraphs) + "\n"
+    return "\n\n".join(map(wrapped, paragraphs)) + "\n"
+
+
+def wrapped(paragraph: str) -> str:
+    """Return a paragraph of Markdown in lines of the documents' width; tables stay as they are."""
+    if paragraph.startswith(("|", "![")):
+        return paragraph
+    lines = []
+    for line in paragraph.split("\n"):
+        indent = "  " if line.startswith("- ") else ""
+        lines.append(
+            fill(
+                line,
+                COLUMNS,
+                subsequent_indent=indent,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        )
+    return "\n".join(lines)
 
 
 def _hidden(drive: Drive) -> str:
@@ -74,7 +97,7 @@ def _said(drive: Drive, findings: Findings) -> list[str]:
     result = judge(drive.expectation, findings)
     if not result.right:
         wrong = [f"{name} was not hidden" for name in result.wrong]
-        parts.append(f"**It should not say this:** {'; '.join((*result.missing, *wrong))}.")
+        parts.append(f"**Not as it should be:** {'; '.join((*result.missing, *wrong))}.")
     return parts
 
 
