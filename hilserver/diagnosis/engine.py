@@ -38,8 +38,10 @@ from hilserver.diagnosis.stages import (
     Prepared,
     judged_candidates,
     machine,
+    on_a_frame,
     prepare,
     stages_of,
+    standing,
     vocabulary_reasons,
 )
 from hilserver.diagnosis.structure import (
@@ -142,7 +144,7 @@ def judge(
     robot = machine(log, robot)
     tell("checking the data", 0.0)
     checked = check(log, robot)
-    log = checked.log
+    log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
     lap("checks")
     faults = {cause.partition(".")[0] for f in checked.findings for cause in f.causes}
     prepared, reasons = _prepare(log, robot, jobs, tell, faults)

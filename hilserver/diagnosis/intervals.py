@@ -24,7 +24,7 @@ def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[A
     """
     assert columns is not None
     n, k = problem.stack.n_blocks, columns.shape[1]
-    scale = np.sqrt((columns**2).sum(axis=0)) + 1e-300
+    scale = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-100)  # a cause may show nowhere
     unit = columns / scale
     bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(k))
     scores = problem.stack.block_sums(unit * point.left[:, None])

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.diagnosis.evidence import FittedTerm
 from hilserver.diagnosis.explain import explain_finding, separating_experiment
 from hilserver.diagnosis.findings import Finding, Parameter, Verdict
@@ -145,7 +146,7 @@ def lost(steps: LostSteps) -> Finding:
         causes=(),
         block="drive",
         p_adjusted=0.001,
-        regressors=("wheels.setpoints_rpm", "wheel.fl.setpoint_rpm", "input.sequence"),
+        regressors=(*SETPOINTS, "input.sequence"),
         explanation=text,
     )
 
