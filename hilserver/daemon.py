@@ -32,7 +32,7 @@ from hilserver.faults.scenario import Stage
 from hilserver.image import Frame
 from hilserver.image.layout import W_HEARTBEAT
 from hilserver.inputs import InputGate
-from hilserver.io.opcua_client import PeerLink
+from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.recorder.launch import running_recorder
 from hilserver.io.recorder.state_service import StateService
@@ -333,6 +333,7 @@ class Daemon:
             read_output=self._read_output,
             clock=self.clock,
             line=self.lines[config.name],
+            security=LinkSecurity(config, self.config.opcua, self.assembly.folder),
         )
 
     def _make_server(self) -> OpcUaServer:

@@ -1,9 +1,10 @@
-"""Make and renew the server's certificate, decide which clients are trusted.
+"""Make and renew our certificate, decide which clients and peers are trusted.
 
-make      a key and a self-signed certificate for this server
+make      a key and a self-signed certificate for this server, and for the links to peers
 renew     a new certificate, with the same names and key (--new-key: another key)
 list      all certificates, until when they are valid, and how many days that is
-trust     trust a client: a file, or one that was rejected (name or thumbprint, its beginning)
+trust     trust a client or peer: a file, or one that was rejected (name or thumbprint, its
+          beginning)
 reject    trust it no longer
 revoke    refuse it whatever is trusted, also when an authority issued it
 password  ask for a password and print the hash for opcua.users
@@ -62,7 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only those that end within so many days; exit code 1 if there are any",
     )  # fmt: skip
     for name in ("trust", "reject", "revoke"):
-        _add(actions, name).add_argument("certificate", help="file, name or thumbprint")
+        action = _add(actions, name)
+        action.add_argument("certificate", help="file, name or thumbprint")
+        _add_folder(action)
+    _add_folder(listing)
     _add(actions, "password")
 
 
@@ -74,6 +78,15 @@ def _add(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", name: s
     return action
 
 
+def _add_folder(action: argparse.ArgumentParser) -> None:
+    action.add_argument(
+        "--folder",
+        type=Path,
+        default=None,
+        help="another folder than opcua.certificates, as peers[].security.trust",
+    )
+
+
 def run(args: argparse.Namespace) -> int:
     """Do one action."""
     if args.action == "password":
@@ -83,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     config = load_config(path).opcua
     folder = Path.cwd() if path is None else path.resolve().parent
     key = config.private_key
-    trust = TrustList(folder / config.certificates)
+    trust = TrustList(folder / (getattr(args, "folder", None) or config.certificates))
     trust.make_folders()
     try:
         if args.action in ("make", "renew"):

@@ -5,6 +5,7 @@ import json
 
 from hilserver.assembly import Assembly, assemble
 from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
 from hilserver.errors import EXIT_DONE
 
@@ -54,7 +55,7 @@ def describe(assembly: Assembly) -> list[str]:
     lines += [f"own block {b.name}: {b.function} in slice {b.slice}" for b in config.blocks]
     lines += [
         f"peer {peer.name}: {peer.endpoint}, reads {len(peer.read)} and writes {len(peer.write)}"
-        f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}"
+        f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}, {_protection(peer)}"
         for peer in config.peers
     ]
     owner = config.control.source or ("peer" if config.peers else "opcua")
@@ -64,3 +65,9 @@ def describe(assembly: Assembly) -> list[str]:
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
     lines.append(f"metrics: {address}")
     return lines
+
+
+def _protection(peer: PeerConfig) -> str:
+    security = peer.security
+    how = f"{security.policy} {security.effective_mode}" if security.is_secure else "policy None"
+    return how if security.user is None else f"{how}, as user '{security.user}'"

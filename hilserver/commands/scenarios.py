@@ -4,17 +4,20 @@
 """
 
 import argparse
+import sys
 from pathlib import Path
 
+from hilserver.commands.progress import Progress
 from hilserver.errors import EXIT_DONE
 from hilserver.scenarios import SCENARIOS, scenario
 from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, SEALED, write
+from hilserver.scenarios.page import PAGE, make_entry, write_page
 
 EXAMPLE = "hilserver scenarios make pulls_aside -o pulls_aside"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``list`` and ``make``."""
+    """Add ``list``, ``make`` and ``page``."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="names, and what the thesis says")
     listing.set_defaults(action=_list)
@@ -25,10 +28,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     making.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
     making.add_argument("--seed", type=int, default=0, help="another drawing; default 0")
     making.set_defaults(action=_make)
+    page = actions.add_parser(
+        "page",
+        help="diagnose them and write the page of the documents, with a plot of each",
+        epilog="example: hilserver scenarios page -o docs/explanation",
+    )
+    page.add_argument(
+        "names", nargs="*", metavar="NAME", help="only these; the others keep their section"
+    )
+    page.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
+    page.set_defaults(action=_page)
 
 
 def run(args: argparse.Namespace) -> int:
-    """List or make."""
+    """List, make, or write the page."""
     args.action(args)
     return EXIT_DONE
 
@@ -46,3 +59,16 @@ def _make(args: argparse.Namespace) -> None:
         logs = f"--compare {logs} --against {others}"
     print(f"hilserver diagnose {logs} -c {args.out / CONFIG} -o {args.out / 'diagnosis'}")
     print(f"the truth is sealed in {args.out / SEALED}")
+
+
+def _page(args: argparse.Namespace) -> None:
+    chosen = [scenario(name) for name in args.names] or list(SCENARIOS.values())
+    progress = Progress()
+    try:
+        for k, one in enumerate(chosen):
+            progress(one.name, k / len(chosen))
+            write_page(args.out, {one.name: make_entry(one)})
+            progress.say(one.name, sys.stdout)
+    finally:
+        progress.end()
+    print(f"The page is {args.out / PAGE}")

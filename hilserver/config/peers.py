@@ -10,11 +10,13 @@ import re
 import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal, Protocol
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from hilserver.config.peer_security import PeerSecurity
+from hilserver.config.server import is_loopback
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
 _NAMESPACE_MAX = 2**16 - 1
@@ -96,10 +98,6 @@ def _check_endpoint(text: str) -> str:
     return text
 
 
-def _none_is_a_policy(value: object) -> object:
-    return "None" if value is None else value
-
-
 NodeId = Annotated[str, AfterValidator(_check_node)]
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
@@ -107,38 +105,6 @@ Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class PeerSecurity(_Section):
-    """How the link is protected.
-
-    Attributes
-    ----------
-    policy : str
-        OPC UA security policy; only ``None`` can be used by this version.
-    certificate, private_key : Path or None
-        Our own certificate and key; reserved.
-    peer_certificate : Path or None
-        The certificate that the peer must show; reserved.
-    """
-
-    policy: Annotated[
-        Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"],
-        BeforeValidator(_none_is_a_policy),
-    ] = Field("None", description="security policy; only None works in this version")
-    certificate: Path | None = Field(None, description="our certificate; reserved")
-    private_key: Path | None = Field(None, description="our key; reserved")
-    peer_certificate: Path | None = Field(None, description="the peer's certificate; reserved")
-
-    @model_validator(mode="after")
-    def _only_what_works(self) -> "PeerSecurity":
-        if self.policy != "None":
-            raise ValueError(
-                f"policy {self.policy} is not available to clients in this version: use None"
-            )
-        if self.certificate or self.private_key or self.peer_certificate:
-            raise ValueError("certificates are without effect while policy is None: remove them")
-        return self
 
 
 class PeerConfig(_Section):
@@ -171,7 +137,7 @@ class PeerConfig(_Section):
         Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in log, metrics and OPC UA"),
     ]
     endpoint: Annotated[Endpoint, Field(description="opc.tcp://<host>:<port>/<path>")]
-    security: PeerSecurity = PeerSecurity()
+    security: PeerSecurity = Field(default_factory=PeerSecurity)
     mode: Literal["auto", "subscribe", "poll"] = Field(
         "auto", description="subscribe, poll, or auto: poll when the peer grants too slow a rate"
     )
@@ -212,6 +178,23 @@ class PeerConfig(_Section):
             raise ValueError(
                 f"stale_after_ms of peer '{self.name}' must be at least twice the interval at which"
                 f" values come ({slowest_ms:g} ms), so at least {2 * slowest_ms:g}"
+            )
+        return self
+
+    @property
+    def host(self) -> str:
+        """Name or address of the peer, without brackets."""
+        return urlsplit(self.endpoint).hostname or ""
+
+    @model_validator(mode="after")
+    def _password_is_hidden(self) -> "PeerConfig":
+        security = self.security
+        exposed = security.user is not None and not security.is_secure
+        if exposed and not security.allow_clear_password and not is_loopback(self.host):
+            raise ValueError(
+                f"security of peer '{self.name}': everyone on the network could read the password"
+                f" of '{security.user}' with policy None: set policy, for example to"
+                " Basic256Sha256, or allow_clear_password: true"
             )
         return self
 

@@ -34,7 +34,15 @@ from hilserver.diagnosis.outcome import unit_of
 from hilserver.diagnosis.problem import Point
 from hilserver.diagnosis.screen import Scores, score
 from hilserver.diagnosis.selection import Library, select
-from hilserver.diagnosis.stages import Prepared, machine, prepare, stages_of, vocabulary_reasons
+from hilserver.diagnosis.stages import (
+    Prepared,
+    machine,
+    on_a_frame,
+    prepare,
+    stages_of,
+    standing,
+    vocabulary_reasons,
+)
 from hilserver.diagnosis.vocabulary import CAUSES
 
 Array = NDArray[np.float64]
@@ -111,6 +119,8 @@ def compare(
         checked = check(one, robot)
         faults += checked.findings
         cleaned.append(checked.log)
+    if any(standing(one, robot) for one in cleaned):
+        cleaned = [on_a_frame(one) for one in cleaned]
     pooled, second = together(*cleaned)
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
@@ -147,7 +157,7 @@ def compare(
                 {d.candidate.cause for d in differences}, reasons, set(prepared)
             ).items()
         ),
-        notices=(*log.notices, *other.notices),
+        notices=tuple(note for one in cleaned for note in one.notices),
     )
     return Diagnosis(findings, Evidence())
 

@@ -149,7 +149,7 @@ class DriveStage:
         differs = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
         changed = np.concatenate([[False], np.diff(self._row) != 0]) & differs[self._row]
         changed[self.segments.first[:-1]] = False
-        return changed
+        return np.asarray(changed)
 
     def since(self, happens: NDArray[np.bool_]) -> Array:
         """Return the time since something happened last, or infinity, at every tick; in seconds."""

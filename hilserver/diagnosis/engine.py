@@ -13,8 +13,9 @@ from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
+from hilserver.diagnosis.drift import Drifting, with_drift
 from hilserver.diagnosis.drive_stage import DriveStage
-from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.evidence import Diagnosis, SelectionRow
 from hilserver.diagnosis.findings import (
     Detectable,
     Finding,
@@ -35,20 +36,22 @@ from hilserver.diagnosis.selection import Selected, select
 from hilserver.diagnosis.showing import Shown, evidence
 from hilserver.diagnosis.stages import (
     Prepared,
+    judged_candidates,
     machine,
+    on_a_frame,
     prepare,
     stages_of,
+    standing,
     vocabulary_reasons,
 )
 from hilserver.diagnosis.structure import (
     Unknown,
-    drifting,
     families_of,
     imitated,
-    lost_steps,
     remaining,
     without_unknown,
 )
+from hilserver.diagnosis.unknown import lost_steps
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -57,6 +60,8 @@ Tell = Callable[[str, float], None]
 HORIZON_S = 5.0
 LEAST_GAIN = 10.0
 LOST_SHARE = 0.01
+SETPOINTS_LOST = {"interpolated_setpoint"}
+"""Faults of the recording after which nobody knows when a set-point changed."""
 DRIVEN = ("speed_rpm", "duty_pct")
 
 
@@ -139,9 +144,10 @@ def judge(
     robot = machine(log, robot)
     tell("checking the data", 0.0)
     checked = check(log, robot)
-    log = checked.log
+    log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
     lap("checks")
-    prepared, reasons = _prepare(log, robot, jobs, tell)
+    faults = {cause.partition(".")[0] for f in checked.findings for cause in f.causes}
+    prepared, reasons = _prepare(log, robot, jobs, tell, faults)
     lap("effects")
     tell("selecting causes", 0.0)
     judged = _judge(prepared, rng)
@@ -191,18 +197,32 @@ def judge(
     )
     terms = extension(found, fitted)
     shown = {
-        stage: Shown(j.prepared, j.point, before[stage], after[stage], j.scores, j.unknown, j.drift)
+        stage: Shown(
+            j.prepared,
+            j.point,
+            before[stage],
+            after[stage],
+            j.scores,
+            unknown=j.unknown,
+            drift=j.drift,
+            selection=tuple(j.selected.rows),
+        )
         for stage, j in judged.items()
     }
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
 
 
 def _prepare(
-    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell
+    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell, faults: set[str]
 ) -> tuple[dict[str, Prepared], dict[str, str]]:
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot).items():
+        if name == "drive" and faults & SETPOINTS_LOST:
+            text = "the log does not hold the set-points that the machine got"
+            reasons |= dict.fromkeys(judged_candidates(stage)[1], text)
+            reasons |= {c.cause: text for c in judged_candidates(stage)[0]}
+            continue
         one, why = prepare(stage, jobs, tell)
         reasons |= why
         if one is not None:
@@ -218,28 +238,40 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
         {n: p.base for n, p in prepared.items()},
         rng,
     )
-    out = {}
-    for name, p in prepared.items():
-        point = selected[name].point
-        ties: dict[str, list[Rival]] = {}
-        if point.model.fitted:
-            point, ties = settle(p.library, point)
-            point = prune(p.problem, point, LEAST_GAIN)
-        explained = max(p.base.deviance - point.deviance, 0.0)
-        unknown = remaining(p.problem, point, rng, families_of(p.problem, point), explained)
-        doubtful = set(without_unknown(p.problem, point, unknown))
-        if point.model.fitted:
-            doubtful |= set(imitated(p.problem, point, families_of(p.problem, point)))
-        for index in sorted(doubtful, reverse=True):
-            point = fit(p.problem, point.model.without(index), point, iterations=3)
-        if unknown or doubtful:
-            again = remaining(p.problem, point, rng, families_of(p.problem, point), 0.0)
-            unknown = again or unknown
-        drift = drifting(p.problem, point, rng)
-        scores = p.library.scores(p.base)
-        kept = {c: t for c, t in ties.items() if c in point.model.causes}
-        out[name] = Judged(p, selected[name], point, kept, unknown, drift, scores)
-    return out
+    return {name: _settled(p, selected[name], rng) for name, p in prepared.items()}
+
+
+def _settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
+    """Weigh the selected causes against rivals, each other and unknown structure."""
+    problem, point, rows = p.problem, selected.point, selected.rows
+    ties: dict[str, list[Rival]] = {}
+    if point.model.fitted:
+        settled, ties = settle(p.library, point)
+        rows += _left_out(point, settled, "swapped", "a rival explains the data better")
+        point = prune(problem, settled, LEAST_GAIN)
+        rows += _left_out(settled, point, "dropped", "the others have made it superfluous")
+    explained = max(p.base.deviance - point.deviance, 0.0)
+    unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+    doubtful = set(without_unknown(problem, point, unknown))
+    if point.model.fitted:
+        doubtful |= set(imitated(problem, point, families_of(problem, point)))
+    for index in sorted(doubtful, reverse=True):
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        rows += _left_out(point, less, "dropped", "unknown structure explains as much")
+        point = less
+    if unknown or doubtful:
+        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
+    changing = Drifting(point, {}) if unknown else with_drift(p.library, p.base, point, rng)
+    rows += _left_out(point, changing.point, "dropped", "another cause changes along the log")
+    point = changing.point
+    kept = {c: t for c, t in ties.items() if c in point.model.causes}
+    return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
+
+
+def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:
+    """Return a row for each cause that one model has and the next has not."""
+    gone = [c for c in before.model.causes if c not in after.model.causes]
+    return [SelectionRow(cause, action, None, reason) for cause in gone]
 
 
 def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:

@@ -24,7 +24,7 @@ def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[A
     """
     assert columns is not None
     n, k = problem.stack.n_blocks, columns.shape[1]
-    scale = np.sqrt((columns**2).sum(axis=0)) + 1e-300
+    scale = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-100)  # a cause may show nowhere
     unit = columns / scale
     bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(k))
     scores = problem.stack.block_sums(unit * point.left[:, None])
@@ -32,7 +32,8 @@ def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[A
     robust = bread @ (scores.T @ scores) @ bread * (used / (used - k))
     level = point.deviance / max(len(point.left), 1)
     naive = bread * max(level, 1.0)
-    growth = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    smallest = 1e-12 * np.diag(naive)
+    growth = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(robust), smallest), 1.0))
     whole = robust * np.outer(growth, growth)
     return whole / np.outer(scale, scale), min(used, n) - k
 

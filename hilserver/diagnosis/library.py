@@ -243,7 +243,8 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
     stage: StageName = "pose"
     found = [
         _one("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0),
-        _one("wheel_radius_difference", stage, 0.005, 0.001, -0.5, 0.5),
+        # 10 m with it cost about half the heading of a full turn with the least rotation_gain
+        _one("wheel_radius_difference", stage, 0.005, 0.0005, -0.5, 0.5),
         _one("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
         _one("rotation_gain_speed", stage, 0.05, 0.02, -2.0, 5.0),
         _one("rotation_gain_radius", stage, 0.05, 0.02, -0.95, 5.0),

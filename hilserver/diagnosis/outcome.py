@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.diagnosis.evidence import FittedTerm
 from hilserver.diagnosis.explain import explain_finding, separating_experiment
 from hilserver.diagnosis.findings import Finding, Parameter, Verdict
@@ -12,7 +13,8 @@ from hilserver.diagnosis.identifiability import Rival
 from hilserver.diagnosis.intervals import intervals
 from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.structure import LostSteps, Unknown
+from hilserver.diagnosis.structure import Unknown
+from hilserver.diagnosis.unknown import LostSteps
 from hilserver.diagnosis.vocabulary import CAUSES, part_of
 
 Array = NDArray[np.float64]
@@ -144,7 +146,7 @@ def lost(steps: LostSteps) -> Finding:
         causes=(),
         block="drive",
         p_adjusted=0.001,
-        regressors=("wheels.setpoints_rpm", "wheel.fl.setpoint_rpm", "input.sequence"),
+        regressors=(*SETPOINTS, "input.sequence"),
         explanation=text,
     )
 

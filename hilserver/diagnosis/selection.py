@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.intervals import covariance
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
@@ -31,7 +32,9 @@ Array = NDArray[np.float64]
 MOST_CAUSES = 6
 RIDGE = 1e-3
 TRIALS = 8
-"""Candidates of a round that are fitted in full: those with the largest linear gain."""
+"""Candidates of a round that are fitted: those with the largest linear gain, ..."""
+MOST_FITTED = 3
+"""... and of these in full."""
 GROUP_COSINE = 0.95
 PROMISING = 0.5
 """Share of the best trial's gain from which the shape of another is worth a search."""
@@ -147,15 +150,15 @@ class Selected:
 
     Attributes
     ----------
-    rivals : mapping of str to list of Trial
-        Per accepted cause, those that explain the data as well in its place.
     p : mapping of str to float
         Family-wise p of each accepted cause when it was accepted.
+    rows : list of SelectionRow
+        What was taken and what was refused, in order.
     """
 
     point: Point
-    rivals: dict[str, list[Trial]] = field(default_factory=dict)
     p: dict[str, float] = field(default_factory=dict)
+    rows: list[SelectionRow] = field(default_factory=list)
 
 
 def physical(point: Point) -> bool:
@@ -305,8 +308,6 @@ def select(
     libraries: Mapping[str, Library],
     points: Mapping[str, Point],
     rng: np.random.Generator,
-    *,
-    log: list[str] | None = None,
 ) -> dict[str, Selected]:
     """Select causes, stage by stage, at one family-wise level."""
     scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
@@ -314,7 +315,7 @@ def select(
     out = {}
     for name in libraries:
         other = [s for n, s in scores.items() if n != name]
-        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima, log)
+        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima)
     return out
 
 
@@ -325,7 +326,6 @@ def _forward(
     other: Sequence[Scores],
     rng: np.random.Generator,
     maxima: Array,
-    log: list[str] | None,
 ) -> Selected:
     selected = Selected(point)
     for round_ in range(MOST_CAUSES):
@@ -333,32 +333,18 @@ def _forward(
         if round_:
             maxima = null_maxima([scores, *other], rng)
         limit = critical(maxima)
-        starts = best_starts(scores, library)[:TRIALS]
-        trials: list[Trial] = []
         gross = point.deviance > GROSS * len(point.left)
         if np.abs(scores.t).max(initial=0.0) < limit and not gross:
             break
-        for index, _ in starts:
+        trials: list[Trial] = []
+        for index, _ in best_starts(scores, library)[:TRIALS]:
             mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
             t = float(mine.max())
             p = float(adjusted(np.array([t]), maxima)[0])
             trial = attempt(problem, point, library, index, t, p)
             if trial is not None:
                 trials.append(trial)
-        trials = refined(problem, point, trials)
-        if log is not None:
-            log.append(
-                f"round {round_}: critical {limit:.2f}: "
-                + ", ".join(f"{t.candidate.label} {t.gain:.0f} {t.theta}" for t in trials[:6])
-            )
-        accepted = None
-        for trial in trials[:3]:
-            fitted = fit(problem, trial.point.model, trial.point, iterations=4)
-            last = len(fitted.model.fitted) - 1
-            clear = trial.gain > LEAST_GAIN and wald(problem, fitted, last) > limit
-            if clear and holds(problem, point, fitted.model, fitted):
-                accepted = replace(trial, point=fitted)
-                break
+        accepted = _accepted(problem, point, refined(problem, point, trials), limit, selected)
         if accepted is None:
             break
         point = both_at_once(problem, accepted.point, library)
@@ -368,6 +354,29 @@ def _forward(
         point = fit(problem, point.model, point, iterations=3)
     selected.point = point
     return selected
+
+
+def _accepted(
+    problem: Problem, point: Point, trials: Sequence[Trial], limit: float, selected: Selected
+) -> Trial | None:
+    """Return the best trial that is significant and holds on blocks it was not fitted to."""
+    for trial in trials[:MOST_FITTED]:
+        fitted = fit(problem, trial.point.model, trial.point, iterations=4)
+        z = wald(problem, fitted, len(fitted.model.fitted) - 1)
+        saved = f"saves {trial.gain:.0f} of a deviance of {point.deviance:.0f}"
+        cause, why = trial.candidate.cause, None
+        if trial.gain <= LEAST_GAIN:
+            why = f"{saved}, too little"
+        elif z <= limit:
+            why = f"{saved}, but lies only {z:.1f} deviations from nought; {limit:.1f} are asked"
+        elif not holds(problem, point, fitted.model, fitted):
+            why = f"{saved}, but not on the blocks that it was not fitted to"
+        if why is None:
+            why = f"{saved}, {z:.1f} deviations from nought"
+            selected.rows.append(SelectionRow(cause, "taken", None, why))
+            return replace(trial, point=fitted)
+        selected.rows.append(SelectionRow(cause, "refused", None, why))
+    return None
 
 
 def _refresh_noise(problem: Problem, library: Library, point: Point) -> None:

@@ -21,6 +21,7 @@ from hilserver.diagnosis.evidence import (
     NoiseRow,
     Path,
     ScreenRow,
+    SelectionRow,
     Series,
     Similarity,
 )
@@ -56,6 +57,7 @@ class Shown:
     scores: Scores
     unknown: Sequence[Unknown]
     drift: Mapping[str, float]
+    selection: tuple[SelectionRow, ...] = ()
 
 
 def evidence(
@@ -92,6 +94,7 @@ def evidence(
         cuts=cuts.cuts(prepared),
         noise=tuple(noise),
         screen=tuple(screen),
+        selection=tuple(row for s in stages.values() for row in s.selection),
         similarity=similarity,
         gain_by_horizon=tuple(horizons),
         dependences=tuple(rest),

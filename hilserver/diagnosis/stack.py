@@ -13,6 +13,8 @@ from hilserver.diagnosis.data import MeasuredLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+MANY = 6
+"""From so many runs, or else segments, on they are held out whole."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,8 @@ class Stack:
         Unit of the sign flips; blocks do not cross segments.
     n_blocks : int
     fold : ndarray of int64, shape (n_blocks,)
-        0 or 1: which half a block belongs to in held-out tests; a log's own blocks, else segments
-        or stretches, in turn.
+        0 or 1: which half a block belongs to in held-out tests; a log's own blocks, else runs,
+        segments or stretches, in turn.
     """
 
     channels: tuple[str, ...]
@@ -147,6 +149,11 @@ def _blocks(
     inside = ((t_s - segments.start_s[segment]) / length[segment] * per[segment]).astype(np.int64)
     block = start[segment] + np.clip(inside, 0, per[segment] - 1)
     owner = np.repeat(np.arange(len(segments)), per)
-    many = len(segments) >= 6
-    fold = owner % 2 if many else np.arange(len(owner)) % 2
+    # The segments of one run share its floor, its beginning and its course, so where there are
+    # several runs, whole ones are held out.
+    runs, run = np.unique(segments.span, return_inverse=True)
+    if len(runs) >= MANY:
+        fold = run[owner] % 2
+    else:
+        fold = owner % 2 if len(segments) >= MANY else np.arange(len(owner)) % 2
     return block, int(start[-1]), np.asarray(fold)

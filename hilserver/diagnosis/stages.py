@@ -15,6 +15,7 @@ from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.selection import Library
 from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -46,6 +47,8 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 
 
+TURNED_RAD_S, STANDS = 0.1, 0.05
+"""Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 
@@ -70,6 +73,35 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
         keys.setdefault("rotation_gain", "geometric_diff")
     known = {k: v for k, v in keys.items() if hasattr(robot, k)}
     return replace(robot, **known)  # type: ignore[arg-type]
+
+
+def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
+    """Return whether the machine did not turn although its wheels did: it stood on a frame.
+
+    Its kinematics cannot be judged then: they would all be wrong by the same whole.
+    """
+    if GYRO not in log or not log.has(*SPEEDS):
+        return False
+    at = log[GYRO].t_s
+    left, right = (
+        0.5 * sum(np.interp(at, log[n].t_s, log[n].values) for n in SPEEDS[part])
+        for part in (slice(0, 2), slice(2, 4))
+    )
+    p = robot.pack()
+    radius_left, radius_right = p[P_RADIUS_LEFT], p[P_RADIUS_RIGHT]
+    turn = p[P_YAW_GAIN] * (radius_left * left + radius_right * right) * 2.0 * np.pi / 60.0
+    power = float(turn @ turn)
+    if power < TURNED_RAD_S**2 * len(turn):
+        return False
+    return abs(float(turn @ log[GYRO].values) / power) < STANDS
+
+
+def on_a_frame(log: MeasuredLog) -> MeasuredLog:
+    """Return the log of a machine that stood on a frame without what does not hold there."""
+    moved = {*POSITION, YAW, GYRO}
+    kept = {name: c for name, c in log.channels.items() if name not in moved}
+    note = "the machine did not turn although its wheels did: its kinematics are not judged"
+    return replace(log, channels=kept, notices=(*log.notices, note))
 
 
 def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) -> float:

@@ -1,4 +1,4 @@
-"""Unknown structure and drift: what remains after the library, and what changes over time."""
+"""Unknown structure: what remains after the library, without a name."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import GROSS, Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.unknown import Family, LostSteps, drive_families, lost_steps, pose_families
+from hilserver.diagnosis.unknown import Family, drive_families, pose_families
 
 Array = NDArray[np.float64]
 
@@ -186,30 +186,3 @@ def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) 
         if own < DOMINANCE * strength or instead:
             doubtful.append(index)
     return doubtful
-
-
-def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
-    """Return accepted causes whose value changes along the log, with their p."""
-    accepted = problem.accepted(point)
-    if accepted is None:
-        return {}
-    stack = problem.stack
-    clock = stack.t_s
-    middle, half = 0.5 * (clock.min() + clock.max()), 0.5 * max(np.ptp(clock), 1e-9)
-    course = ((clock - middle) / half)[:, None]
-    blocks = Blocks.of(stack.block, stack.n_blocks)
-    order = blocks.order
-    s = score((accepted * course)[order], point.left[order], blocks, accepted[order])
-    maxima = null_maxima([s], rng)
-    p = adjusted(s.t, maxima)
-    out: dict[str, float] = {}
-    begin = 0
-    for f in point.model.fitted:
-        part = slice(begin, begin + f.candidate.n)
-        begin += f.candidate.n
-        if p[part].min() < LEVEL and s.gain[part].max() > LEAST_GAIN:
-            out[f.candidate.cause] = float(p[part].min())
-    return out
-
-
-__all__ = ["LostSteps", "Unknown", "drifting", "families_of", "imitated", "lost_steps", "remaining"]

@@ -164,17 +164,20 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
             m.column(zero, zero, _side(om, TURNING))]  # fmt: skip
     families.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
     went, turned = m.last_side(v, DRIVES), m.last_side(om, TURNS)
-    history = [m.column(zero, zero, went * om), m.column(turned * v, zero, zero),
-               m.column(went * v, zero, zero), m.column(zero, zero, turned * om)]  # fmt: skip
+    driven = [m.column(zero, zero, went * om), m.column(went * v, zero, zero)]
+    spun = [m.column(turned * v, zero, zero), m.column(zero, zero, turned * om)]
     for tau_s in (0.3, 1.0, 3.0):
         past_v, past_om = m.smoothed(v, tau_s), m.smoothed(om, tau_s)
-        history += [m.column(zero, zero, past_om - om), m.column(past_v - v, zero, zero),
-                    m.column(zero, zero, _side(past_om, TURNING) * on),
-                    m.column(_side(past_v, DRIVING) * on, zero, zero),
-                    m.column(_side(past_v, DRIVING) * np.abs(v), zero, zero),
-                    m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
-    names = ("wheels.speeds_rpm", "velocity.angular_rad_s", "velocity.linear_m_s")
-    families.append(Family("history", names, np.stack(history, axis=1)))
+        driven += [m.column(past_v - v, zero, zero),
+                   m.column(_side(past_v, DRIVING) * on, zero, zero),
+                   m.column(_side(past_v, DRIVING) * np.abs(v), zero, zero)]  # fmt: skip
+        spun += [m.column(zero, zero, past_om - om),
+                 m.column(zero, zero, _side(past_om, TURNING) * on),
+                 m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
+    names = ("velocity.linear_m_s", "wheels.speeds_rpm")
+    families.append(Family("history of the speed", names, np.stack(driven, axis=1)))
+    names = ("velocity.angular_rad_s", "wheels.speeds_rpm")
+    families.append(Family("history of the turn", names, np.stack(spun, axis=1)))
     found = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
     families.append(_periodic_pose(m, found))
     return families

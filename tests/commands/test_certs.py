@@ -146,3 +146,16 @@ def test_secure_server_without_certificate_is_one_sentence(
     error = capsys.readouterr().err
     assert "certificate.der is missing: make a certificate with 'hilserver certs make'" in error
     assert "Traceback" not in error
+
+
+def test_the_folder_of_one_peer(config: Path, tmp_path: Path) -> None:
+    """What `peers[].security.trust` names is kept apart from the clients of our server."""
+    trust = TrustList(tmp_path / "plc")
+    trust.make_folders()
+    certs(config, "make")
+    certificate, _ = TrustList(tmp_path / "certificates").own()
+    trust.keep_rejected(to_der(certificate))
+    assert certs(config, "trust", "--folder", "plc", thumbprint(certificate)[:16]) == 0
+    assert [path.parent.name for path in trust.folder.glob("*/*.der")] == ["trusted"]
+    assert certs(config, "revoke", "--folder", "plc", "hilserver") == 0
+    assert trust.judge(to_der(certificate)) == "BadCertificateRevoked"

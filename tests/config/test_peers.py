@@ -25,6 +25,9 @@ write:
 write_every_ms: 20
 """
 
+SECURE = {"policy": "Basic256Sha256"}
+LOG_IN = {"user": "otto", "password_file": "password"}
+
 
 def example(**changes: object) -> dict[str, object]:
     return yaml.safe_load(SPEC_EXAMPLE) | changes
@@ -80,7 +83,24 @@ def test_what_is_no_node_id(text):
         ({"poll_ms": 0}, "greater than or equal to 1"),
         ({"publishing_ms": -1}, "greater than 0"),
         ({"read": {}, "write": {}}, "reads and writes nothing"),
-        ({"security": {"policy": "Basic256Sha256"}}, "not available to clients"),
+        ({"security": {"policy": "Basic256"}}, "Input should be 'None', 'Basic256Sha256'"),
+        ({"security": {"mode": "sign"}}, "mode is without effect while policy is None"),
+        ({"security": {"peer_host": "x"}}, "peer_host is without effect while policy is None"),
+        ({"security": {"trust": "x"}}, "trust is without effect while policy is None"),
+        (
+            {"security": SECURE | {"certificate": "a.der"}},
+            "certificate needs private_key, too: name both, or neither",
+        ),
+        ({"security": SECURE | {"private_key": "a.pem"}}, "private_key needs certificate, too"),
+        ({"security": SECURE | {"user": "otto"}}, "user needs password_file, too"),
+        ({"security": SECURE | {"password_file": "x"}}, "password_file needs user, too"),
+        ({"security": SECURE | {"password": "x"}}, "Extra inputs are not permitted"),
+        ({"security": LOG_IN}, "could read the password of 'otto' with policy None"),
+        (
+            {"security": SECURE | LOG_IN | {"allow_clear_password": True}},
+            "allow_clear_password is without effect",
+        ),
+        ({"security": {"allow_clear_password": True}}, "allow_clear_password is without effect"),
         ({"sequence_node": "seq"}, "is no node id"),
         ({"name": "a b"}, "String should match pattern"),
         (
@@ -92,6 +112,28 @@ def test_what_is_no_node_id(text):
 def test_mistakes_are_one_sentence(changes, message):
     with pytest.raises(ValidationError, match=message):
         PeerConfig.model_validate(example(**changes))
+
+
+def test_a_secure_peer_encrypts_unless_told_otherwise():
+    security = PeerConfig.model_validate(example(security=SECURE)).security
+    assert security.is_secure
+    assert security.effective_mode == "sign_and_encrypt"
+    signs = PeerConfig.model_validate(example(security=SECURE | {"mode": "sign"})).security
+    assert signs.effective_mode == "sign"
+    assert not PeerConfig.model_validate(example()).security.is_secure
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"security": LOG_IN | {"allow_clear_password": True}},
+        {"security": LOG_IN, "endpoint": "opc.tcp://127.0.0.1:4840/"},
+        {"security": LOG_IN, "endpoint": "opc.tcp://[::1]:4840/"},
+        {"security": LOG_IN, "endpoint": "opc.tcp://localhost:4840/"},
+    ],
+)
+def test_a_password_in_the_clear_only_where_nobody_listens_or_on_request(changes):
+    assert PeerConfig.model_validate(example(**changes)).security.user == "otto"
 
 
 def test_signals_are_checked_against_the_table():

@@ -7,13 +7,20 @@ import pytest
 from asyncua import ua
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_security.attempts import FailedAttempts
-from hilserver.io.opcua_security.certificate import first_of_chain, key_to_pem, make_key, to_der
+from hilserver.io.opcua_security.certificate import (
+    first_of_chain,
+    key_to_pem,
+    make_certificate,
+    make_key,
+    to_der,
+)
 from hilserver.io.opcua_security.passwords import check_hash, hash_password, is_password
 from hilserver.io.opcua_security.trust_list import (
     MAX_REJECTED,
@@ -102,6 +109,47 @@ async def test_server_under_another_name(pki: Pki, tmp_path: Path) -> None:
     assert judge(der, "127.0.0.1", "urn:else") == "BadCertificateUriInvalid"
     assert judge(pki.client.der, "127.0.0.1", uri) == "BadCertificateUntrusted"
     assert judge(der, "127.0.0.1", uri, NOW + timedelta(days=9999)) == "BadCertificateTimeInvalid"
+
+
+@pytest.mark.parametrize(
+    ("host", "asked"),
+    [
+        ("2001:db8::1", "2001:0db8:0:0:0:0:0:1"),
+        ("robot.example", "Robot.Example."),
+    ],
+)
+async def test_one_host_in_two_ways_of_writing(
+    pki: Pki, tmp_path: Path, host: str, asked: str
+) -> None:
+    certificate = make_certificate(pki.client.key, "urn:x", [host])
+    trust = TrustList(tmp_path)
+    verdict = trust.judge_server(to_der(certificate), asked, "urn:x", only=certificate)
+    assert verdict is Verdict.GOOD
+
+
+async def test_a_client_is_no_server_nor_the_other_way_round(pki: Pki, tmp_path: Path) -> None:
+    trust, key = TrustList(tmp_path), pki.client.key
+    for use, as_client, as_server in (
+        (ExtendedKeyUsageOID.CLIENT_AUTH, "Good", "BadCertificateUseNotAllowed"),
+        (ExtendedKeyUsageOID.SERVER_AUTH, "BadCertificateUseNotAllowed", "Good"),
+    ):
+        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "one use")])
+        names = [x509.UniformResourceIdentifier("urn:x"), x509.DNSName("robot")]
+        certificate = (
+            x509.CertificateBuilder()
+            .subject_name(name)
+            .issuer_name(name)
+            .public_key(key.public_key())
+            .serial_number(8)
+            .not_valid_before(NOW - timedelta(days=1))
+            .not_valid_after(NOW + timedelta(days=1))
+            .add_extension(x509.SubjectAlternativeName(names), critical=False)
+            .add_extension(x509.ExtendedKeyUsage([use]), critical=False)
+            .sign(key, hashes.SHA256())
+        )
+        der = to_der(certificate)
+        assert trust.judge(der, only=certificate) == as_client
+        assert trust.judge_server(der, "robot", "urn:x", only=certificate) == as_server
 
 
 async def test_issued_by_an_authority_until_its_list_says_otherwise(ours: Rig, pki: Pki) -> None:

@@ -10,6 +10,7 @@ from hilserver.diagnosis.report.markup import section
 
 LEAST_CHANGE = 0.03
 """Share of a residual below which a channel counts as not changed."""
+STYLES = ("plot.css", "style.css")
 MODELS = (
     ("measured", "measured"),
     ("simulated", "simulated: the plant as it is configured"),
@@ -27,7 +28,9 @@ def render(findings: Findings, evidence: Evidence) -> str:
     evidence : Evidence
         What stands behind it; empty parts are left out.
     """
-    style = files("hilserver.diagnosis.report").joinpath("style.css").read_text(encoding="utf-8")
+    folder = files("hilserver.diagnosis.report")
+    parts = (folder.joinpath(name).read_text(encoding="utf-8") for name in STYLES)
+    style = "".join(parts)
     title = escape(words.headline(findings))
     body = "".join((_first_page(findings), _plots(evidence), _behind(findings, evidence)))
     return (

@@ -30,6 +30,7 @@ class FaultBook:
         self._status = status
         self._publish = publish
         self._seen_ns: dict[str, int] = {}
+        self._refusal: str | None = None
 
     def report(self, kind: FaultKind, subject: str, sentence: str, now_ns: int) -> None:
         """Note that `kind` was seen at `subject` (a node or signal)."""
@@ -45,9 +46,27 @@ class FaultBook:
         message = f"peer {self._status.name}: {sentence}"
         self._publish(Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns))
 
+    def refuse(self, kind: FaultKind, subject: str, sentence: str, now_ns: int) -> None:
+        """Note why there is no session; lasts until `admit` or another reason, however long."""
+        key = f"{kind}:{subject}"
+        if key != self._refusal:
+            self.admit()
+        self.report(kind, subject, sentence, now_ns)
+        self._refusal = key if key in self._seen_ns else None
+
+    def admit(self) -> None:
+        """End the reason why there was no session."""
+        if self._refusal is not None:
+            self._end(self._refusal)
+        self._refusal = None
+
     def expire(self, now_ns: int) -> None:
         """End the faults that have not been seen for `HOLD_NS`."""
         for key in [k for k, seen_ns in self._seen_ns.items() if now_ns - seen_ns > HOLD_NS]:
-            del self._seen_ns[key]
-            sentence = self._status.faults.pop(key)
-            _log.info("peer fault ended", peer=self._status.name, what=sentence)
+            if key != self._refusal:
+                self._end(key)
+
+    def _end(self, key: str) -> None:
+        del self._seen_ns[key]
+        sentence = self._status.faults.pop(key)
+        _log.info("peer fault ended", peer=self._status.name, what=sentence)

@@ -15,6 +15,8 @@ from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.faults import FaultBook
 from hilserver.io.opcua_client.faulty_intake import FaultyIntake
 from hilserver.io.opcua_client.intake import Gate, Intake
+from hilserver.io.opcua_client.refusal import RefusedError
+from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import LinkLostError, Session
 from hilserver.io.opcua_client.staleness import Staleness, Transition
 from hilserver.io.opcua_client.stamps import utc_ns_of
@@ -71,6 +73,9 @@ class PeerLink:
         Turns ticks into SourceTimestamps and arrivals into UTC.
     line : Line or None
         Injected faults of this link.
+    security : LinkSecurity or None
+        Protects the sessions; None can only be given where the configuration asks for neither
+        policy nor user.
 
     Attributes
     ----------
@@ -89,8 +94,12 @@ class PeerLink:
         read_output: Callable[[str], Output],
         clock: UtcClock,
         line: Line | None = None,
+        security: LinkSecurity | None = None,
     ) -> None:
+        if security is None and (config.security.is_secure or config.security.user is not None):
+            raise ValueError(f"peer '{config.name}' asks for a protected link")
         self.config = config
+        self._security = security
         self.status = PeerStatus(config.name, config.endpoint)
         self._on_stale = on_stale
         self._on_restored = on_restored
@@ -152,16 +161,22 @@ class PeerLink:
             started_s = loop.time()
             self.status.state = LinkState.CONNECTING
             await self._line.wait_whole()
+            shortest_s = 0.02
             try:
-                async with Session(self.config.endpoint) as session:
+                async with Session(self.config.endpoint, self._security) as session:
                     await self._work(session)
             except Exception as error:  # noqa: BLE001 - a broken peer can make the library raise anything
-                self._note_end(error)
+                refused = refusal_in(error)
+                if refused is None:
+                    self._note_end(error)
+                else:
+                    self._note_refusal(refused)
+                    shortest_s = refused.pause_s
             if self.status.connected and loop.time() - started_s > SETTLED_S:
                 backoff.settled()
             self._leave_session()
             pause_s = started_s + backoff.next_s() - loop.time()
-            await asyncio.sleep(max(0.02, pause_s))
+            await asyncio.sleep(max(shortest_s, pause_s))
 
     async def _work(self, session: Session) -> None:
         status, now_ns = self.status, time.monotonic_ns()
@@ -182,6 +197,7 @@ class PeerLink:
         )
         async with asyncio.TaskGroup() as group:
             group.create_task(session.wait_lost())
+            group.create_task(session.watch_trust())
             group.create_task(self._wait_cut())
             group.create_task(intake.run())
             group.create_task(self._heartbeat(session))
@@ -198,6 +214,7 @@ class PeerLink:
             status.reconnects += 1
         status.last_connect_ns = time.monotonic_ns()
         status.connected, status.state = True, LinkState.CONNECTED
+        self._faults.admit()
         _log.info("peer connected", peer=self.config.name, endpoint=self.config.endpoint)
 
     def _leave_session(self) -> None:
@@ -212,6 +229,11 @@ class PeerLink:
         if self.status.connected or why != self.status.last_error:
             _log.warning("peer link ended", peer=self.config.name, why=why)
         self.status.last_error = why
+
+    def _note_refusal(self, refused: RefusedError) -> None:
+        """Tell the reason once, however often the attempt is repeated."""
+        self.status.last_error = str(refused)
+        self._faults.refuse(refused.kind, refused.subject, str(refused), time.monotonic_ns())
 
     def _report_slow(self, sentence: str) -> None:
         now_ns = time.monotonic_ns()
@@ -243,6 +265,13 @@ class PeerLink:
             return False
         utc_ns = self._clock.utc_ns
         return self._intake.offset.read(utc_ns(sent_ns), utc_ns(received_ns), peer_ns)
+
+
+def refusal_in(error: BaseException) -> RefusedError | None:
+    """Return the refusal that ended a session or an attempt, None if it was something else."""
+    if isinstance(error, BaseExceptionGroup):
+        return next(filter(None, map(refusal_in, error.exceptions)), None)
+    return error if isinstance(error, RefusedError) else None
 
 
 def describe(error: BaseException) -> str:

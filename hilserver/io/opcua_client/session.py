@@ -14,6 +14,8 @@ from typing import Any
 from asyncua import Client, ua
 
 from hilserver.config.peers import NodeAddress
+from hilserver.io.opcua_client.refusal import RefusedError, hung_up, refused_by_peer
+from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
 
 CONNECT_TIMEOUT_S = 2.0
 """For the TCP connection and for each request."""
@@ -22,6 +24,9 @@ OPEN_TIMEOUT_S = 6.0
 """For connection, channel and session together."""
 
 CLOSE_TIMEOUT_S = 1.0
+TRUST_EVERY_S = 5.0
+"""How often an open session looks whether the peer is still trusted."""
+
 SESSION_TIMEOUT_MS = 30_000
 """How long the peer keeps a session that we could not close."""
 
@@ -39,7 +44,7 @@ class LinkLostError(Exception):
 
 def quieten_asyncua() -> None:
     """Silence the client library: it logs tracebacks for every lost link, the link logs a line."""
-    for name in ("asyncua.client", "asyncua.common"):
+    for name in ("asyncua.client", "asyncua.common", "asyncua.uaprotocol"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
@@ -54,15 +59,23 @@ def read_request(nodes: Iterable[ua.NodeId], attribute: ua.AttributeIds) -> ua.R
 class Session:
     """An open session; use it as an async context manager.
 
+    Parameters
+    ----------
+    security : LinkSecurity or None
+        Protects it; without one policy None and no user.
+
     Attributes
     ----------
     services : asyncua UaSession
         The raw services (read, write, create_subscription, ...).
     """
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, security: LinkSecurity | None = None) -> None:
         quieten_asyncua()
-        self._client = Client(endpoint, timeout=CONNECT_TIMEOUT_S, watchdog_intervall=3600)
+        self._endpoint = endpoint
+        self._security = security
+        self._client = PeerClient(endpoint, timeout=CONNECT_TIMEOUT_S, watchdog_intervall=3600)
+        self._client.security = security
         self._client.name = "hilserver"
         self._client.application_uri = "urn:hilserver:client"
         self._client.session_timeout = SESSION_TIMEOUT_MS
@@ -74,11 +87,40 @@ class Session:
     async def __aenter__(self) -> "Session":
         try:
             async with asyncio.timeout(OPEN_TIMEOUT_S):
+                if self._security is not None:
+                    await self._security.prepare(self._client, self._ask_endpoints)
                 await self._client.connect()
+        except (ua.UaStatusCodeError, ConnectionError) as error:
+            await self._close(graceful=False)
+            raise (self._refusal(error) or error) from None
         except BaseException:
             await self._close(graceful=False)
             raise
         return self
+
+    def _refusal(self, error: Exception) -> RefusedError | None:
+        security = self._security
+        ours = "" if security is None else security.thumbprint
+        if isinstance(error, ua.UaStatusCodeError):
+            return refused_by_peer(error, None if security is None else security.user, ours)
+        is_protected = self._client.security_policy.Mode != ua.MessageSecurityMode.None_
+        if is_protected and not isinstance(error, ConnectionRefusedError):
+            return hung_up(ours)
+        return None
+
+    async def _ask_endpoints(self) -> list[ua.EndpointDescription]:
+        """Ask on a connection of its own, without protection, as discovery goes."""
+        client = Client(self._endpoint, timeout=CONNECT_TIMEOUT_S)
+        client.uaclient._make_protocol = self._limited(client.uaclient._make_protocol)
+        try:
+            endpoints: list[
+                ua.EndpointDescription
+            ] = await client.connect_and_get_server_endpoints()
+        finally:
+            protocol = client.uaclient.protocol
+            if protocol is not None and protocol.transport is not None:
+                protocol.transport.abort()
+        return endpoints
 
     async def __aexit__(
         self,
@@ -112,6 +154,13 @@ class Session:
 
     async def _on_lost(self, _error: Exception) -> None:
         self._lost.set()
+
+    async def watch_trust(self) -> None:
+        """Return never; raise RefusedError when trust in the peer was taken away."""
+        while True:
+            await asyncio.sleep(TRUST_EVERY_S)
+            if self._security is not None:
+                self._security.check_again()
 
     async def wait_lost(self) -> None:
         """Return never; raise LinkLostError as soon as the transport is gone."""

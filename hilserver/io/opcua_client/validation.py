@@ -27,6 +27,10 @@ class FaultKind(StrEnum):
     SEQUENCE_JUMP = "sequence_jump"
     SEQUENCE_REPEATS = "sequence_repeats"
     SLOW_RATE = "slow_rate"
+    SECURITY_POLICY = "security_policy"
+    PEER_CERTIFICATE = "peer_certificate"
+    OWN_CERTIFICATE = "own_certificate"
+    LOG_IN = "log_in"
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 ======== =======================================================================================
 own      certificate.der and key.pem (0600)
-trusted  certificates of clients that may connect, or of authorities that issued theirs
-rejected certificates of clients that knocked and are not trusted; `hilserver certs trust` moves
-         them
+trusted  certificates of clients that may connect and of servers (``peers:``) that we connect to,
+         or of authorities that issued theirs
+rejected certificates of clients that knocked, and of servers, that are not trusted; `hilserver
+         certs trust` moves them
 revoked  certificates that are refused whatever stands in ``trusted``, and revocation lists (CRL)
          of trusted authorities
 ======== =======================================================================================
@@ -12,6 +13,7 @@ revoked  certificates that are refused whatever stands in ``trusted``, and revoc
 A change in a folder acts at the next connection, without a restart.
 """
 
+import ipaddress
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -128,10 +130,24 @@ class TrustList:
         except OSError as error:
             raise FailedError(f"{error.filename}: {error.strerror}") from None
 
-    def judge(self, data: bytes, now: datetime | None = None) -> Verdict:
+    def judge(
+        self,
+        data: bytes,
+        now: datetime | None = None,
+        *,
+        use: x509.ObjectIdentifier = ExtendedKeyUsageOID.CLIENT_AUTH,
+        only: x509.Certificate | None = None,
+    ) -> Verdict:
         """Judge the certificate that a peer shows, DER, in the order of OPC 10000-4, 6.1.3.
 
         The application URI is not known at this point; the session compares it.
+
+        Parameters
+        ----------
+        use : x509.ObjectIdentifier
+            What the peer does with its key.
+        only : x509.Certificate or None
+            Takes the place of the folder ``trusted``.
         """
         try:
             certificate = parse_certificate(data)
@@ -143,9 +159,10 @@ class TrustList:
         trusted, revoked = self._trusted.refresh(), self._revoked.refresh()
         if thumbprint(certificate) in revoked.certificates:
             return Verdict.REVOKED
+        known = trusted.certificates if only is None else {thumbprint(only): only}
         issuer = None
-        if thumbprint(certificate) not in trusted.certificates:
-            issuer = _issuer_of(certificate, trusted.certificates.values())
+        if thumbprint(certificate) not in known:
+            issuer = _issuer_of(certificate, known.values())
             if issuer is None:
                 return Verdict.UNTRUSTED
         if not isinstance(key, rsa.RSAPublicKey) or not _is_strong(certificate, key):
@@ -154,21 +171,27 @@ class TrustList:
             return Verdict.TIME
         if issuer and not issuer.not_valid_before_utc <= now <= issuer.not_valid_after_utc:
             return Verdict.ISSUER_TIME
-        if not _may_authenticate_client(certificate):
+        if not _may_authenticate(certificate, use):
             return Verdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
             return Verdict.REVOKED
         return Verdict.GOOD
 
     def judge_server(
-        self, data: bytes, host: str, application_uri: str, now: datetime | None = None
+        self,
+        data: bytes,
+        host: str,
+        application_uri: str,
+        now: datetime | None = None,
+        *,
+        only: x509.Certificate | None = None,
     ) -> Verdict:
         """Judge the certificate of a server that we connect to; the host is the client's check."""
-        verdict = self.judge(data, now)
+        verdict = self.judge(data, now, use=ExtendedKeyUsageOID.SERVER_AUTH, only=only)
         if verdict is not Verdict.GOOD:
             return verdict
         certificate = parse_certificate(data)
-        if host.lower() not in (name.lower() for name in host_names(certificate)):
+        if _plain_host(host) not in map(_plain_host, host_names(certificate)):
             return Verdict.HOST
         if application_uri not in application_uris(certificate):
             return Verdict.URI
@@ -191,21 +214,23 @@ class TrustList:
             return None
         return path
 
-    def own(self, private_key: Path | None = None) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
-        """Return our certificate and key.
+    def own(
+        self, private_key: Path | None = None, certificate_path: Path | None = None
+    ) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
+        """Return our certificate and key, those of the folder where no other path is given.
 
         Raises
         ------
         ConfigError
             If a file is missing or wrong, or others than its owner can read the key.
         """
-        certificate_path = self.folder / "own" / "certificate.der"
+        certificate_path = certificate_path or self.folder / "own" / "certificate.der"
         key_path = private_key or self.folder / "own" / "key.pem"
         path = certificate_path
         try:
             certificate = load_certificate(path)
             path = key_path
-            mode = path.stat().st_mode
+            is_exposed = is_open_to_others(path)
             key = parse_key(path.read_bytes())
         except FileNotFoundError:
             raise ConfigError(
@@ -215,7 +240,7 @@ class TrustList:
             raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
         except ValueError as error:
             raise ConfigError(f"{path} cannot be used: {error}") from None
-        if mode & 0o077:
+        if is_exposed:
             raise ConfigError(f"{path} can be read by others: run 'chmod 600 {path}'")
         if certificate.public_key() != key.public_key():
             raise ConfigError(f"{certificate_path} does not belong to the key {key_path}")
@@ -226,6 +251,18 @@ def file_name(certificate: x509.Certificate) -> str:
     """Return the name under which a certificate is stored: common name and thumbprint."""
     readable = re.sub(r"[^A-Za-z0-9._-]+", "_", common_name(certificate))[:40].strip("._")
     return f"{readable or 'unnamed'}-{thumbprint(certificate)}.der"
+
+
+def is_open_to_others(path: Path) -> bool:
+    """Whether others than its owner can read a file; OSError if it cannot be looked at.
+
+    A credential of systemd lies in a folder of the service alone, whatever the bits of the file say
+    (with an access list they show its mask).
+    """
+    credentials = os.environ.get("CREDENTIALS_DIRECTORY")
+    if credentials and path.resolve().parent == Path(credentials).resolve():
+        return False
+    return bool(path.stat().st_mode & 0o077)
 
 
 def write_private(path: Path, data: bytes) -> None:
@@ -267,18 +304,22 @@ def _is_strong(certificate: x509.Certificate, key: rsa.RSAPublicKey) -> bool:
     )
 
 
-def _may_authenticate_client(certificate: x509.Certificate) -> bool:
-    """Whether the extensions allow what a client does with its key; absent ones forbid nothing."""
+def _plain_host(host: str) -> str:
+    try:
+        return str(ipaddress.ip_address(host))
+    except ValueError:
+        return host.lower().removesuffix(".")
+
+
+def _may_authenticate(certificate: x509.Certificate, use: x509.ObjectIdentifier) -> bool:
+    """Whether the extensions allow what is done with the key; absent ones forbid nothing."""
     for extension in certificate.extensions:
         value = extension.value
         if isinstance(value, x509.KeyUsage) and not (
             value.digital_signature and (value.key_encipherment or value.data_encipherment)
         ):
             return False
-        if (
-            isinstance(value, x509.ExtendedKeyUsage)
-            and ExtendedKeyUsageOID.CLIENT_AUTH not in value
-        ):
+        if isinstance(value, x509.ExtendedKeyUsage) and use not in value:
             return False
     return True
 

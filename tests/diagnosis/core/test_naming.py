@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.detectable import POWER
+from hilserver.diagnosis.drift import drifting
 from hilserver.diagnosis.identifiability import GROUP_COSINE, cosines, prune, settle
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
-from hilserver.diagnosis.structure import drifting, holds_out, joint_gain
+from hilserver.diagnosis.structure import holds_out, joint_gain
 from tests.diagnosis import toy
 
 N = 3000

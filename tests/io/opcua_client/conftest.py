@@ -18,7 +18,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.events import EventBus
 from hilserver.faults import Line
 from hilserver.inputs import Refusal
-from hilserver.io.opcua_client import PeerLink
+from hilserver.io.opcua_client import LinkSecurity, PeerLink
 
 URI = "urn:iotbot:agv"
 WHEELS = ("FL", "RL", "FR", "RR")
@@ -85,7 +85,9 @@ class Harness:
         return any(text in event.message for event in self.events.recent)
 
 
-def make_harness(config: PeerConfig, line: Line | None = None) -> Harness:
+def make_harness(
+    config: PeerConfig, line: Line | None = None, security: LinkSecurity | None = None
+) -> Harness:
     gate, events = RecordingGate(), EventBus()
     stale: list[tuple[str, str]] = []
     restored: list[str] = []
@@ -104,6 +106,7 @@ def make_harness(config: PeerConfig, line: Line | None = None) -> Harness:
         read_output=read_output,
         clock=UtcClock(),
         line=line,
+        security=security,
     )
     return Harness(link, gate, events, stale, restored, outputs)
 

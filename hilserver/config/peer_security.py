@@ -1,0 +1,99 @@
+"""How the link to a peer is protected: ``peers[].security``."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from hilserver.config.server import Policy
+
+Mode = Literal["sign", "sign_and_encrypt"]
+
+
+def _none_is_a_policy(value: object) -> object:
+    return "None" if value is None else value
+
+
+class PeerSecurity(BaseModel):
+    """Policy, certificates and user of the link to one peer.
+
+    With a policy other than ``None`` the peer's certificate is judged before anything else is sent;
+    see docs/how-to/secure-peers.md. Relative paths start from the folder of the configuration.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    policy: Annotated[Policy, BeforeValidator(_none_is_a_policy)] = Field(
+        "None", description="security policy; the peer must offer this one, there is no other way"
+    )
+    mode: Mode | None = Field(
+        None, description="sign or sign_and_encrypt; when left out sign_and_encrypt"
+    )
+    certificate: Path | None = Field(
+        None, description="our certificate; when left out own/certificate.der of opcua.certificates"
+    )
+    private_key: Path | None = Field(
+        None, description="its key; when left out that of the server (opcua.private_key)"
+    )
+    trust: Path | None = Field(
+        None,
+        description="folder with trusted, rejected and revoked for this peer's certificate; when"
+        " left out opcua.certificates",
+    )
+    peer_certificate: Path | None = Field(
+        None,
+        description="the certificate that the peer must show, or of the authority that issued it;"
+        " replaces the folder trusted",
+    )
+    peer_host: Annotated[str, Field(min_length=1, max_length=253)] | None = Field(
+        None,
+        description="name or address that the peer's certificate must name; when left out the host"
+        " of endpoint",
+    )
+    user: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
+        None, description="name to log in with; when left out anonymous"
+    )
+    password_file: Path | None = Field(
+        None, description="file with the password, readable by its owner only"
+    )
+    allow_clear_password: bool = Field(
+        default=False,
+        description="Log in over policy None although others on the network can read the password",
+    )
+
+    @property
+    def is_secure(self) -> bool:
+        """Whether the link is signed at least."""
+        return self.policy != "None"
+
+    @property
+    def effective_mode(self) -> Mode:
+        """Mode of a secure link."""
+        return self.mode or "sign_and_encrypt"
+
+    @model_validator(mode="after")
+    def _only_what_acts(self) -> "PeerSecurity":
+        if not self.is_secure:
+            names = ("mode", "certificate", "private_key", "trust", "peer_certificate", "peer_host")
+            idle = [name for name in names if getattr(self, name) is not None]
+            if idle:
+                raise ValueError(
+                    f"{idle[0]} is without effect while policy is None: remove it, or set policy,"
+                    " for example to Basic256Sha256"
+                )
+        if (self.certificate is None) != (self.private_key is None):
+            given, missing = ("certificate", "private_key")
+            if self.certificate is None:
+                given, missing = missing, given
+            raise ValueError(f"{given} needs {missing}, too: name both, or neither")
+        if (self.user is None) != (self.password_file is None):
+            given, missing = ("user", "password_file")
+            if self.user is None:
+                given, missing = missing, given
+            raise ValueError(f"{given} needs {missing}, too: name both, or neither")
+        if self.allow_clear_password and (self.is_secure or self.user is None):
+            raise ValueError(
+                "allow_clear_password is without effect unless a user logs in over policy None:"
+                " remove it"
+            )
+        return self

@@ -1,0 +1,187 @@
+"""Causes whose size changes along the log: their sensitivity times the course of time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.selection import Library
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.001
+LEAST_GAIN = 40.0
+LEAST_BETTER = 20.0
+"""Deviance by which a cause that drifts must beat one that does not, to stand in its place."""
+LEAST_BESIDE = 0.1
+"""Share of all that is explained that a cause must add beside one that drifts."""
+RIVALS = 3
+PARTS = 4
+"""Parts of the log in which a cause may have different sizes, when causes are compared."""
+
+
+@dataclass(frozen=True)
+class Drifting:
+    """A model and those of its causes that drift, with their p."""
+
+    point: Point
+    p: dict[str, float]
+
+
+def course(problem: Problem) -> Array:
+    """Return the time of every sample, from -1 at the start to 1 at the end, shape (n, 1)."""
+    clock = problem.stack.t_s
+    middle, half = 0.5 * (clock.min() + clock.max()), 0.5 * max(float(np.ptp(clock)), 1e-9)
+    return np.asarray((clock - middle) / half)[:, None]
+
+
+def parts(problem: Problem) -> list[NDArray[np.bool_]]:
+    """Return the blocks of each of `PARTS` equal parts of the log."""
+    stack, time = problem.stack, course(problem)[:, 0]
+    middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
+    number = np.clip((0.5 * PARTS * (middle + 1.0)).astype(int), 0, PARTS - 1)
+    return [number == k for k in range(PARTS)]
+
+
+def inside(point: Point) -> bool:
+    """Return whether all parameters are physically possible."""
+    return all(
+        low <= value <= high
+        for f in point.model.fitted
+        for value, low, high in zip(f.theta, f.candidate.low, f.candidate.high, strict=True)
+    )
+
+
+def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
+    """Return accepted causes whose value changes along the log, with their p."""
+    accepted = problem.accepted(point)
+    if accepted is None:
+        return {}
+    blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
+    order = blocks.order
+    s = score((accepted * course(problem))[order], point.left[order], blocks, accepted[order])
+    maxima = null_maxima([s], rng)
+    p = adjusted(s.t, maxima)
+    out: dict[str, float] = {}
+    begin = 0
+    for f in point.model.fitted:
+        part = slice(begin, begin + f.candidate.n)
+        begin += f.candidate.n
+        if p[part].min() < LEVEL and s.gain[part].max() > LEAST_GAIN:
+            out[f.candidate.cause] = float(p[part].min())
+    return out
+
+
+def with_drift(library: Library, base: Point, point: Point, rng: np.random.Generator) -> Drifting:
+    """Return the model in which a cause that drifts stands where it explains more.
+
+    One that drifts about its configured value has no mean effect, so that a selection does not see
+    it; and one that drifts otherwise can look like part of the floor or a weaker battery.
+    """
+    point = _taken_up(library, point, rng)
+    p = drifting(library.problem, point, rng)
+    if p:
+        point = _rearranged(library, base, point, set(p))
+        p = drifting(library.problem, point, rng)
+    return Drifting(point, p)
+
+
+def _singles(library: Library) -> tuple[list[int], Array]:
+    """Return the linear candidates of one parameter and their columns, in the log's order."""
+    chosen = [i for i, c in enumerate(library.candidates) if c.linear and c.n == 1]
+    columns = np.empty((len(library.problem.stack), len(chosen)))
+    columns[library.blocks.order] = library.columns[:, np.isin(library.owner, chosen)]
+    return chosen, columns
+
+
+def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point:
+    """Add the cause whose change alone explains most of what is left, if it is significant."""
+    problem = library.problem
+    chosen, columns = _singles(library)
+    free = [k for k, i in enumerate(chosen)
+            if library.candidates[i].cause not in point.model.causes]  # fmt: skip
+    if not free:
+        return point
+    blocks, accepted = library.blocks, problem.accepted(point)
+    changes = np.column_stack([
+        orthogonal(columns[:, [k]] * course(problem), columns[:, [k]]) for k in free
+    ])  # fmt: skip
+    order = blocks.order
+    s = score(
+        changes[order],
+        point.left[order],
+        blocks,
+        None if accepted is None else accepted[order],
+    )
+    p = adjusted(s.t, null_maxima([s], rng))
+    best = int(np.argmax(s.gain))
+    if p[best] >= LEVEL or s.gain[best] <= LEAST_GAIN:
+        return point
+    c = library.candidates[chosen[free[best]]]
+    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
+    return trial if inside(trial) else point
+
+
+def _rearranged(library: Library, base: Point, point: Point, drift: set[str]) -> Point:
+    """Exchange and drop causes, all compared with sizes of their own in each part of the log."""
+    problem = library.problem
+    masks = parts(problem)
+
+    def cost(model: Model) -> float:
+        fits = (fit(problem, model, point, rows=mask, iterations=3) for mask in masks)
+        return sum(float(f.loss[mask].sum()) for f, mask in zip(fits, masks, strict=True))
+
+    model, least = point.model, cost(point.model)
+    for index, f in enumerate(point.model.fitted):
+        if f.candidate.cause not in drift:
+            continue
+        for c in _rivals(library, point, index):
+            other = model.swapped(index, c, c.beginning)
+            found = cost(other)
+            if found < least - LEAST_BETTER:
+                model, least = other, found
+    while len(model.fitted) > 1:
+        less = [model.without(k) for k in range(len(model.fitted))]
+        costs = [cost(m) for m in less]
+        weakest = int(np.argmin(costs))
+        if costs[weakest] - least > LEAST_BESIDE * (base.deviance - least):
+            break
+        model, least = less[weakest], costs[weakest]
+    if model is point.model:
+        return point
+    found_point = fit(problem, model, point, iterations=5)
+    return found_point if inside(found_point) else point
+
+
+def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
+    """Return the linear causes that could best stand in the place of another."""
+    problem, f = library.problem, point.model.fitted[index]
+    accepted = problem.accepted(point)
+    assert accepted is not None
+    begin = sum(g.candidate.n for g in point.model.fitted[:index])
+    mine = np.s_[begin : begin + f.candidate.n]
+    others = np.delete(accepted, mine, axis=1)
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    target = orthogonal((point.left + accepted[:, mine] @ away)[:, None], others)[:, 0]
+    chosen, columns = _singles(library)
+    time = course(problem)
+    saved = [
+        (_saved(orthogonal(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), others),
+                target), i)
+        for k, i in enumerate(chosen)
+        if library.candidates[i].cause not in point.model.causes
+    ]  # fmt: skip
+    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:RIVALS]]
+
+
+def _saved(columns: Array, target: Array) -> float:
+    """Return the deviance that some columns save together."""
+    norm = np.sqrt((columns**2).sum(axis=0)) + 1e-300
+    unit = columns / norm
+    gram = unit.T @ unit + 1e-6 * np.eye(unit.shape[1])
+    along = unit.T @ target
+    return float(along @ np.linalg.solve(gram, along))

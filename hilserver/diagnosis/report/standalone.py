@@ -1,0 +1,54 @@
+"""Plots as an SVG file of its own: with title, legend and the colours of light and dark."""
+
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from typing import Final
+
+from hilserver.diagnosis.report.svg import MARGIN_LEFT, Plot
+
+HEAD: Final = 66.0
+"""Where the first plot begins: title and legend stand above."""
+_TITLE_Y, _LEGEND_Y = 24.0, 50.0
+_SAMPLE, _GAP, _LETTER = 28.0, 22.0, 6.5
+MODELS: Final = (
+    ("measured", "measured"),
+    ("simulated", "simulated"),
+    ("extended", "extended model"),
+)
+
+
+def document(plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]]) -> str:
+    """Return plots below each other as a file.
+
+    Parameters
+    ----------
+    plots : sequence of Plot
+        The first begins at `HEAD`.
+    legend : sequence of (str, str)
+        Roles of lines and their words.
+    """
+    style = files("hilserver.diagnosis.report").joinpath("plot.css").read_text(encoding="utf-8")
+    width = max(plot.width for plot in plots)
+    height = max(plot.top + plot.height for plot in plots)
+    inner = "".join(plot.render() for plot in plots)
+    return (
+        '<svg class="alone" xmlns="http://www.w3.org/2000/svg"'
+        f' viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"'
+        f' role="img" aria-label="{escape(title)}">\n'
+        f"<style>\n{style}</style>\n"
+        f'<rect class="card" width="{width:g}" height="{height:g}" rx="8"/>\n'
+        f'<text class="heading" x="{MARGIN_LEFT:g}" y="{_TITLE_Y:g}">{escape(title)}</text>\n'
+        f"{_legend(legend)}\n{inner}\n</svg>\n"
+    )
+
+
+def _legend(entries: Sequence[tuple[str, str]]) -> str:
+    parts, x = [], MARGIN_LEFT
+    for role, text in entries:
+        parts.append(
+            f'<path class="line {role}" d="M{x:.0f} {_LEGEND_Y - 4:g}h{_SAMPLE:g}"/>'
+            f'<text x="{x + _SAMPLE + 8:.0f}" y="{_LEGEND_Y:g}">{escape(text)}</text>'
+        )
+        x += _SAMPLE + 8 + _LETTER * len(text) + _GAP
+    return "".join(parts)

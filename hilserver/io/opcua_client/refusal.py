@@ -1,0 +1,176 @@
+"""Why a peer is not connected although it answers: one sentence with the mend for each reason."""
+
+from collections.abc import Iterable, Sequence
+
+from asyncua import ua
+from cryptography import x509
+
+from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.opcua_security.certificate import (
+    host_names,
+    parse_certificate,
+    thumbprint,
+)
+from hilserver.io.opcua_security.trust_list import Verdict
+
+SECURITY_PAUSE_S = 2.0
+LOG_IN_PAUSE_S = 20.0
+"""Servers lock an account after a few failures a minute."""
+
+_SHOWN = 5
+_LONGEST = 100
+_LOG_IN_CODES = {"BadUserAccessDenied", "BadIdentityTokenRejected", "BadIdentityTokenInvalid"}
+_POLICY_CODES = {
+    "BadSecurityPolicyRejected",
+    "BadSecurityModeRejected",
+    "BadSecurityModeInsufficient",
+}
+
+
+class RefusedError(Exception):
+    """There is no session, and another attempt without a change would not make one.
+
+    Attributes
+    ----------
+    kind : FaultKind
+    subject : str
+        Tells reasons of one kind apart.
+    pause_s : float
+        Shortest time to the next attempt [s].
+    """
+
+    def __init__(self, kind: FaultKind, subject: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.kind = kind
+        self.subject = subject
+        self.pause_s = LOG_IN_PAUSE_S if kind is FaultKind.LOG_IN else SECURITY_PAUSE_S
+
+
+def certificate_refused(
+    verdict: Verdict, data: bytes, host: str, application_uri: str, trust_with: str
+) -> RefusedError:
+    """Return what is wrong with the certificate that a peer shows.
+
+    Parameters
+    ----------
+    trust_with : str
+        What makes the certificate trusted, ``THUMBPRINT`` stands for its thumbprint.
+    """
+    sentence = {
+        Verdict.USE: "its certificate may not be used by a server: its key usage forbids it",
+        Verdict.REVOKED: "its certificate is revoked",
+        Verdict.POLICY: "its certificate is too weak: RSA 2048 to 4096 bits and SHA-256 are needed",
+        Verdict.ISSUER_TIME: "the authority of its certificate is not valid now",
+        Verdict.URI: f"it announces the application URI {_quoted(application_uri)}, which its"
+        " certificate does not name: make that certificate anew",
+    }.get(verdict)
+    if verdict is Verdict.INVALID:
+        sentence = "it shows no certificate that can be read"
+    if sentence is None:
+        sentence = _about(parse_certificate(data), verdict, host, trust_with)
+    return RefusedError(
+        FaultKind.PEER_CERTIFICATE, verdict.value, f"not connected: {sentence} ({verdict.value})"
+    )
+
+
+def _about(certificate: x509.Certificate, verdict: Verdict, host: str, trust_with: str) -> str:
+    if verdict is Verdict.HOST:
+        names = _listed(host_names(certificate)) or "no host"
+        return (
+            f"its certificate names {names}, not {_quoted(host)}: if it is the right one, put a"
+            " name of the certificate into endpoint or peer_host"
+        )
+    if verdict is Verdict.TIME:
+        begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        return (
+            f"its certificate is valid from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC,"
+            " not now: renew it, or set the clocks"
+        )
+    mark = thumbprint(certificate)
+    return f"its certificate {mark} is not trusted: {trust_with.replace('THUMBPRINT', mark[:16])}"
+
+
+def policy_missing(
+    wanted: str, endpoints: Sequence[ua.EndpointDescription], policy_names: dict[str, str]
+) -> RefusedError:
+    """Return that no endpoint has the configured policy and mode, and which there are."""
+    offered = dict.fromkeys(
+        f"{policy_names.get(e.SecurityPolicyUri or '', _quoted(e.SecurityPolicyUri))}"
+        f" ({e.SecurityMode.name})"
+        for e in endpoints
+    )
+    return RefusedError(
+        FaultKind.SECURITY_POLICY,
+        "endpoint",
+        f"not connected: there is no endpoint with {wanted}; the server offers:"
+        f" {', '.join(list(offered)[:10]) or 'nothing'}; set security of the peer, or add the"
+        " policy there",
+    )
+
+
+def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> RefusedError:
+    """Return that the endpoint does not take what we log in with."""
+    kinds = _listed([policy.TokenType.name for policy in offered]) or "nothing"
+    mend = "set user and password_file" if user is None else "remove user and password_file"
+    what = "anonymous clients" if user is None else "user names"
+    return RefusedError(
+        FaultKind.LOG_IN,
+        "token",
+        f"not connected: it takes no {what} at this endpoint but {kinds}: {mend}",
+    )
+
+
+def password_exposed(policy: str) -> RefusedError:
+    """Return that the password would travel without encryption worth the name."""
+    return RefusedError(
+        FaultKind.LOG_IN,
+        "exposed",
+        f"not connected: it wants the password with {_quoted(policy) or 'no'} encryption: set mode:"
+        " sign_and_encrypt",
+    )
+
+
+def refused_by_peer(
+    error: ua.UaStatusCodeError, user: str | None, ours: str
+) -> RefusedError | None:
+    """Return the reason for which the peer refuses us, None if it is none of security.
+
+    Parameters
+    ----------
+    ours : str
+        Thumbprint of our certificate, empty without one.
+    """
+    code = ua.StatusCode(ua.UInt32(error.code)).name
+    if code in _LOG_IN_CODES:
+        who = "anonymous clients" if user is None else f"user '{user}'"
+        mend = "set user and password_file" if user is None else "check user and password_file"
+        kind, sentence = FaultKind.LOG_IN, f"it refuses {who}: {mend}"
+    elif code in _POLICY_CODES:
+        kind, sentence = FaultKind.SECURITY_POLICY, "it refuses policy and mode: set security"
+    elif code.startswith("BadCertificate") or code == "BadSecurityChecksFailed":
+        which = f"our certificate {ours}" if ours else "an unprotected connection"
+        mend = "trust it there, and check both clocks" if ours else "set security"
+        kind, sentence = FaultKind.OWN_CERTIFICATE, f"it refuses {which}: {mend}"
+    else:
+        return None
+    return RefusedError(kind, code, f"not connected: {sentence} ({code})")
+
+
+def hung_up(ours: str) -> RefusedError:
+    """Return that the peer closed the connection instead of answering our certificate `ours`."""
+    return RefusedError(
+        FaultKind.OWN_CERTIFICATE,
+        "closed",
+        f"not connected: it closes the connection when it sees our certificate {ours}: trust it"
+        " there, and check both clocks",
+    )
+
+
+def _quoted(text: str | None) -> str:
+    """Return what a peer says about itself, short and without control characters."""
+    return "".join(c if c.isprintable() else "?" for c in (text or "")[:_LONGEST])
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(map(_quoted, names[:_SHOWN])) + more
