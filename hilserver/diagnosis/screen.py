@@ -86,6 +86,7 @@ def freedom_of(own: Array) -> Array:
     own : ndarray, shape (blocks, k)
         Information of each block.
     """
+    own = own.astype(np.float64)  # in 32 bits the squares of small ones would vanish
     total, squares = own.sum(axis=0), (own**2).sum(axis=0)
     return np.asarray(np.maximum(total**2 / np.maximum(squares, 1e-300) - 1.0, LEAST_FREEDOM))
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.detectable import POWER
-from hilserver.diagnosis.drift import drifting
 from hilserver.diagnosis.identifiability import GROUP_COSINE, cosines, prune, settle
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
-from hilserver.diagnosis.structure import holds_out, joint_gain
+from hilserver.diagnosis.structure import holds_out, imitated, joint_gain, remaining
+from hilserver.diagnosis.unknown import Family
 from tests.diagnosis import toy
 
 N = 3000
@@ -110,18 +110,6 @@ def test_a_superfluous_cause_is_pruned():
     assert prune(problem, both, 10.0).model.causes == ("a",)
 
 
-def test_drift_is_seen_and_a_constant_is_none():
-    course = np.linspace(-1.0, 1.0, N)
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        columns, noise = columns_of(rng, "a"), rng.normal(size=N)
-        for slope, wanted in ((0.3, {"a"}), (0.0, set())):
-            problem = toy.problem((0.5 + slope * course) * columns["a"] + noise, columns)
-            base = problem.point(Model(), np.zeros((0, 3)))
-            point = fit(problem, toy.model("a"), base)
-            assert set(drifting(problem, point, np.random.default_rng(0))) == wanted
-
-
 def test_structure_must_hold_on_blocks_that_its_coefficients_were_not_fitted_to():
     rng = np.random.default_rng(6)
     problem = toy.problem(rng.normal(size=N), columns_of(rng, "a"))
@@ -164,3 +152,31 @@ def test_columns_of_noughts_and_of_any_unit_have_a_ridge_fit():
     assert weight[0] == pytest.approx(0.5, abs=0.05)
     effect = library.effect(weight, slice(None))
     assert effect == pytest.approx(0.5 * columns["a"], abs=2.0)
+
+
+def test_a_cause_yields_to_a_column_of_unknown_structure_that_explains_more():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        columns = columns_of(rng, "named", "own", "aside")
+        truth = 0.9 * columns["named"] + np.sqrt(1.0 - 0.9**2) * columns["own"]
+        history = Family("history", ("velocity.linear_m_s",), truth[:, None])
+        aside = Family("time", ("t_s",), columns["aside"][:, None])
+        for values, wanted in ((truth, [0]), (columns["named"], [])):
+            problem = toy.problem(0.5 * values + rng.normal(size=N), {"named": columns["named"]})
+            base = problem.point(Model(), np.zeros((0, 3)))
+            point = fit(problem, toy.model("named"), base)
+            assert imitated(problem, point, [aside, history]) == wanted
+
+
+def test_a_gross_misfit_is_never_left_without_a_word():
+    rng = np.random.default_rng(7)
+    values, columns = rng.normal(size=N), columns_of(rng, "a", "b")
+    family = Family("turn", ("velocity.angular_rad_s",), columns["b"][:, None])
+    quiet = toy.problem(values, {"a": columns["a"]})
+    none = np.zeros((0, 3))
+    assert remaining(quiet, quiet.point(Model(), none), rng, [family], 0.0) == []
+    # one block alone: no test that counts blocks can be sure of it
+    burst = np.where(np.arange(N) < 50, 40.0, 0.0) * columns["b"]
+    loud = toy.problem(values + burst, {"a": columns["a"]})
+    found = remaining(loud, loud.point(Model(), none), rng, [family], 0.0)
+    assert [u.family.name for u in found] == ["turn"]

@@ -4,6 +4,7 @@ import hypothesis
 import numpy as np
 import pytest
 from hypothesis import strategies as st
+from scipy import stats
 
 from hilserver.diagnosis.screen import (
     LEVEL,
@@ -11,9 +12,12 @@ from hilserver.diagnosis.screen import (
     adjusted,
     critical,
     directions,
+    freedom_of,
+    normal,
     null_maxima,
     orthogonal,
     score,
+    student,
 )
 from tests.diagnosis.assertions import family_wise_error_holds
 from tests.diagnosis.toy import ornstein_uhlenbeck, smooth
@@ -131,3 +135,32 @@ def test_two_parameters_are_looked_at_from_four_sides():
         mixed = unit @ [np.cos(angle), np.sin(angle)]
         cosine = np.abs(four.T @ mixed) / np.linalg.norm(four, axis=0) / np.linalg.norm(mixed)
         assert cosine.max() > 0.9, "no direction of the plane is further than 22.5 degrees"
+
+
+@hypothesis.given(st.floats(0.1, 8.0), st.floats(2.0, 200.0))
+def test_a_t_of_few_blocks_is_told_as_the_normal_deviation_of_equal_probability(z, freedom):
+    t = float(student(z, np.array(freedom)))
+    assert normal(np.array(t), np.array(freedom)) == pytest.approx(z, rel=1e-6)
+    assert normal(np.array(-t), np.array(freedom)) == pytest.approx(-z, rel=1e-6)
+    exact = stats.norm.isf(stats.t.sf(t, freedom))
+    if freedom > 4.0:
+        assert z == pytest.approx(exact, rel=0.03)
+
+
+def test_freedom_counts_the_blocks_that_a_direction_shows_in():
+    even, single = np.ones((30, 1)), np.zeros((30, 1))
+    single[4] = 7.0
+    assert freedom_of(np.hstack([even, single])) == pytest.approx([29.0, 0.5])
+
+
+def test_a_direction_that_shows_in_few_blocks_costs_the_others_no_power():
+    rng = np.random.default_rng(8)
+    block = np.repeat(np.arange(N_BLOCKS), PER_BLOCK)
+    blocks = Blocks.of(block, N_BLOCKS)
+    even = rng.normal(size=(len(block), 6))
+    rare = np.where(block < 3, 30.0, 0.0)[:, None] * rng.normal(size=(len(block), 1))
+    left = rng.normal(size=len(block)) + 2.0 * rare[:, 0] * np.where(block == 1, -1.0, 1.0)
+    alone = critical(null_maxima([score(even, left, blocks)], np.random.default_rng(0)))
+    both = critical(null_maxima([score(np.hstack([even, rare]), left, blocks)],
+                                np.random.default_rng(0)))  # fmt: skip
+    assert both < 1.5 * alone
