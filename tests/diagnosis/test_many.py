@@ -3,6 +3,10 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,6 +39,47 @@ def expected():
 def test_one_process_and_two_give_the_same(expected):
     assert collected(in_processes(work, TASKS, 1)) == expected
     assert collected(in_processes(work, TASKS, 2)) == expected
+
+
+def wait_forever(file):
+    with Path(file).open("a") as out:
+        out.write(f"{os.getpid()}\n")
+    time.sleep(600.0)
+
+
+def alive(pid):
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+        return stat.rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_the_process_that_started_them(tmp_path, how):
+    file = tmp_path / "pids"
+    program = (
+        "from tests.diagnosis.test_many import wait_forever\n"
+        "from hilserver.diagnosis.many import in_processes\n"
+        f"if __name__ == '__main__': list(in_processes(wait_forever, [{str(file)!r}] * 4, 2))\n"
+    )
+    script = tmp_path / "campaign.py"
+    script.write_text(program)
+    parent = subprocess.Popen([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."})
+    pids = until(lambda: file.exists() and file.read_text().split(), lambda found: len(found) == 2)
+    parent.send_signal(how)
+    parent.wait(20)
+    until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
+
+
+def until(look, good, within_s=30.0):
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        found = look()
+        if found is not False and good(found):
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"still {look()} after {within_s} s")
 
 
 def test_a_worker_that_is_ended_is_a_sentence():
