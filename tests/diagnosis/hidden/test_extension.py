@@ -4,6 +4,8 @@ The daemon (virtual time) is driven by the set-points of a log that took no part
 with and without the patch, and measured in the same way: free runs that start at the measured pose.
 """
 
+import asyncio
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +20,7 @@ from hilserver.diagnosis.output import documents, write
 from hilserver.figures import model_gap
 from hilserver.testing.hil import Hil
 from tests.diagnosis.hidden.logs import diagnosis, recipe
+from tests.loopback.rig import scrape
 
 SETPOINTS = [f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS]
 NAV = ("nav.x_m", "nav.y_m", "nav.yaw_rad")
@@ -28,7 +31,7 @@ CONFIG = """\
 scheduler: {backend: virtual, limits: {single_overrun_ms: null, consecutive_overruns: null},
   communication_timeout_ms: 0}
 opcua: {enabled: false}
-metrics: {enabled: false}
+metrics: {port: 0}
 control: {source: scenario}
 image: {name: auto}
 """
@@ -54,7 +57,8 @@ def other():
 async def driven(folder, table, patch=None, seconds=SECONDS):
     """Drive the daemon with the set-points of a log, the measured pose beside it in shadow mode.
 
-    Every `HORIZON_S` the gap that `hil_model_gap` shows is noted, and the pose aligned anew.
+    Every `HORIZON_S` the gap that `hil_model_gap` shows is noted, and the pose aligned anew. The
+    last one is read from the page of metrics, too.
 
     Returns
     -------
@@ -86,8 +90,18 @@ async def driven(folder, table, patch=None, seconds=SECONDS):
                     daemon.control.set_pose(*there)
                     aligned_s = t_s
         await hil.step(1)
+        page = await on_the_page(daemon, "hil_model_gap")
+        gap = model_gap(daemon.gate, daemon.table, daemon.image.latest())
+        assert page == pytest.approx(gap)
         poses = np.stack([trace[name].values for name in POSE], axis=1)
     return np.array(gaps), poses
+
+
+async def on_the_page(daemon, metric):
+    """Values of a metric by channel, as Prometheus would scrape them."""
+    await asyncio.sleep(1.2)  # the gap is watched once a second
+    rows = re.findall(rf'^{metric}{{channel="(.+?)"}} (\S+)$', await scrape(daemon), re.M)
+    return {channel: float(value) for channel, value in rows}
 
 
 def ratio_of(before, after, rng):
