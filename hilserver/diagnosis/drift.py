@@ -26,10 +26,19 @@ PARTS = 4
 
 @dataclass(frozen=True)
 class Drifting:
-    """A model and those of its causes that drift, with their p."""
+    """A model and those of its causes that drift.
+
+    Attributes
+    ----------
+    p : mapping of str to float
+        Of no change, by cause.
+    gain : float
+        Deviance that sizes of their own in each part of the log save against the model before.
+    """
 
     point: Point
     p: dict[str, float]
+    gain: float
 
 
 def course(problem: Problem) -> Array:
@@ -82,12 +91,13 @@ def with_drift(library: Library, base: Point, point: Point, rng: np.random.Gener
     One that drifts about its configured value has no mean effect, so that a selection does not see
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
+    before, gain = point.deviance, 0.0
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
     if p:
-        point = _rearranged(library, base, point, set(p))
-        p = drifting(library.problem, point, rng)
-    return Drifting(point, p)
+        point, least = _rearranged(library, base, point, set(p))
+        p, gain = drifting(library.problem, point, rng), before - least
+    return Drifting(point, p, gain)
 
 
 def _singles(library: Library) -> tuple[list[int], Array]:
@@ -126,8 +136,18 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     return trial if inside(trial) else point
 
 
-def _rearranged(library: Library, base: Point, point: Point, drift: set[str]) -> Point:
-    """Exchange and drop causes, all compared with sizes of their own in each part of the log."""
+def _rearranged(
+    library: Library, base: Point, point: Point, drift: set[str]
+) -> tuple[Point, float]:
+    """Exchange and drop causes, all compared with sizes of their own in each part of the log.
+
+    Returns
+    -------
+    Point
+        With one size each.
+    float
+        Deviance with sizes of their own.
+    """
     problem = library.problem
     masks = parts(problem)
 
@@ -151,10 +171,10 @@ def _rearranged(library: Library, base: Point, point: Point, drift: set[str]) ->
         if costs[weakest] - least > LEAST_BESIDE * (base.deviance - least):
             break
         model, least = less[weakest], costs[weakest]
-    if model is point.model:
-        return point
-    found_point = fit(problem, model, point, iterations=5)
-    return found_point if inside(found_point) else point
+    if model is not point.model:
+        trial = fit(problem, model, point, iterations=5)
+        point = trial if inside(trial) else point
+    return point, least
 
 
 def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:

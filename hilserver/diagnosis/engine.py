@@ -261,9 +261,13 @@ def _settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judge
         point = less
     if unknown or doubtful:
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
-    changing = Drifting(point, {}) if unknown else with_drift(p.library, p.base, point, rng)
-    rows += _left_out(point, changing.point, "dropped", "another cause changes along the log")
-    point = changing.point
+    changing = with_drift(p.library, p.base, point, rng)
+    if changing.p and changing.gain > max((u.gain for u in unknown), default=0.0):
+        why = "another cause changes along the log"
+        rows += _left_out(point, changing.point, "dropped", why)
+        point, unknown = changing.point, []
+    elif unknown:
+        changing = Drifting(point, {}, 0.0)
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
 

@@ -10,11 +10,13 @@ from hilserver.compiled import kernel
 from hilserver.plant.drive import encoder, load, process_of_tick
 from hilserver.plant.layout import (
     P_DT,
+    P_ENCODER_SHARE,
     P_NAV_DELAY,
     P_NAV_YAW_DELAY,
     X_ANGLE,
     X_BATTERY_V,
     X_CONTROL_PHASE,
+    X_ENCODER,
     X_INTEGRAL,
     X_MOTOR,
     X_NAV_COUNT,
@@ -71,6 +73,7 @@ def run_drive(
             x[X_MOTOR + i] = speed_0[s, i]
             x[X_SETPOINT + i] = speed_0[s, i]
             x[X_INTEGRAL + i] = speed_0[s, 4 + i]
+            x[X_ENCODER + i] = (1.0 - p[P_ENCODER_SHARE]) * speed_0[s, i]
         for k in range(first[s], first[s + 1]):
             x[X_BATTERY_V] = volts[k]
             for i in range(4):

@@ -25,6 +25,7 @@ from hilserver.plant.layout import (
     P_DERIVATIVE_GAIN,
     P_DERIVATIVE_KEEP,
     P_DT,
+    P_ENCODER_KEEP,
     P_ENCODER_SHARE,
     P_EULER,
     P_GAIN,
@@ -93,11 +94,17 @@ def drive_base(p: Any, x: Any, y: Any) -> Sums:
 
 @part
 def encoder(p: Any, x: Any, i: int) -> float:
-    """Return the speed of wheel `i` [rpm] as the loop sees it (step 2)."""
-    seen = float(x[X_SPEED + i])
+    """Return the speed of wheel `i` [rpm] as the loop sees it (step 2).
+
+    The filter is exact for a speed that changes evenly over a tick. Held speeds would make it half
+    a tick too quick.
+    """
+    speed = float(x[X_SPEED + i])
+    seen = speed
     if p[P_ENCODER_SHARE] != 1.0:
-        x[X_ENCODER + i] += p[P_ENCODER_SHARE] * (seen - x[X_ENCODER + i])
-        seen = float(x[X_ENCODER + i])
+        seen = x[X_ENCODER + i] + p[P_ENCODER_SHARE] * speed
+        rest = 1.0 - p[P_ENCODER_SHARE] - p[P_ENCODER_KEEP]
+        x[X_ENCODER + i] = p[P_ENCODER_KEEP] * seen + rest * speed
     if p[P_QUANTUM] != 0.0:
         seen = p[P_QUANTUM] * math.floor(seen / p[P_QUANTUM] + 0.5)
     return seen

@@ -68,7 +68,7 @@ X_POSE_REQUEST: Final = 41
 X_CONTROL_PHASE: Final = 42  # ticks until the controller runs again
 X_DERIVATIVE: Final = 43  # 4 [%]
 X_LAST_ERROR: Final = 47  # 4 [rpm]
-X_ENCODER: Final = 51  # 4 [rpm]: encoder filter
+X_ENCODER: Final = 51  # 4 [rpm]: encoder filter, all but the share of the newest speed
 X_GAP: Final = 55  # 4 [rad]: motor angle minus wheel angle inside the backlash
 X_BATTERY_V: Final = 59
 X_CHARGE: Final = 60  # 1 full, 0 empty
@@ -120,7 +120,8 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_CONTROL_TICKS,  # control period in ticks
     P_DERIVATIVE_KEEP,  # D <- keep D + gain (e - e_last)
     P_DERIVATIVE_GAIN,
-    P_ENCODER_SHARE,  # share of the difference that the encoder filter closes per tick; 1: none
+    P_ENCODER_SHARE,  # of the newest speed in what the encoder filter shows; 1: no filter
+    P_ENCODER_KEEP,  # of the last value shown
     P_QUANTUM,  # [rpm]
     P_DEAD_ZONE,
     P_COULOMB,
@@ -196,6 +197,6 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_DISTORTION_PHASE_2,
     # initial values of the state that are not zero
     P_CHARGE_0,
-) = range(103)
-N_P: Final = 103
+) = range(104)
+N_P: Final = 104
 P_WHEEL_LOAD: Final = P_LOAD  # 4 [%], contiguous

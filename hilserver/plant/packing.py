@@ -134,7 +134,7 @@ def _pack_controller(p: Array, robot: "RobotParameters", term: _Values) -> None:
     p[at.P_CONTROL_TICKS] = period_s / robot.period_s
     p[at.P_DERIVATIVE_KEEP], p[at.P_DERIVATIVE_GAIN] = keep, gain
     p[at.P_QUANTUM] = quantum
-    p[at.P_ENCODER_SHARE] = -math.expm1(-robot.period_s / filter_s) if filter_s > 0.0 else 1.0
+    p[at.P_ENCODER_SHARE], p[at.P_ENCODER_KEEP] = encoder_weights(robot.period_s, filter_s)
     slower = period_s != robot.period_s
     p[at.P_DRIVE_TERMS] = c.k_d > 0.0 or slower or any(map(term.on, _DRIVE_SWITCHES))
 
@@ -172,6 +172,18 @@ def _pack_kinematics(p: Array, robot: "RobotParameters", term: _Values) -> None:
     p[at.P_RADIUS_RIGHT] = radius * (1.0 - half_difference)
     p[at.P_YAW_GAIN] = robot.yaw_sign * (robot.k_om * (1.0 + term("rotation_gain")) * factor)
     p[at.P_ICR] = robot.icr_offset_m + (term("icr_offset") + shift_m)
+
+
+def encoder_weights(period_s: float, filter_s: float) -> tuple[float, float]:
+    """Return the weights of the newest speed and of the last value in an encoder's filter.
+
+    First-order hold of a PT1 (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 8.3):
+    the rest up to 1 goes to the speed of the tick before.
+    """
+    if filter_s <= 0.0:
+        return 1.0, 0.0
+    closed = -math.expm1(-period_s / filter_s)
+    return max(1.0 - closed * filter_s / period_s, 0.0), 1.0 - closed
 
 
 def _anisotropy(robot: "RobotParameters", term: _Values) -> tuple[float, float]:
