@@ -16,7 +16,7 @@
 #define PI 3.14159265358979323846
 
 struct wheel {
-    double x, n, integral, derivative, last_error, duty, filtered, angle, gap, s, m;
+    double x, n, integral, derivative, last_error, duty, filtered, last_n, angle, gap, s, m;
 };
 
 struct plant {
@@ -291,10 +291,12 @@ static void extended_step(struct plant *p, const double *setpoint)
         if (p->rate_limit == INFINITY)
             k->s = wanted_s;
         double n = k->n, x = k->x;
-        if (p->encoder_filter > 0.0)
-            k->filtered += (1.0 - exp(-p->T / p->encoder_filter)) * (n - k->filtered);
-        else
+        if (p->encoder_filter > 0.0) { /* PT1 under a ramp from last_n to n */
+            double behind = (n - k->last_n) / p->T * p->encoder_filter;
+            k->filtered = n - behind + (k->filtered - k->last_n + behind) * exp(-p->T / p->encoder_filter);
+        } else
             k->filtered = n;
+        k->last_n = n;
         k->m = p->quantum > 0.0 ? p->quantum * floor(k->filtered / p->quantum + 0.5) : k->filtered;
         if (control) {
             double e = k->s - k->m;
