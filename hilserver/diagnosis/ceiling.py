@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.findings import Gain
 from hilserver.diagnosis.gain import gains
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.selection import Library
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from scipy import stats
 from hilserver import __version__
 from hilserver.assembly import Assembly
 from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.engine import Tell, silent
 from hilserver.diagnosis.evidence import Diagnosis, Evidence
@@ -29,17 +30,17 @@ from hilserver.diagnosis.findings import (
     Parameter,
     Verdict,
 )
+from hilserver.diagnosis.identifiability import GROUP_COSINE
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.outcome import unit_of
 from hilserver.diagnosis.problem import Point
 from hilserver.diagnosis.screen import Scores, score
-from hilserver.diagnosis.selection import Library, select
+from hilserver.diagnosis.selection import TIE, select
 from hilserver.diagnosis.stages import (
     Prepared,
     machine,
     on_a_frame,
-    prepare,
-    stages_of,
+    prepare_all,
     standing,
     vocabulary_reasons,
 )
@@ -48,8 +49,6 @@ from hilserver.diagnosis.vocabulary import CAUSES
 Array = NDArray[np.float64]
 
 LEVEL = 0.01
-GROUP_COSINE = 0.95
-TIE = 4.0
 
 
 @dataclass(frozen=True)
@@ -122,13 +121,7 @@ def compare(
     if any(standing(one, robot) for one in cleaned):
         cleaned = [on_a_frame(one) for one in cleaned]
     pooled, second = together(*cleaned)
-    prepared: dict[str, Prepared] = {}
-    reasons: dict[str, str] = {}
-    for name, stage in stages_of(pooled, robot).items():
-        one_stage, why = prepare(stage, jobs, tell)
-        reasons |= why
-        if one_stage is not None:
-            prepared[name] = one_stage
+    prepared, reasons = prepare_all(pooled, robot, jobs, tell)
     runs = run_of_spans(cleaned)
     differences: list[Difference] = []
     shared = select(

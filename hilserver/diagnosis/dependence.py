@@ -159,8 +159,7 @@ def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Arr
         out["velocity.linear_m_s"] = (stage.left - stage.right)[row] * scale
         out["velocity.angular_rad_s"] = dense[:, 3]
         return out
-    plant = {k: v for k, v in terms.items() if not k.startswith("field.")}
-    _, seen, duty = stage.simulate(plant)
+    _, seen, duty = stage.simulate(terms)
     angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * stage.segments.period_s)
     for w, wheel in enumerate(WHEELS):
         out[SPEEDS[w]], out[DUTIES[w]] = seen[row, w], duty[row, w]

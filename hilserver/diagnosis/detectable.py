@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.findings import Detectable, NotJudged
 from hilserver.diagnosis.screen import Scores, student
-from hilserver.diagnosis.selection import Library
 from hilserver.diagnosis.vocabulary import CAUSES
 
 POWER = 0.95

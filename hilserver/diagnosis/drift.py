@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.selection import Library
 
 Array = NDArray[np.float64]
 

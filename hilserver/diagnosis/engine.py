@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,8 @@ from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
-from hilserver.diagnosis.drift import Drifting, with_drift
 from hilserver.diagnosis.drive_stage import DriveStage
-from hilserver.diagnosis.evidence import Diagnosis, SelectionRow
+from hilserver.diagnosis.evidence import Diagnosis
 from hilserver.diagnosis.findings import (
     Detectable,
     Finding,
@@ -26,30 +24,20 @@ from hilserver.diagnosis.findings import (
     Overall,
 )
 from hilserver.diagnosis.gain import crossed, gains, held_out, reported
-from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.other_logs import gain_on
 from hilserver.diagnosis.outcome import extension, lost, named, outliers, structure
-from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.screen import Scores, critical, null_maxima
-from hilserver.diagnosis.selection import Selected, select
+from hilserver.diagnosis.screen import critical, null_maxima
+from hilserver.diagnosis.selection import select
+from hilserver.diagnosis.settling import Judged, settled
 from hilserver.diagnosis.showing import Shown, evidence
 from hilserver.diagnosis.stages import (
     Prepared,
-    judged_candidates,
     machine,
     on_a_frame,
-    prepare,
-    stages_of,
+    prepare_all,
     standing,
     vocabulary_reasons,
-)
-from hilserver.diagnosis.structure import (
-    Unknown,
-    families_of,
-    imitated,
-    remaining,
-    without_unknown,
 )
 from hilserver.diagnosis.unknown import lost_steps
 from hilserver.plant.parameters import RobotParameters
@@ -58,24 +46,8 @@ Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
 HORIZON_S = 5.0
-LEAST_GAIN = 10.0
 LOST_SHARE = 0.01
-SETPOINTS_LOST = {"interpolated_setpoint"}
-"""Faults of the recording after which nobody knows when a set-point changed."""
 DRIVEN = ("speed_rpm", "duty_pct")
-
-
-@dataclass
-class Judged:
-    """One stage after selection."""
-
-    prepared: Prepared
-    selected: Selected
-    point: Point
-    ties: Mapping[str, list[Rival]]
-    unknown: list[Unknown]
-    drift: dict[str, float]
-    scores: Scores
 
 
 def silent(text: str, share: float) -> None:
@@ -147,7 +119,7 @@ def judge(
     log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
     lap("checks")
     faults = {cause.partition(".")[0] for f in checked.findings for cause in f.causes}
-    prepared, reasons = _prepare(log, robot, jobs, tell, faults)
+    prepared, reasons = prepare_all(log, robot, jobs, tell, faults)
     lap("effects")
     tell("selecting causes", 0.0)
     judged = _judge(prepared, rng)
@@ -212,24 +184,6 @@ def judge(
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
 
 
-def _prepare(
-    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell, faults: set[str]
-) -> tuple[dict[str, Prepared], dict[str, str]]:
-    prepared: dict[str, Prepared] = {}
-    reasons: dict[str, str] = {}
-    for name, stage in stages_of(log, robot).items():
-        if name == "drive" and faults & SETPOINTS_LOST:
-            text = "the log does not hold the set-points that the machine got"
-            reasons |= dict.fromkeys(judged_candidates(stage)[1], text)
-            reasons |= {c.cause: text for c in judged_candidates(stage)[0]}
-            continue
-        one, why = prepare(stage, jobs, tell)
-        reasons |= why
-        if one is not None:
-            prepared[name] = one
-    return prepared, reasons
-
-
 def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str, Judged]:
     """Select, swap, prune; map what remains; drop what the remains put in doubt."""
     selected = select(
@@ -238,44 +192,7 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str,
         {n: p.base for n, p in prepared.items()},
         rng,
     )
-    return {name: _settled(p, selected[name], rng) for name, p in prepared.items()}
-
-
-def _settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
-    """Weigh the selected causes against rivals, each other and unknown structure."""
-    problem, point, rows = p.problem, selected.point, selected.rows
-    ties: dict[str, list[Rival]] = {}
-    if point.model.fitted:
-        settled, ties = settle(p.library, point)
-        rows += _left_out(point, settled, "swapped", "a rival explains the data better")
-        point = prune(problem, settled, LEAST_GAIN)
-        rows += _left_out(settled, point, "dropped", "the others have made it superfluous")
-    explained = max(p.base.deviance - point.deviance, 0.0)
-    unknown = remaining(problem, point, rng, families_of(problem, point), explained)
-    doubtful = set(without_unknown(problem, point, unknown))
-    if point.model.fitted:
-        doubtful |= set(imitated(problem, point, families_of(problem, point)))
-    for index in sorted(doubtful, reverse=True):
-        less = fit(problem, point.model.without(index), point, iterations=3)
-        rows += _left_out(point, less, "dropped", "unknown structure explains as much")
-        point = less
-    if unknown or doubtful:
-        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
-    changing = with_drift(p.library, p.base, point, rng)
-    if changing.p and changing.gain > max((u.gain for u in unknown), default=0.0):
-        why = "another cause changes along the log"
-        rows += _left_out(point, changing.point, "dropped", why)
-        point, unknown = changing.point, []
-    elif unknown:
-        changing = Drifting(point, {}, 0.0)
-    kept = {c: t for c, t in ties.items() if c in point.model.causes}
-    return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
-
-
-def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:
-    """Return a row for each cause that one model has and the next has not."""
-    gone = [c for c in before.model.causes if c not in after.model.causes]
-    return [SelectionRow(cause, action, None, reason) for cause in gone]
+    return {name: settled(p, selected[name], rng) for name, p in prepared.items()}
 
 
 def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
@@ -353,6 +270,3 @@ def _detectable(
         sizes += more
         silent += not_judged
     return sizes, silent
-
-
-__all__ = ["Diagnosis", "Problem", "diagnose"]

@@ -5,16 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.selection import Library, Trial, physical
+from hilserver.diagnosis.selection import TIE, physical
 
 Array = NDArray[np.float64]
 
 RIVAL_COSINE = 0.6
 GROUP_COSINE = 0.95
-TIE = 4.0
-"""Deviance per parameter within which two causes explain the data alike."""
 CLEAR_Z = 2.33
 """Deviations of a difference over the blocks from which one cause is clearly better (1 %)."""
 MOST_SWAPS = 4
@@ -147,6 +146,3 @@ def prune(problem: Problem, point: Point, least: float) -> Point:
             break
         point = without
     return point
-
-
-__all__ = ["Rival", "Trial", "prune", "rivals", "settle"]

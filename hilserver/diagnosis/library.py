@@ -33,7 +33,7 @@ class Candidate:
     step : tuple of float
         Physical steps of the finite differences.
     terms : callable
-        From values to terms of the plant (and ``shift.*``, ``field.*``).
+        From values to terms of the plant (and ``shift.*``).
     low, high : tuple of float
         What is physically possible.
     least : float

@@ -96,7 +96,7 @@ class PoseStage:
 
     def simulate(self, terms: Mapping[str, float], poses: Array) -> Array:
         """Return x, y, yaw (not wrapped) and turn rate at every tick, shape (ticks, 4)."""
-        inner = {k: v for k, v in terms.items() if not k.startswith(("shift.", "field."))}
+        inner = {k: v for k, v in terms.items() if not k.startswith("shift.")}
         return self._run(self._pack(inner), poses)
 
     def _pack(self, terms: Mapping[str, float]) -> Array:
@@ -133,7 +133,7 @@ class PoseStage:
         With `keep` the run is remembered: predictions that differ from it in sensors alone are
         cheap then.
         """
-        inner = {k: v for k, v in terms.items() if not k.startswith(("shift.", "field."))}
+        inner = {k: v for k, v in terms.items() if not k.startswith("shift.")}
         p = self._pack(inner)
         return self.shown(self._run(p, poses, keep=keep), p, terms)
 

@@ -5,8 +5,8 @@ residuals, in expectation one per sample), its share of every block, and columns
 that went through the same whitening and projection.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,62 +16,13 @@ from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.pose_stage import PoseStage
+from hilserver.diagnosis.quick_noise import lonely, noise_of_neighbours, plain_noise
 from hilserver.diagnosis.stack import Stack
 
 Array = NDArray[np.float64]
-OUTLIER = 6.0
-"""Positions whose whitened residual lies beyond this many deviations take no part in fits, ..."""
-MOST_IN_A_ROW = 4
-"""... if no more than so many of them follow each other: a longer stretch is an effect."""
-WHITE = 0.05
-"""Largest autocorrelation at the first lags of a channel that is taken for white at once."""
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
-WITHIN_3_SD = 0.97334
-"""Variance of a normal variable that lies within three deviations, by that of all."""
 SHORT_S = 6.0
 """In segments that are all shorter the noise counts as white, see `short_noise`."""
-
-
-def lonely(white: Array) -> NDArray[np.bool_]:
-    """Return which samples are thrown aside: far off, and only few in a row."""
-    bad = np.abs(white) > OUTLIER
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
-    out = np.zeros(len(bad), dtype=bool)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - begin <= MOST_IN_A_ROW:
-            out[begin:end] = True
-    return out
-
-
-def _plain(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
-    """Return white noise where the residuals show no correlation at all; None elsewhere."""
-    pieces = [r for _, r in parts if len(r) > 20]
-    if not pieces:
-        return None
-    power = sum(float(r @ r) for r in pieces)
-    if power <= 0.0:
-        return None
-    for lag in (1, 2, 4, 8, 16):
-        together = sum(float(r[lag:] @ r[:-lag]) for r in pieces)
-        if abs(together) > WHITE * power:
-            return None
-    return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
-
-
-def _differences(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
-    """Return the white noise that neighbouring samples show.
-
-    The drive's sensors have no memory: what is correlated there is an effect, and at every moment
-    but the transients it is the same in two neighbours.
-    """
-    steps = np.concatenate([np.diff(r) for _, r in parts])
-    sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
-    quiet = steps[np.abs(steps) < 3.0 * np.sqrt(2.0) * sd]
-    if len(quiet):  # the median alone would tell the level from a third of the samples
-        sd = float(np.sqrt(np.mean(quiet**2) / 2.0 / WITHIN_3_SD))
-    if sd <= 0.0 and len(steps):
-        sd = float(np.std(steps)) / np.sqrt(2.0)
-    return NoiseModel(max(sd, 1e-6))
 
 
 @dataclass(frozen=True)
@@ -114,15 +65,11 @@ class Problem:
         By channel.
     weights : ndarray, shape (n,)
         1, or 0 for outliers.
-    extras : sequence of ndarray
-        Raw columns of accepted structures that are not in the plant, with their values in the
-        model's terms ``field.<k>``.
     """
 
     stage: DriveStage | PoseStage
     noise: dict[str, NoiseModel] = field(default_factory=dict)
     weights: Array = field(default_factory=lambda: np.zeros(0))
-    extras: dict[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.weights = np.ones(len(self.stage.stack))
@@ -139,15 +86,10 @@ class Problem:
 
     # --- predictions ------------------------------------------------------------------------------
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
-        """Return the prediction with plant terms and extra structures."""
+        """Return the prediction with the terms of a model."""
         if isinstance(self.stage, PoseStage):
-            predicted = self.stage.predict(terms, poses, keep=keep)
-        else:
-            predicted = self.stage.predict(terms)
-        for key, column in self.extras.items():
-            if value := terms.get(key, 0.0):
-                predicted = predicted + value * column
-        return predicted
+            return self.stage.predict(terms, poses, keep=keep)
+        return self.stage.predict(terms)
 
     def residual(self, predicted: Array) -> Array:
         """Return measured minus predicted."""
@@ -207,14 +149,11 @@ class Problem:
     def pose_step(self, white: Array, nuisance: Array) -> Array:
         """Return the step of the initial poses that explains most of a whitened residual."""
         columns = self.whiten(nuisance)
-        step = np.zeros((self._n_segments(), 3))
+        step = np.zeros((len(self.stage.segments), 3))
         for rows in self._members:
             solution, *_ = np.linalg.lstsq(columns[rows], white[rows], rcond=1e-9)
             step[self.stack.segment[rows[0]]] = solution
         return step
-
-    def _n_segments(self) -> int:
-        return len(self.stage.segments)
 
     # --- points -----------------------------------------------------------------------------------
     def point(self, model: Model, poses: Array, *, pose_steps: int = 1) -> Point:
@@ -257,7 +196,6 @@ class Problem:
             model = point.model.plus(candidate, candidate.start)
             predicted = self.predict(model.terms, point.poses)
             return self._difference(predicted, point.predicted)[:, None]
-        model = point.model.plus(candidate, candidate.null)
         out = np.empty((len(self.stack), candidate.n))
         for j in range(candidate.n):
             theta = list(candidate.null)
@@ -265,7 +203,6 @@ class Problem:
             moved = point.model.plus(candidate, tuple(theta))
             predicted = self.predict(moved.terms, point.poses)
             out[:, j] = self._difference(predicted, point.predicted) / candidate.step[j]
-        del model
         return out
 
     def _difference(self, moved: Array, base: Array) -> Array:
@@ -282,9 +219,9 @@ class Problem:
         for name in self.stack.channels:
             parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
             if isinstance(self.stage, DriveStage):
-                self.noise[name] = _differences(parts)
+                self.noise[name] = noise_of_neighbours(parts)
             else:
-                self.noise[name] = _plain(parts) or fit_noise(parts)
+                self.noise[name] = plain_noise(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
         for _ in range(2):
             white = self.whiten(raw)
@@ -302,15 +239,11 @@ class Problem:
                 self.weights[part] = robust_weights(raw[part] / scale, self.noise[name].tail_dof)
 
 
-Progress = Callable[[str, float], None]
-
-
 def fit(
     problem: Problem,
     model: Model,
     start: Point,
     *,
-    free: Sequence[int] | None = None,
     rows: NDArray[np.bool_] | None = None,
     iterations: int = 6,
 ) -> Point:
@@ -323,7 +256,6 @@ def fit(
     rows : ndarray of bool, shape (blocks,), optional
         Blocks that count; all.
     """
-    del free
     low = np.array([v for f in model.fitted for v in f.candidate.low])
     high = np.array([v for f in model.fitted for v in f.candidate.high])
     point = problem.point(model, start.poses)
@@ -357,6 +289,3 @@ def fit(
         if gained < 0.05:
             break
     return point
-
-
-__all__ = ["Point", "Problem", "fit", "replace"]

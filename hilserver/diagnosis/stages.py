@@ -1,19 +1,19 @@
 """Makes the regressions of a log: which stages it has, their noise, and all columns."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
 from hilserver.diagnosis.library import Candidate, drive_candidates, pose_candidates
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.selection import Library
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.parameters import RobotParameters
@@ -47,6 +47,8 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 
 
+SETPOINTS_LOST = {"interpolated_setpoint"}
+"""Faults of the recording after which nobody knows when a set-point changed."""
 TURNED_RAD_S, STANDS = 0.1, 0.05
 """Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
@@ -192,6 +194,31 @@ def _splits(log: MeasuredLog, candidate: Candidate) -> bool:
     inside = (x >= t["surface_change.x_min"]) & (x <= t["surface_change.x_max"])
     inside &= (y >= t["surface_change.y_min"]) & (y <= t["surface_change.y_max"])
     return bool(0.15 < inside.mean() < 0.85)
+
+
+def prepare_all(
+    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell, faults: Collection[str] = ()
+) -> tuple[dict[str, Prepared], dict[str, str]]:
+    """Return the stages of a log, ready to be judged, and why some causes are not judged.
+
+    Parameters
+    ----------
+    faults : collection of str
+        Faults of the recording.
+    """
+    prepared: dict[str, Prepared] = {}
+    reasons: dict[str, str] = {}
+    for name, stage in stages_of(log, robot).items():
+        if name == "drive" and not SETPOINTS_LOST.isdisjoint(faults):
+            text = "the log does not hold the set-points that the machine got"
+            candidates, others = judged_candidates(stage)
+            reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)
+            continue
+        one, why = prepare(stage, jobs, tell)
+        reasons |= why
+        if one is not None:
+            prepared[name] = one
+    return prepared, reasons
 
 
 def prepare(

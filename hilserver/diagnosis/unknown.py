@@ -233,9 +233,7 @@ def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
     """Return what a disturbance of speed and duty could depend on."""
     assert isinstance(problem.stage, DriveStage)
     stage, stack = problem.stage, problem.stack
-    _, seen, duty = stage.simulate(
-        {k: v for k, v in point.model.terms.items() if not k.startswith("field.")}
-    )
+    _, seen, duty = stage.simulate(point.model.terms)
     rate = 1.0 / stage.segments.period_s
     slope = np.gradient(seen, axis=0) * rate
     angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 / rate)
@@ -351,6 +349,3 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
     if len(late) < 12:
         return None
     return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))
-
-
-__all__ = ["DUTIES", "Family", "LostSteps", "drive_families", "lost_steps", "pose_families"]

@@ -7,6 +7,7 @@ import numpy as np
 
 from hilserver.diagnosis.detectable import HOPELESS, smallest
 from hilserver.diagnosis.findings import Detectable, NotJudged
+from hilserver.diagnosis.identifiability import GROUP_COSINE
 from hilserver.diagnosis.plan.information import (
     Z_APART,
     Array,
@@ -24,8 +25,7 @@ from hilserver.diagnosis.plan.information import (
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.plan.null_log import Recording, null_log
 from hilserver.diagnosis.screen import critical, null_maxima
-from hilserver.diagnosis.selection import GROUP_COSINE
-from hilserver.diagnosis.stages import Prepared, prepare, stages_of, vocabulary_reasons
+from hilserver.diagnosis.stages import Prepared, prepare_all, vocabulary_reasons
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.parameters import RobotParameters
 
@@ -93,13 +93,7 @@ def look(
     """Replay a manoeuvre, add the reference noises and ask what a diagnosis could find."""
     rng = np.random.default_rng(seed)
     log = null_log(spans, robot, recording, rng)
-    prepared: dict[str, Prepared] = {}
-    reasons: dict[str, str] = {}
-    for name, stage in stages_of(log, robot).items():
-        one, why = prepare(stage, jobs, tell)
-        reasons |= why
-        if one is not None:
-            prepared[name] = one
+    prepared, reasons = prepare_all(log, robot, jobs, tell)
     return judge(prepared, reasons, rng)
 
 

@@ -7,7 +7,8 @@ from hilserver.diagnosis.gain import Errors, compare, crossed, held_out
 from hilserver.diagnosis.intervals import covariance, intervals
 from hilserver.diagnosis.library import drive_candidates
 from hilserver.diagnosis.model import Fitted, Model, robot_with
-from hilserver.diagnosis.problem import fit, lonely
+from hilserver.diagnosis.problem import fit
+from hilserver.diagnosis.quick_noise import lonely
 from hilserver.plant.parameters import RobotParameters
 from tests.diagnosis import toy
 from tests.diagnosis.assertions import no_prediction_saw_its_block

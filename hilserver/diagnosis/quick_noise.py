@@ -1,0 +1,61 @@
+"""Noise of channels that need no likelihood: white ones, and those without any memory."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.whitening import NoiseModel
+
+Array = NDArray[np.float64]
+
+OUTLIER = 6.0
+"""Positions whose whitened residual lies beyond this many deviations take no part in fits, ..."""
+MOST_IN_A_ROW = 4
+"""... if no more than so many of them follow each other: a longer stretch is an effect."""
+WHITE = 0.05
+"""Largest autocorrelation at the first lags of a channel that is taken for white at once."""
+WITHIN_3_SD = 0.97334
+"""Variance of a normal variable that lies within three deviations, by that of all."""
+
+
+def lonely(white: Array) -> NDArray[np.bool_]:
+    """Return which samples are thrown aside: far off, and only few in a row."""
+    bad = np.abs(white) > OUTLIER
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
+    out = np.zeros(len(bad), dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - begin <= MOST_IN_A_ROW:
+            out[begin:end] = True
+    return out
+
+
+def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
+    """Return white noise where the residuals show no correlation at all; None elsewhere."""
+    pieces = [r for _, r in parts if len(r) > 20]
+    if not pieces:
+        return None
+    power = sum(float(r @ r) for r in pieces)
+    if power <= 0.0:
+        return None
+    for lag in (1, 2, 4, 8, 16):
+        together = sum(float(r[lag:] @ r[:-lag]) for r in pieces)
+        if abs(together) > WHITE * power:
+            return None
+    return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
+
+
+def noise_of_neighbours(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
+    """Return the white noise that neighbouring samples show.
+
+    The drive's sensors have no memory: what is correlated there is an effect, and at every moment
+    but the transients it is the same in two neighbours.
+    """
+    steps = np.concatenate([np.diff(r) for _, r in parts])
+    sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
+    quiet = steps[np.abs(steps) < 3.0 * np.sqrt(2.0) * sd]
+    if len(quiet):  # the median alone would tell the level from a third of the samples
+        sd = float(np.sqrt(np.mean(quiet**2) / 2.0 / WITHIN_3_SD))
+    if sd <= 0.0 and len(steps):
+        sd = float(np.std(steps)) / np.sqrt(2.0)
+    return NoiseModel(max(sd, 1e-6))

@@ -1,0 +1,73 @@
+"""From selected causes to what is told: rivals, superfluous causes, unknown structure, drift."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilserver.diagnosis.drift import Drifting, with_drift
+from hilserver.diagnosis.evidence import SelectionRow
+from hilserver.diagnosis.identifiability import Rival, prune, settle
+from hilserver.diagnosis.problem import Point, fit
+from hilserver.diagnosis.screen import Scores
+from hilserver.diagnosis.selection import Selected
+from hilserver.diagnosis.stages import Prepared
+from hilserver.diagnosis.structure import (
+    Unknown,
+    families_of,
+    imitated,
+    remaining,
+    without_unknown,
+)
+
+LEAST_GAIN = 10.0
+
+
+@dataclass
+class Judged:
+    """One stage after selection."""
+
+    prepared: Prepared
+    selected: Selected
+    point: Point
+    ties: Mapping[str, list[Rival]]
+    unknown: list[Unknown]
+    drift: dict[str, float]
+    scores: Scores
+
+
+def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
+    """Weigh the selected causes against rivals, each other and unknown structure."""
+    problem, point, rows = p.problem, selected.point, selected.rows
+    ties: dict[str, list[Rival]] = {}
+    if point.model.fitted:
+        settled, ties = settle(p.library, point)
+        rows += _left_out(point, settled, "swapped", "a rival explains the data better")
+        point = prune(problem, settled, LEAST_GAIN)
+        rows += _left_out(settled, point, "dropped", "the others have made it superfluous")
+    explained = max(p.base.deviance - point.deviance, 0.0)
+    unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+    doubtful = set(without_unknown(problem, point, unknown))
+    if point.model.fitted:
+        doubtful |= set(imitated(problem, point, families_of(problem, point)))
+    for index in sorted(doubtful, reverse=True):
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        rows += _left_out(point, less, "dropped", "unknown structure explains as much")
+        point = less
+    if unknown or doubtful:
+        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
+    changing = with_drift(p.library, p.base, point, rng)
+    if changing.p and changing.gain > max((u.gain for u in unknown), default=0.0):
+        why = "another cause changes along the log"
+        rows += _left_out(point, changing.point, "dropped", why)
+        point, unknown = changing.point, []
+    elif unknown:
+        changing = Drifting(point, {}, 0.0)
+    kept = {c: t for c, t in ties.items() if c in point.model.causes}
+    return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
+
+
+def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:
+    """Return a row for each cause that one model has and the next has not."""
+    gone = [c for c in before.model.causes if c not in after.model.causes]
+    return [SelectionRow(cause, action, None, reason) for cause in gone]
