@@ -1,5 +1,6 @@
 """Causes whose size changes along the log: their sensitivity times the course of time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ LEAST_GAIN = 40.0
 LEAST_BETTER = 20.0
 """Deviance by which a cause that drifts must beat one that does not, to stand in its place."""
 LEAST_BESIDE = 0.1
-"""Share of all that is explained that a cause must add beside one that drifts."""
+"""Share of what a cause explains that must be left of it beside the change of another."""
 RIVALS = 3
 PARTS = 4
 """Parts of the log in which a cause may have different sizes, when causes are compared."""
@@ -85,18 +86,18 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
     return out
 
 
-def with_drift(library: Library, base: Point, point: Point, rng: np.random.Generator) -> Drifting:
+def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drifting:
     """Return the model in which a cause that drifts stands where it explains more.
 
     One that drifts about its configured value has no mean effect, so that a selection does not see
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
-    before, gain = point.deviance, 0.0
+    first, gain = point, 0.0
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
     if p:
-        point, least = _rearranged(library, base, point, set(p))
-        p, gain = drifting(library.problem, point, rng), before - least
+        point, least = _rearranged(library, first, point, set(p))
+        p, gain = drifting(library.problem, point, rng), first.deviance - least
     return Drifting(point, p, gain)
 
 
@@ -137,9 +138,14 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
 
 
 def _rearranged(
-    library: Library, base: Point, point: Point, drift: set[str]
+    library: Library, first: Point, point: Point, drift: set[str]
 ) -> tuple[Point, float]:
     """Exchange and drop causes, all compared with sizes of their own in each part of the log.
+
+    Parameters
+    ----------
+    first : Point
+        What was selected, before a cause was taken up for its change alone.
 
     Returns
     -------
@@ -164,17 +170,43 @@ def _rearranged(
             found = cost(other)
             if found < least - LEAST_BETTER:
                 model, least = other, found
-    while len(model.fitted) > 1:
-        less = [model.without(k) for k in range(len(model.fitted))]
-        costs = [cost(m) for m in less]
-        weakest = int(np.argmin(costs))
-        if costs[weakest] - least > LEAST_BESIDE * (base.deviance - least):
-            break
-        model, least = less[weakest], costs[weakest]
+    model, least = _without_stand_ins(problem, model, first, drift, cost, least)
     if model is not point.model:
         trial = fit(problem, model, point, iterations=5)
         point = trial if inside(trial) else point
     return point, least
+
+
+def _without_stand_ins(
+    problem: Problem,
+    model: Model,
+    first: Point,
+    drift: set[str],
+    cost: Callable[[Model], float],
+    least: float,
+) -> tuple[Model, float]:
+    """Drop causes that explained the change of another: beside it they explain next to nothing.
+
+    Of a selected cause a share of what it explains alone must be left; of one that was taken up for
+    its change, a share of what all changes explain.
+    """
+    while len(model.fitted) > 1:
+        whole = fit(problem, model, first, iterations=4)
+        shares = []
+        for index, f in enumerate(model.fitted):
+            less = model.without(index)
+            alone = fit(problem, less, whole, iterations=3).deviance - whole.deviance
+            beside = cost(less) - least
+            if f.candidate.cause not in first.model.causes:
+                alone = max(alone, first.deviance - least)
+            share = beside / max(alone, 1e-9)
+            shares.append(share if drift - {f.candidate.cause} else np.inf)
+        weakest = int(np.argmin(shares))
+        if shares[weakest] > LEAST_BESIDE:
+            break
+        model = model.without(weakest)
+        least = cost(model)
+    return model, least
 
 
 def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:

@@ -56,7 +56,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         point = less
     if unknown or doubtful:
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
-    changing = with_drift(p.library, p.base, point, rng)
+    changing = with_drift(p.library, point, rng)
     if changing.p and changing.gain > max((u.gain for u in unknown), default=0.0):
         why = "another cause changes along the log"
         rows += _left_out(point, changing.point, "dropped", why)

@@ -19,8 +19,10 @@ LEAST_SHARE = 0.001
 """Of the samples' variance: what explains less is of no use to anybody."""
 INEXACT = 0.005
 """Share of what the accepted causes explain that their own form may leave."""
-LEAST_BETTER = 10.0
+LEAST_BETTER = 50.0
 """Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
+SUBSTITUTE = 0.5
+"""|cos| between a cause's effect and a column that could stand in its place."""
 DOMINANCE = 4.0
 """A named cause stays beside unknown structure only if it explains so many times as much."""
 
@@ -108,8 +110,9 @@ def remaining(
 def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list[int]:
     """Return the accepted causes that a single column of unknown structure explains better.
 
-    What the other causes explain is taken out of both. A column that is better by little may be a
-    twin of the cause, whose own form is exact and the column's linear.
+    What the other causes explain is taken out of both. Only columns that could stand in its place
+    count: others explain something else, which may well be more. And a column that is better by
+    little may be a twin of the cause, whose own form is exact and the column's linear.
     """
     accepted = problem.accepted(point)
     if accepted is None:
@@ -129,6 +132,9 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list
         squares = (columns**2).sum(axis=0)
         usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
         saved = (columns.T @ target)[usable] ** 2 / squares[usable]
+        mean = orthogonal(own[:, None], others)[:, 0]
+        alike = np.abs(columns.T @ mean)[usable] / np.sqrt(squares[usable] * float(mean @ mean))
+        saved = saved[alike > SUBSTITUTE]
         explained = float(target @ target - point.left @ point.left)
         if saved.max(initial=0.0) > explained * (1.0 + INEXACT) + LEAST_BETTER:
             doubtful.append(index)
