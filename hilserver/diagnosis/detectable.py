@@ -10,7 +10,7 @@ from hilserver.diagnosis.vocabulary import CAUSES
 POWER = 0.95
 """Standard deviations above the critical value: about 83 % exceed it."""
 SELECTION = 1.25
-"""Deviations that the selection asks beyond the screen: it must hold on other blocks and in its fit.
+"""Deviations that a selection asks beyond the screen: a cause must hold on other blocks as well.
 
 Measured: with nothing for it, 10 of 26 effects of the stated size were found (`hilserver bench
 diagnose --class size`), as if the critical value were so much higher.
