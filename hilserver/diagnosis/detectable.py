@@ -16,6 +16,8 @@ Measured: with nothing for it, 10 of 26 effects of the stated size were found (`
 diagnose --class size`), as if the critical value were so much higher.
 """
 LEAST_GAIN = 10.0
+LEAST_TIMES = 1.3
+"""An effect of just its least size is fitted below it, and gets no name, half of the times."""
 HOPELESS = 12.0
 """A cause whose smallest visible size is so many times its reference size is not judged."""
 
@@ -42,7 +44,7 @@ def smallest(
                 size = abs(c.start[0] - c.null[0]) * needed[j] / visible
                 if size > 1.5 * abs(c.start[0] - c.null[0]):
                     continue
-            size = max(size, c.least)
+            size = max(size, LEAST_TIMES * c.least)
             names = list(c.terms(c.start))
             name = names[k] if k < len(names) and not names[k].endswith("phase") else part
             if c.cause not in found or size < found[c.cause][0]:

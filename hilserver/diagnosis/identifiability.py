@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.selection import TIE, physical
+from hilserver.diagnosis.selection import TIE, possible
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
         c = library.candidates[i]
         theta = c.beginning
         trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
-        if not physical(trial):
+        if not possible(trial):
             continue
         difference = trial.loss - point.loss
         penalty = TIE * (c.weight - accepted.candidate.weight)

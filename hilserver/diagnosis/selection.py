@@ -10,7 +10,7 @@ from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.intervals import covariance
 from hilserver.diagnosis.library import Candidate
-from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import (
     GROSS,
@@ -72,21 +72,27 @@ class Selected:
     rows: list[SelectionRow] = field(default_factory=list)
 
 
-def physical(point: Point) -> bool:
-    """Return whether every parameter is inside its range, not at its edge, and worth a name."""
+def possible(point: Point) -> bool:
+    """Return whether every parameter is inside its range and not at its edge."""
     for f in point.model.fitted:
         c = f.candidate
-        size = 0.0
-        for value, low, high, null in zip(f.theta, c.low, c.high, c.null, strict=True):
-            size = max(size, abs(value - null))
+        for value, low, high in zip(f.theta, c.low, c.high, strict=True):
             width = high - low
             margin = 1e-6 * width if np.isfinite(width) else 0.0
-            at_edge = value <= low + margin or value >= high - margin
-            if at_edge:
+            if value <= low + margin or value >= high - margin:
                 return False
-        if size < c.least:
-            return False
     return True
+
+
+def worth_a_name(fitted: Fitted) -> bool:
+    """Return whether a cause is as large as its least size."""
+    away = (abs(v - null) for v, null in zip(fitted.theta, fitted.candidate.null, strict=True))
+    return max(away) >= fitted.candidate.least
+
+
+def physical(point: Point) -> bool:
+    """Return whether every cause is possible and worth a name."""
+    return possible(point) and all(map(worth_a_name, point.model.fitted))
 
 
 def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
@@ -144,10 +150,14 @@ def wald(problem: Problem, point: Point, index: int) -> float:
 def attempt(
     problem: Problem, point: Point, library: Library, index: int, t: float, p: float
 ) -> Trial | None:
-    """Fit a candidate together with the accepted causes."""
+    """Fit a candidate together with the accepted causes.
+
+    One that is too small for a name competes as well: were it refused, a rival would get the name
+    of what it explains.
+    """
     c = library.candidates[index]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
-    if not physical(trial):
+    if not possible(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
 
@@ -161,7 +171,7 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Tri
             out.append(trial)
             continue
         moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
-        if physical(moved):
+        if possible(moved):
             candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
             out.append(replace(trial, candidate=candidate, point=moved, gain=gain))
     return sorted(out, key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))

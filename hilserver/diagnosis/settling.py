@@ -10,7 +10,7 @@ from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.problem import Point, fit
 from hilserver.diagnosis.screen import Scores
-from hilserver.diagnosis.selection import Selected
+from hilserver.diagnosis.selection import Selected, worth_a_name
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import (
     Unknown,
@@ -63,6 +63,11 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         point, unknown = changing.point, []
     elif unknown:
         changing = Drifting(point, {}, 0.0)
+    for index in reversed(range(len(point.model.fitted))):
+        if not worth_a_name(point.model.fitted[index]):
+            less = fit(problem, point.model.without(index), point, iterations=3)
+            rows += _left_out(point, less, "dropped", "too small to be worth a name")
+            point = less
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
 
