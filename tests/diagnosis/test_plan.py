@@ -25,7 +25,7 @@ from hilserver.testing.opening import open_hil
 
 ROBOT = assemble(None).robot
 ROTATION = {"rotation_gain", "gyro_scale", "side_slip", "icr_offset", "longitudinal_slip"}
-STRAIGHT = of_moves([(1, 0, 0), (4, 45, 45), (1, 0, 0), (4, -45, -45), (1, 0, 0)])
+STRAIGHT = of_moves([(1, 0, 0), (4, 45, 45), (1, 0, 0), (4, -45, -45), (1, 0, 0)] * 3)
 CIRCLE = of_moves([(20, 30, 60)])
 
 

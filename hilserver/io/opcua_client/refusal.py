@@ -69,7 +69,7 @@ def certificate_refused(
     if sentence is None:
         sentence = _about(parse_certificate(data), verdict, host, trust_with)
     return RefusedError(
-        FaultKind.PEER_CERTIFICATE, verdict.value, f"not connected: {sentence} ({verdict.value})"
+        FaultKind.CERTIFICATE, verdict.value, f"not connected: {sentence} ({verdict.value})"
     )
 
 
@@ -150,7 +150,7 @@ def refused_by_peer(
     elif code.startswith("BadCertificate") or code == "BadSecurityChecksFailed":
         which = f"our certificate {ours}" if ours else "an unprotected connection"
         mend = "trust it there, and check both clocks" if ours else "set security"
-        kind, sentence = FaultKind.OWN_CERTIFICATE, f"it refuses {which}: {mend}"
+        kind, sentence = FaultKind.CERTIFICATE, f"it refuses {which}: {mend}"
     else:
         return None
     return RefusedError(kind, code, f"not connected: {sentence} ({code})")
@@ -159,7 +159,7 @@ def refused_by_peer(
 def hung_up(ours: str) -> RefusedError:
     """Return that the peer closed the connection instead of answering our certificate `ours`."""
     return RefusedError(
-        FaultKind.OWN_CERTIFICATE,
+        FaultKind.CERTIFICATE,
         "closed",
         f"not connected: it closes the connection when it sees our certificate {ours}: trust it"
         " there, and check both clocks",

@@ -28,8 +28,7 @@ class FaultKind(StrEnum):
     SEQUENCE_REPEATS = "sequence_repeats"
     SLOW_RATE = "slow_rate"
     SECURITY_POLICY = "security_policy"
-    PEER_CERTIFICATE = "peer_certificate"
-    OWN_CERTIFICATE = "own_certificate"
+    CERTIFICATE = "certificate"
     LOG_IN = "log_in"
 
 

@@ -5,7 +5,7 @@ from hilserver.io.opcua_client.faults import FAULTS_MAX, HOLD_NS, FaultBook
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_status import PeerStatus
 
-LOG_IN, CERTIFICATE = FaultKind.LOG_IN, FaultKind.PEER_CERTIFICATE
+LOG_IN, CERTIFICATE = FaultKind.LOG_IN, FaultKind.CERTIFICATE
 
 
 def make_book() -> tuple[FaultBook, PeerStatus, list[Event]]:
@@ -19,7 +19,7 @@ def test_a_refusal_lasts_until_it_is_over_and_is_told_once() -> None:
         now_ns = attempt * 10 * HOLD_NS
         book.refuse(CERTIFICATE, "expired", "it is expired", now_ns)
         book.expire(now_ns + 2 * HOLD_NS)
-        assert status.faults == {"peer_certificate:expired": "it is expired"}
+        assert status.faults == {"certificate:expired": "it is expired"}
     assert [event.message for event in told] == ["peer plc: it is expired"]
     assert status.fault_counts[CERTIFICATE] == 5
     book.admit()

@@ -203,7 +203,7 @@ async def test_connects_as_soon_as_the_rejected_certificate_is_trusted(
     harness = station.link(ours.server.url)
     async with running(harness):
         await wait_until(lambda: harness.status.failed_attempts >= 2)
-        assert list(harness.status.faults) == ["peer_certificate:BadCertificateUntrusted"]
+        assert list(harness.status.faults) == ["certificate:BadCertificateUntrusted"]
         kept = station.trust.folder / "rejected" / file_name(pki.server.certificate)
         kept.rename(station.trust.folder / "trusted" / kept.name)
         await wait_until(lambda: harness.status.connected)
