@@ -166,10 +166,17 @@ def _rearranged(
         if f.candidate.cause not in drift:
             continue
         for c in _rivals(library, point, index):
+            if c.cause in model.causes:  # taken in the place of another
+                continue
             other = model.swapped(index, c, c.beginning)
             found = cost(other)
             if found < least - LEAST_BETTER:
                 model, least = other, found
+    drift = {
+        new.candidate.cause
+        for new, old in zip(model.fitted, point.model.fitted, strict=True)
+        if old.candidate.cause in drift
+    }
     model, least = _without_stand_ins(problem, model, first, drift, cost, least)
     if model is not point.model:
         trial = fit(problem, model, point, iterations=5)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.diagnosis.drift import Drifting, with_drift
+from hilserver.diagnosis.drift import with_drift
 from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.problem import Point, fit
@@ -41,10 +41,10 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     problem, point, rows = p.problem, selected.point, selected.rows
     ties: dict[str, list[Rival]] = {}
     if point.model.fitted:
-        settled, ties = settle(p.library, point)
-        rows += _left_out(point, settled, "swapped", "a rival explains the data better")
-        point = prune(problem, settled, LEAST_GAIN)
-        rows += _left_out(settled, point, "dropped", "the others have made it superfluous")
+        exchanged, ties = settle(p.library, point)
+        rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
+        point = prune(problem, exchanged, LEAST_GAIN)
+        rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
     explained = max(p.base.deviance - point.deviance, 0.0)
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     doubtful = set(without_unknown(problem, point, unknown))
@@ -56,20 +56,19 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         point = less
     if unknown or doubtful:
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
+    drift: dict[str, float] = {}
     changing = with_drift(p.library, point, rng)
     if changing.p and changing.gain > max((u.gain for u in unknown), default=0.0):
         why = "another cause changes along the log"
         rows += _left_out(point, changing.point, "dropped", why)
-        point, unknown = changing.point, []
-    elif unknown:
-        changing = Drifting(point, {}, 0.0)
+        point, drift, unknown = changing.point, changing.p, []
     for index in reversed(range(len(point.model.fitted))):
         if not worth_a_name(point.model.fitted[index]):
             less = fit(problem, point.model.without(index), point, iterations=3)
             rows += _left_out(point, less, "dropped", "too small to be worth a name")
             point = less
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
-    return Judged(p, selected, point, kept, unknown, changing.p, p.library.scores(p.base))
+    return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base))
 
 
 def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:

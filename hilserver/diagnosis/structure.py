@@ -118,27 +118,35 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list
     if accepted is None:
         return []
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    white = np.concatenate(
-        [problem.project(problem.whiten(f.columns), bases) for f in families], axis=1
-    )
-    doubtful, begin = [], 0
-    for index, f in enumerate(point.model.fitted):
-        mine = np.s_[begin : begin + f.candidate.n]
-        begin += f.candidate.n
-        others = np.delete(accepted, mine, axis=1)
-        own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
-        target = orthogonal((point.left + own)[:, None], others)[:, 0]
-        columns = orthogonal(white, others)
-        squares = (columns**2).sum(axis=0)
-        usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
-        saved = (columns.T @ target)[usable] ** 2 / squares[usable]
-        mean = orthogonal(own[:, None], others)[:, 0]
-        alike = np.abs(columns.T @ mean)[usable] / np.sqrt(squares[usable] * float(mean @ mean))
-        saved = saved[alike > SUBSTITUTE]
-        explained = float(target @ target - point.left @ point.left)
-        if saved.max(initial=0.0) > explained * (1.0 + INEXACT) + LEAST_BETTER:
-            doubtful.append(index)
-    return doubtful
+    doubtful: set[int] = set()
+    for family in families:  # one at a time: those of the drive together would fill the memory
+        white = problem.project(problem.whiten(family.columns), bases)
+        doubtful |= {
+            index
+            for index in range(len(point.model.fitted))
+            if index not in doubtful and _is_better(white, point, accepted, index)
+        }
+    return sorted(doubtful)
+
+
+def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
+    """Return whether one of a family's columns explains more in the place of a cause."""
+    f = point.model.fitted[index]
+    begin = sum(g.candidate.n for g in point.model.fitted[:index])
+    mine = np.s_[begin : begin + f.candidate.n]
+    others = np.delete(accepted, mine, axis=1)
+    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    effect = orthogonal(own[:, None], others)[:, 0]
+    columns = orthogonal(white, others)
+    squares = (columns**2).sum(axis=0)
+    usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
+    length = np.sqrt(squares[usable] * float(effect @ effect)) + 1e-300
+    alike = np.abs(columns.T @ effect)[usable] / length
+    saved = (columns.T @ target)[usable] ** 2 / squares[usable]
+    explained = float(target @ target - point.left @ point.left)
+    most = saved[alike > SUBSTITUTE].max(initial=0.0)
+    return bool(most > explained * (1.0 + INEXACT) + LEAST_BETTER)
 
 
 def joint_gain(white: Array, left: Array) -> float:
