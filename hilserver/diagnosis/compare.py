@@ -112,16 +112,15 @@ def compare(
     """
     tell = progress or silent
     robot = machine(log, assembly.robot)
-    faults: list[Finding] = []
-    cleaned = []
-    for one in (log, other):
-        checked = check(one, robot)
-        faults += checked.findings
-        cleaned.append(checked.log)
+    both = [check(one, robot) for one in (log, other)]
+    faults = [finding for checked in both for finding in checked.findings]
+    cleaned = [checked.log for checked in both]
     if any(standing(one, robot) for one in cleaned):
         cleaned = [on_a_frame(one) for one in cleaned]
     pooled, second = together(*cleaned)
-    prepared, reasons = prepare_all(pooled, robot, jobs, tell)
+    prepared, reasons = prepare_all(
+        pooled, robot, jobs, tell, lost_setpoints=any(checked.lost_setpoints for checked in both)
+    )
     runs = run_of_spans(cleaned)
     differences: list[Difference] = []
     shared = select(

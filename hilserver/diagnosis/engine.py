@@ -118,8 +118,7 @@ def judge(
     checked = check(log, robot)
     log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
     lap("checks")
-    faults = {cause.partition(".")[0] for f in checked.findings for cause in f.causes}
-    prepared, reasons = prepare_all(log, robot, jobs, tell, faults)
+    prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
     lap("effects")
     tell("selecting causes", 0.0)
     judged = _judge(prepared, rng)

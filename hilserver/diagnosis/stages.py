@@ -1,6 +1,6 @@
 """Makes the regressions of a log: which stages it has, their noise, and all columns."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -47,8 +47,6 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 
 
-SETPOINTS_LOST = {"interpolated_setpoint"}
-"""Faults of the recording after which nobody knows when a set-point changed."""
 TURNED_RAD_S, STANDS = 0.1, 0.05
 """Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
@@ -197,19 +195,24 @@ def _splits(log: MeasuredLog, candidate: Candidate) -> bool:
 
 
 def prepare_all(
-    log: MeasuredLog, robot: RobotParameters, jobs: int, tell: Tell, faults: Collection[str] = ()
+    log: MeasuredLog,
+    robot: RobotParameters,
+    jobs: int,
+    tell: Tell,
+    *,
+    lost_setpoints: bool = False,
 ) -> tuple[dict[str, Prepared], dict[str, str]]:
     """Return the stages of a log, ready to be judged, and why some causes are not judged.
 
     Parameters
     ----------
-    faults : collection of str
-        Faults of the recording.
+    lost_setpoints : bool
+        The recording does not hold the set-points that the machine got.
     """
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot).items():
-        if name == "drive" and not SETPOINTS_LOST.isdisjoint(faults):
+        if name == "drive" and lost_setpoints:
             text = "the log does not hold the set-points that the machine got"
             candidates, others = judged_candidates(stage)
             reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)

@@ -17,11 +17,13 @@ from hilserver.diagnosis.checks import (
     interpolated,
     orientation,
     repeated,
+    sparse,
     units,
     wrapped,
 )
 from hilserver.diagnosis.data import Array, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.names import is_input
 from hilserver.plant.parameters import RobotParameters
 
 FAR_S = 1e5
@@ -37,6 +39,7 @@ ORDER: Final[tuple[Check, ...]] = (
     wrapped.find,
     units.find,
     orientation.find,
+    sparse.find,
     clocks.find,
 )
 
@@ -55,6 +58,16 @@ class Checked:
 
     log: MeasuredLog
     findings: tuple[Finding, ...]
+
+    @property
+    def lost_setpoints(self) -> bool:
+        """Whether nobody knows any more when the set-points changed."""
+        return any(
+            cause == "interpolated_setpoint"
+            or (cause == "held_samples" and any(map(is_input, finding.regressors)))
+            for finding in self.findings
+            for cause in finding.causes
+        )
 
 
 def check(log: MeasuredLog, robot: RobotParameters) -> Checked:

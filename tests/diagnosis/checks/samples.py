@@ -10,7 +10,17 @@ ROBOT = RobotParameters()
 RAD_S = np.pi / 30.0
 
 
-def drive(seed=0, *, length_s=240.0, rate_hz=50.0, noise=1.0, k_om=1.0, moves_s=2.0):
+def drive(
+    seed=0,
+    *,
+    length_s=240.0,
+    rate_hz=50.0,
+    noise=1.0,
+    k_om=1.0,
+    moves_s=2.0,
+    sent_hz=None,
+    lag_s=0.02,
+):
     """Return t [s] and the columns of a drive whose set-points slew to new values now and then."""
     rng = np.random.default_rng(seed)
     n = int(length_s * rate_hz)
@@ -25,8 +35,11 @@ def drive(seed=0, *, length_s=240.0, rate_hz=50.0, noise=1.0, k_om=1.0, moves_s=
     for k in range(1, n):
         step = 2.0 / rate_hz
         sent[:, k] = sent[:, k - 1] + np.clip(wanted[:, k] - sent[:, k - 1], -10 * step, 10 * step)
+    if sent_hz is not None:
+        group = np.floor(t * sent_hz + 0.3)
+        sent = sent[:, np.searchsorted(group, group)]
     wheel = np.zeros_like(sent)
-    share = 1.0 - np.exp(-1.0 / (rate_hz * 0.02))
+    share = 1.0 - np.exp(-1.0 / (rate_hz * lag_s))
     for k in range(1, n):
         wheel[:, k] = wheel[:, k - 1] + share * (sent[:, k - 1] - wheel[:, k - 1])
     left, right = wheel

@@ -70,6 +70,11 @@ NULL = {
     "noise-free, coarse": lambda rng, t, c: quantised_drive(),
     "20 Hz": lambda rng, t, c: drive(5, rate_hz=20.0),
     "steps held for seconds": lambda rng, t, c: drive(6, moves_s=6.0),
+    "set-points sent at 12.5 Hz": lambda rng, t, c: drive(7, sent_hz=12.5),
+    "set-points sent at 12.5 Hz, agile wheels": lambda rng, t, c: drive(
+        7, sent_hz=12.5, lag_s=2e-3
+    ),
+    "set-points sent at 5 Hz, slow wheels": lambda rng, t, c: drive(8, sent_hz=5.0, lag_s=0.2),
     "tag looks left": lambda rng, t, c: (t, {**c, NAV[2]: wrapped(c[NAV[2]] + 1.5)}),
     "late tag": lambda rng, t, c: (
         t,
@@ -198,6 +203,22 @@ def test_held_samples(table, names, rate_hz):
     real = t[np.unique(first)]
     assert np.isin(real[10:-10], log[names[0]].t_s).mean() > 0.99
     assert len(log[names[0]]) < 1.1 * len(real)
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 12.5])
+def test_setpoints_held_in_the_log_alone(rate_hz):
+    t, columns = drive(9, lag_s=5e-3)
+    group = np.floor(t * rate_hz + 0.3)
+    first = np.searchsorted(group, group)
+    spoilt = {n: v[first] if n in SENT else v for n, v in columns.items()}
+    checked = check(log_of(t, spoilt), ROBOT)
+    (finding,) = checked.findings
+    assert (finding.causes, set(finding.regressors)) == (("held_samples",), set(SENT))
+    assert finding.parameters["held_samples"].value == pytest.approx(rate_hz, rel=0.02)
+    assert checked.lost_setpoints
+    name = SENT[0]
+    error, as_logged = checked.log[name].values - columns[name], spoilt[name] - columns[name]
+    assert np.abs(error).mean() < 0.4 * np.abs(as_logged).mean()
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 10.0])
