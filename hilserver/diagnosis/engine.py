@@ -199,7 +199,9 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     problem, fitted = j.prepared.problem, {}
     for f, finding in zip(
         j.point.model.fitted,
-        named(problem, j.point, j.ties, j.selected.p, j.drift) if j.point.model.fitted else [],
+        named(problem, j.point, j.ties, j.selected.p, j.drift, scrubs=j.scrubs)
+        if j.point.model.fitted
+        else [],
         strict=True,
     ):
         fitted[len(found)] = f

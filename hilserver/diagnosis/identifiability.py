@@ -16,6 +16,9 @@ RIVAL_COSINE = 0.6
 GROUP_COSINE = 0.95
 CLEAR_Z = 2.33
 """Deviations of a difference over the blocks from which one cause is clearly better (1 %)."""
+ENOUGH = 10.0
+"""What a single block says about two models counts up to this deviance: where one is far off, few
+blocks hold nearly all of the difference, and would pass for a doubt."""
 MOST_SWAPS = 4
 
 
@@ -30,7 +33,7 @@ class Rival:
     worse : float
         Deviance that it leaves more, a penalty per parameter included; negative: it is better.
     z : float
-        `worse` by its standard error over the blocks.
+        Deviations of the difference over the blocks, see `deviations`.
     """
 
     candidate: Candidate
@@ -109,9 +112,15 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
         difference = trial.loss - point.loss
         penalty = TIE * (c.weight - accepted.candidate.weight)
         worse = float(difference.sum()) + penalty
-        z = worse / (np.sqrt((difference**2).sum()) + 1e-9)
+        z = deviations(difference, penalty)
         found.append(Rival(c, trial, float(cosine[i]), worse, z))
     return sorted(found, key=lambda r: r.worse)
+
+
+def deviations(difference: Array, more: float = 0.0) -> float:
+    """Return how clearly differences of deviance, by block, lie on one side: sum by its error."""
+    bounded = np.clip(difference, -ENOUGH, ENOUGH)
+    return float((bounded.sum() + more) / (np.sqrt((bounded**2).sum()) + 1e-9))
 
 
 def settle(library: Library, point: Point) -> tuple[Point, dict[str, list[Rival]]]:
@@ -138,8 +147,7 @@ def prune(problem: Problem, point: Point, least: float) -> Point:
         for index in range(len(point.model.fitted)):
             without = fit(problem, point.model.without(index), point, iterations=3)
             saved = without.loss - point.loss
-            t = saved.sum() / (np.sqrt((saved**2).sum()) + 1e-9)
-            losses.append((float(saved.sum()), float(t), without))
+            losses.append((float(saved.sum()), deviations(saved), without))
         weakest = min(range(len(losses)), key=lambda i: losses[i][0])
         gain, t, without = losses[weakest]
         if gain > least and t > 2.0:

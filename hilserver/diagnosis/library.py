@@ -43,7 +43,8 @@ class Candidate:
     hidden : int
         Parameters of its shape that were searched over, beside the fitted ones.
     moved : callable, optional
-        From a shift of its shape [m] to the candidate with that shape, for a finer search.
+        From a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
+        shape, for a finer search.
     """
 
     cause: str
@@ -164,7 +165,9 @@ def _wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Ca
     return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)
 
 
-DELAYS_S = (0.01, 0.04, 0.15)
+DELAYS_S = (0.01, 0.04, 0.15, 0.4)
+LATE_S = (0.15, 0.4)
+"""Far from nought a latency is no line any more."""
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
 RATES_RPM_S = (80.0, 150.0, 400.0)
 LIMITS_PCT = (85.0, 65.0, 45.0)
@@ -208,20 +211,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
         )
         for wheel in range(4)
     ]
-    found += [
-        _several(
-            "stribeck_friction",
-            f"stribeck_friction@{n_s:g}",
-            stage,
-            ("stribeck_friction.f_s",),
-            (1.0,),
-            0.5,
-            {"stribeck_friction.n_s": n_s},
-            0.0,
-            60.0,
-        )
-        for n_s in (3.0, 6.0, 12.0)
-    ]
+    found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
     limits = [limit for limit in LIMITS_PCT if limit < limit_pct]
     found += _grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
     found += _grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
@@ -260,6 +250,9 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
         _one("gyro_bias", stage, 0.002, 0.0005, -1.0, 1.0),
         _one("gyro_scale", stage, 0.01, 0.003, -0.95, 3.0),
         _one("imu_latency", stage, 0.01, 0.004, 0.0, 1.5),
+        *_grid("imu_latency", stage, 0.0, LATE_S, 0.01, 0.004, 0.0, 1.5),
+        *_grid("yaw_latency", stage, 0.0, LATE_S, 0.02, 0.01, 0.0, 1.5),
+        *_grid("nav_latency", stage, 0.0, LATE_S, 0.02, 0.008, 0.0, 1.5),
         replace(_one("shift.nav", stage, 0.02, 0.01, -1.5, 1.5), cause="clock_offset"),
         _several(
             "floor_slope",
@@ -321,6 +314,23 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
             for length in (3.0, 5.0, 8.0, 12.0)
         ]
     return found
+
+
+def _stribeck(n_s: float) -> Candidate:
+    candidate = _several(
+        "stribeck_friction",
+        f"stribeck_friction@{n_s:.3g}",
+        "drive",
+        ("stribeck_friction.f_s",),
+        (1.0,),
+        0.5,
+        {"stribeck_friction.n_s": n_s},
+        0.0,
+        60.0,
+    )
+    return replace(
+        candidate, hidden=1, moved=lambda shift: _stribeck(min(max(n_s * math.exp(shift), 0.5), 40))
+    )
 
 
 def _surfaces(place: tuple[float, float, float, float]) -> list[Candidate]:

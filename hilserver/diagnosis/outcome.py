@@ -13,6 +13,7 @@ from hilserver.diagnosis.identifiability import Rival
 from hilserver.diagnosis.intervals import intervals
 from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.scrubbing import as_friction
 from hilserver.diagnosis.structure import Unknown
 from hilserver.diagnosis.unknown import LostSteps
 from hilserver.diagnosis.vocabulary import CAUSES, part_of
@@ -88,8 +89,16 @@ def named(
     ties: Mapping[str, Sequence[Rival]],
     p: Mapping[str, float],
     drift: Mapping[str, float],
+    *,
+    scrubs: bool = False,
 ) -> list[Finding]:
-    """Return one finding for every accepted cause, with its group."""
+    """Return one finding for every accepted cause, with its group.
+
+    Parameters
+    ----------
+    scrubs : bool
+        Friction across the wheels is a twin of the rotation gain, see `scrubbing`.
+    """
     own = parameters(problem, point)
     found = []
     for i, f in enumerate(point.model.fitted):
@@ -105,6 +114,11 @@ def named(
                 if r.candidate is rival.candidate
             )  # fmt: skip
             values |= parameters(problem, rival.point)[index]
+        if scrubs and cause == "rotation_gain":
+            ratio = as_friction(problem.stage.robot, f, own[i][cause])
+            if ratio is not None:
+                causes.append("friction_anisotropy")
+                values["friction_anisotropy.ratio"] = ratio
         verdict = Verdict.NAMED if len(causes) == 1 else Verdict.NAMED_GROUP
         if cause in drift:
             verdict = Verdict.DRIFT

@@ -16,7 +16,7 @@ from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.pose_stage import PoseStage
-from hilserver.diagnosis.quick_noise import lonely, noise_of_neighbours, plain_noise
+from hilserver.diagnosis.quick_noise import lonely, noise_of_neighbours, plain_noise, thrown
 from hilserver.diagnosis.stack import Stack
 
 Array = NDArray[np.float64]
@@ -223,6 +223,9 @@ class Problem:
             else:
                 self.noise[name] = plain_noise(parts) or fit_noise(parts)
         self.weights = np.ones(len(self.stack))
+        for name, _, part in self._runs:
+            if name in OUTLIER_CHANNELS:
+                self.weights[part] = ~thrown(self.stack.t_s[part], raw[part])
         for _ in range(2):
             white = self.whiten(raw)
             for name in OUTLIER_CHANNELS:

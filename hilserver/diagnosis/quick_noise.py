@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from hilserver.diagnosis.whitening import NoiseModel
 
@@ -11,10 +12,13 @@ Array = NDArray[np.float64]
 
 OUTLIER = 6.0
 """Positions whose whitened residual lies beyond this many deviations take no part in fits, ..."""
+AROUND_S = 1.05
 MOST_IN_A_ROW = 4
 """... if no more than so many of them follow each other: a longer stretch is an effect."""
 WHITE = 0.05
 """Largest autocorrelation at the first lags of a channel that is taken for white at once."""
+FAR, FEW = 5.0, 0.002
+"""Share of samples beyond so many robust deviations with which a channel is no plain noise."""
 WITHIN_3_SD = 0.97334
 """Variance of a normal variable that lies within three deviations, by that of all."""
 
@@ -30,11 +34,26 @@ def lonely(white: Array) -> NDArray[np.bool_]:
     return out
 
 
+def thrown(t_s: Array, residual: Array) -> NDArray[np.bool_]:
+    """Return which samples are thrown far from their neighbours, alone or in a burst.
+
+    A burst of up to half of `AROUND_S` does not move the median about it.
+    """
+    if len(t_s) < 20:
+        return np.zeros(len(t_s), dtype=bool)
+    width = round(AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
+    aside = np.abs(residual - median_filter(residual, size=max(width, 5), mode="nearest"))
+    return np.asarray(aside > OUTLIER * 1.4826 * max(float(np.median(aside)), 1e-9))
+
+
 def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
     """Return white noise where the residuals show no correlation at all; None elsewhere."""
     pieces = [r for _, r in parts if len(r) > 20]
     if not pieces:
         return None
+    far = FAR * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
+    if np.mean(np.abs(np.concatenate(pieces)) > far) > FEW:
+        return None  # what is thrown aside would pass for noise, and hide the memory of the rest
     power = sum(float(r @ r) for r in pieces)
     if power <= 0.0:
         return None

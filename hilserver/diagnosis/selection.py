@@ -148,18 +148,63 @@ def wald(problem: Problem, point: Point, index: int) -> float:
 
 
 def attempt(
-    problem: Problem, point: Point, library: Library, index: int, t: float, p: float
+    problem: Problem,
+    point: Point,
+    library: Library,
+    index: int,
+    t: float,
+    p: float,
+    *,
+    gross: bool = False,
 ) -> Trial | None:
     """Fit a candidate together with the accepted causes.
 
     One that is too small for a name competes as well: were it refused, a rival would get the name
     of what it explains.
+
+    Parameters
+    ----------
+    gross : bool
+        So much is left that the screen, which is linear, knows little of where to begin.
     """
     c = library.candidates[index]
-    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
+    begin = c.beginning
+    if gross and not c.linear:
+        c, begin = _searched(problem, point, [o for o in library.candidates if o.cause == c.cause])
+    trial = fit(problem, point.model.plus(c, begin), point, iterations=3)
     if not possible(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+def _searched(
+    problem: Problem, point: Point, starts: Sequence[Candidate]
+) -> tuple[Candidate, tuple[float, ...]]:
+    """Return the best of some starts of a cause, and a value near it that is better still.
+
+    What a delay or a limit leaves has steps: its slope says nothing of where the bottom is.
+    """
+
+    def deviance(c: Candidate, theta: float) -> float:
+        value = min(max(theta, c.low[0]), c.high[0])
+        return problem.point(point.model.plus(c, (value,)), point.poses).deviance
+
+    starts = [c for c in starts if not c.linear]
+    tried = [(deviance(c, c.start[0]), c) for c in starts]
+    least, best = min(tried, key=lambda item: item[0])
+    theta, null = best.start[0], best.null[0]
+    far = theta - null if abs(null) < FAR_NULL else theta
+    stride = FIRST_STRIDE
+    while stride > LAST_STRIDE:
+        for factor in (1.0 + stride, 1.0 / (1.0 + stride)):
+            moved = theta + far * (factor - 1.0)
+            found = deviance(best, moved)
+            if found < least:
+                least, theta, far = found, moved, far * factor
+                break
+        else:
+            stride *= 0.4
+    return best, (min(max(theta, best.low[0]), best.high[0]),)
 
 
 def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Trial]:
@@ -207,6 +252,9 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     return point
 
 
+FAR_NULL = 1e6
+"""A limit as far away as this is none: its distance from null says nothing."""
+FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
 
@@ -262,7 +310,7 @@ def _forward(
             mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
             t = float(mine.max())
             p = float(adjusted(np.array([t]), maxima)[0])
-            trial = attempt(problem, point, library, index, t, p)
+            trial = attempt(problem, point, library, index, t, p, gross=gross)
             if trial is not None:
                 trials.append(trial)
         accepted = _accepted(problem, point, refined(problem, point, trials), limit, selected)

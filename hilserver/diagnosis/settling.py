@@ -10,6 +10,7 @@ from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.problem import Point, fit
 from hilserver.diagnosis.screen import Scores
+from hilserver.diagnosis.scrubbing import late_turn, scrubs
 from hilserver.diagnosis.selection import Selected, worth_a_name
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import (
@@ -34,6 +35,7 @@ class Judged:
     unknown: list[Unknown]
     drift: dict[str, float]
     scores: Scores
+    scrubs: bool
 
 
 def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
@@ -67,8 +69,15 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
             less = fit(problem, point.model.without(index), point, iterations=3)
             rows += _left_out(point, less, "dropped", "too small to be worth a name")
             point = less
+    if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
+        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
+    scrubbed = scrubs(problem, point, unknown)
+    if scrubbed and (late := late_turn(point)) is not None:
+        less = fit(problem, point.model.without(late), point, iterations=3)
+        rows += _left_out(point, less, "dropped", "tyres that scrub make the turn late as well")
+        point = less
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
-    return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base))
+    return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base), scrubbed)
 
 
 def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:

@@ -263,7 +263,7 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
 
 
 NOT_OF_ITS_OWN = {
-    "friction_anisotropy": "its effect is told as rotation_gain and icr_offset",
+    "friction_anisotropy": "in steady turns it is the same as rotation_gain and icr_offset",
     "backlash": "the play between motor and wheel is not looked for",
     "missed_ticks": "the log has no tick counter",
 }

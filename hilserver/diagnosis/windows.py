@@ -13,8 +13,8 @@ from hilserver.compiled import kernel
 from hilserver.diagnosis.whitening import Array, NoiseModel
 
 _SAMPLES_MIN = 4  # in a window: level and slope are free
-_TRIMMED = 0.9
-_TRIMMED_MEAN_SQUARE = 0.6233  # of a normal variable's smallest 90 % (by size)
+_TRIMMED = 0.75
+_TRIMMED_MEAN_SQUARE = 0.3685  # of a normal variable's smallest 75 % (by size)
 
 
 @dataclass

@@ -85,6 +85,23 @@ def test_twins_come_out_as_one_group_with_both_values(cause, seed, duration_s, t
     assert len(diagnosis(cause, seed, duration_s).evidence.extension) >= 1
 
 
+def test_tyres_that_scrub_are_told_beside_the_rotation_gain():
+    """Four radii on tyres with mass: the turn is smaller than the wheels say, and comes late."""
+    ratio = 1.9
+    causes = {"friction_anisotropy.ratio": ratio, "friction_anisotropy.inertia": 1.0}
+    made = replace(recipe("rotation_gain", 31, 180.0), manoeuvre="circles", causes=causes)
+    findings = judged(made).findings
+    (finding,) = [f for f in findings.findings if f.causes]
+    assert finding.causes == ("rotation_gain", "friction_anisotropy")
+    assert finding.parameters["friction_anisotropy.ratio"].value == pytest.approx(ratio, rel=0.03)
+    assert finding.separating_experiment is not None
+
+
+def test_half_the_turn_without_scrubbing_is_the_rotation_gain_alone():
+    made = replace(recipe("rotation_gain", 32, 120.0), causes={"rotation_gain": -0.46})
+    the_cause_is_named(judged(made).findings, "rotation_gain")
+
+
 def test_neither_threads_nor_a_second_time_change_a_digit():
     log = ("actuation_delay", 1, 60.0)
     first = diagnosis(*log)

@@ -1,0 +1,70 @@
+"""Tyres that scrub: when a smaller rotation gain may be friction across the wheels.
+
+In steady turns the two are exact twins (`hilserver.plant.friction`). What a gain alone cannot make
+is a turn that also comes late: tyres give before they pull, so the body follows the wheels by some
+milliseconds. Real skid-steered robots turn at about half of 1/track.
+"""
+
+from collections.abc import Sequence
+
+from scipy.optimize import brentq
+
+from hilserver.diagnosis.findings import Parameter
+from hilserver.diagnosis.model import Fitted
+from hilserver.diagnosis.pose_stage import POSITION, YAW
+from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.structure import Unknown
+from hilserver.plant.friction import anisotropy
+from hilserver.plant.parameters import RobotParameters
+
+MUCH = -0.15
+"""Smaller differences of the rotation gain are dimensions rather than tyres."""
+LATE_S = 0.015
+TURNING = "velocity.angular_rad_s"
+SMALLEST_RATIO, LARGEST_RATIO = 0.2, 20.0
+
+
+def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
+    """Return whether the turn is much smaller than the wheels say, and late or irregular."""
+    log, robot = problem.stage.log, problem.stage.robot
+    if robot.wheelbase_m is None or not log.has(*POSITION, YAW):
+        return False
+    gain = next((f for f in point.model.fitted if f.candidate.cause == "rotation_gain"), None)
+    if gain is None or gain.theta[0] > MUCH:
+        return False
+    irregular = bool(unknown) and unknown[0].family.regressors[0] == TURNING
+    return irregular or late_turn(point) is not None
+
+
+def late_turn(point: Point) -> int | None:
+    """Return the index of a turn rate that is late by no more than tyres can make it."""
+    for index, f in enumerate(point.model.fitted):
+        if f.candidate.cause == "imu_latency" and 0.0 < f.theta[0] < LATE_S:
+            return index
+    return None
+
+
+def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Parameter | None:
+    """Return the ratio of friction across to friction along that turns as the rotation gain does.
+
+    None where no ratio does.
+    """
+    assert robot.wheelbase_m is not None
+    even = robot.track_m / (robot.wheelbase_m**2 + robot.track_m**2)
+
+    def ratio(a: float) -> float:
+        wanted = (1.0 + a) * robot.k_om / even
+        return float(
+            brentq(
+                lambda r: anisotropy(robot.wheelbase_m or 0.0, robot.track_m, r, 0.0)[0] - wanted,
+                SMALLEST_RATIO,
+                LARGEST_RATIO,
+                xtol=1e-4,
+            )
+        )
+
+    try:
+        ends = sorted(ratio(a) for a in own.ci95 or (gain.theta[0],) * 2)
+        return Parameter(value=ratio(gain.theta[0]), ci95=(ends[0], ends[1]), unit="1")
+    except ValueError:
+        return None
