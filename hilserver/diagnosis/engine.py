@@ -26,7 +26,7 @@ from hilserver.diagnosis.findings import (
 from hilserver.diagnosis.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.other_logs import gain_on
-from hilserver.diagnosis.outcome import extension, lost, named, outliers, structure
+from hilserver.diagnosis.outcome import coarse, extension, lost, named, outliers, structure
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.settling import Judged, settled
@@ -206,6 +206,8 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     ):
         fitted[len(found)] = f
         found.append(finding)
+    if j.prepared.coarse_rpm is not None:
+        found.append(coarse(j.prepared.coarse_rpm))
     if stage == "pose" and (thrown := outliers(problem, j.point)) is not None:
         found.append(thrown)
     steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None

@@ -42,6 +42,8 @@ class Candidate:
         Whether the effect is about linear, so that the screen may extrapolate.
     hidden : int
         Parameters of its shape that were searched over, beside the fitted ones.
+    tried : tuple of float
+        More values to begin from where much is left to explain.
     moved : callable, optional
         From a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
         shape, for a finer search.
@@ -59,6 +61,7 @@ class Candidate:
     least: float
     linear: bool = True
     hidden: int = 0
+    tried: tuple[float, ...] = ()
     moved: "Callable[[float], Candidate] | None" = None
 
     @property
@@ -169,6 +172,8 @@ DELAYS_S = (0.01, 0.04, 0.15, 0.4)
 LATE_S = (0.15, 0.4)
 """Far from nought a latency is no line any more."""
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
+USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0125, 0.014)
+QUANTA_RPM = (0.25, 0.5, 1.0)
 RATES_RPM_S = (80.0, 150.0, 400.0)
 LIMITS_PCT = (85.0, 65.0, 45.0)
 
@@ -216,9 +221,10 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
     found += _grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
     found += _grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
     found += _grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
-    found += _grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
+    periods = _grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
+    found += [replace(c, tried=USUAL_PERIODS_S) for c in periods]
     found += _grid("encoder_filter", stage, 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2)
-    found += _grid("encoder_quantization", stage, 0.0, (0.25, 0.5, 1.0), 0.1, 0.2, 0.0, 20.0)
+    found += _grid("encoder_quantization", stage, 0.0, QUANTA_RPM, 0.1, 0.2, 0.0, 20.0)
     return found
 
 

@@ -21,6 +21,8 @@ from hilserver.diagnosis.vocabulary import CAUSES, part_of
 Array = NDArray[np.float64]
 
 PUBLIC = {"shift.nav": "clock_offset.nav"}
+COARSE_SHARE = 0.002
+"""Half the interval of a step that the values' spectrum tells, by the step."""
 ROUNDED_S = {
     "actuation_delay",
     "control_period",
@@ -165,6 +167,23 @@ def lost(steps: LostSteps) -> Finding:
     )
 
 
+def coarse(step_rpm: float) -> Finding:
+    """Return the finding of wheel speeds that come in steps."""
+    half = COARSE_SHARE * step_rpm
+    finding = Finding(
+        verdict=Verdict.NAMED,
+        causes=("encoder_quantization",),
+        block=CAUSES["encoder_quantization"].block,
+        parameters={
+            "encoder_quantization": Parameter(
+                value=step_rpm, ci95=(step_rpm - half, step_rpm + half), unit="rpm"
+            )
+        },
+        p_adjusted=0.001,
+    )
+    return finding.model_copy(update={"explanation": explain_finding(finding)})
+
+
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
     """Return the finding of positions thrown aside, if there are more than noise explains."""
     stack = problem.stack
@@ -211,9 +230,13 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
     """Return the plant terms that the findings switch on."""
     out = []
     for index, finding in enumerate(findings):
-        if index not in fitted:
+        if index in fitted:
+            names = tuple(fitted[index].terms)
+        elif finding.causes == ("encoder_quantization",):
+            names = finding.causes  # told by the values alone
+        else:
             continue
-        for name in fitted[index].terms:
+        for name in names:
             if name in PUBLIC or name not in finding.parameters:
                 continue
             parameter = finding.parameters[name]

@@ -65,11 +65,14 @@ class Problem:
         By channel.
     weights : ndarray, shape (n,)
         1, or 0 for outliers.
+    ripples : bool
+        The drive hunts in a way that no replay can follow: what it leaves is noise.
     """
 
     stage: DriveStage | PoseStage
     noise: dict[str, NoiseModel] = field(default_factory=dict)
     weights: Array = field(default_factory=lambda: np.zeros(0))
+    ripples: bool = False
 
     def __post_init__(self) -> None:
         self.weights = np.ones(len(self.stage.stack))
@@ -218,7 +221,7 @@ class Problem:
             return
         for name in self.stack.channels:
             parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
-            if isinstance(self.stage, DriveStage):
+            if isinstance(self.stage, DriveStage) and not self.ripples:
                 self.noise[name] = noise_of_neighbours(parts)
             else:
                 self.noise[name] = plain_noise(parts) or fit_noise(parts)

@@ -190,9 +190,11 @@ def _searched(
         return problem.point(point.model.plus(c, (value,)), point.poses).deviance
 
     starts = [c for c in starts if not c.linear]
-    tried = [(deviance(c, c.start[0]), c) for c in starts]
-    least, best = min(tried, key=lambda item: item[0])
-    theta, null = best.start[0], best.null[0]
+    begin = [(c, theta) for c in starts for theta in c.start]
+    begin += [(starts[0], theta) for theta in starts[0].tried]
+    tried = [(deviance(c, theta), c, theta) for c, theta in begin]
+    least, best, theta = min(tried, key=lambda item: item[0])
+    null = best.null[0]
     far = theta - null if abs(null) < FAR_NULL else theta
     stride = FIRST_STRIDE
     while stride > LAST_STRIDE:

@@ -8,8 +8,9 @@ import numpy as np
 from hilserver.diagnosis.drift import with_drift
 from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.identifiability import Rival, prune, settle
+from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, fit
-from hilserver.diagnosis.screen import Scores
+from hilserver.diagnosis.screen import GROSS, Scores
 from hilserver.diagnosis.scrubbing import late_turn, scrubs
 from hilserver.diagnosis.selection import Selected, worth_a_name
 from hilserver.diagnosis.stages import Prepared
@@ -22,6 +23,7 @@ from hilserver.diagnosis.structure import (
 )
 
 LEAST_GAIN = 10.0
+LEFT_SHARE = 0.1
 
 
 @dataclass
@@ -69,6 +71,10 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
             less = fit(problem, point.model.without(index), point, iterations=3)
             rows += _left_out(point, less, "dropped", "too small to be worth a name")
             point = less
+    if fails(p, point):
+        rows += _left_out(point, p.base, "dropped", "far more remains than it explains")
+        point, drift = problem.point(Model(), p.base.poses), {}
+        unknown = []
     if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
     scrubbed = scrubs(problem, point, unknown)
@@ -78,6 +84,18 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         point = less
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base), scrubbed)
+
+
+def fails(p: Prepared, point: Point) -> bool:
+    """Return whether causes of the drive leave a gross misfit, and no small part of all there was.
+
+    Sensors of the drive have no memory: what is left then is no noise, and whatever makes it may
+    well make the rest, too.
+    """
+    gross = point.deviance > GROSS * len(point.left)
+    if p.problem.stage.name != "drive" or not point.model.fitted or not gross:
+        return False
+    return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
 
 
 def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:

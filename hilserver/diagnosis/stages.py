@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.columns import Library
+from hilserver.diagnosis.comb import coarse_step
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
 from hilserver.diagnosis.library import Candidate, drive_candidates, pose_candidates
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.screen import GROSS
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.parameters import RobotParameters
@@ -54,11 +56,18 @@ DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 @dataclass
 class Prepared:
-    """One stage, ready to be judged."""
+    """One stage, ready to be judged.
+
+    Attributes
+    ----------
+    coarse_rpm : float or None
+        Step that the wheel speeds come in, large enough to keep the loop from coming to rest.
+    """
 
     problem: Problem
     library: Library
     base: Point
+    coarse_rpm: float | None = None
 
 
 def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
@@ -238,6 +247,12 @@ def prepare(
     base = problem.point(Model(), poses, pose_steps=2)
     problem.learn_noise(problem.residual(base.predicted))
     base = problem.point(Model(), base.poses)
+    coarse_rpm = _coarse(problem, base)
+    if coarse_rpm is not None:
+        candidates = [c for c in candidates if c.cause != "encoder_quantization"]
+        problem.ripples = True
+        problem.learn_noise(problem.residual(base.predicted))
+        base = problem.point(Model(), base.poses)
     raw: list[NDArray[np.float32]] = []
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         for i, column in enumerate(pool.map(lambda c: problem.column(base, c), candidates)):
@@ -247,7 +262,21 @@ def prepare(
     clean(problem, library, base)
     base = problem.point(Model(), base.poses)
     library.rewhiten(base)
-    return Prepared(problem, library, base), reasons
+    return Prepared(problem, library, base, coarse_rpm), reasons
+
+
+def _coarse(problem: Problem, base: Point) -> float | None:
+    """Return the step of coarse wheel speeds where the replay of smooth ones misses grossly.
+
+    A loop on a coarse speed hunts about its set-point, and no replay hunts in step with it for
+    long: the measured values themselves tell the step, and the ripple counts as noise.
+    """
+    names = [n for n in SPEEDS if n in problem.stack.edges]
+    if not isinstance(problem.stage, DriveStage) or base.deviance < GROSS * len(base.left):
+        return None
+    parts = [problem.stack.edges[n] for n in names]
+    values = problem.stack.values
+    return coarse_step([values[e] for e in parts], [base.predicted[e] for e in parts])
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:

@@ -1,0 +1,99 @@
+"""The steps that a recorded quantity comes in, below its noise: a line in its values' spectrum.
+
+Of values rounded to whole multiples of q the characteristic function has a line at 1/q, however
+much noise is added, and noise of deviation s weakens it by exp(-2 pi^2 s^2 / q^2).
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MOST = 12
+FEWEST = 500
+NOTICEABLE = 0.02
+CLEAR, TIMES = 0.05, 5.0
+"""Least coefficient of a rounded quantity, and by how much it exceeds that of a smooth one."""
+LEAST_STEP_RPM, LARGEST_STEP_RPM = 0.2, 6.0
+SAMPLES = 6_000
+
+
+def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
+    """Return the step that like quantities come in; None if they are smooth.
+
+    Parameters
+    ----------
+    channels, smooth : sequence of ndarray, shape (n,)
+        Measured values, and what they would be without rounding.
+    """
+    best = None
+    for step in quanta(channels, LEAST_STEP_RPM, LARGEST_STEP_RPM):
+        pairs = [lattice(v, s, step) for v, s in zip(channels, smooth, strict=True)]
+        rounded, follows = (float(np.mean(part)) for part in zip(*pairs, strict=True))
+        if rounded > max(CLEAR, TIMES * follows) and (best is None or rounded > best[0]):
+            best = (rounded, step)
+    return None if best is None else best[1]
+
+
+def quanta(channels: Iterable[Array], least: float, largest: float) -> tuple[float, ...]:
+    """Return steps between `least` and `largest` in which values seem to come, the clearest first.
+
+    Parameters
+    ----------
+    channels : iterable of ndarray, shape (n,)
+        Values of like channels.
+    """
+    values = [v[:: max(1, len(v) // SAMPLES)] for v in channels if len(v) >= FEWEST]
+    if not values:
+        return ()
+    low, high = min(v.min() for v in values), max(v.max() for v in values)
+    bin_width = least / 8.0
+    if not bin_width < high - low < 1e6 * bin_width:
+        return ()
+    edges = np.arange(low, high + 2.0 * bin_width, bin_width)
+    power = np.zeros(len(edges) // 2 + 1)
+    for v in values:
+        counts, _ = np.histogram(v, edges)
+        line = np.abs(np.fft.rfft(counts, n=len(edges))) / len(v)
+        power[: len(line)] += line / len(values)
+    frequency = np.arange(len(power)) / (len(edges) * bin_width)
+    inside = (frequency >= 1.0 / largest) & (frequency <= 1.0 / least)
+    power = np.where(inside, power, 0.0)
+    found: list[float] = []
+    while len(found) < MOST and power.max(initial=0.0) > NOTICEABLE:
+        peak = int(power.argmax())
+        found.append(1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1])))
+        power[max(peak - 3, 0) : peak + 4] = 0.0
+    return tuple(found)
+
+
+def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
+    """Return how far values lie on multiples of a step, and how far they follow smooth ones.
+
+    Parameters
+    ----------
+    values, smooth : ndarray, shape (n,)
+        Measured values, and what they would be without rounding.
+
+    Returns
+    -------
+    tuple of float
+        Coefficients of ``exp(2 pi i values/q)`` on 1 and on ``exp(2 pi i smooth/q)``: the first is
+        there with rounding only, the second without. Both fall with the noise.
+    """
+    turned = 2j * np.pi / step
+    columns = np.stack([np.ones(len(values)), np.exp(turned * smooth)], axis=1)
+    gram = columns.conj().T @ columns + 1e-3 * len(values) * np.eye(2)
+    rounded, follows = np.linalg.solve(gram, columns.conj().T @ np.exp(turned * values))
+    return float(rounded.real), float(abs(follows))
+
+
+def _sharpened(values: list[Array], frequency: float, width: float) -> float:
+    """Return the frequency of the line near one of the discrete transform."""
+    for _ in range(8):
+        tries = frequency + width * np.linspace(-1.0, 1.0, 9)
+        size = [sum(abs(np.exp(2j * np.pi * f * v).mean()) for v in values) for f in tries]
+        frequency, width = float(tries[int(np.argmax(size))]), 0.3 * width
+    return frequency
