@@ -4,16 +4,17 @@ Of values rounded to whole multiples of q the characteristic function has a line
 much noise is added, and noise of deviation s weakens it by exp(-2 pi^2 s^2 / q^2).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MOST = 12
+MOST = 8
 FEWEST = 500
 NOTICEABLE = 0.02
+PADDED = 4
 CLEAR, TIMES = 0.05, 5.0
 """Least coefficient of a rounded quantity, and by how much it exceeds that of a smooth one."""
 LEAST_STEP_RPM, LARGEST_STEP_RPM = 0.2, 6.0
@@ -29,7 +30,7 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
         Measured values, and what they would be without rounding.
     """
     best = None
-    for step in quanta(channels, LEAST_STEP_RPM, LARGEST_STEP_RPM):
+    for step in _suspects(channels, smooth):
         pairs = [lattice(v, s, step) for v, s in zip(channels, smooth, strict=True)]
         rounded, follows = (float(np.mean(part)) for part in zip(*pairs, strict=True))
         if rounded > max(CLEAR, TIMES * follows) and (best is None or rounded > best[0]):
@@ -37,36 +38,40 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
     return None if best is None else best[1]
 
 
-def quanta(channels: Iterable[Array], least: float, largest: float) -> tuple[float, ...]:
-    """Return steps between `least` and `largest` in which values seem to come, the clearest first.
-
-    Parameters
-    ----------
-    channels : iterable of ndarray, shape (n,)
-        Values of like channels.
-    """
-    values = [v[:: max(1, len(v) // SAMPLES)] for v in channels if len(v) >= FEWEST]
-    if not values:
-        return ()
-    low, high = min(v.min() for v in values), max(v.max() for v in values)
-    bin_width = least / 8.0
-    if not bin_width < high - low < 1e6 * bin_width:
-        return ()
-    edges = np.arange(low, high + 2.0 * bin_width, bin_width)
-    power = np.zeros(len(edges) // 2 + 1)
-    for v in values:
-        counts, _ = np.histogram(v, edges)
-        line = np.abs(np.fft.rfft(counts, n=len(edges))) / len(v)
-        power[: len(line)] += line / len(values)
-    frequency = np.arange(len(power)) / (len(edges) * bin_width)
-    inside = (frequency >= 1.0 / largest) & (frequency <= 1.0 / least)
-    power = np.where(inside, power, 0.0)
+def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]:
+    """Return steps whose lines stand out of the spectrum of the smooth values."""
+    thinned = [
+        (v[:: max(1, len(v) // SAMPLES)], s[:: max(1, len(v) // SAMPLES)])
+        for v, s in zip(channels, smooth, strict=True)
+        if len(v) >= FEWEST
+    ]
+    if not thinned:
+        return []
+    low, high = min(v.min() for v, _ in thinned), max(v.max() for v, _ in thinned)
+    width = LEAST_STEP_RPM / 8.0
+    if not width < high - low < 1e6 * width:
+        return []
+    edges = np.arange(low, high + 2.0 * width, width)
+    frequency = np.arange(PADDED * len(edges) // 2 + 1) / (PADDED * len(edges) * width)
+    line = np.zeros(len(frequency))
+    for v, s in thinned:
+        noise = 1.4826 * float(np.median(np.abs(v - s)))
+        faded = np.exp(-2.0 * (np.pi * noise * frequency) ** 2)
+        line += (_spectrum(v, edges) - faded * _spectrum(s, edges)) / len(thinned)
+    inside = (frequency >= 1.0 / LARGEST_STEP_RPM) & (frequency <= 1.0 / LEAST_STEP_RPM)
+    line = np.where(inside, line, 0.0)
     found: list[float] = []
-    while len(found) < MOST and power.max(initial=0.0) > NOTICEABLE:
-        peak = int(power.argmax())
+    while len(found) < MOST and line.max(initial=0.0) > NOTICEABLE:
+        peak = int(line.argmax())
+        values = [v for v, _ in thinned]
         found.append(1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1])))
-        power[max(peak - 3, 0) : peak + 4] = 0.0
-    return tuple(found)
+        line[max(peak - PADDED, 0) : peak + PADDED + 1] = 0.0
+    return found
+
+
+def _spectrum(values: Array, edges: Array) -> Array:
+    counts, _ = np.histogram(values, edges)
+    return np.asarray(np.abs(np.fft.rfft(counts, n=PADDED * len(edges))) / len(values))
 
 
 def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
