@@ -43,6 +43,7 @@ from hilserver.diagnosis.stages import (
     prepare_all,
     standing,
     vocabulary_reasons,
+    without_motion,
 )
 from hilserver.diagnosis.vocabulary import CAUSES
 
@@ -73,6 +74,11 @@ class Difference:
     p: float
     gain: float
     dof: float
+
+    @property
+    def is_worth_a_name(self) -> bool:
+        """Whether the values lie as far apart as the cause's least size."""
+        return abs(self.values[1] - self.values[0]) >= self.candidate.least
 
 
 def together(a: MeasuredLog, b: MeasuredLog) -> tuple[MeasuredLog, NDArray[np.bool_]]:
@@ -115,7 +121,7 @@ def compare(
     both = [check(one, robot) for one in (log, other)]
     faults = [finding for checked in both for finding in checked.findings]
     cleaned = [checked.log for checked in both]
-    if any(standing(one, robot) for one in cleaned):
+    if any(standing(one, robot) or without_motion(one, robot) for one in cleaned):
         cleaned = [on_a_frame(one) for one in cleaned]
     pooled, second = together(*cleaned)
     prepared, reasons = prepare_all(
@@ -131,7 +137,7 @@ def compare(
     )
     for name, p in prepared.items():
         differences += differences_of(name, p, shared[name].point, second, runs)
-    count = max(len({d.candidate.cause for d in differences}), 1)
+    count = max(len({d.candidate.label for d in differences}), 1)
     differences = [replace(d, p=min(d.p * count, 1.0)) for d in differences]
     found = _findings(differences, prepared)
     detectable = _detectable(differences, count)
@@ -276,7 +282,8 @@ def _findings(differences: Sequence[Difference], prepared: dict[str, Prepared]) 
     found = []
     for stage, p in prepared.items():
         mine = sorted(
-            (d for d in differences if d.stage == stage and d.p < LEVEL), key=lambda d: -d.gain
+            (d for d in differences if d.stage == stage and d.p < LEVEL and d.is_worth_a_name),
+            key=lambda d: -d.gain,
         )
         if not mine:
             continue
@@ -329,7 +336,7 @@ def _detectable(differences: Sequence[Difference], count: int) -> tuple[Detectab
     sizes: dict[str, Detectable] = {}
     for d in differences:
         aim = float(stats.t.ppf(1.0 - 0.5 * LEVEL / count, max(d.dof, 1.0))) + 0.95
-        size = aim * float(np.hypot(*d.errors))
+        size = max(aim * float(np.hypot(*d.errors)), d.candidate.least)
         cause = d.candidate.cause
         if cause not in sizes or size < sizes[cause].size:
             name = next(iter(d.candidate.terms(d.candidate.start)))

@@ -89,20 +89,34 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
 
     Its kinematics cannot be judged then: they would all be wrong by the same whole.
     """
-    if GYRO not in log or not log.has(*SPEEDS):
+    turn = _asked_turn(log, robot)
+    if turn is None or not _turning(turn):
         return False
+    return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < STANDS
+
+
+def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
+    """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
+    turn = _asked_turn(log, robot)
+    return turn is not None and not log.has(*POSITION) and not _turning(turn)
+
+
+def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
+    """Return the turn rate [rad/s] that the wheels ask for at the gyro's samples."""
+    if GYRO not in log or not log.has(*SPEEDS):
+        return None
     at = log[GYRO].t_s
     left, right = (
         0.5 * sum(np.interp(at, log[n].t_s, log[n].values) for n in SPEEDS[part])
         for part in (slice(0, 2), slice(2, 4))
     )
     p = robot.pack()
-    radius_left, radius_right = p[P_RADIUS_LEFT], p[P_RADIUS_RIGHT]
-    turn = p[P_YAW_GAIN] * (radius_left * left + radius_right * right) * 2.0 * np.pi / 60.0
-    power = float(turn @ turn)
-    if power < TURNED_RAD_S**2 * len(turn):
-        return False
-    return abs(float(turn @ log[GYRO].values) / power) < STANDS
+    rims = p[P_RADIUS_LEFT] * left + p[P_RADIUS_RIGHT] * right
+    return np.asarray(p[P_YAW_GAIN] * rims * 2.0 * np.pi / 60.0)
+
+
+def _turning(turn: Array) -> bool:
+    return float(turn @ turn) >= TURNED_RAD_S**2 * len(turn)
 
 
 def on_a_frame(log: MeasuredLog) -> MeasuredLog:

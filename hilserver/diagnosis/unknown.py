@@ -5,7 +5,7 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -45,6 +45,8 @@ class Family:
 
 
 GRID_S = 0.02
+ANCHORS_OUTSIDE = 0.1
+"""How far outside of the driven place ranging anchors are taken to stand, by its width."""
 
 
 class _Motion:
@@ -82,18 +84,29 @@ class _Motion:
 
     def column(self, dv: Array, dvy: Array, dom: Array) -> Array:
         """Return the raw column of a disturbance of the body velocity."""
-        out = np.zeros(len(self.problem.stack))
         yaw = self._integrate(dom)
         z = (dv + 1j * dvy) * np.exp(1j * self.yaw)
         velocity = self.v * np.exp(1j * self.yaw)
         place = self._integrate(z + 1j * yaw * velocity)
+        return self._sampled(
+            {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}
+        )
+
+    def _sampled(self, sources: Mapping[str, Array]) -> Array:
+        """Return what channels show of signals on the grid; the others show nothing."""
+        out = np.zeros(len(self.problem.stack))
         for name, edge in self.problem.stack.edges.items():
-            source = {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}[name]
-            at = self.at[edge]
+            if name not in sources:
+                continue
+            source, at = sources[name], self.at[edge]
             low = np.minimum(at.astype(np.int64), len(source) - 1)
             high = np.minimum(low + 1, len(source) - 1)
             out[edge] = source[low] + (at - low) * (source[high] - source[low])
         return out
+
+    def placed(self, dx: Array, dy: Array) -> Array:
+        """Return the raw column of an offset of the measured position."""
+        return self._sampled({POSITION[0]: dx, POSITION[1]: dy})
 
     def _integrate(self, rate: Array) -> Array:
         total = np.cumsum(rate) * self.dt
@@ -150,6 +163,7 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
         shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
                   np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
         families.append(family("place", POSITION, shapes))
+        families.append(_ranging(m))
     size, spin = np.abs(v) / (np.abs(v).max() + 1e-9), np.abs(om) / (np.abs(om).max() + 1e-9)
     speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
              m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
@@ -181,6 +195,25 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     found = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
     families.append(_periodic_pose(m, found))
     return families
+
+
+def _ranging(m: _Motion) -> Family:
+    """Return how the position moves where one of four ranging anchors measures too long.
+
+    Nobody knows where the anchors are: they are taken to stand about the place where the robot
+    drove. Least squares of the four ranges moves by ``(H'H)^-1 H' e``, H the directions to them.
+    """
+    low = np.array([m.x.min(), m.y.min()])
+    high = np.array([m.x.max(), m.y.max()])
+    margin = ANCHORS_OUTSIDE * (high - low) + 0.5
+    (x0, y0), (x1, y1) = low - margin, high + margin
+    anchors = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    away = np.stack([m.x, m.y], axis=1)[:, None, :] - anchors
+    away = away / np.linalg.norm(away, axis=2, keepdims=True)
+    normal = np.linalg.inv(np.einsum("nki,nkj->nij", away, away))
+    moved = np.einsum("nij,nkj->kni", normal, away)
+    columns = [m.placed(*field.T) for field in moved]
+    return Family("ranging", POSITION, np.stack(columns, axis=1))
 
 
 def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, ...]:
