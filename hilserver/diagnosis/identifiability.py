@@ -118,9 +118,15 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
 
 
 def deviations(difference: Array, more: float = 0.0) -> float:
-    """Return how clearly differences of deviance, by block, lie on one side: sum by its error."""
+    """Return how clearly differences of deviance, by block, lie on one side: sum by its error.
+
+    As they are, or bounded, whichever is clearer: of a cause that changes along the log, the half
+    of the blocks that its mean fits worse would outvote the others.
+    """
     bounded = np.clip(difference, -ENOUGH, ENOUGH)
-    return float((bounded.sum() + more) / (np.sqrt((bounded**2).sum()) + 1e-9))
+    return max(
+        float((d.sum() + more) / (np.sqrt((d**2).sum()) + 1e-9)) for d in (difference, bounded)
+    )
 
 
 def settle(library: Library, point: Point) -> tuple[Point, dict[str, list[Rival]]]:

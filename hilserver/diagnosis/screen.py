@@ -95,7 +95,7 @@ def directions(block: Array) -> Array:
     """Return the directions of a candidate's whitened columns: four for two parameters."""
     if block.shape[1] == 1:
         return block
-    norm = np.sqrt((block**2).sum(axis=0)) + 1e-300
+    norm = np.sqrt((block**2).sum(axis=0)) + 1e-30
     return np.asarray((block / norm) @ np.array(SQUARE).T)
 
 
@@ -134,7 +134,7 @@ def orthogonal(columns: Array, accepted: Array | None) -> Array:
     """Take the accepted causes' columns out of others."""
     if accepted is None or accepted.shape[1] == 0:
         return columns
-    base, _ = np.linalg.qr(accepted / (np.sqrt((accepted**2).sum(axis=0)) + 1e-300))
+    base, _ = np.linalg.qr(accepted / (np.sqrt((accepted**2).sum(axis=0)) + 1e-30))
     return np.asarray(columns - base @ (base.T @ columns))
 
 
@@ -154,7 +154,7 @@ def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = Non
     if accepted is None or accepted.shape[1] == 0:
         per = blocks.products(columns, left[:, None])[:, :, 0]
     else:
-        accepted = accepted / (np.sqrt((accepted**2).sum(axis=0)) + 1e-300)
+        accepted = accepted / (np.sqrt((accepted**2).sum(axis=0)) + 1e-30)
         product = blocks.products(columns, np.column_stack([left, accepted]))
         inner = blocks.products(accepted, np.column_stack([left, accepted]))
         cross, gram = product[:, :, 1:], inner[:, :, 1:]

@@ -31,6 +31,8 @@ TRIALS = 8
 """Candidates of a round that are fitted: those with the largest linear gain, ..."""
 MOST_FITTED = 3
 """... and of these in full."""
+MOST_SHAPES = 4
+"""Shapes of a cause that are fitted where much is left to explain."""
 PROMISING = 0.5
 """Share of the best trial's gain from which the shape of another is worth a search."""
 TIE = 4.0
@@ -114,20 +116,27 @@ def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
     return sum(saved) > LEAST_SAVED and min(saved) > -1.0
 
 
-def best_starts(scores: Scores, library: Library) -> list[tuple[int, float]]:
+def best_starts(
+    scores: Scores, library: Library, *, gross: bool = False
+) -> list[tuple[int, float]]:
     """Return the candidates that could explain most, with their linear gain; one of each cause.
 
     Where much is left to explain no cause is linear any more, so significance is asked of the fit
-    and not of the screen.
+    and not of the screen; and of a cause with a shape several are tried.
     """
     found: dict[str, tuple[int, float]] = {}
+    shapes: dict[int, float] = {}
     for j, owner in enumerate(library.owner):
         c, gain = library.candidates[owner], float(scores.gain[j])
         if gain < LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
             continue
+        if gross and c.moved is not None:
+            shapes[int(owner)] = max(gain, shapes.get(int(owner), 0.0))
         if c.cause not in found or gain > found[c.cause][1]:
             found[c.cause] = (int(owner), gain)
-    return sorted(found.values(), key=lambda item: -item[1])
+    out = sorted(found.values(), key=lambda item: -item[1])[:TRIALS]
+    more = sorted(shapes.items(), key=lambda item: -item[1])[:MOST_SHAPES]
+    return out + [item for item in more if item[0] not in {index for index, _ in out}]
 
 
 def wald(problem: Problem, point: Point, index: int) -> float:
@@ -308,7 +317,7 @@ def _forward(
         if np.abs(scores.t).max(initial=0.0) < limit and not gross:
             break
         trials: list[Trial] = []
-        for index, _ in best_starts(scores, library)[:TRIALS]:
+        for index, _ in best_starts(scores, library, gross=gross):
             mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
             t = float(mine.max())
             p = float(adjusted(np.array([t]), maxima)[0])

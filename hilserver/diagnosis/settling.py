@@ -71,10 +71,9 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
             less = fit(problem, point.model.without(index), point, iterations=3)
             rows += _left_out(point, less, "dropped", "too small to be worth a name")
             point = less
-    if fails(p, point):
+    if not drift and fails(p, point):
         rows += _left_out(point, p.base, "dropped", "far more remains than it explains")
-        point, drift = problem.point(Model(), p.base.poses), {}
-        unknown = []
+        point, unknown = problem.point(Model(), p.base.poses), []
     if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
     scrubbed = scrubs(problem, point, unknown)
