@@ -1,5 +1,8 @@
 """Errors that a user can mend: one sentence each, with the exit code of spec "Commands"."""
 
+import difflib
+from collections.abc import Iterable
+
 EXIT_DONE = 0
 EXIT_FAILED = 1
 EXIT_BAD_LOG = 2
@@ -27,3 +30,20 @@ class ConfigError(UserError):
     """A configuration or patch that cannot be used."""
 
     exit_code = EXIT_BAD_CONFIGURATION
+
+
+_ALIKE = 0.6
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the name that was probably meant: one spelt alike, or the first that holds it."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=_ALIKE)
+    holds = [n for n in names if name and name.lower() in n.lower()]
+    return next(iter([*close, *holds]), None)
+
+
+def meant(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return the hint behind a name that does not exist."""
+    near = nearest(name, known)
+    return otherwise if near is None else f"did you mean '{near}'?"

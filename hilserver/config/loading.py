@@ -1,6 +1,5 @@
 """From a YAML file to a validated model; every complaint names file, line and key."""
 
-import difflib
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from hilserver.errors import ConfigError
+from hilserver.errors import ConfigError, meant
 
 Model = TypeVar("Model", bound=BaseModel)
 Path_ = Sequence[str | int]
@@ -187,8 +186,7 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     key = _key(location)
     if kind == "extra_forbidden":
         known = _keys_at(model, location[:-1])
-        close = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(sorted(known))}"
+        hint = meant(str(location[-1]), known, f"known are {', '.join(sorted(known))}")
         return f"unknown key '{key}'; {hint}"
     if kind == "missing":
         return f"key '{key}' is missing"

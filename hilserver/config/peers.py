@@ -5,7 +5,6 @@ may number its namespaces anew after a restart) or ``ns=<index>;s=<name>``.
 """
 
 import base64
-import difflib
 import re
 import uuid
 from collections.abc import Iterable, Iterator
@@ -17,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from hilserver.config.peer_security import PeerSecurity
 from hilserver.config.server import is_loopback
+from hilserver.errors import meant
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
 _NAMESPACE_MAX = 2**16 - 1
@@ -288,9 +288,8 @@ def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
 
 
 def _unknown(signal: str, names: Iterable[str]) -> str:
-    close = difflib.get_close_matches(signal, names, n=1)
-    hint = f": did you mean '{close[0]}'?" if close else ": see 'hilserver signals'"
-    return f"there is no signal '{signal}'{hint}"
+    hint = meant(signal, names, "see 'hilserver signals'")
+    return f"there is no signal '{signal}': {hint}"
 
 
 def _first_duplicate(names: Iterable[str]) -> str | None:

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.data import Array
 from hilserver.diagnosis.mapping import LogMapping
 from hilserver.diagnosis.messages import Decoder
-from hilserver.diagnosis.names import closest
 from hilserver.diagnosis.tables import Recording, Stamped, refuse_absurd
-from hilserver.errors import LogError
+from hilserver.errors import LogError, meant
 from hilserver.logs.mcap_reader import records_of
 
 SUFFIXES = (".db3", ".mcap")
@@ -87,7 +86,7 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
             known = f"the topics are {', '.join(sorted(topics)):.200}"
             raise LogError(
                 f"{path}: there is no topic '{channel.topic}', which the mapping names for {name};"
-                f" {closest(str(channel.topic), topics, known)}"
+                f" {meant(str(channel.topic), topics, known)}"
             )
     notices = [notice for bag in bags for notice in bag.notices]
     parts = []

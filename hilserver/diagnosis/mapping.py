@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hilserver.config.loading import load, place
 from hilserver.config.plant import PlantConfig
-from hilserver.diagnosis.names import closest, conversion, known_signals, units_of
-from hilserver.errors import ConfigError, LogError
+from hilserver.diagnosis.names import conversion, known_signals, units_of
+from hilserver.errors import ConfigError, LogError, meant
 
 PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANY_NUMBER = "1"
@@ -163,7 +163,7 @@ def _complaint(name: str, channel: ChannelMap) -> tuple[tuple[str, ...], str] | 
     """Return key and sentence of what is wrong with a channel."""
     known = known_signals()
     if name not in known:
-        hint = closest(name, known, "see 'hilserver signals' for the names")
+        hint = meant(name, known, "see 'hilserver signals' for the names")
         return (), f"there is no such signal; {hint}"
     wanted = known[name].unit
     if channel.unit == ANY_NUMBER and channel.scale is not None:

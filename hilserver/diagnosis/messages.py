@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Array
-from hilserver.diagnosis.names import closest
-from hilserver.errors import LogError
+from hilserver.errors import LogError, meant
 
 _EDUART = {
     "iotbot_interface/msg/RotationSpeed": (
@@ -96,7 +95,7 @@ class Decoder:
             return read(message)
         except AttributeError:
             known = _fields(message)
-            hint = closest(text, known, f"it has {', '.join(known):.200}")
+            hint = meant(text, known, f"it has {', '.join(known):.200}")
             raise LogError(f"{self._where}: there is no field '{text}'; {hint}") from None
         except IndexError:
             raise LogError(

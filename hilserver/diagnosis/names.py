@@ -1,8 +1,6 @@
 """Which signals a measured log may hold, and which units fit them."""
 
-import difflib
 import math
-from collections.abc import Iterable
 from functools import cache
 
 from hilserver.plant.parameters import RobotParameters
@@ -42,12 +40,6 @@ def is_input(name: str) -> bool:
     """Return whether a signal is commanded, not measured."""
     signal = known_signals().get(name.removeprefix(MEASURED))
     return signal is not None and signal.direction is Direction.IN
-
-
-def closest(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return the hint behind a name that does not exist."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f"did you mean '{close[0]}'?" if close else otherwise
 
 
 _DIMENSIONS: dict[str, dict[str, float]] = {

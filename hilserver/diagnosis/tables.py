@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Array
 from hilserver.diagnosis.mapping import PER_SECOND, ColumnMap, LogMapping
-from hilserver.diagnosis.names import closest, is_input, known_columns, known_signals
+from hilserver.diagnosis.names import is_input, known_columns, known_signals
 from hilserver.diagnosis.parquet import read_parquet
-from hilserver.errors import LogError
+from hilserver.errors import LogError, meant
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
 from hilserver.signals import MEASURED
@@ -102,7 +102,7 @@ def read_own_parquet(path: Path) -> Recording:
     known = (*known_columns(), TIME, SEGMENT, BLOCK)
     for name in table.header:
         if name not in known:
-            hint = closest(name, known, "see 'hilserver signals' for the names")
+            hint = meant(name, known, "see 'hilserver signals' for the names")
             raise LogError(f"{path}: column '{name}': there is no such signal; {hint}")
     measured = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
     segment = table.integers(SEGMENT)
@@ -157,7 +157,7 @@ def _whole_numbers(table: Table, named: ColumnMap | None, default: str) -> NDArr
 
 def _demand(table: Table, column: str, key: str) -> None:
     if column not in table.header:
-        hint = closest(column, table.header, f"the columns are {', '.join(table.header):.200}")
+        hint = meant(column, table.header, f"the columns are {', '.join(table.header):.200}")
         raise LogError(
             f"{table.path}: row 1: there is no column '{column}', which the mapping names for"
             f" {key}; {hint}"

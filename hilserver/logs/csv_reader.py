@@ -1,7 +1,6 @@
 """CSV logs, ours and others': strict about what would mislead, lenient about a torn last line."""
 
 import csv
-import difflib
 import json
 import math
 import zlib
@@ -14,7 +13,7 @@ from typing import Any, TextIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.errors import LogError
+from hilserver.errors import LogError, meant
 from hilserver.logs.csv_fast import parse_clean
 from hilserver.logs.csv_writer import meta_path, unpack_state
 from hilserver.logs.log import Log, State
@@ -100,8 +99,7 @@ class _Names:
         return name in self._all or (self._known is not None and name in self._known)
 
     def hint(self, name: str) -> str:
-        close = difflib.get_close_matches(name, self._all, n=1, cutoff=0.5)
-        return f"did you mean '{close[0]}'?" if close else "see 'hilserver signals' for the names"
+        return meant(name, self._all, "see 'hilserver signals' for the names")
 
 
 def _where(path: Path, line: int, header: Sequence[str], name: str) -> str:

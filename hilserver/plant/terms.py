@@ -8,12 +8,12 @@ Shape parameters (a phase, a region) act only while another part of their cause 
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib.resources import files
 from math import inf, isfinite
 from types import MappingProxyType
 from typing import Final
 
+from hilserver.errors import meant
 from hilserver.plant.errors import PlantError
 
 
@@ -96,9 +96,8 @@ def main_part(name: str) -> str:
         if term.cause == name:
             return term.name
     causes = list(dict.fromkeys(term.cause for term in TERMS.values()))
-    close = get_close_matches(name, [*causes, *TERMS], n=1)
-    hint = f": did you mean {close[0]!r}?" if close else f"; the causes are {', '.join(causes)}."
-    msg = f"plant.terms.{name}: there is no such term{hint}"
+    hint = meant(name, [*causes, *TERMS], f"the causes are {', '.join(causes)}.")
+    msg = f"plant.terms.{name}: there is no such term: {hint}"
     raise PlantError(msg)
 
 

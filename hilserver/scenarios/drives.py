@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from typing import Any, Final
 
 import numpy as np
 from hilserver_injector import Recipe, Recorder
 
-from hilserver.errors import FailedError
+from hilserver.errors import FailedError, meant
 from hilserver.scenarios.expectation import Drive, Expectation, Scenario
 
 Random = np.random.Generator
@@ -257,7 +256,6 @@ def scenario(name: str) -> Scenario:
     """
     if name in SCENARIOS:
         return SCENARIOS[name]
-    close = get_close_matches(name, SCENARIOS, n=1)
-    hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SCENARIOS)}."
+    hint = meant(name, SCENARIOS, f"there are {', '.join(SCENARIOS)}.")
     msg = f"no scenario is called {name!r}; {hint}"
     raise FailedError(msg)
