@@ -1,5 +1,7 @@
 """Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
@@ -10,6 +12,17 @@ Array = NDArray[np.float64]
 
 MODEL_SHARE = 0.005
 """Share of a value that the plant's own steps of time may cost: no machine runs at them."""
+ABRUPT_SHARE: Final = {
+    "coulomb_friction": 0.02,
+    "stribeck_friction": 0.02,
+    "wheel_load": 0.02,
+    "battery_sag": 0.015,
+    "controller_gains": 0.01,
+}
+"""The same for what is decided anew at every step: whether a wheel sticks, what the loop answers.
+
+Measured against a machine in continuous time (`hilserver bench diagnose --class single`).
+"""
 
 
 def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[Array, int]:
@@ -47,7 +60,9 @@ def intervals(problem: Problem, point: Point, extra: Array | None = None) -> Arr
         Standard deviations to add for what is rounded (a delay to whole ticks).
     """
     cov, dof = covariance(problem, point, problem.accepted(point))
-    variance = np.diag(cov) + (MODEL_SHARE * point.model.theta()) ** 2
+    fitted = point.model.fitted
+    share = [ABRUPT_SHARE.get(f.candidate.cause, MODEL_SHARE) for f in fitted for _ in f.theta]
+    variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2
     if extra is not None:
         variance += extra**2
     half = stats.t.ppf(0.975, max(dof, 2)) * np.sqrt(variance)

@@ -19,7 +19,8 @@ from hilserver.plant.parameters import RobotParameters
 
 MUCH = -0.15
 """Smaller differences of the rotation gain are dimensions rather than tyres."""
-LATE_S = 0.015
+LATE_S = 0.02
+LATENCIES = ("imu_latency", "yaw_latency", "clock_offset")
 TURNING = "velocity.angular_rad_s"
 SMALLEST_RATIO, LARGEST_RATIO = 0.2, 20.0
 
@@ -37,9 +38,9 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
 
 
 def late_turn(point: Point) -> int | None:
-    """Return the index of a turn rate that is late by no more than tyres can make it."""
+    """Return the index of a latency of the turn that is no longer than tyres can make it."""
     for index, f in enumerate(point.model.fitted):
-        if f.candidate.cause == "imu_latency" and 0.0 < f.theta[0] < LATE_S:
+        if f.candidate.cause in LATENCIES and 0.0 < f.theta[0] < LATE_S:
             return index
     return None
 

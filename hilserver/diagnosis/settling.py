@@ -62,7 +62,9 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
     drift: dict[str, float] = {}
     changing = with_drift(p.library, point, rng)
-    if changing.p and changing.gain > max((u.gain for u in unknown), default=0.0):
+    left = point.deviance - changing.gain
+    clear = problem.stage.name != "drive" or left < GROSS * len(point.left)
+    if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
         why = "another cause changes along the log"
         rows += _left_out(point, changing.point, "dropped", why)
         point, drift, unknown = changing.point, changing.p, []

@@ -1,13 +1,15 @@
 """The ratio of friction across to friction along that turns like a rotation gain."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.diagnosis.findings import Parameter
 from hilserver.diagnosis.library import pose_candidates
-from hilserver.diagnosis.model import Fitted
-from hilserver.diagnosis.scrubbing import as_friction
+from hilserver.diagnosis.model import Fitted, Model
+from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.scrubbing import as_friction, late_turn
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
@@ -33,3 +35,15 @@ def test_it_is_the_inverse_of_the_plant(ratio):
 @pytest.mark.parametrize("a", [-0.999, 5.0])
 def test_a_gain_that_no_friction_makes_has_no_ratio(a):
     assert told(a) is None
+
+
+@pytest.mark.parametrize(
+    ("cause", "late_s", "expected"),
+    [("imu_latency", 0.008, 0), ("clock_offset", 0.015, 0), ("imu_latency", 0.05, None),
+     ("clock_offset", -0.01, None), ("rotation_gain", 0.01, None)],
+)  # fmt: skip
+def test_only_a_short_latency_is_what_tyres_make(cause, late_s, expected):
+    candidate = next(c for c in pose_candidates(None) if c.cause == cause)
+    model = Model((Fitted(candidate, (late_s,)),))
+    none = np.zeros(0)
+    assert late_turn(Point(model, none, none, none, none, none)) == expected
