@@ -111,7 +111,7 @@ def _one(
     span_of_block: NDArray[np.int64],
 ) -> tuple[tuple[float, float], tuple[float, float], float, float, float] | None:
     """Return estimates, errors, p, gain and degrees of freedom of one direction."""
-    values, variances, counts, infos = [], [], [], []
+    values, variances, counts, infos, repeats = [], [], [], [], []
     for side in sides:
         g, i = score[side], information[side]
         used = i > 1e-9
@@ -129,12 +129,15 @@ def _one(
             between = float(np.var(per, ddof=1)) / len(names)
             if between > variance:
                 variance, count, value = between, len(names) - 1, float(np.mean(per))
+        repeats.append(len(names) if count == len(names) - 1 else 0)
         values.append(value)
         variances.append(max(variance, 1.0 / total))
         counts.append(count)
         infos.append(total)
     both = variances[0] + variances[1]
     dof = both**2 / sum(v**2 / c for v, c in zip(variances, counts, strict=True))
+    if repeats[0] == repeats[1] > 1:  # of equally many runs Student's test holds, too
+        dof = float(sum(counts))
     t = (values[1] - values[0]) / np.sqrt(both)
     p = float(2.0 * stats.t.sf(abs(t), dof))
     gain = (values[1] - values[0]) ** 2 / (1.0 / infos[0] + 1.0 / infos[1])

@@ -19,7 +19,7 @@ from hilserver.plant.parameters import RobotParameters
 
 MUCH = -0.15
 """Smaller differences of the rotation gain are dimensions rather than tyres."""
-LATE_S = 0.02
+LATE_S = 0.03
 LATENCIES = ("imu_latency", "yaw_latency", "clock_offset")
 TURNING = "velocity.angular_rad_s"
 SMALLEST_RATIO, LARGEST_RATIO = 0.2, 20.0

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.checks.support import along
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.comb import coarse_step
 from hilserver.diagnosis.data import MeasuredLog
@@ -51,6 +52,8 @@ NEEDS_STAMPS = {
 
 TURNED_RAD_S, STANDS = 0.1, 0.05
 """Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
+MOVED_RAD_S = 0.02
+"""Turn rate that is more than the noise of wheel speeds."""
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 
@@ -90,7 +93,7 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
     Its kinematics cannot be judged then: they would all be wrong by the same whole.
     """
     turn = _asked_turn(log, robot)
-    if turn is None or not _turning(turn):
+    if turn is None or not _turning(turn, TURNED_RAD_S):
         return False
     return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < STANDS
 
@@ -98,16 +101,16 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
 def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
     """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
     turn = _asked_turn(log, robot)
-    return turn is not None and not log.has(*POSITION) and not _turning(turn)
+    return turn is not None and not log.has(*POSITION) and not _turning(turn, MOVED_RAD_S)
 
 
 def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     """Return the turn rate [rad/s] that the wheels ask for at the gyro's samples."""
     if GYRO not in log or not log.has(*SPEEDS):
         return None
-    at = log[GYRO].t_s
+    at = along(log[GYRO])
     left, right = (
-        0.5 * sum(np.interp(at, log[n].t_s, log[n].values) for n in SPEEDS[part])
+        0.5 * sum(np.interp(at, along(log[n]), log[n].values) for n in SPEEDS[part])
         for part in (slice(0, 2), slice(2, 4))
     )
     p = robot.pack()
@@ -115,8 +118,8 @@ def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     return np.asarray(p[P_YAW_GAIN] * rims * 2.0 * np.pi / 60.0)
 
 
-def _turning(turn: Array) -> bool:
-    return float(turn @ turn) >= TURNED_RAD_S**2 * len(turn)
+def _turning(turn: Array, least_rad_s: float) -> bool:
+    return float(turn @ turn) >= least_rad_s**2 * len(turn)
 
 
 def on_a_frame(log: MeasuredLog) -> MeasuredLog:
