@@ -79,7 +79,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
     scrubbed = scrubs(problem, point, unknown)
-    if scrubbed and (late := late_turn(point)) is not None:
+    while scrubbed and (late := late_turn(point)) is not None:
         less = fit(problem, point.model.without(late), point, iterations=3)
         rows += _left_out(point, less, "dropped", "tyres that scrub make the turn late as well")
         point = less
