@@ -47,6 +47,8 @@ Tell = Callable[[str, float], None]
 
 HORIZON_S = 5.0
 LOST_SHARE = 0.01
+CEILING_DIGITS = 5
+"""The rest of a ceiling hangs on how many threads share its large products."""
 DRIVEN = ("speed_rpm", "duty_pct")
 
 
@@ -158,7 +160,7 @@ def judge(
         baseline={key: gain.before for key, gain in totals.items()},
         findings=tuple(found),
         total_gain=totals if fitted else {},
-        ceiling=ceiling,
+        ceiling={key: float(f"{ratio:.{CEILING_DIGITS}g}") for key, ratio in ceiling.items()},
         smallest_detectable=tuple(sizes),
         not_judged=(
             *unseen,
