@@ -35,6 +35,8 @@ MOST_SHAPES = 4
 """Shapes of a cause that are fitted where much is left to explain."""
 PROMISING = 0.5
 """Share of the best trial's gain from which the shape of another is worth a search."""
+NEARLY = 1.1
+"""Variance of the whitened residual that is noise but for the noise model's own error."""
 TIE = 4.0
 """Deviance within which two causes explain the data alike, per parameter."""
 LEAST_LINEAR, LEAST_GAIN, LEAST_SAVED = 9.0, 10.0, 8.0
@@ -219,11 +221,17 @@ def _searched(
 
 
 def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Trial]:
-    """Search the shapes of those trials that could win with a better one; the best first."""
+    """Search the shapes of those trials that could win with a better one; the best first.
+
+    Where the best trial explains a gross misfit nearly whole, no shape of another can do better.
+    """
     most = max((trial.gain for trial in trials), default=0.0)
+    n = len(point.left)
+    whole = point.deviance > GROSS * n and point.deviance - most < NEARLY * n
+    least = most if whole else PROMISING * most
     out = []
     for trial in trials:
-        if trial.candidate.moved is None or trial.gain < PROMISING * most:
+        if trial.candidate.moved is None or trial.gain < least:
             out.append(trial)
             continue
         moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
