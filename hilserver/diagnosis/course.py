@@ -32,10 +32,8 @@ def courses(problem: Problem, point: Point, causes: set[str]) -> list[Course]:
     accepted = problem.accepted(point)
     if accepted is None:
         return []
-    windows, out, begin = _windows(problem), [], 0
-    for f in point.model.fitted:
-        mine = slice(begin, begin + f.candidate.n)
-        begin = mine.stop
+    windows, out = _windows(problem), []
+    for f, mine in zip(point.model.fitted, point.model.slices, strict=True):
         if f.candidate.cause in causes:
             out += _of(problem, point, f, accepted[:, mine], windows)
     return out

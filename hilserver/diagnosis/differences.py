@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.problem import Point
 from hilserver.diagnosis.screen import Scores, score
 from hilserver.diagnosis.stages import Prepared
@@ -94,10 +94,9 @@ def _own_scores(
     index = next((k for k, f in enumerate(point.model.fitted) if f.candidate.label == c.label), -1)
     if index < 0:
         return None
-    begin = sum(f.candidate.n for f in point.model.fitted[:index])
     accepted = library.problem.accepted(point)
     assert accepted is not None
-    others = np.delete(accepted, np.s_[begin : begin + c.n], axis=1)
+    others = np.delete(accepted, point.model.slices[index], axis=1)
     order = library.blocks.order
     scores = score(library.columns[:, mine], point.left[order], library.blocks, others[order])
     return scores, np.asarray(point.model.fitted[index].theta) - np.asarray(c.null)

@@ -13,8 +13,8 @@ from hilserver.diagnosis.findings import Detectable, Finding, Parameter, Verdict
 from hilserver.diagnosis.identifiability import GROUP_COSINE, rivals
 from hilserver.diagnosis.outcome import unit_of
 from hilserver.diagnosis.problem import Point
-from hilserver.diagnosis.selection import TIE
 from hilserver.diagnosis.stages import Prepared
+from hilserver.diagnosis.trial import TIE
 from hilserver.diagnosis.vocabulary import CAUSES
 
 LEVEL = 0.01

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
@@ -76,14 +76,11 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
     s = score((accepted * course(problem))[order], point.left[order], blocks, accepted[order])
     maxima = null_maxima([s], rng)
     p = adjusted(s.t, maxima)
-    out: dict[str, float] = {}
-    begin = 0
-    for f in point.model.fitted:
-        part = slice(begin, begin + f.candidate.n)
-        begin += f.candidate.n
-        if p[part].min() < LEVEL and s.gain[part].max() > LEAST_GAIN:
-            out[f.candidate.cause] = float(p[part].min())
-    return out
+    return {
+        cause: float(p[mine].min())
+        for cause, mine in zip(point.model.causes, point.model.slices, strict=True)
+        if p[mine].min() < LEVEL and s.gain[mine].max() > LEAST_GAIN
+    }
 
 
 def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drifting:
@@ -221,8 +218,7 @@ def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
     problem, f = library.problem, point.model.fitted[index]
     accepted = problem.accepted(point)
     assert accepted is not None
-    begin = sum(g.candidate.n for g in point.model.fitted[:index])
-    mine = np.s_[begin : begin + f.candidate.n]
+    mine = point.model.slices[index]
     others = np.delete(accepted, mine, axis=1)
     away = np.asarray(f.theta) - np.asarray(f.candidate.null)
     target = orthogonal((point.left + accepted[:, mine] @ away)[:, None], others)[:, 0]

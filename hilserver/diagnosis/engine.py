@@ -24,6 +24,7 @@ from hilserver.diagnosis.findings import (
     Overall,
 )
 from hilserver.diagnosis.gain import crossed, gains, held_out, reported
+from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.other_logs import gain_on
 from hilserver.diagnosis.outcome import coarse, extension, lost, named, outliers, structure
@@ -39,7 +40,6 @@ from hilserver.diagnosis.stages import (
     standing,
     vocabulary_reasons,
 )
-from hilserver.diagnosis.unknown import lost_steps
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.selection import TIE, possible
+from hilserver.diagnosis.trial import TIE, possible
 
 Array = NDArray[np.float64]
 
@@ -63,11 +63,10 @@ def cosines(library: Library, point: Point, index: int) -> Array:
     columns = problem.accepted(point)
     assert columns is not None
     columns = columns[library.blocks.order]
-    begin = sum(g.candidate.n for g in point.model.fitted[:index])
-    end = begin + f.candidate.n
+    part = point.model.slices[index]
     away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    mine = columns[:, begin:end] @ away if f.candidate.linear else columns[:, begin]
-    base = orthonormal(np.delete(columns, np.s_[begin:end], axis=1))
+    mine = columns[:, part] @ away if f.candidate.linear else columns[:, part.start]
+    base = orthonormal(np.delete(columns, part, axis=1))
     mine = mine - base @ (base.T @ mine)
     theirs = library.columns.astype(np.float64).T
     along, with_base = theirs @ mine, theirs @ base

@@ -6,167 +6,16 @@ screen takes the best of them.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
-Theta = Sequence[float]
-StageName = Literal["drive", "pose"]
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One direction, or a few together, in which the plant can be changed.
-
-    Attributes
-    ----------
-    cause : str
-        Public name.
-    label : str
-        Unique name of this candidate.
-    stage : str
-        Which residuals judge it.
-    start : tuple of float
-        Values of the parameters from which a fit begins.
-    null : tuple of float
-        Values at which it changes nothing.
-    step : tuple of float
-        Physical steps of the finite differences.
-    terms : callable
-        From values to terms of the plant (and ``shift.*``).
-    low, high : tuple of float
-        What is physically possible.
-    least : float
-        Size (largest parameter) below which it is not worth a name.
-    linear : bool
-        Whether the effect is about linear, so that the screen may extrapolate.
-    hidden : int
-        Parameters of its shape that were searched over, beside the fitted ones.
-    tried : tuple of float
-        More values to begin from where much is left to explain.
-    moved : callable, optional
-        From a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
-        shape, for a finer search.
-    """
-
-    cause: str
-    label: str
-    stage: StageName
-    start: tuple[float, ...]
-    null: tuple[float, ...]
-    step: tuple[float, ...]
-    terms: Callable[[Theta], dict[str, float]]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    least: float
-    linear: bool = True
-    hidden: int = 0
-    tried: tuple[float, ...] = ()
-    moved: "Callable[[float], Candidate] | None" = None
-
-    @property
-    def weight(self) -> int:
-        """Parameters that it costs, fitted and hidden."""
-        return self.n + self.hidden
-
-    @property
-    def n(self) -> int:
-        """Number of parameters."""
-        return len(self.start)
-
-    @property
-    def beginning(self) -> tuple[float, ...]:
-        """Where a fit begins: the start value, or just off null."""
-        if not self.linear:
-            return self.start
-        return tuple(n + 1e-3 * s for n, s in zip(self.null, self.step, strict=True))
-
-
-def _one(
-    name: str,
-    stage: StageName,
-    step: float,
-    least: float,
-    low: float = -math.inf,
-    high: float = math.inf,
-) -> Candidate:
-    return Candidate(
-        cause=name.partition(".")[0],
-        label=name,
-        stage=stage,
-        start=(0.0,),
-        null=(0.0,),
-        step=(step,),
-        terms=lambda theta: {name: float(theta[0])},
-        low=(low,),
-        high=(high,),
-        least=least,
-    )
-
-
-def _grid(
-    name: str,
-    stage: StageName,
-    null: float,
-    values: Sequence[float],
-    step: float,
-    least: float,
-    low: float,
-    high: float,
-) -> list[Candidate]:
-    """One candidate per start value of a parameter whose effect is not linear."""
-    return [
-        Candidate(
-            cause=name.partition(".")[0],
-            label=f"{name}@{value:g}",
-            stage=stage,
-            start=(value,),
-            null=(null,),
-            step=(step,),
-            terms=lambda theta: {name: float(theta[0])},
-            low=(low,),
-            high=(high,),
-            least=least,
-            linear=False,
-        )
-        for value in values
-    ]
-
-
-def _several(
-    cause: str,
-    label: str,
-    stage: StageName,
-    names: Sequence[str],
-    step: Sequence[float],
-    least: float,
-    fixed: Mapping[str, float] | None = None,
-    low: float = -math.inf,
-    high: float = math.inf,
-) -> Candidate:
-    held = dict(fixed or {})
-
-    def terms(theta: Theta) -> dict[str, float]:
-        return {**dict(zip(names, map(float, theta), strict=True)), **held}
-
-    n = len(names)
-    zero = (0.0,) * n
-    return Candidate(
-        cause, label, stage, zero, zero, tuple(step), terms, (low,) * n, (high,) * n, least
-    )
-
-
-def _wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Candidate:
-    """Amplitude and phase, fitted as cosine and sine parts."""
-
-    def terms(theta: Theta) -> dict[str, float]:
-        size = math.hypot(theta[0], theta[1])
-        return {amplitude: size, phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0}
-
-    zero, far = (0.0, 0.0), (0.5, 0.5)
-    low = (-0.5, -0.5)
-    return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)
-
+from hilserver.diagnosis.candidate import (
+    Candidate,
+    StageName,
+    several,
+    single,
+    start_grid,
+    wave,
+)
 
 DELAYS_S = (0.01, 0.04, 0.15, 0.4)
 LATE_S = (0.15, 0.4)
@@ -182,15 +31,15 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
     """Return the candidates that set-points, wheel speeds and duties judge."""
     stage: StageName = "drive"
     found = [
-        _one("process_gain", stage, 0.02, 0.005, -0.6, 2.0),
-        _one("time_constant", stage, 0.05, 0.02, -0.7, 3.0),
-        _one("coulomb_friction", stage, 0.5, 0.2, 0.0, 60.0),
-        _one("viscous_load", stage, 0.02, 0.005, 0.0, 2.0),
-        _one("dead_zone", stage, 0.5, 0.25, 0.0, 40.0),
-        _one("battery_sag", stage, 0.3, 0.15, 0.0, 3.0),
-        _one("controller_gains.p", stage, -0.05, 0.03, -0.9, 2.0),
-        _one("controller_gains.i", stage, -0.05, 0.05, -0.9, 3.0),
-        _several(
+        single("process_gain", stage, 0.02, 0.005, -0.6, 2.0),
+        single("time_constant", stage, 0.05, 0.02, -0.7, 3.0),
+        single("coulomb_friction", stage, 0.5, 0.2, 0.0, 60.0),
+        single("viscous_load", stage, 0.02, 0.005, 0.0, 2.0),
+        single("dead_zone", stage, 0.5, 0.25, 0.0, 40.0),
+        single("battery_sag", stage, 0.3, 0.15, 0.0, 3.0),
+        single("controller_gains.p", stage, -0.05, 0.03, -0.9, 2.0),
+        single("controller_gains.i", stage, -0.05, 0.05, -0.9, 3.0),
+        several(
             "controller_gains",
             "controller_gains",
             stage,
@@ -203,7 +52,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
         ),
     ]
     found += [
-        _several(
+        several(
             "wheel_load",
             f"wheel_load@{wheel}",
             stage,
@@ -218,13 +67,13 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
     ]
     found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
     limits = [limit for limit in LIMITS_PCT if limit < limit_pct]
-    found += _grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
-    found += _grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
-    found += _grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
-    periods = _grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
+    found += start_grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
+    found += start_grid("actuation_delay", stage, 0.0, DELAYS_S, 0.002, 0.002, 0.0, 0.9)
+    found += start_grid("setpoint_rate_limit", stage, 1e9, RATES_RPM_S, -10.0, 0.0, 1.0, 1e5)
+    periods = start_grid("control_period", stage, 0.001, PERIODS_S, 0.001, 0.0015, 0.001, 0.02)
     found += [replace(c, tried=USUAL_PERIODS_S) for c in periods]
-    found += _grid("encoder_filter", stage, 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2)
-    found += _grid("encoder_quantization", stage, 0.0, QUANTA_RPM, 0.1, 0.2, 0.0, 20.0)
+    found += start_grid("encoder_filter", stage, 0.0, (0.005, 0.02), 0.001, 0.001, 0.0, 0.2)
+    found += start_grid("encoder_quantization", stage, 0.0, QUANTA_RPM, 0.1, 0.2, 0.0, 20.0)
     return found
 
 
@@ -238,29 +87,29 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
     """
     stage: StageName = "pose"
     found = [
-        _one("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0),
+        single("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0),
         # 10 m with it cost about half the heading of a full turn with the least rotation_gain
-        _one("wheel_radius_difference", stage, 0.005, 0.0005, -0.5, 0.5),
-        _one("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
-        _one("rotation_gain_speed", stage, 0.05, 0.02, -2.0, 5.0),
-        _one("rotation_gain_radius", stage, 0.05, 0.02, -0.95, 5.0),
-        _one("longitudinal_slip", stage, 0.03, 0.01, -0.5, 2.0),
-        _one("acceleration_slip", stage, 0.02, 0.01, 0.0, 2.0),
-        _one("side_slip", stage, 0.03, 0.015, -2.0, 2.0),
-        _one("icr_offset", stage, 0.02, 0.006, -0.5, 0.5),
-        _one("wheel_misalignment", stage, 0.01, 0.003, -0.5, 0.5),
-        _one("nav_frame_yaw", stage, 0.01, 0.005, -3.2, 3.2),
-        _one("nav_latency", stage, 0.02, 0.008, 0.0, 1.5),
-        _one("yaw_latency", stage, 0.02, 0.01, 0.0, 1.5),
-        _one("nav_scale", stage, 0.01, 0.003, -0.5, 1.0),
-        _one("gyro_bias", stage, 0.002, 0.0005, -1.0, 1.0),
-        _one("gyro_scale", stage, 0.01, 0.003, -0.95, 3.0),
-        _one("imu_latency", stage, 0.01, 0.004, 0.0, 1.5),
-        *_grid("imu_latency", stage, 0.0, LATE_S, 0.01, 0.004, 0.0, 1.5),
-        *_grid("yaw_latency", stage, 0.0, LATE_S, 0.02, 0.01, 0.0, 1.5),
-        *_grid("nav_latency", stage, 0.0, LATE_S, 0.02, 0.008, 0.0, 1.5),
-        replace(_one("shift.nav", stage, 0.02, 0.01, -1.5, 1.5), cause="clock_offset"),
-        _several(
+        single("wheel_radius_difference", stage, 0.005, 0.0005, -0.5, 0.5),
+        single("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
+        single("rotation_gain_speed", stage, 0.05, 0.02, -2.0, 5.0),
+        single("rotation_gain_radius", stage, 0.05, 0.02, -0.95, 5.0),
+        single("longitudinal_slip", stage, 0.03, 0.01, -0.5, 2.0),
+        single("acceleration_slip", stage, 0.02, 0.01, 0.0, 2.0),
+        single("side_slip", stage, 0.03, 0.015, -2.0, 2.0),
+        single("icr_offset", stage, 0.02, 0.006, -0.5, 0.5),
+        single("wheel_misalignment", stage, 0.01, 0.003, -0.5, 0.5),
+        single("nav_frame_yaw", stage, 0.01, 0.005, -3.2, 3.2),
+        single("nav_latency", stage, 0.02, 0.008, 0.0, 1.5),
+        single("yaw_latency", stage, 0.02, 0.01, 0.0, 1.5),
+        single("nav_scale", stage, 0.01, 0.003, -0.5, 1.0),
+        single("gyro_bias", stage, 0.002, 0.0005, -1.0, 1.0),
+        single("gyro_scale", stage, 0.01, 0.003, -0.95, 3.0),
+        single("imu_latency", stage, 0.01, 0.004, 0.0, 1.5),
+        *start_grid("imu_latency", stage, 0.0, LATE_S, 0.01, 0.004, 0.0, 1.5),
+        *start_grid("yaw_latency", stage, 0.0, LATE_S, 0.02, 0.01, 0.0, 1.5),
+        *start_grid("nav_latency", stage, 0.0, LATE_S, 0.02, 0.008, 0.0, 1.5),
+        replace(single("shift.nav", stage, 0.02, 0.01, -1.5, 1.5), cause="clock_offset"),
+        several(
             "floor_slope",
             "floor_slope",
             stage,
@@ -271,7 +120,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
             -0.5,
             0.5,
         ),
-        _several(
+        several(
             "nav_lever_arm",
             "nav_lever_arm",
             stage,
@@ -282,29 +131,27 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
             -2.0,
             2.0,
         ),
-        _wave(
+        wave(
             "heading_distortion",
             "heading_distortion.1",
             "heading_distortion.a1",
             "heading_distortion.phase1",
             0.005,
         ),
-        _wave(
+        wave(
             "heading_distortion",
             "heading_distortion.2",
             "heading_distortion.a2",
             "heading_distortion.phase2",
             0.005,
         ),
-        _wave(
-            "wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005
-        ),
+        wave("wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005),
     ]
     if place is not None:
         found += _surfaces(place)
         found += [
             replace(
-                _several(
+                several(
                     "nav_position_bias",
                     f"nav_position_bias@{length:g}",
                     stage,
@@ -323,7 +170,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
 
 
 def _stribeck(n_s: float) -> Candidate:
-    candidate = _several(
+    candidate = several(
         "stribeck_friction",
         f"stribeck_friction@{n_s:.3g}",
         "drive",
@@ -352,7 +199,7 @@ def _surfaces(place: tuple[float, float, float, float]) -> list[Candidate]:
 
 def _surface(axis: str, side: str, edge: float) -> Candidate:
     region = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
-    candidate = _several(
+    candidate = several(
         "surface_change",
         f"surface_change@{axis}_{side}={edge:.3f}",
         "pose",

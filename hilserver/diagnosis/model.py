@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.library import Candidate
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -50,18 +51,24 @@ class Model:
         """Names of the causes."""
         return tuple(f.candidate.cause for f in self.fitted)
 
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        """Where each cause's parameters lie in `theta`, and its columns in `Problem.accepted`."""
+        ends = accumulate((f.candidate.n for f in self.fitted), initial=0)
+        return tuple(slice(begin, end) for begin, end in pairwise(ends))
+
     def theta(self) -> Array:
         """Return all parameters in one vector."""
         return np.array([v for f in self.fitted for v in f.theta])
 
     def with_theta(self, theta: Array) -> "Model":
         """Return the model with other values of its parameters."""
-        fitted, begin = [], 0
-        for f in self.fitted:
-            end = begin + f.candidate.n
-            fitted.append(Fitted(f.candidate, tuple(float(v) for v in theta[begin:end])))
-            begin = end
-        return Model(tuple(fitted))
+        return Model(
+            tuple(
+                Fitted(f.candidate, tuple(float(v) for v in theta[mine]))
+                for f, mine in zip(self.fitted, self.slices, strict=True)
+            )
+        )
 
     def plus(self, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
         """Return the model with one more cause."""

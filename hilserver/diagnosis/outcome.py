@@ -11,11 +11,11 @@ from hilserver.diagnosis.explain import explain_finding, separating_experiment
 from hilserver.diagnosis.findings import Finding, Parameter, Verdict
 from hilserver.diagnosis.identifiability import Rival
 from hilserver.diagnosis.intervals import intervals
+from hilserver.diagnosis.lost_steps import LostSteps
 from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.scrubbing import as_friction
 from hilserver.diagnosis.structure import Unknown
-from hilserver.diagnosis.unknown import LostSteps
 from hilserver.diagnosis.vocabulary import CAUSES, part_of
 
 Array = NDArray[np.float64]
@@ -41,12 +41,8 @@ def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]
         for f in point.model.fitted for _ in f.theta
     ])  # fmt: skip
     limits = intervals(problem, point, extra)
-    out, begin = {}, 0
-    for i, f in enumerate(point.model.fitted):
-        end = begin + f.candidate.n
-        out[i] = _of(f, limits[begin:end])
-        begin = end
-    return out
+    parts = zip(point.model.fitted, point.model.slices, strict=True)
+    return {i: _of(f, limits[mine]) for i, (f, mine) in enumerate(parts)}
 
 
 def _of(f: Fitted, limits: Array) -> dict[str, Parameter]:

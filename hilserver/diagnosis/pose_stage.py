@@ -1,13 +1,10 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import uniform_filter1d
 
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.clock import LONGEST_S, cut
@@ -16,6 +13,7 @@ from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
 from hilserver.diagnosis.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.model import robot_with
 from hilserver.diagnosis.stack import make_stack
+from hilserver.diagnosis.wheel_speeds import WheelSpeeds, angles_at_starts
 from hilserver.plant.layout import N_Y, P_DT, P_SEED
 from hilserver.plant.parameters import RobotParameters
 
@@ -24,13 +22,7 @@ Array = NDArray[np.float64]
 POSITION: Final = ("nav.x_m", "nav.y_m")
 YAW: Final = "nav.yaw_rad"
 GYRO: Final = "imu.gyro_z_rad_s"
-GOES_ON_S: Final = 0.11
-"""Largest time between the last row of a segment and the first one of the next."""
 TAG: Final = (*POSITION, YAW)
-RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
-MARGIN_S: Final = 1.0
-NOISE_WINDOW_S: Final = 0.4
-NOISE_MEMORY: Final = 0.15
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""
 STRIDES: Final = (2, 10)
@@ -72,9 +64,8 @@ class PoseStage:
         self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
-        self._neighbours = neighbours(log)
-        self.left, self.right = self._sides(drive)
-        self.angle_0 = self._angles()
+        self.left, self.right = WheelSpeeds(log, self.segments, drive).sides()
+        self.angle_0 = angles_at_starts(self.left, self.segments)
         names = [n for n in (*TAG, GYRO) if n in log]
         self.stack = make_stack(log, names, self.segments, block_s=block_s)
         self.has_position = log.has(*POSITION)
@@ -243,76 +234,6 @@ class PoseStage:
             self._tag_index[name] = inverse[begin:end]
             begin = end
 
-    def _angles(self) -> Array:
-        """Return the left wheels' angle at the start of each segment, counted over the span."""
-        angle = np.zeros(len(self.segments))
-        step = 0.5 * RADIANS_PER_RPM_S * self.segments.period_s
-        lead, rows = round(self.segments.lead_s / self.segments.period_s), self.segments.first
-        for i in range(len(self.segments)):
-            if i and self.segments.span[i] == self.segments.span[i - 1]:
-                first, end = int(rows[i - 1]), int(rows[i])
-                steps = (
-                    self.segments.start_s[i] - self.segments.start_s[i - 1]
-                ) / self.segments.period_s
-                n = min(int(steps), end - first - 1)
-                # the part of a step counts: rounded, it would add up to a drift of the phase
-                whole = float(self.left[first : first + n].sum())
-                turned = (whole + (steps - n) * float(self.left[first + n])) * step
-                angle[i] = angle[i - 1] + turned
-            else:
-                angle[i] = -self.left[rows[i] : rows[i] + lead].sum() * step
-        return angle
-
-    def _sides(self, drive: tuple[DriveStage, Array] | None) -> tuple[Array, Array]:
-        """Return dense sums of both sides' wheel speeds [rpm]."""
-        sides = []
-        for wheels in ((0, 1), (2, 3)):
-            have = [w for w in wheels if SPEEDS[w] in self.log]
-            chosen = have or list(wheels)
-            total = sum(self._wheel(w, drive) for w in chosen)
-            sides.append(np.ascontiguousarray(2.0 / len(chosen) * np.asarray(total)))
-        return sides[0], sides[1]
-
-    def _wheel(self, wheel: int, drive: tuple[DriveStage, Array] | None) -> Array:
-        """Return one wheel's speed at every tick.
-
-        The closed loop's own model interpolates: simulated speed plus the interpolated difference
-        to the measured one, of its noise only the slow part. Without set-points a smooth curve goes
-        through the samples.
-        """
-        dense = np.zeros(self.segments.ticks)
-        for i in range(len(self.segments)):
-            part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
-            dense[part] = self._stretch(i, wheel, drive)
-        return dense
-
-    def _stretch(self, i: int, wheel: int, drive: tuple[DriveStage, Array] | None) -> Array:
-        times, span = self.segments.times(i), int(self.segments.span[i])
-        t, v = self._samples(SPEEDS[wheel], span, times[0] - MARGIN_S, times[-1] + MARGIN_S)
-        if drive is None:
-            if len(t) < 2:
-                return np.full(len(times), v[0] if len(v) else 0.0)
-            inside = np.clip(times, t[0], t[-1])
-            return np.asarray(PchipInterpolator(t, v)(inside))
-        stage, speed = drive
-        own = int(np.flatnonzero(stage.segments.span == span)[0])
-        part = slice(int(stage.segments.first[own]), int(stage.segments.first[own + 1]))
-        simulated = speed[part, wheel]
-        start_s, last = float(stage.segments.start_s[own]), len(simulated) - 1
-        model = _read(simulated, (times - start_s) / stage.segments.period_s, last)
-        if len(t) == 0:
-            return np.asarray(model)
-        at_samples = _read(simulated, (t - start_s) / stage.segments.period_s, last)
-        return np.asarray(model + np.interp(times, t, steadied(t, v - at_samples)))
-
-    def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
-        if name not in self.log:
-            return np.zeros(0), np.zeros(0)
-        pieces = [self.log[name].of(s) for s in self._neighbours[span]]
-        t, v = (np.concatenate(column) for column in zip(*pieces, strict=True))
-        low, high = np.searchsorted(t, [start_s, end_s])
-        return t[low:high], v[low:high]
-
 
 def stride(log: MeasuredLog) -> int:
     """Return how many plant slices a step of the pose takes."""
@@ -335,42 +256,6 @@ def begins_anew(log: MeasuredLog) -> bool:
     return all(len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts)
 
 
-def neighbours(log: MeasuredLog) -> list[list[int]]:
-    """Return each span with those before and behind it that the same drive goes on in.
-
-    Only spans of one block count: between blocks time runs on although the drive does not.
-    """
-    spans = log.spans
-    joined = [
-        a.block is not None and a.block == b.block and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
-        for a, b in pairwise(spans)
-    ]
-    out = []
-    for i in range(len(spans)):
-        first = i - 1 if i and joined[i - 1] else i
-        last = i + 1 if i < len(joined) and joined[i] else i
-        out.append(list(range(first, last + 1)))
-    return out
-
-
-def steadied(t_s: Array, difference: Array) -> Array:
-    """Return the slow part of what the drive's model leaves, if the rest of it is noise.
-
-    An encoder's noise in the speeds would make turns and ways of its own: a cause that only moves
-    them between the samples, or takes them out where the robot does not turn, would explain them.
-    What has a memory is no noise, and stays.
-    """
-    n = round(NOISE_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
-    if n < 3 or len(t_s) < 2 * n:
-        return difference
-    swing = difference - difference.mean()
-    power = float(swing @ swing)
-    for lag in (1, 2, 3, 5):
-        if abs(float(swing[lag:] @ swing[:-lag])) > NOISE_MEMORY * power:
-            return difference
-    return np.asarray(uniform_filter1d(difference, n, mode="nearest"))
-
-
 def paired(log: MeasuredLog) -> MeasuredLog:
     """Return the log with only those positions that have both coordinates."""
     if not log.has(*POSITION):
@@ -383,10 +268,3 @@ def paired(log: MeasuredLog) -> MeasuredLog:
         rows = np.isin(key, both)
         kept[name] = Channel(c.t_s[rows], c.values[rows], c.span[rows])
     return log.with_channels(kept)
-
-
-def _read(dense: Array, at: Array, last: int) -> Array:
-    """Read a dense array between its rows, held at its ends."""
-    at = np.clip(at, 0.0, last)
-    low = np.minimum(at.astype(np.int64), max(last - 1, 0))
-    return np.asarray(dense[low] + (at - low) * (dense[np.minimum(low + 1, last)] - dense[low]))

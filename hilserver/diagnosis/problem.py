@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.drive_stage import DriveStage
-from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
 from hilserver.diagnosis.pose_stage import PoseStage

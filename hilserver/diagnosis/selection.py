@@ -7,10 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.evidence import SelectionRow
-from hilserver.diagnosis.intervals import covariance
-from hilserver.diagnosis.library import Candidate
-from hilserver.diagnosis.model import Fitted, Model
+from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import (
     GROSS,
@@ -18,11 +15,10 @@ from hilserver.diagnosis.screen import (
     Scores,
     adjusted,
     critical,
-    freedom_of,
-    normal,
     null_maxima,
-    orthogonal,
 )
+from hilserver.diagnosis.shape_search import refined, searched
+from hilserver.diagnosis.trial import LEAST_SAVED, TIE, Trial, holds, physical, possible, wald
 
 Array = NDArray[np.float64]
 
@@ -33,30 +29,8 @@ MOST_FITTED = 3
 """... and of these in full."""
 MOST_SHAPES = 4
 """Shapes of a cause that are fitted where much is left to explain."""
-PROMISING = 0.5
-"""Share of the best trial's gain from which the shape of another is worth a search."""
-NEARLY = 1.1
-"""Variance of the whitened residual that is noise but for the noise model's own error."""
-TIE = 4.0
-"""Deviance within which two causes explain the data alike, per parameter."""
-LEAST_LINEAR, LEAST_GAIN, LEAST_SAVED = 9.0, 10.0, 8.0
-"""Deviance that a cause must save: linearly, in its fit, and on held-out blocks."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A candidate fitted together with what is accepted."""
-
-    candidate: Candidate
-    point: Point
-    gain: float
-    t: float
-    p: float
-
-    @property
-    def theta(self) -> tuple[float, ...]:
-        """Fitted values of the candidate's own parameters."""
-        return self.point.model.fitted[-1].theta
+LEAST_LINEAR, LEAST_GAIN = 9.0, 10.0
+"""Deviance that a cause must save: linearly, and in its fit."""
 
 
 @dataclass
@@ -74,48 +48,6 @@ class Selected:
     point: Point
     p: dict[str, float] = field(default_factory=dict)
     rows: list[SelectionRow] = field(default_factory=list)
-
-
-def possible(point: Point) -> bool:
-    """Return whether every parameter is inside its range and not at its edge."""
-    for f in point.model.fitted:
-        c = f.candidate
-        for value, low, high in zip(f.theta, c.low, c.high, strict=True):
-            width = high - low
-            margin = 1e-6 * width if np.isfinite(width) else 0.0
-            if value <= low + margin or value >= high - margin:
-                return False
-    return True
-
-
-def worth_a_name(fitted: Fitted) -> bool:
-    """Return whether a cause is as large as its least size."""
-    away = (abs(v - null) for v, null in zip(fitted.theta, fitted.candidate.null, strict=True))
-    return max(away) >= fitted.candidate.least
-
-
-def physical(point: Point) -> bool:
-    """Return whether every cause is possible and worth a name."""
-    return possible(point) and all(map(worth_a_name, point.model.fitted))
-
-
-def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
-    """Return whether a cause improves the blocks that took no part in its fit, both ways.
-
-    Each half of the blocks is predicted from a fit on the other: together they must improve
-    clearly, and neither may get worse.
-    """
-    fold = problem.stack.fold
-    saved = []
-    for test in (0, 1):
-        train = fold != test
-        if not train.any() or train.all():
-            return True
-        without = fit(problem, before.model, before, rows=train, iterations=2)
-        point = fit(problem, model, start, rows=train, iterations=2)
-        part = fold == test
-        saved.append(float((without.loss - point.loss)[part].sum()))
-    return sum(saved) > LEAST_SAVED and min(saved) > -1.0
 
 
 def best_starts(
@@ -141,23 +73,6 @@ def best_starts(
     return out + [item for item in more if item[0] not in {index for index, _ in out}]
 
 
-def wald(problem: Problem, point: Point, index: int) -> float:
-    """Return how far a fitted cause lies from its null, as a normal deviation.
-
-    The blocks that tell it from the causes beside it count, see `screen.normal`.
-    """
-    columns = problem.accepted(point)
-    assert columns is not None
-    cov, _ = covariance(problem, point, columns)
-    begin = sum(f.candidate.n for f in point.model.fitted[:index])
-    f = point.model.fitted[index]
-    part = slice(begin, begin + f.candidate.n)
-    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    t = np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0))
-    mine = orthogonal(columns[:, part] @ away[:, None], np.delete(columns, part, axis=1))
-    return float(normal(t, freedom_of(problem.stack.block_sums(mine**2)))[0])
-
-
 def attempt(
     problem: Problem,
     point: Point,
@@ -181,64 +96,11 @@ def attempt(
     c = library.candidates[index]
     begin = c.beginning
     if gross and not c.linear:
-        c, begin = _searched(problem, point, [o for o in library.candidates if o.cause == c.cause])
+        c, begin = searched(problem, point, [o for o in library.candidates if o.cause == c.cause])
     trial = fit(problem, point.model.plus(c, begin), point, iterations=3)
     if not possible(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
-
-
-def _searched(
-    problem: Problem, point: Point, starts: Sequence[Candidate]
-) -> tuple[Candidate, tuple[float, ...]]:
-    """Return the best of some starts of a cause, and a value near it that is better still.
-
-    What a delay or a limit leaves has steps: its slope says nothing of where the bottom is.
-    """
-
-    def deviance(c: Candidate, theta: float) -> float:
-        value = min(max(theta, c.low[0]), c.high[0])
-        return problem.point(point.model.plus(c, (value,)), point.poses).deviance
-
-    starts = [c for c in starts if not c.linear]
-    begin = [(c, theta) for c in starts for theta in c.start]
-    begin += [(starts[0], theta) for theta in starts[0].tried]
-    tried = [(deviance(c, theta), c, theta) for c, theta in begin]
-    least, best, theta = min(tried, key=lambda item: item[0])
-    null = best.null[0]
-    far = theta - null if abs(null) < FAR_NULL else theta
-    stride = FIRST_STRIDE
-    while stride > LAST_STRIDE:
-        for factor in (1.0 + stride, 1.0 / (1.0 + stride)):
-            moved = theta + far * (factor - 1.0)
-            found = deviance(best, moved)
-            if found < least:
-                least, theta, far = found, moved, far * factor
-                break
-        else:
-            stride *= 0.4
-    return best, (min(max(theta, best.low[0]), best.high[0]),)
-
-
-def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Trial]:
-    """Search the shapes of those trials that could win with a better one; the best first.
-
-    Where the best trial explains a gross misfit nearly whole, no shape of another can do better.
-    """
-    most = max((trial.gain for trial in trials), default=0.0)
-    n = len(point.left)
-    whole = point.deviance > GROSS * n and point.deviance - most < NEARLY * n
-    least = most if whole else PROMISING * most
-    out = []
-    for trial in trials:
-        if trial.candidate.moved is None or trial.gain < least:
-            out.append(trial)
-            continue
-        moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
-        if possible(moved):
-            candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
-            out.append(replace(trial, candidate=candidate, point=moved, gain=gain))
-    return sorted(out, key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
 
 
 LATE, TOGETHER = "nav_latency", ("clock_offset", "side_slip")
@@ -268,26 +130,6 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
             continue
         if holds(problem, point, trial.model, trial):
             return trial
-    return point
-
-
-FAR_NULL = 1e6
-"""A limit as far away as this is none: its distance from null says nothing."""
-FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
-SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
-
-
-def refine(problem: Problem, point: Point, index: int) -> Point:
-    """Search the shape of one cause: a region's edge is moved while the deviance falls."""
-    for shift_m in SHIFTS_M:
-        for side in (1.0, -1.0):
-            f = point.model.fitted[index]
-            assert f.candidate.moved is not None
-            moved = point.model.swapped(index, f.candidate.moved(side * shift_m), f.theta)
-            trial = fit(problem, moved, point, iterations=2)
-            if trial.deviance < point.deviance - 0.1:
-                point = trial
-                break
     return point
 
 

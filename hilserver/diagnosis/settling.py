@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.drift import with_drift
-from hilserver.diagnosis.evidence import SelectionRow
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, fit
 from hilserver.diagnosis.screen import GROSS, Scores
 from hilserver.diagnosis.scrubbing import late_turn, scrubs
-from hilserver.diagnosis.selection import Selected, worth_a_name
+from hilserver.diagnosis.selection import Selected
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import (
     Unknown,
@@ -21,6 +21,7 @@ from hilserver.diagnosis.structure import (
     remaining,
     without_unknown,
 )
+from hilserver.diagnosis.trial import worth_a_name
 
 LEAST_GAIN = 10.0
 LEFT_SHARE = 0.1

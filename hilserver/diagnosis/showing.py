@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis import cuts
 from hilserver.diagnosis.course import courses
 from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.dependence import dependences
 from hilserver.diagnosis.drive_stage import SPEEDS
 from hilserver.diagnosis.evidence import (
@@ -20,8 +21,6 @@ from hilserver.diagnosis.evidence import (
     HorizonRow,
     NoiseRow,
     Path,
-    ScreenRow,
-    SelectionRow,
     Series,
     Similarity,
 )

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.checks.support import along
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.comb import coarse_step
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
-from hilserver.diagnosis.library import Candidate, drive_candidates, pose_candidates
+from hilserver.diagnosis.library import drive_candidates, pose_candidates
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem

@@ -131,9 +131,7 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list
 
 def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
     """Return whether one of a family's columns explains more in the place of a cause."""
-    f = point.model.fitted[index]
-    begin = sum(g.candidate.n for g in point.model.fitted[:index])
-    mine = np.s_[begin : begin + f.candidate.n]
+    f, mine = point.model.fitted[index], point.model.slices[index]
     others = np.delete(accepted, mine, axis=1)
     own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
     target = orthogonal((point.left + own)[:, None], others)[:, 0]

@@ -5,15 +5,15 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.drive_stage import DUTIES, SETPOINTS, SPEEDS, DriveStage
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
+from hilserver.diagnosis.disturbance import Motion
+from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
+from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.plant.layout import WHEELS
 
@@ -25,6 +25,8 @@ TURNING, DRIVING = 0.2, 0.05
 """Turn rate [rad/s] and speed [m/s] from which a direction counts."""
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0
+ANCHORS_OUTSIDE = 0.1
+"""How far outside of the driven place ranging anchors are taken to stand, by its width."""
 
 
 @dataclass(frozen=True)
@@ -44,101 +46,9 @@ class Family:
     columns: Array
 
 
-GRID_S = 0.02
-ANCHORS_OUTSIDE = 0.1
-"""How far outside of the driven place ranging anchors are taken to stand, by its width."""
-
-
-class _Motion:
-    """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
-
-    def __init__(self, problem: Problem, point: Point) -> None:
-        assert isinstance(problem.stage, PoseStage)
-        stage = self.stage = problem.stage
-        stride = max(round(GRID_S / stage.period_s), 1)
-        self.problem, self.stride = problem, stride
-        dense = stage.simulate(point.model.terms, point.poses)
-        self.dt = stage.period_s * stride
-        first = stage.segments.first
-        self.rows = [np.arange(first[i], first[i + 1], stride) for i in range(len(first) - 1)]
-        take = np.concatenate(self.rows)
-        sizes = [len(r) for r in self.rows]
-        self.bounds = np.concatenate([[0], np.cumsum(sizes)])
-        self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
-        left, right = stage.left[take], stage.right[take]
-        scale = stage.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
-        self.v = (left - right) * scale
-        self.side = (left, right)
-        self.t = np.concatenate([
-            stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
-            for i, r in enumerate(self.rows)
-        ])  # fmt: skip
-        self.moving = np.tanh((np.abs(left) + np.abs(right)) / 10.0) ** 2
-        self._place_samples()
-
-    def _place_samples(self) -> None:
-        stack, first = self.problem.stack, self.stage.segments.first
-        local = (stack.at - first[stack.segment]) / self.stride
-        last = np.diff(self.bounds)[stack.segment] - 1.0
-        self.at = self.bounds[stack.segment] + np.clip(local, 0.0, last)
-
-    def column(self, dv: Array, dvy: Array, dom: Array) -> Array:
-        """Return the raw column of a disturbance of the body velocity."""
-        yaw = self._integrate(dom)
-        z = (dv + 1j * dvy) * np.exp(1j * self.yaw)
-        velocity = self.v * np.exp(1j * self.yaw)
-        place = self._integrate(z + 1j * yaw * velocity)
-        return self._sampled(
-            {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}
-        )
-
-    def _sampled(self, sources: Mapping[str, Array]) -> Array:
-        """Return what channels show of signals on the grid; the others show nothing."""
-        out = np.zeros(len(self.problem.stack))
-        for name, edge in self.problem.stack.edges.items():
-            if name not in sources:
-                continue
-            source, at = sources[name], self.at[edge]
-            low = np.minimum(at.astype(np.int64), len(source) - 1)
-            high = np.minimum(low + 1, len(source) - 1)
-            out[edge] = source[low] + (at - low) * (source[high] - source[low])
-        return out
-
-    def placed(self, dx: Array, dy: Array) -> Array:
-        """Return the raw column of an offset of the measured position."""
-        return self._sampled({POSITION[0]: dx, POSITION[1]: dy})
-
-    def _integrate(self, rate: Array) -> Array:
-        total = np.cumsum(rate) * self.dt
-        begin = self.bounds[:-1]
-        offset = total[begin]
-        return np.asarray(total - np.repeat(offset, np.diff(self.bounds)))
-
-    def last_side(self, signal: Array, least: float) -> Array:
-        """Return the side that a signal was last clearly on, +1 or -1; +1 at a segment's start."""
-        out = np.ones_like(signal)
-        for a, b in pairwise(self.bounds.tolist()):
-            clear = np.flatnonzero(np.abs(signal[a:b]) > least)
-            if not len(clear):
-                continue
-            latest = np.searchsorted(clear, np.arange(b - a), side="right") - 1
-            out[a:b] = np.sign(signal[a:b][clear[np.maximum(latest, 0)]])
-        return out
-
-    def smoothed(self, signal: Array, tau_s: float) -> Array:
-        """Return a signal's recent past: low-passed within each segment."""
-        from scipy.signal import lfilter  # noqa: PLC0415 (slow to import)
-
-        keep = float(np.exp(-self.dt / tau_s))
-        out = np.empty_like(signal)
-        for a, b in zip(self.bounds[:-1], self.bounds[1:], strict=True):
-            out[a:b] = lfilter([1.0 - keep], [1.0, -keep], signal[a:b])
-        return out
-
-
 def pose_families(problem: Problem, point: Point) -> list[Family]:
     """Return what a disturbance of the body's velocity could depend on."""
-    m = _Motion(problem, point)
+    m = Motion(problem, point)
     zero, v, om = np.zeros_like(m.v), m.v, m.om
     on = m.moving
 
@@ -197,7 +107,7 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     return families
 
 
-def _ranging(m: _Motion) -> Family:
+def _ranging(m: Motion) -> Family:
     """Return how the position moves where one of four ranging anchors measures too long.
 
     Nobody knows where the anchors are: they are taken to stand about the place where the robot
@@ -242,7 +152,7 @@ def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, 
     return tuple(out)
 
 
-def _periodic_pose(m: _Motion, found: Sequence[float]) -> Family:
+def _periodic_pose(m: Motion, found: Sequence[float]) -> Family:
     zero, columns = np.zeros_like(m.v), []
     for f in (*found, *FREQUENCIES_HZ):
         for wave in (np.cos, np.sin):
@@ -328,57 +238,3 @@ def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
         for shape in (n * np.abs(n) / 60.0, n**3 / 3600.0, np.abs(n)):
             columns += disturbed((w,), shape)[:1]
     yield (Family("speed", SPEEDS, np.stack(columns, axis=1)))
-
-
-@dataclass(frozen=True)
-class LostSteps:
-    """Set-point steps that the log shows as sent and that reached the wheels late or never.
-
-    Attributes
-    ----------
-    share : float
-        Of the steps that can be judged.
-    events, judged : int
-    """
-
-    share: float
-    events: int
-    judged: int
-
-
-LARGE_STEP_RPM = 4.0
-RESPONSE_S = 0.15
-LATE_S, SHARP_S = 0.008, 0.002
-"""A step counts as late from here on; and only if its delay is known so well."""
-
-
-def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
-    """Return how many steps of the set-points were lost on the way; None if few can be judged.
-
-    A step that waits for the next message is late by one message, others are not at all: after
-    every step the residual is compared with the slope of the simulated response.
-    """
-    assert isinstance(problem.stage, DriveStage)
-    log, stack, stage = problem.stage.log, problem.stack, problem.stage
-    residual = problem.residual(point.predicted)
-    _, seen, _ = stage.simulate(point.model.terms)
-    slope = np.gradient(seen, axis=0) / stage.segments.period_s
-    late: list[bool] = []
-    for wheel, (setpoint, speed) in enumerate(zip(SETPOINTS, SPEEDS, strict=True)):
-        if setpoint not in log or speed not in stack.edges:
-            continue
-        edge = stack.edges[speed]
-        t, r = stack.t_s[edge], residual[edge]
-        g = slope[np.rint(stack.at[edge]).astype(np.int64), wheel]
-        noise = problem.noise[speed].white_sd
-        for span in range(len(log.spans)):
-            ts, s = log[setpoint].of(span)
-            for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
-                low, high = np.searchsorted(t, [ts[a], ts[a] + RESPONSE_S])
-                power = float(g[low:high] @ g[low:high])
-                if power <= 0.0 or noise / np.sqrt(power) > SHARP_S:
-                    continue
-                late.append(-float(r[low:high] @ g[low:high]) / power > LATE_S)
-    if len(late) < 12:
-        return None
-    return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.evidence import (
     Course,
     CutRow,
@@ -12,8 +13,6 @@ from hilserver.diagnosis.evidence import (
     HorizonRow,
     NoiseRow,
     Path,
-    ScreenRow,
-    SelectionRow,
     Series,
     Similarity,
 )

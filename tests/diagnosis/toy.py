@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.clock import cut
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
-from hilserver.diagnosis.library import Candidate
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.noise import NoiseModel
 from hilserver.diagnosis.problem import Problem

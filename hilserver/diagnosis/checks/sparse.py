@@ -73,14 +73,13 @@ def _lines(channel: Channel, period_s: float) -> Channel:
     begins[first] = True
     stamps = along(channel)
     corners = subset(channel, begins)
-    before = channel.with_values(channel.values)
     at, values = along(corners), corners.values
     lasts = np.diff(at) > 1.5 * period_s
     knee = at[1:][lasts] - period_s
     at = np.concatenate([at, knee])
     values = np.concatenate([values, values[:-1][lasts]])
     order = np.argsort(at, kind="stable")
-    return before.with_values(np.interp(stamps, at[order], values[order]))
+    return channel.with_values(np.interp(stamps, at[order], values[order]))
 
 
 def _knew(channel: Channel, lines: Channel, speed: Channel, period_s: float) -> bool:

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.library import Candidate
-from hilserver.diagnosis.selection import TIE
+from hilserver.diagnosis.trial import TIE
 from hilserver.diagnosis.vocabulary import CAUSES
 
 Array = NDArray[np.float64]

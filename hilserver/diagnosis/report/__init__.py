@@ -1,7 +1,7 @@
 """report.html: what a diagnosis found, as one file that opens without a network.
 
-`words` says it to a technician, `figures` draws it with `svg`, `evidence` gives the tables behind
-it, `page` puts the three together. Colours stand in `plot.css` only, for light and dark;
+`words` says it to a technician, `figures` and `time_series` draw it with `svg`, `tables` gives what
+is behind it, `page` puts them together. Colours stand in `plot.css` only, for light and dark;
 `standalone` makes files of plots with them.
 """
 

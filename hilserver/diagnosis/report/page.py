@@ -7,6 +7,7 @@ from hilserver.diagnosis.evidence import Evidence
 from hilserver.diagnosis.findings import Finding, Findings, Verdict
 from hilserver.diagnosis.report import figures, markup, tables, words
 from hilserver.diagnosis.report.markup import section
+from hilserver.diagnosis.report.time_series import improvement, series
 
 LEAST_CHANGE = 0.03
 """Share of a residual below which a channel counts as not changed."""
@@ -120,15 +121,15 @@ def _plots(evidence: Evidence) -> str:
 def _channels(evidence: Evidence) -> str:
     """Return the channels that the extension changes, the most first; the others folded away."""
     drawn = [s for s in evidence.series if len(s.t_s) > 1]
-    drawn.sort(key=lambda s: -figures.improvement(s))
-    changed = [s for s in drawn if s.extended is None or figures.improvement(s) > 1 + LEAST_CHANGE]
+    drawn.sort(key=lambda s: -improvement(s))
+    changed = [s for s in drawn if s.extended is None or improvement(s) > 1 + LEAST_CHANGE]
     others = [s for s in drawn if all(s is not c for c in changed)]
-    shown = markup.grid(map(figures.series, changed or others))
+    shown = markup.grid(map(series, changed or others))
     if changed and others:
         shown += (
             "<details><summary>Channels that the extension does not change:"
             f" {escape(', '.join(s.name for s in others))}</summary>"
-            f"{markup.grid(map(figures.series, others))}</details>"
+            f"{markup.grid(map(series, others))}</details>"
         )
     return shown if drawn else ""
 

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from html import escape
 
+from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.evidence import (
     CutRow,
     Evidence,
     NoiseRow,
-    ScreenRow,
-    SelectionRow,
     Similarity,
 )
 from hilserver.diagnosis.explain import number

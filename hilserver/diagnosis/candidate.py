@@ -1,0 +1,165 @@
+"""A candidate: one direction in which the plant can be changed, and the usual ways to make one."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Theta = Sequence[float]
+StageName = Literal["drive", "pose"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One direction, or a few together, in which the plant can be changed.
+
+    Attributes
+    ----------
+    cause : str
+        Public name.
+    label : str
+        Unique name of this candidate.
+    stage : str
+        Which residuals judge it.
+    start : tuple of float
+        Values of the parameters from which a fit begins.
+    null : tuple of float
+        Values at which it changes nothing.
+    step : tuple of float
+        Physical steps of the finite differences.
+    terms : callable
+        From values to terms of the plant (and ``shift.*``).
+    low, high : tuple of float
+        What is physically possible.
+    least : float
+        Size (largest parameter) below which it is not worth a name.
+    linear : bool
+        Whether the effect is about linear, so that the screen may extrapolate.
+    hidden : int
+        Parameters of its shape that were searched over, beside the fitted ones.
+    tried : tuple of float
+        More values to begin from where much is left to explain.
+    moved : callable, optional
+        From a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
+        shape, for a finer search.
+    """
+
+    cause: str
+    label: str
+    stage: StageName
+    start: tuple[float, ...]
+    null: tuple[float, ...]
+    step: tuple[float, ...]
+    terms: Callable[[Theta], dict[str, float]]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    least: float
+    linear: bool = True
+    hidden: int = 0
+    tried: tuple[float, ...] = ()
+    moved: "Callable[[float], Candidate] | None" = None
+
+    @property
+    def weight(self) -> int:
+        """Parameters that it costs, fitted and hidden."""
+        return self.n + self.hidden
+
+    @property
+    def n(self) -> int:
+        """Number of parameters."""
+        return len(self.start)
+
+    @property
+    def beginning(self) -> tuple[float, ...]:
+        """Where a fit begins: the start value, or just off null."""
+        if not self.linear:
+            return self.start
+        return tuple(n + 1e-3 * s for n, s in zip(self.null, self.step, strict=True))
+
+
+def single(
+    name: str,
+    stage: StageName,
+    step: float,
+    least: float,
+    low: float = -math.inf,
+    high: float = math.inf,
+) -> Candidate:
+    """Return the candidate of one term whose effect is about linear."""
+    return Candidate(
+        cause=name.partition(".")[0],
+        label=name,
+        stage=stage,
+        start=(0.0,),
+        null=(0.0,),
+        step=(step,),
+        terms=lambda theta: {name: float(theta[0])},
+        low=(low,),
+        high=(high,),
+        least=least,
+    )
+
+
+def start_grid(
+    name: str,
+    stage: StageName,
+    null: float,
+    values: Sequence[float],
+    step: float,
+    least: float,
+    low: float,
+    high: float,
+) -> list[Candidate]:
+    """Return one candidate per start value of a parameter whose effect is not linear."""
+    return [
+        Candidate(
+            cause=name.partition(".")[0],
+            label=f"{name}@{value:g}",
+            stage=stage,
+            start=(value,),
+            null=(null,),
+            step=(step,),
+            terms=lambda theta: {name: float(theta[0])},
+            low=(low,),
+            high=(high,),
+            least=least,
+            linear=False,
+        )
+        for value in values
+    ]
+
+
+def several(
+    cause: str,
+    label: str,
+    stage: StageName,
+    names: Sequence[str],
+    step: Sequence[float],
+    least: float,
+    fixed: Mapping[str, float] | None = None,
+    low: float = -math.inf,
+    high: float = math.inf,
+) -> Candidate:
+    """Return a candidate of several terms that are fitted together, beside others held fixed."""
+    held = dict(fixed or {})
+
+    def terms(theta: Theta) -> dict[str, float]:
+        return {**dict(zip(names, map(float, theta), strict=True)), **held}
+
+    n = len(names)
+    zero = (0.0,) * n
+    return Candidate(
+        cause, label, stage, zero, zero, tuple(step), terms, (low,) * n, (high,) * n, least
+    )
+
+
+def wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Candidate:
+    """Return the candidate of an amplitude and a phase, fitted as cosine and sine parts."""
+
+    def terms(theta: Theta) -> dict[str, float]:
+        size = math.hypot(theta[0], theta[1])
+        return {amplitude: size, phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0}
+
+    zero, far = (0.0, 0.0), (0.5, 0.5)
+    low = (-0.5, -0.5)
+    return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)

@@ -1,0 +1,55 @@
+"""How the causes were found: their rows in the screen, and the decisions of the selection."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenRow:
+    """One cause in the screen.
+
+    Attributes
+    ----------
+    cause : str
+        Cause of the vocabulary; `part` its part or "".
+    statistic, critical : float
+        Robust test statistic and the value it must exceed at the family-wise level.
+    size : float
+        Estimate when it is taken alone, in `unit`.
+    standard_error : float
+        Robust one of `size`.
+    dof : float
+        Effective degrees of freedom.
+    round : int
+        0: the first screen; k: after k causes were taken up.
+    """
+
+    cause: str
+    part: str
+    statistic: float
+    critical: float
+    p_adjusted: float
+    size: float
+    standard_error: float
+    unit: str
+    dof: float
+    round: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionRow:
+    """One decision of the selection, in its order.
+
+    Attributes
+    ----------
+    action : str
+        ``taken``, ``refused``, ``swapped`` or ``dropped``.
+    held_out_gain : float or None
+        Ratio of the errors on held-out blocks that it brought.
+    reason : str
+        Half a sentence.
+    """
+
+    cause: str
+    action: str
+    held_out_gain: float | None
+    reason: str

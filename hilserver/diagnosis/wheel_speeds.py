@@ -1,0 +1,157 @@
+"""The wheels between their samples: speed at every tick, and the angle that it adds up to."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import uniform_filter1d
+
+from hilserver.diagnosis.clock import Segments
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
+
+Array = NDArray[np.float64]
+
+GOES_ON_S: Final = 0.11
+"""Largest time between the last row of a segment and the first one of the next."""
+RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
+MARGIN_S: Final = 1.0
+NOISE_WINDOW_S: Final = 0.4
+NOISE_MEMORY: Final = 0.15
+
+
+@dataclass(frozen=True)
+class WheelSpeeds:
+    """Measured wheel speeds, on the ticks of some segments.
+
+    Attributes
+    ----------
+    segments : Segments
+        Pieces of the log's spans.
+    drive : tuple of DriveStage and ndarray, or None
+        Stage of the drive and its simulated wheel speeds, shape (ticks, 4).
+    """
+
+    log: MeasuredLog
+    segments: Segments
+    drive: tuple[DriveStage, Array] | None
+
+    @cached_property
+    def _joined(self) -> list[list[int]]:
+        return neighbours(self.log)
+
+    def sides(self) -> tuple[Array, Array]:
+        """Return dense sums of both sides' wheel speeds [rpm]."""
+        sides = []
+        for wheels in ((0, 1), (2, 3)):
+            have = [w for w in wheels if SPEEDS[w] in self.log]
+            chosen = have or list(wheels)
+            total = sum(self._wheel(w) for w in chosen)
+            sides.append(np.ascontiguousarray(2.0 / len(chosen) * np.asarray(total)))
+        return sides[0], sides[1]
+
+    def _wheel(self, wheel: int) -> Array:
+        """Return one wheel's speed at every tick.
+
+        The closed loop's own model interpolates: simulated speed plus the interpolated difference
+        to the measured one, of its noise only the slow part. Without set-points a smooth curve goes
+        through the samples.
+        """
+        dense = np.zeros(self.segments.ticks)
+        for i in range(len(self.segments)):
+            part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
+            dense[part] = self._stretch(i, wheel)
+        return dense
+
+    def _stretch(self, i: int, wheel: int) -> Array:
+        times, span = self.segments.times(i), int(self.segments.span[i])
+        t, v = self._samples(SPEEDS[wheel], span, times[0] - MARGIN_S, times[-1] + MARGIN_S)
+        if self.drive is None:
+            if len(t) < 2:
+                return np.full(len(times), v[0] if len(v) else 0.0)
+            inside = np.clip(times, t[0], t[-1])
+            return np.asarray(PchipInterpolator(t, v)(inside))
+        stage, speed = self.drive
+        own = int(np.flatnonzero(stage.segments.span == span)[0])
+        part = slice(int(stage.segments.first[own]), int(stage.segments.first[own + 1]))
+        simulated = speed[part, wheel]
+        start_s, last = float(stage.segments.start_s[own]), len(simulated) - 1
+        model = _read(simulated, (times - start_s) / stage.segments.period_s, last)
+        if len(t) == 0:
+            return np.asarray(model)
+        at_samples = _read(simulated, (t - start_s) / stage.segments.period_s, last)
+        return np.asarray(model + np.interp(times, t, steadied(t, v - at_samples)))
+
+    def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
+        if name not in self.log:
+            return np.zeros(0), np.zeros(0)
+        pieces = [self.log[name].of(s) for s in self._joined[span]]
+        t, v = (np.concatenate(column) for column in zip(*pieces, strict=True))
+        low, high = np.searchsorted(t, [start_s, end_s])
+        return t[low:high], v[low:high]
+
+
+def angles_at_starts(left: Array, segments: Segments) -> Array:
+    """Return the left wheels' angle at the start of each segment, counted over the span."""
+    angle = np.zeros(len(segments))
+    step = 0.5 * RADIANS_PER_RPM_S * segments.period_s
+    lead, rows = round(segments.lead_s / segments.period_s), segments.first
+    for i in range(len(segments)):
+        if i and segments.span[i] == segments.span[i - 1]:
+            first, end = int(rows[i - 1]), int(rows[i])
+            steps = (segments.start_s[i] - segments.start_s[i - 1]) / segments.period_s
+            n = min(int(steps), end - first - 1)
+            # the part of a step counts: rounded, it would add up to a drift of the phase
+            whole = float(left[first : first + n].sum())
+            turned = (whole + (steps - n) * float(left[first + n])) * step
+            angle[i] = angle[i - 1] + turned
+        else:
+            angle[i] = -left[rows[i] : rows[i] + lead].sum() * step
+    return angle
+
+
+def neighbours(log: MeasuredLog) -> list[list[int]]:
+    """Return each span with those before and behind it that the same drive goes on in.
+
+    Only spans of one block count: between blocks time runs on although the drive does not.
+    """
+    spans = log.spans
+    joined = [
+        a.block is not None and a.block == b.block and -1e-9 <= b.start_s - a.end_s <= GOES_ON_S
+        for a, b in pairwise(spans)
+    ]
+    out = []
+    for i in range(len(spans)):
+        first = i - 1 if i and joined[i - 1] else i
+        last = i + 1 if i < len(joined) and joined[i] else i
+        out.append(list(range(first, last + 1)))
+    return out
+
+
+def steadied(t_s: Array, difference: Array) -> Array:
+    """Return the slow part of what the drive's model leaves, if the rest of it is noise.
+
+    An encoder's noise in the speeds would make turns and ways of its own: a cause that only moves
+    them between the samples, or takes them out where the robot does not turn, would explain them.
+    What has a memory is no noise, and stays.
+    """
+    n = round(NOISE_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
+    if n < 3 or len(t_s) < 2 * n:
+        return difference
+    swing = difference - difference.mean()
+    power = float(swing @ swing)
+    for lag in (1, 2, 3, 5):
+        if abs(float(swing[lag:] @ swing[:-lag])) > NOISE_MEMORY * power:
+            return difference
+    return np.asarray(uniform_filter1d(difference, n, mode="nearest"))
+
+
+def _read(dense: Array, at: Array, last: int) -> Array:
+    """Read a dense array between its rows, held at its ends."""
+    at = np.clip(at, 0.0, last)
+    low = np.minimum(at.astype(np.int64), max(last - 1, 0))
+    return np.asarray(dense[low] + (at - low) * (dense[np.minimum(low + 1, last)] - dense[low]))
