@@ -19,6 +19,10 @@ CLEAR, TIMES = 0.05, 5.0
 """Least coefficient of a rounded quantity, and by how much it exceeds that of a smooth one."""
 LEAST_STEP_RPM, LARGEST_STEP_RPM = 0.2, 6.0
 SAMPLES = 6_000
+REACH = 8
+FEW = 100
+ALIKE = 0.5
+"""Share of its coefficient that a step must have on the way from one speed to another."""
 
 
 def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
@@ -33,7 +37,8 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
     for step in _suspects(channels, smooth):
         pairs = [lattice(v, s, step) for v, s in zip(channels, smooth, strict=True)]
         rounded, follows = (float(np.mean(part)) for part in zip(*pairs, strict=True))
-        if rounded > max(CLEAR, TIMES * follows) and (best is None or rounded > best[0]):
+        clear = rounded > max(CLEAR, TIMES * follows) and (best is None or rounded > best[0])
+        if clear and on_the_way(channels, step) > ALIKE * rounded:
             best = (rounded, step)
     return None if best is None else best[1]
 
@@ -93,6 +98,22 @@ def lattice(values: Array, smooth: Array, step: float) -> tuple[float, float]:
     gram = columns.conj().T @ columns + 1e-3 * len(values) * np.eye(2)
     rounded, follows = np.linalg.solve(gram, columns.conj().T @ np.exp(turned * values))
     return float(rounded.real), float(abs(follows))
+
+
+def on_the_way(channels: Sequence[Array], step: float) -> float:
+    """Return the coefficient of values on multiples of a step while they pass by more than one.
+
+    A wheel that a load keeps from its set-points rests at few speeds, and for any few speeds there
+    is a step that they are multiples of. On the way between them only rounded ones keep to it.
+    """
+    passing = []
+    for values in channels:
+        here = values[REACH:-REACH]
+        before, after = here - values[: -2 * REACH], values[2 * REACH :] - here
+        one_way = (np.minimum(before, after) > step) | (np.maximum(before, after) < -step)
+        passing.append(here[one_way])
+    found = np.concatenate(passing)
+    return float(np.cos(2.0 * np.pi / step * found).mean()) if len(found) > FEW else 0.0
 
 
 def _sharpened(values: list[Array], frequency: float, width: float) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.trial import TIE, possible
+from hilserver.diagnosis.trial import TIE, cost, possible
 
 Array = NDArray[np.float64]
 
@@ -83,6 +83,19 @@ def cosines(library: Library, point: Point, index: int) -> Array:
     return np.minimum(out, 1.0)
 
 
+def explained(problem: Problem, point: Point, index: int) -> float:
+    """Return the deviance that an accepted cause saves, about, beside the others."""
+    f, part, columns = point.model.fitted[index], point.model.slices[index], problem.accepted(point)
+    assert columns is not None
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    if not f.candidate.linear:
+        return 0.0
+    own = columns[:, part] @ away
+    base = orthonormal(np.delete(columns, part, axis=1))
+    own = own - base @ (base.T @ own)
+    return float(own @ own)
+
+
 def orthonormal(columns: Array) -> Array:
     """Return an orthonormal base of some columns; of none, an empty one."""
     if columns.shape[1] == 0:
@@ -94,6 +107,7 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
     """Fit every confusable rival in the place of an accepted cause; the best start of each."""
     problem, accepted = library.problem, point.model.fitted[index]
     cosine = cosines(library, point, index)
+    saved = explained(problem, point, index)
     best: dict[str, int] = {}
     taken = set(point.model.causes)
     for i, c in enumerate(library.candidates):
@@ -109,7 +123,7 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
         if not possible(trial):
             continue
         difference = trial.loss - point.loss
-        penalty = TIE * (c.weight - accepted.candidate.weight)
+        penalty = cost(c, saved) - cost(accepted.candidate, saved)
         worse = float(difference.sum()) + penalty
         z = deviations(difference, penalty)
         found.append(Rival(c, trial, float(cosine[i]), worse, z))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.decisions import SelectionRow
+from hilserver.diagnosis.intervals import ABRUPT_SHARE
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import (
     GROSS,
@@ -157,7 +158,7 @@ def _forward(
     rng: np.random.Generator,
     maxima: Array,
 ) -> Selected:
-    selected = Selected(point)
+    selected, start = Selected(point), point
     for round_ in range(MOST_CAUSES):
         scores = library.scores(point)
         if round_:
@@ -174,7 +175,9 @@ def _forward(
             trial = attempt(problem, point, library, index, t, p, gross=gross)
             if trial is not None:
                 trials.append(trial)
-        accepted = _accepted(problem, point, refined(problem, point, trials), limit, selected)
+        least = max(LEAST_GAIN, own_error(point, start.deviance))
+        best = refined(problem, point, trials)
+        accepted = _accepted(problem, point, best, least, limit, selected)
         if accepted is None:
             break
         point = both_at_once(problem, accepted.point, library)
@@ -186,8 +189,28 @@ def _forward(
     return selected
 
 
+def own_error(point: Point, before: float) -> float:
+    """Return the deviance that the accepted causes may leave by their own form.
+
+    An effect that is off by a share of itself leaves the square of that share; twice the share is
+    asked, as in an interval.
+
+    Parameters
+    ----------
+    before : float
+        Deviance without any cause.
+    """
+    share = max((ABRUPT_SHARE.get(cause, 0.0) for cause in point.model.causes), default=0.0)
+    return (2.0 * share) ** 2 * max(before - point.deviance, 0.0)
+
+
 def _accepted(
-    problem: Problem, point: Point, trials: Sequence[Trial], limit: float, selected: Selected
+    problem: Problem,
+    point: Point,
+    trials: Sequence[Trial],
+    least: float,
+    limit: float,
+    selected: Selected,
 ) -> Trial | None:
     """Return the best trial that is significant and holds on blocks it was not fitted to."""
     for trial in trials[:MOST_FITTED]:
@@ -195,7 +218,7 @@ def _accepted(
         z = wald(problem, fitted, len(fitted.model.fitted) - 1)
         saved = f"saves {trial.gain:.0f} of a deviance of {point.deviance:.0f}"
         cause, why = trial.candidate.cause, None
-        if trial.gain <= LEAST_GAIN:
+        if trial.gain <= least:
             why = f"{saved}, too little"
         elif z <= limit:
             why = f"{saved}, but lies only {z:.1f} deviations from nought; {limit:.1f} are asked"

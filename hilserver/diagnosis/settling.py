@@ -18,6 +18,7 @@ from hilserver.diagnosis.structure import (
     Unknown,
     families_of,
     imitated,
+    misplaced,
     remaining,
     without_unknown,
 )
@@ -55,6 +56,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     doubtful = set(without_unknown(problem, point, unknown))
     if point.model.fitted:
         doubtful |= set(imitated(problem, point, families_of(problem, point)))
+        doubtful |= set(misplaced(problem, point))
     for index in sorted(doubtful, reverse=True):
         less = fit(problem, point.model.without(index), point, iterations=3)
         rows += _left_out(point, less, "dropped", "unknown structure explains as much")

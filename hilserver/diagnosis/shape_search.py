@@ -6,7 +6,7 @@ from dataclasses import replace
 from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import GROSS
-from hilserver.diagnosis.trial import TIE, Trial, possible
+from hilserver.diagnosis.trial import Trial, cost, possible
 
 PROMISING = 0.5
 """Share of the best trial's gain from which the shape of another is worth a search."""
@@ -68,7 +68,7 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Tri
         if possible(moved):
             candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
             out.append(replace(trial, candidate=candidate, point=moved, gain=gain))
-    return sorted(out, key=lambda trial: -(trial.gain - TIE * trial.candidate.weight))
+    return sorted(out, key=lambda t: -(t.gain - cost(t.candidate, t.gain)))
 
 
 def refine(problem: Problem, point: Point, index: int) -> Point:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import GROSS, Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.unknown import Family, drive_families, pose_families
+from hilserver.diagnosis.unknown import RANGING, Family, drive_families, pose_families
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ INEXACT = 0.005
 """Share of what the accepted causes explain that their own form may leave."""
 LEAST_BETTER = 50.0
 """Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
+LEAST_MORE = 4.0
+"""Deviance by which misplaced anchors must beat a scale of the navigation, less one per anchor."""
 SUBSTITUTE = 0.5
 """|cos| between a cause's effect and a column that could stand in its place."""
 DOMINANCE = 4.0
@@ -105,6 +107,30 @@ def remaining(
     if not found and most is not None:
         return [most]
     return sorted(found, key=lambda u: -u.gain)
+
+
+def misplaced(problem: Problem, point: Point) -> list[int]:
+    """Return the scale of the navigation among the accepted causes, if anchors explain more.
+
+    A scale is the simplest of the fields of error that one misplaced ranging anchor makes, and the
+    first to be found. All four columns together are held against it, so they have to be clearly
+    better.
+    """
+    index = next((i for i, c in enumerate(point.model.causes) if c == "nav_scale"), None)
+    accepted = problem.accepted(point)
+    if index is None or accepted is None or problem.stage.name != "pose":
+        return []
+    family = next((f for f in families_of(problem, point) if f.name == RANGING), None)
+    if family is None:
+        return []
+    f, mine = point.model.fitted[index], point.model.slices[index]
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    others = np.delete(accepted, mine, axis=1)
+    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    white = orthogonal(problem.project(problem.whiten(family.columns), bases), others)
+    explained = float(target @ target - point.left @ point.left)
+    return [index] if joint_gain(white, target) > explained + LEAST_MORE else []
 
 
 def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list[int]:

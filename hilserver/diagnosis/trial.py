@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 
 TIE = 4.0
 """Deviance within which two causes explain the data alike, per parameter."""
+SHAPED = 0.005
+"""Share of what it explains that a cause costs whose shape was chosen among many, the edge of a
+region say: a shape can always be bent around what the form of a simpler cause leaves."""
 LEAST_SAVED = 8.0
 """Deviance that a cause must save on held-out blocks."""
 
@@ -33,6 +36,11 @@ class Trial:
     def theta(self) -> tuple[float, ...]:
         """Fitted values of the candidate's own parameters."""
         return self.point.model.fitted[-1].theta
+
+
+def cost(candidate: Candidate, explained: float) -> float:
+    """Return the deviance that a candidate must save before it is better than a simpler one."""
+    return TIE * candidate.weight + SHAPED * candidate.hidden * explained
 
 
 def possible(point: Point) -> bool:

@@ -23,6 +23,7 @@ DRIVES, TURNS = 0.1, 0.1
 """Speed [m/s] and turn rate [rad/s] from which a direction is remembered."""
 TURNING, DRIVING = 0.2, 0.05
 """Turn rate [rad/s] and speed [m/s] from which a direction counts."""
+RANGING = "ranging"
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0
 ANCHORS_OUTSIDE = 0.1
@@ -123,13 +124,13 @@ def _ranging(m: Motion) -> Family:
     normal = np.linalg.inv(np.einsum("nki,nkj->nij", away, away))
     moved = np.einsum("nij,nkj->kni", normal, away)
     columns = [m.placed(*field.T) for field in moved]
-    return Family("ranging", POSITION, np.stack(columns, axis=1))
+    return Family(RANGING, POSITION, np.stack(columns, axis=1))
 
 
 def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, ...]:
     """Return the frequencies [Hz] at which the residual of some channels is strongest."""
     residual, stack = problem.residual(point.predicted), problem.stack
-    power: Array | None = None
+    courses = []
     for name in names:
         t, r = stack.t_s[stack.edges[name]], residual[stack.edges[name]]
         if len(t) < 200 or t[-1] <= t[0]:
@@ -138,12 +139,12 @@ def peaks(problem: Problem, point: Point, names: Sequence[str]) -> tuple[float, 
         total = np.concatenate([[0.0], np.cumsum(r)])
         edges = np.searchsorted(t, np.append(grid, t[-1]))
         even = (total[edges[1:]] - total[edges[:-1]]) / np.maximum(np.diff(edges), 1)
-        spectrum = np.abs(np.fft.rfft(even - even.mean(), 4 * len(even))) ** 2
-        power = spectrum if power is None else power + spectrum[: len(power)]
-        step_hz = FINEST_HZ / (len(spectrum) - 1)
-        width = 6
-    if power is None:
+        courses.append(even - even.mean())
+    if not courses:
         return ()
+    padded = 4 * max(map(len, courses))  # a channel may end before the others
+    power = np.sum([np.abs(np.fft.rfft(course, padded)) ** 2 for course in courses], axis=0)
+    step_hz, width = FINEST_HZ / (len(power) - 1), 6
     out = []
     for _ in range(PEAKS):
         k = int(np.argmax(power))

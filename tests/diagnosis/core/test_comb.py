@@ -33,6 +33,17 @@ def test_smooth_values_have_none(seed, noise):
     assert coarse_step(measured, true) is None
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_wheels_that_rest_at_few_speeds_have_none(seed):
+    """A load keeps them from their set-points; of any few speeds some step is a divisor."""
+    rng = np.random.default_rng(seed)
+    setpoints = rng.choice([0.0, 62.0, 76.0, 90.0, -62.0, -90.0], size=60)
+    wanted = np.repeat(setpoints, 300)
+    reached = np.convolve(0.71 * wanted, np.ones(40) / 40, mode="same")
+    measured = [reached + rng.normal(scale=0.12, size=len(wanted)) for _ in range(4)]
+    assert coarse_step(measured, [wanted] * 4) is None
+
+
 def test_the_lattice_tells_both_shares():
     rng = np.random.default_rng(1)
     true = rng.uniform(-90.0, 90.0, 50_000)

@@ -10,6 +10,7 @@ from hilserver.diagnosis.problem import fit
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.structure import holds_out, imitated, joint_gain, remaining
+from hilserver.diagnosis.trial import cost
 from hilserver.diagnosis.unknown import Family
 from tests.diagnosis import toy
 
@@ -44,6 +45,31 @@ def test_nothing_is_selected_from_noise():
         problem = toy.problem(rng.normal(size=N), columns_of(rng, *"abcdefgh"))
         _, found = selected(problem)
         assert found.point.model.causes == ()
+
+
+@pytest.mark.parametrize(("cause", "taken"), [("coulomb_friction", 0), ("process_gain", 1)])
+def test_what_friction_leaves_by_its_own_form_is_no_further_cause(cause, taken):
+    """A column explains 1 % of the effect's size: of an exact cause's remainder that is much."""
+    rng = np.random.default_rng(3)
+    columns = columns_of(rng, cause, "rival")
+    values = 100.0 * columns[cause] + 1.0 * columns["rival"] + rng.normal(size=N)
+    _, found = selected(toy.problem(values, columns))
+    assert found.point.model.causes == (cause, "rival")[: 1 + taken]
+
+
+def test_of_two_that_explain_alike_the_one_without_a_shape_is_taken():
+    """A region's edge can be bent around what a simple cause's form leaves: that is no region."""
+    rng = np.random.default_rng(5)
+    columns = columns_of(rng, "simple", "bend")
+    columns["region"] = columns["simple"] + 0.05 * columns.pop("bend")
+    values = 10.0 * columns["simple"] + 0.3 * (columns["region"] - columns["simple"])
+    problem = toy.problem(values + rng.normal(size=N), columns)
+    library, base = toy.library(problem, hidden={"region": 1})
+    found = select({"drive": problem}, {"drive": library}, {"drive": base}, rng)["drive"]
+    assert found.point.model.causes[0] == "simple"
+    assert cost(library.candidates[1], 1000.0) > cost(library.candidates[0], 1000.0) + 4.0
+    settled, _ = settle(library, found.point)
+    assert settled.model.causes[0] == "simple"
 
 
 def twins(seed, likeness):

@@ -11,6 +11,7 @@ import pytest
 
 from hilserver.diagnosis.findings import Verdict
 from hilserver.plant.terms import TERMS, main_part
+from hilserver.scenarios import SCENARIOS
 from tests.diagnosis.assertions import (
     nothing_is_found,
     the_cause_is_named,
@@ -95,6 +96,13 @@ def test_tyres_that_scrub_are_told_beside_the_rotation_gain():
     assert finding.causes == ("rotation_gain", "friction_anisotropy")
     assert finding.parameters["friction_anisotropy.ratio"].value == pytest.approx(ratio, rel=0.03)
     assert finding.separating_experiment is not None
+
+
+def test_a_ranging_anchor_that_is_off_is_no_scale_of_the_navigation():
+    made = SCENARIOS["radio"].draw(27).logs["drive.csv"]
+    (finding,) = judged(made).findings.findings
+    assert finding.verdict == Verdict.STRUCTURE_NOT_IN_LIBRARY
+    assert finding.regressors[:2] == ("nav.x_m", "nav.y_m")
 
 
 def test_half_the_turn_without_scrubbing_is_the_rotation_gain_alone():
