@@ -88,6 +88,9 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress()
     try:
         outcome = diagnose(task, progress)
+    except SystemExit:
+        progress.say("hilserver: stopped before it was done: there is no report", sys.stderr)
+        raise
     finally:
         progress.end()
     if outcome.error:
@@ -132,6 +135,10 @@ def _each(args: argparse.Namespace) -> int:
                 continue
             write(args.out / folders[index], outcome.files)
             progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
+    except SystemExit:
+        told = f"hilserver: stopped after {done} of {len(tasks)} logs: their reports are kept"
+        progress.say(told, sys.stderr)
+        raise
     finally:
         progress.end()
     return code

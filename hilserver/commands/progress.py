@@ -1,22 +1,30 @@
-"""Progress of what has stages and shares: a bar on a terminal."""
+"""Progress of what has stages and shares: a bar on a terminal, plain lines elsewhere."""
 
 import sys
 import time
 from typing import TextIO
 
 PROGRESS_AFTER_S = 2.0
+LINE_EVERY_S = 5.0
 
 
 class Progress:
-    """A bar on a terminal once it takes longer than two seconds; nothing elsewhere."""
+    """What is being done and how much of it is done, once it takes longer than two seconds."""
 
     def __init__(self) -> None:
         self._start_s = time.monotonic()
         self._shown = 0
+        self._next_line_s = self._start_s + PROGRESS_AFTER_S
 
     def __call__(self, stage: str, share: float) -> None:
         """Show a stage and its share."""
-        if not sys.stderr.isatty() or time.monotonic() - self._start_s < PROGRESS_AFTER_S:
+        now_s = time.monotonic()
+        if now_s - self._start_s < PROGRESS_AFTER_S:
+            return
+        if not sys.stderr.isatty():
+            if now_s >= self._next_line_s:
+                print(f"{share:4.0%} {stage}", file=sys.stderr, flush=True)
+                self._next_line_s = now_s + LINE_EVERY_S
             return
         bar = "#" * round(30 * share)
         self._show(f"[{bar:<30}] {share:4.0%} {stage}")

@@ -25,15 +25,10 @@ from hilserver.diagnosis.findings import (
     NotJudged,
     Overall,
 )
+from hilserver.diagnosis.frame import on_a_frame, standing, without_motion
+from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.selection import select
-from hilserver.diagnosis.stages import (
-    machine,
-    on_a_frame,
-    prepare_all,
-    standing,
-    vocabulary_reasons,
-    without_motion,
-)
+from hilserver.diagnosis.stages import machine, prepare_all
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,9 @@ from hilserver.diagnosis.findings import (
     NotJudged,
     Overall,
 )
+from hilserver.diagnosis.frame import on_a_frame, standing
 from hilserver.diagnosis.gain import crossed, gains, held_out, reported
+from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.other_logs import gain_on
@@ -32,14 +34,7 @@ from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.settling import Judged, settled
 from hilserver.diagnosis.showing import Shown, evidence
-from hilserver.diagnosis.stages import (
-    Prepared,
-    machine,
-    on_a_frame,
-    prepare_all,
-    standing,
-    vocabulary_reasons,
-)
+from hilserver.diagnosis.stages import Prepared, machine, prepare_all
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

@@ -7,54 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
-from hilserver.diagnosis.checks.support import along
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.comb import coarse_step
 from hilserver.diagnosis.data import MeasuredLog
-from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
-from hilserver.diagnosis.library import drive_candidates, pose_candidates
+from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
+from hilserver.diagnosis.judgeable import judged_candidates, splits
 from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
+from hilserver.diagnosis.pose_stage import PoseStage
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.screen import GROSS
-from hilserver.diagnosis.vocabulary import CAUSES
-from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
-NEEDS_DUTY = {"dead_zone", "stribeck_friction"}
-"""Other loads still show without duty where they keep wheels from their set-points."""
-NEEDS_POSITION = {
-    "wheel_radius",
-    "longitudinal_slip",
-    "acceleration_slip",
-    "side_slip",
-    "icr_offset",
-    "wheel_misalignment",
-    "floor_slope",
-    "surface_change",
-    "nav_lever_arm",
-    "nav_latency",
-    "nav_scale",
-    "nav_outliers",
-    "nav_position_bias",
-    "nav_frame_yaw",
-}
-NEEDS_PLACE = {"surface_change", "floor_slope", "heading_distortion", "nav_position_bias"}
-NEEDS_YAW = {"nav_frame_yaw", "yaw_latency", "heading_distortion"}
-NEEDS_GYRO = {"gyro_bias", "gyro_scale", "imu_latency"}
-NEEDS_STAMPS = {
-    "nav_latency", "yaw_latency", "imu_latency", "actuation_delay", "clock_offset", "control_period"
-}  # fmt: skip
-
-
-TURNED_RAD_S, STANDS = 0.1, 0.05
-"""Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
-MOVED_RAD_S = 0.02
-"""Turn rate that is more than the noise of wheel speeds."""
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 
@@ -86,49 +52,6 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
         keys.setdefault("rotation_gain", "geometric_diff")
     known = {k: v for k, v in keys.items() if hasattr(robot, k)}
     return replace(robot, **known)  # type: ignore[arg-type]
-
-
-def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
-    """Return whether the machine did not turn although its wheels did: it stood on a frame.
-
-    Its kinematics cannot be judged then: they would all be wrong by the same whole.
-    """
-    turn = _asked_turn(log, robot)
-    if turn is None or not _turning(turn, TURNED_RAD_S):
-        return False
-    return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < STANDS
-
-
-def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
-    """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
-    turn = _asked_turn(log, robot)
-    return turn is not None and not log.has(*POSITION) and not _turning(turn, MOVED_RAD_S)
-
-
-def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
-    """Return the turn rate [rad/s] that the wheels ask for at the gyro's samples."""
-    if GYRO not in log or not log.has(*SPEEDS):
-        return None
-    at = along(log[GYRO])
-    left, right = (
-        0.5 * sum(np.interp(at, along(log[n]), log[n].values) for n in SPEEDS[part])
-        for part in (slice(0, 2), slice(2, 4))
-    )
-    p = robot.pack()
-    rims = p[P_RADIUS_LEFT] * left + p[P_RADIUS_RIGHT] * right
-    return np.asarray(p[P_YAW_GAIN] * rims * 2.0 * np.pi / 60.0)
-
-
-def _turning(turn: Array, least_rad_s: float) -> bool:
-    return float(turn @ turn) >= least_rad_s**2 * len(turn)
-
-
-def on_a_frame(log: MeasuredLog) -> MeasuredLog:
-    """Return the log of a machine that stood on a frame without what does not hold there."""
-    moved = {*POSITION, YAW, GYRO}
-    kept = {name: c for name, c in log.channels.items() if name not in moved}
-    note = "the machine did not turn although its wheels did: its kinematics are not judged"
-    return replace(log, channels=kept, notices=(*log.notices, note))
 
 
 def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) -> float:
@@ -170,57 +93,6 @@ def pose_stage(
     return PoseStage(log, robot, dense, block_s=block_length(total_s, 3.0, 5.0, 72))
 
 
-def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], dict[str, str]]:
-    """Return the candidates that a stage's channels can judge, and why others are not judged."""
-    log = stage.log
-    reasons: dict[str, str] = {}
-    if isinstance(stage, DriveStage):
-        found = drive_candidates(100.0)
-        if not any(n in log for n in SPEEDS):
-            reasons |= dict.fromkeys((c.cause for c in found), "no wheel speed in the log")
-        if not any(n in log for n in DUTIES):
-            reasons |= dict.fromkeys(NEEDS_DUTY, "no duty in the log")
-        if "battery.voltage_v" not in log:
-            reasons["battery_sag"] = "no battery voltage in the log"
-    else:
-        found = pose_candidates(_place(log))
-        if not log.has(*POSITION):
-            reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
-            if YAW in log or GYRO in log:
-                reasons.pop("wheel_radius", None)
-        if stage.begins_anew:
-            text = "the navigation's frame begins anew with every segment"
-            reasons |= dict.fromkeys(NEEDS_PLACE, text)
-        if YAW not in log:
-            reasons |= dict.fromkeys(NEEDS_YAW, "no navigation yaw in the log")
-        if GYRO not in log:
-            reasons |= dict.fromkeys(NEEDS_GYRO, "no turn rate in the log")
-    if not log.has_stamps:
-        reasons |= dict.fromkeys(NEEDS_STAMPS, "the log has no time stamps")
-    return [c for c in found if c.cause not in reasons], reasons
-
-
-def _place(log: MeasuredLog) -> tuple[float, float, float, float] | None:
-    if not log.has(*POSITION):
-        return None
-    x, y = (log[n].values for n in POSITION)
-    (a, b), (c, d) = (np.quantile(v, [0.02, 0.98]) for v in (x, y))
-    return float(a), float(b), float(c), float(d)
-
-
-def _splits(log: MeasuredLog, candidate: Candidate) -> bool:
-    """Return whether a region of the floor holds a fair part of the drive, but not all of it."""
-    if candidate.cause != "surface_change":
-        return True
-    t = candidate.terms(candidate.start)
-    x, y = (log[n].values for n in POSITION)
-    if len(x) != len(y):
-        return False
-    inside = (x >= t["surface_change.x_min"]) & (x <= t["surface_change.x_max"])
-    inside &= (y >= t["surface_change.y_min"]) & (y <= t["surface_change.y_max"])
-    return bool(0.15 < inside.mean() < 0.85)
-
-
 def prepare_all(
     log: MeasuredLog,
     robot: RobotParameters,
@@ -258,7 +130,7 @@ def prepare(
     if len(stage.stack) == 0:
         return None, {}
     candidates, reasons = judged_candidates(stage)
-    candidates = [c for c in candidates if _splits(stage.log, c)]
+    candidates = [c for c in candidates if splits(stage.log, c)]
     problem = Problem(stage)
     poses = problem.start_poses({})
     problem.learn_noise(problem.residual(problem.predict({}, poses)))
@@ -307,30 +179,3 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
         step = problem.pose_step(problem.whiten(left), nuisance)
         left = left - (nuisance * step[problem.stack.segment]).sum(axis=1)
     problem.learn_noise(left)
-
-
-NOT_OF_ITS_OWN = {
-    "friction_anisotropy": "in steady turns it is the same as rotation_gain and icr_offset",
-    "backlash": "the play between motor and wheel is not looked for",
-    "missed_ticks": "the log has no tick counter",
-}
-
-
-def vocabulary_reasons(
-    judged: set[str], reasons: dict[str, str], stages: set[str]
-) -> dict[str, str]:
-    """Return a reason for every physical cause that was not judged."""
-    out = dict(reasons)
-    for name, cause in CAUSES.items():
-        if name in judged or name in out:
-            continue
-        if name in NOT_OF_ITS_OWN:
-            out[name] = NOT_OF_ITS_OWN[name]
-            continue
-        if not cause.physical:
-            continue
-        if cause.block in ("drive", "controller") and "drive" not in stages:
-            out[name] = "no set-points with wheel speeds, or the mapping gives no plant.process"
-        elif cause.block not in ("drive", "controller") and "pose" not in stages:
-            out[name] = "no pose and no turn rate in the log"
-    return {k: v for k, v in out.items() if k not in judged}

@@ -1,8 +1,12 @@
 """`hilserver diagnose`: its options, files and exit codes. The engine is tested in its own room."""
 
+import os
+import signal
+
 import pytest
 
 from hilserver.commands import main
+from hilserver.commands.progress import Progress
 from hilserver.diagnosis import pipeline
 from hilserver.diagnosis.evidence import Diagnosis
 from hilserver.errors import LogError
@@ -55,6 +59,40 @@ def test_a_bad_log_is_one_sentence_exit_2_and_no_file(stages, tmp_path, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "hilserver: bad.csv:3: column 't_s': not a number; mend the row"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_at_once_with_a_sentence_and_no_file(
+    stages, tmp_path, monkeypatch, capsys, number
+):
+    monkeypatch.setattr(pipeline, "diagnose", lambda *_, **__: os.kill(os.getpid(), number))
+    assert main(["diagnose", "a.csv", "-o", "out"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "hilserver: stopped before it was done: there is no report"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_signal_among_many_logs_keeps_the_reports_so_far(stages, tmp_path, monkeypatch, capsys):
+    def outcomes(args, tasks):
+        yield 0, pipeline.run(tasks[0])
+        os.kill(os.getpid(), signal.SIGINT)
+        yield 1, pipeline.run(tasks[1])
+
+    monkeypatch.setattr("hilserver.commands.diagnose._outcomes", outcomes)
+    assert main(["diagnose", "--each", "a.csv", "b.csv", "-o", "out"]) == 0
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told == "hilserver: stopped after 1 of 2 logs: their reports are kept"
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["a"]
+
+
+def test_where_there_is_no_terminal_progress_is_plain_lines(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr("hilserver.commands.progress.time.monotonic", lambda: now[0])
+    progress = Progress()
+    for second in range(12):
+        now[0] = float(second)
+        progress("screen", second / 12)
+    assert capsys.readouterr().err.splitlines() == [" 17% screen", " 58% screen"]
 
 
 def test_each_log_gets_its_folder_and_a_bad_one_stops_nobody(stages, tmp_path, capsys):

@@ -8,6 +8,7 @@ import numpy as np
 from hilserver.diagnosis.detectable import HOPELESS, smallest
 from hilserver.diagnosis.findings import Detectable, NotJudged
 from hilserver.diagnosis.identifiability import GROUP_COSINE
+from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.plan.information import (
     Z_APART,
     Array,
@@ -25,7 +26,7 @@ from hilserver.diagnosis.plan.information import (
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.plan.null_log import Recording, null_log
 from hilserver.diagnosis.screen import critical, null_maxima
-from hilserver.diagnosis.stages import Prepared, prepare_all, vocabulary_reasons
+from hilserver.diagnosis.stages import Prepared, prepare_all
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.parameters import RobotParameters
 

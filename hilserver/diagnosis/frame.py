@@ -1,0 +1,63 @@
+"""A machine on a frame: its wheels are in the air, and nothing tells of its kinematics."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.checks.support import along
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.drive_stage import SPEEDS
+from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
+from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+
+TURNED_RAD_S, STANDS = 0.1, 0.05
+"""Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
+MOVED_RAD_S = 0.02
+"""Turn rate that is more than the noise of wheel speeds."""
+
+
+def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
+    """Return whether the machine did not turn although its wheels did: it stood on a frame.
+
+    Its kinematics cannot be judged then: they would all be wrong by the same whole.
+    """
+    turn = _asked_turn(log, robot)
+    if turn is None or not _turning(turn, TURNED_RAD_S):
+        return False
+    return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < STANDS
+
+
+def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
+    """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
+    turn = _asked_turn(log, robot)
+    return turn is not None and not log.has(*POSITION) and not _turning(turn, MOVED_RAD_S)
+
+
+def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
+    """Return the turn rate [rad/s] that the wheels ask for at the gyro's samples."""
+    if GYRO not in log or not log.has(*SPEEDS):
+        return None
+    at = along(log[GYRO])
+    left, right = (
+        0.5 * sum(np.interp(at, along(log[n]), log[n].values) for n in SPEEDS[part])
+        for part in (slice(0, 2), slice(2, 4))
+    )
+    p = robot.pack()
+    rims = p[P_RADIUS_LEFT] * left + p[P_RADIUS_RIGHT] * right
+    return np.asarray(p[P_YAW_GAIN] * rims * 2.0 * np.pi / 60.0)
+
+
+def _turning(turn: Array, least_rad_s: float) -> bool:
+    return float(turn @ turn) >= least_rad_s**2 * len(turn)
+
+
+def on_a_frame(log: MeasuredLog) -> MeasuredLog:
+    """Return the log of a machine that stood on a frame without what does not hold there."""
+    moved = {*POSITION, YAW, GYRO}
+    kept = {name: c for name, c in log.channels.items() if name not in moved}
+    note = "the machine did not turn although its wheels did: its kinematics are not judged"
+    return replace(log, channels=kept, notices=(*log.notices, note))
