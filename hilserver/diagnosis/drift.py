@@ -115,19 +115,18 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     if not free:
         return point
     blocks, accepted = library.blocks, problem.accepted(point)
-    changes = np.column_stack([
-        orthogonal(columns[:, [k]] * course(problem), columns[:, [k]]) for k in free
-    ])  # fmt: skip
-    order = blocks.order
-    s = score(
-        changes[order],
-        point.left[order],
-        blocks,
-        None if accepted is None else accepted[order],
-    )
-    p = adjusted(s.t, null_maxima([s], rng))
-    best = int(np.argmax(s.gain))
-    if p[best] >= LEVEL or s.gain[best] <= LEAST_GAIN:
+    order, time = blocks.order, course(problem)
+    base = np.empty((len(columns), 0)) if accepted is None else accepted
+    found = []
+    for k in free:  # beside a size of its own: without, only the end that differs would count
+        mean = np.column_stack([base, columns[:, [k]]])
+        change = orthogonal(columns[:, [k]] * time, mean)
+        left = orthogonal(point.left[:, None], mean)[:, 0]
+        found.append(score(change[order], left[order], blocks))
+    t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
+    p = adjusted(t, null_maxima(found, rng))
+    best = int(np.argmax(gain))
+    if p[best] >= LEVEL or gain[best] <= LEAST_GAIN:
         return point
     c = library.candidates[chosen[free[best]]]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)

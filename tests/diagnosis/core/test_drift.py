@@ -46,6 +46,18 @@ def test_drift_about_the_configured_value_is_found_without_a_mean_effect(change)
         assert found.point.model.terms["c"] == pytest.approx(0.0, abs=0.1)
 
 
+def test_what_comes_up_in_the_middle_is_found_where_few_moments_show_it():
+    """Turns on the spot are a fourth of a drive, and those of its first half show nothing."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        columns = columns_of(rng, *"abcdef")
+        columns["c"] = columns["c"] * (np.sin(40.0 * np.pi * TIME) > 0.7)
+        problem = toy.problem((STEP > 0) * columns["c"] + rng.normal(size=N), columns)
+        found = judged(problem)
+        assert found.point.model.causes == ("c",)
+        assert set(found.p) == {"c"}
+
+
 def test_noise_alone_drifts_nowhere():
     for seed in range(20):
         rng = np.random.default_rng(50 + seed)
