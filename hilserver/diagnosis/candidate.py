@@ -8,6 +8,8 @@ from typing import Literal
 Theta = Sequence[float]
 StageName = Literal["drive", "pose"]
 
+LARGEST_WAVE = 0.5
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -157,9 +159,9 @@ def wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Can
     """Return the candidate of an amplitude and a phase, fitted as cosine and sine parts."""
 
     def terms(theta: Theta) -> dict[str, float]:
-        size = math.hypot(theta[0], theta[1])
+        size = min(math.hypot(theta[0], theta[1]), LARGEST_WAVE)  # both parts may be that large
         return {amplitude: size, phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0}
 
-    zero, far = (0.0, 0.0), (0.5, 0.5)
-    low = (-0.5, -0.5)
+    zero, far = (0.0, 0.0), (LARGEST_WAVE, LARGEST_WAVE)
+    low = (-LARGEST_WAVE, -LARGEST_WAVE)
     return Candidate(cause, label, "pose", zero, zero, (step, step), terms, low, far, 5 * step)

@@ -61,6 +61,12 @@ class Model:
         """Return all parameters in one vector."""
         return np.array([v for f in self.fitted for v in f.theta])
 
+    def borders(self) -> tuple[Array, Array]:
+        """Return the least and the greatest value of every parameter."""
+        low = np.array([v for f in self.fitted for v in f.candidate.low])
+        high = np.array([v for f in self.fitted for v in f.candidate.high])
+        return low, high
+
     def with_theta(self, theta: Array) -> "Model":
         """Return the model with other values of its parameters."""
         return Model(

@@ -177,6 +177,9 @@ class Problem:
     def columns(self, point: Point, model: Model) -> Array:
         """Return the raw sensitivities of all parameters of a model, shape (n, k)."""
         theta, step = model.theta(), np.array([s for f in model.fitted for s in f.candidate.step])
+        low, high = model.borders()
+        # beyond its border a parameter may be none that the plant accepts
+        step = np.where((theta + step < low) | (theta + step > high), -step, step)
         base = point.predicted
         out = np.empty((len(self.stack), len(theta)))
         for j in range(len(theta)):
@@ -262,8 +265,7 @@ def fit(
     rows : ndarray of bool, shape (blocks,), optional
         Blocks that count; all.
     """
-    low = np.array([v for f in model.fitted for v in f.candidate.low])
-    high = np.array([v for f in model.fitted for v in f.candidate.high])
+    low, high = model.borders()
     point = problem.point(model, start.poses)
     if not len(low):
         return point

@@ -1,0 +1,39 @@
+"""A fit at the border of a cause's range asks the plant for nothing that it refuses."""
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.library import drive_candidates, pose_candidates
+from hilserver.diagnosis.model import Model
+from hilserver.plant.terms import complete
+from tests.diagnosis import toy
+
+CANDIDATES = [*drive_candidates(100.0), *pose_candidates((-2.0, 2.0, -2.0, 2.0))]
+
+
+def asked_for(candidate, at):
+    """Return the terms that the sensitivities of a model at the border are computed from."""
+    asked = []
+
+    class Stage(toy.LinearStage):
+        def predict(self, terms):
+            asked.append(terms)
+            return np.zeros(len(self.stack))
+
+    problem = toy.Problem(Stage(np.zeros(200), {}))
+    problem.noise = {toy.SIGNAL: toy.NoiseModel(1.0)}
+    model = Model().plus(candidate, at)
+    problem.columns(problem.point(model, np.zeros((0, 3))), model)
+    return asked
+
+
+@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda c: c.label)
+@pytest.mark.parametrize("side", [0, 1])
+def test_no_sensitivity_leaves_what_the_plant_accepts(candidate, side):
+    at = tuple(Model().plus(candidate, candidate.start).borders()[side].tolist())
+    if not np.isfinite(at).all():
+        pytest.skip("it has no border there")
+    asked = asked_for(candidate, at)
+    assert len(asked) == 1 + candidate.n
+    for terms in asked:
+        complete({name: value for name, value in terms.items() if "shift." not in name})
