@@ -41,6 +41,8 @@ SETTLING_S: Final = 1.0
 SMOOTHING_S: Final = 2.0
 LATELY_S: Final = 0.02
 """A voltage is used where the load did not change for so long: the sensor may lag."""
+ON_TIME: Final = 1e-3
+"""Share of a tick that a stamp may lie beside it: seconds since 1970 are rounded to 2.4e-7 s."""
 
 
 class DriveStage:
@@ -118,7 +120,7 @@ class DriveStage:
             wheel = (SPEEDS if is_speed else DUTIES).index(name)
             at = stack.at[edge]
             if not is_speed or held:
-                at = np.floor(at + 1e-6)
+                at = np.floor(at + ON_TIME)
             sample(
                 seen if is_speed else duty, wheel, stack.low[edge], stack.high[edge], at, out[edge]
             )
@@ -191,7 +193,7 @@ class DriveStage:
             for name, column in channels.items():
                 t, v = self.log[name].of(int(span))
                 fresh = np.concatenate([[True] * (len(v) > 0), np.diff(v) != 0.0]).astype(bool)
-                ticks = np.ceil((t - self.segments.start_s[i]) / self.robot.period_s - 1e-3)
+                ticks = np.ceil((t - self.segments.start_s[i]) / self.robot.period_s - ON_TIME)
                 for k, value in zip(ticks[fresh].astype(int), v[fresh], strict=True):
                     changes.setdefault(max(int(k), 0), []).append((column, float(value)))
             first, end = int(self.segments.first[i]), int(self.segments.first[i + 1])

@@ -1,0 +1,38 @@
+"""Logs that hold little, or hold it in an odd way: no crash, and nothing found that is not there.
+
+Each is a sound machine's log of the injector from which something was taken.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+from hilserver_injector import make
+
+from hilserver.bench.diagnose_worker import measured
+from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.output import documents
+from tests.diagnosis.assertions import nothing_is_found
+from tests.diagnosis.hidden.logs import assembly, recipe
+
+
+@cache
+def sound():
+    made = recipe("nothing drive", 1, 45.0)
+    return measured(make(made)[0], made)
+
+
+def judged(log):
+    found = diagnose(log, assembly(), jobs=1)
+    assert "report.html" in documents(found)
+    return found.findings
+
+
+def moved(log, by_s):
+    """The log with other stamps."""
+    channels = {name: replace(c, t_s=c.t_s + by_s) for name, c in log.channels.items()}
+    spans = tuple(replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in log.spans)
+    return replace(log, channels=channels, spans=spans)
+
+
+def test_seconds_since_1970_are_no_error_of_the_drive():
+    nothing_is_found(judged(moved(sound(), 1.7e9)))
