@@ -156,6 +156,8 @@ def _screen(s: Shown) -> list[ScreenRow]:
     library = s.prepared.library
     maxima = null_maxima([s.scores], np.random.default_rng(0))
     limit = critical(maxima)
+    if limit <= 0.0:  # no cause shows in such data at all
+        return []
     rows: dict[str, ScreenRow] = {}
     for i, c in enumerate(library.candidates):
         mine = np.flatnonzero(library.owner == i)

@@ -6,6 +6,7 @@ Each is a sound machine's log of the injector from which something was taken.
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 from hilserver_injector import make
 
 from hilserver.bench.diagnose_worker import measured
@@ -34,5 +35,19 @@ def moved(log, by_s):
     return replace(log, channels=channels, spans=spans)
 
 
+def held_at(log, words, value):
+    """The log with some channels constant."""
+    held = {
+        name: c.with_values(np.full(len(c), value))
+        for name, c in log.channels.items()
+        if any(word in name for word in words)
+    }
+    return log.with_channels(held)
+
+
 def test_seconds_since_1970_are_no_error_of_the_drive():
     nothing_is_found(judged(moved(sound(), 1.7e9)))
+
+
+def test_a_machine_that_was_asked_for_nothing_has_a_report():
+    judged(held_at(sound(), ["setpoint"], 0.0))
