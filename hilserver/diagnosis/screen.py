@@ -191,7 +191,7 @@ def null_maxima(scores: Sequence[Scores], rng: np.random.Generator, flips: int =
         used = s.information > 1e-12
         if not used.any():
             continue
-        own, information = s.own[:, used], s.information[used]
+        own, information = s.own[:, used].astype(np.float64), s.information[used]
         rest = s.blocks[:, used] - s.size[used] * own
         signs = rng.integers(0, 2, size=(flips, len(own))).astype(np.float64) * 2.0 - 1.0
         total = signs @ rest

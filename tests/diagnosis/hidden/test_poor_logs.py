@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 from hilserver_injector import make
 
 from hilserver.bench.diagnose_worker import measured
@@ -51,3 +52,8 @@ def test_seconds_since_1970_are_no_error_of_the_drive():
 
 def test_a_machine_that_was_asked_for_nothing_has_a_report():
     judged(held_at(sound(), ["setpoint"], 0.0))
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-9])
+def test_channels_without_noise_overflow_nothing(value):
+    judged(held_at(sound(), ["."], value))
