@@ -11,6 +11,7 @@ from hilserver.diagnosis.bag import is_bag, read_bag
 from hilserver.diagnosis.clock import SHORTEST_S as SEGMENT_S
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
 from hilserver.diagnosis.mapping import LogMapping, builtin_mappings, load_mapping
+from hilserver.diagnosis.pauses import cut_at_pauses
 from hilserver.diagnosis.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
 from hilserver.errors import LogError
 
@@ -46,12 +47,12 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
         plant={} if table is None else table.plant_keys,
         notices=tuple(notice for recording in recordings for notice in recording.notices),
     )
-    pooled = _pool(log, recordings)
+    pooled = cut_at_pauses(_pool(log, recordings))
     longest_s = max(span.end_s - span.start_s for span in pooled.spans)
     if longest_s < SEGMENT_S:
         raise LogError(
-            f"{paths[0]}: column 'segment': the longest of {len(pooled.spans)} segments lasts"
-            f" {longest_s:.3g} s; a diagnosis needs {SEGMENT_S:g} s: number runs, not rows"
+            f"{paths[0]}: the longest of {len(pooled.spans)} segments lasts {longest_s:.3g} s; a"
+            f" diagnosis needs {SEGMENT_S:g} s without a pause: number runs, not rows"
         )
     return pooled
 

@@ -157,7 +157,7 @@ KINDS = {
     "a segment every few rows": (
         raw(f"t_s,segment,{SPEED}\n" + "".join(f"{0.02 * i},{i // 12},{i}\n" for i in range(150))),
         None,
-        "column 'segment': the longest of 13 segments lasts 0.22 s; a diagnosis needs 0.5 s: number"
+        "the longest of 13 segments lasts 0.22 s; a diagnosis needs 0.5 s without a pause: number"
         " runs, not rows",
     ),
     "segment begins twice": (

@@ -1,0 +1,78 @@
+"""Pauses of a recorder: nobody knows what the machine did in them, so a segment ends there."""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from hilserver.diagnosis.data import Array, Channel, MeasuredLog, Span
+from hilserver.diagnosis.names import is_input
+
+PAUSE_S: Final = 3.0
+"""Shorter gaps are bridged: the wheels' loops are replayed from the set-points, ..."""
+USUAL_STEPS: Final = 20.0
+"""... and in slow recordings so many usual steps between two samples."""
+
+Edges = list[tuple[float, float]]
+
+
+def cut_at_pauses(log: MeasuredLog) -> MeasuredLog:
+    """Return the log with segments that end where nothing was measured for long."""
+    edges = [_edges(log, index) for index in range(len(log.spans))]
+    if all(len(of_span) == 1 for of_span in edges):
+        return log
+    pieces = [
+        replace(span, start_s=start_s, end_s=end_s)
+        for span, of_span in zip(log.spans, edges, strict=True)
+        for start_s, end_s in of_span
+    ]
+    spans = tuple(replace(span, number=number) for number, span in enumerate(pieces))
+    channels = {name: _cut(name, channel, edges) for name, channel in log.channels.items()}
+    notes = (*log.notices, _note(log.spans, edges))
+    return replace(log, channels=channels, spans=spans, notices=notes)
+
+
+def _edges(log: MeasuredLog, index: int) -> Edges:
+    """Return begin and end of what was measured in one go; one pair where there is no pause."""
+    span = log.spans[index]
+    stamps = [c.of(index)[0] for name, c in log.channels.items() if not is_input(name)]
+    at = np.unique(np.concatenate([np.zeros(0), *stamps]))
+    steps = np.diff(at)
+    if not len(steps):
+        return [(span.start_s, span.end_s)]
+    ends = np.flatnonzero(steps > max(PAUSE_S, USUAL_STEPS * float(np.median(steps))))
+    begins = [span.start_s, *at[ends + 1].tolist()]
+    return list(zip(begins, [*at[ends].tolist(), span.end_s], strict=True))
+
+
+def _cut(name: str, channel: Channel, edges: list[Edges]) -> Channel:
+    parts: list[tuple[Array, Array]] = []
+    for index, of_span in enumerate(edges):
+        t_s, values = channel.of(index)
+        for start_s, end_s in of_span:
+            low, high = np.searchsorted(t_s, start_s), np.searchsorted(t_s, end_s, side="right")
+            t, v = t_s[low:high], values[low:high]
+            if is_input(name) and low > 0 and not (len(t) and t[0] == start_s):
+                # a set-point that was sent before still holds
+                t, v = np.append(start_s, t), np.append(values[low - 1], v)
+            parts.append((t, v))
+    return Channel(
+        np.concatenate([t for t, _ in parts]),
+        np.concatenate([v for _, v in parts]),
+        np.repeat(np.arange(len(parts)), [len(t) for t, _ in parts]),
+    )
+
+
+def _note(spans: tuple[Span, ...], edges: list[Edges]) -> str:
+    pauses = [
+        (after - before, before)
+        for of_span in edges
+        for (_, before), (after, _) in pairwise(of_span)
+    ]
+    longest_s, at_s = max(pauses)
+    times = "once" if len(pauses) == 1 else f"{len(pauses)} times"
+    return (
+        f"the recording pauses {times}, for {longest_s:.4g} s behind t_s = {at_s:.10g} at most:"
+        f" there are {len(spans) + len(pauses)} segments now, each with a place of its own to start"
+    )
