@@ -107,5 +107,5 @@ def vocabulary_reasons(
         if cause.block in ("drive", "controller") and "drive" not in stages:
             out[name] = "no set-points with wheel speeds, or the mapping gives no plant.process"
         elif cause.block not in ("drive", "controller") and "pose" not in stages:
-            out[name] = "no pose and no turn rate in the log"
+            out[name] = "no pose and no turn rate in the log, or no wheel speed of both sides"
     return {k: v for k, v in out.items() if k not in judged}

@@ -80,9 +80,16 @@ class PoseStage:
         return PoseStage(self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None)
 
     @staticmethod
-    def judges(log: MeasuredLog) -> bool:
-        """Return whether the log has what this stage needs."""
-        moved = any(n in log for n in SPEEDS) or DriveStage.judges(log)
+    def judges(log: MeasuredLog, *, driven: bool) -> bool:
+        """Return whether the log has what this stage needs.
+
+        Parameters
+        ----------
+        driven : bool
+            The drive's stage tells how wheels turn whose speed is not measured; without it a side
+            without a speed would stand still.
+        """
+        moved = driven or all(any(n in log for n in side) for side in (SPEEDS[:2], SPEEDS[2:]))
         return moved and (log.has(*POSITION) or YAW in log or GYRO in log)
 
     def simulate(self, terms: Mapping[str, float], poses: Array) -> Array:

@@ -74,7 +74,7 @@ def stages_of(log: MeasuredLog, robot: RobotParameters) -> dict[str, DriveStage 
     stages: dict[str, DriveStage | PoseStage] = {}
     if DriveStage.judges(log) and drive_is_known(log):
         stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
-    if PoseStage.judges(log):
+    if PoseStage.judges(log, driven="drive" in stages):
         stages["pose"] = pose_stage(log, robot, stages.get("drive"), {})
     return stages
 

@@ -46,6 +46,26 @@ def held_at(log, words, value):
     return log.with_channels(held)
 
 
+def only(log, *words):
+    """The log without the channels that have none of these words in their names."""
+    return log.without([n for n in log.channels if not any(word in n for word in words)])
+
+
+@pytest.mark.parametrize(
+    ("words", "plant"),
+    [
+        (["fl.s", "rl.s", "nav.", "gyro"], {}),
+        (["setpoint", "nav."], {"track_m": 0.31, "wheelbase_m": 0.25}),
+    ],
+    ids=["speeds of one side", "set-points of a machine with an unknown drive"],
+)
+def test_wheels_that_nobody_knows_of_do_not_stand_still(words, plant):
+    findings = judged(replace(only(sound(), *words), plant=plant))
+    nothing_is_found(findings)
+    (reason,) = [n.reason for n in findings.not_judged if n.cause == "rotation_gain"]
+    assert "no wheel speed of both sides" in reason
+
+
 def test_seconds_since_1970_are_no_error_of_the_drive():
     nothing_is_found(judged(moved(sound(), 1.7e9)))
 
