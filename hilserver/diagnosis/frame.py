@@ -41,9 +41,10 @@ def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     """Return the turn rate [rad/s] that the wheels ask for at the gyro's samples."""
     if GYRO not in log or not log.has(*SPEEDS):
         return None
-    at = along(log[GYRO])
+    start_s = np.array([span.start_s for span in log.spans])
+    at = along(log[GYRO], start_s)
     left, right = (
-        0.5 * sum(np.interp(at, along(log[n]), log[n].values) for n in SPEEDS[part])
+        0.5 * sum(np.interp(at, along(log[n], start_s), log[n].values) for n in SPEEDS[part])
         for part in (slice(0, 2), slice(2, 4))
     )
     p = robot.pack()

@@ -133,9 +133,10 @@ def _nearest(
     problem: Problem, name: str, segment: NDArray[np.int64], t_s: Array
 ) -> NDArray[np.int64]:
     """Return the samples of a channel next to some times of some segments."""
-    edge = problem.stack.edges[name]
-    own = problem.stack.segment[edge] * SEGMENTS_APART_S + problem.stack.t_s[edge]
-    wanted = segment * SEGMENTS_APART_S + t_s
+    edge, start_s = problem.stack.edges[name], problem.stage.segments.start_s
+    mine = problem.stack.segment[edge]
+    own = mine * SEGMENTS_APART_S + problem.stack.t_s[edge] - start_s[mine]
+    wanted = segment * SEGMENTS_APART_S + t_s - start_s[segment]
     above = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
     below = above - 1
     return np.asarray(np.where(wanted - own[below] < own[above] - wanted, below, above))

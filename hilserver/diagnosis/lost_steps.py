@@ -48,10 +48,12 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
         t, r = stack.t_s[edge], residual[edge]
         g = slope[np.rint(stack.at[edge]).astype(np.int64), wheel]
         noise = problem.noise[speed].white_sd
+        spans = stage.segments.span[stack.segment[edge]]
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
+            first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
             for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
-                low, high = np.searchsorted(t, [ts[a], ts[a] + RESPONSE_S])
+                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
                 power = float(g[low:high] @ g[low:high])
                 if power <= 0.0 or noise / np.sqrt(power) > SHARP_S:
                     continue

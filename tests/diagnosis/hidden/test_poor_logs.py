@@ -11,8 +11,11 @@ import pytest
 from hilserver_injector import make
 
 from hilserver.bench.diagnose_worker import measured
-from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.data import Channel
+from hilserver.diagnosis.engine import diagnose, silent
+from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.stages import prepare_all
 from tests.diagnosis.assertions import nothing_is_found
 from tests.diagnosis.hidden.logs import assembly, recipe
 
@@ -68,6 +71,41 @@ def test_wheels_that_nobody_knows_of_do_not_stand_still(words, plant):
 
 def test_seconds_since_1970_are_no_error_of_the_drive():
     nothing_is_found(judged(moved(sound(), 1.7e9)))
+
+
+def pooled(*logs):
+    """Several logs of one machine as one, as the reader does."""
+    channels = {}
+    for name in dict.fromkeys(name for log in logs for name in log.channels):
+        parts = [
+            replace(log[name], span=log[name].span + k) for k, log in enumerate(logs) if name in log
+        ]
+        columns = [[getattr(part, f) for part in parts] for f in ("t_s", "values", "span")]
+        channels[name] = Channel(*map(np.concatenate, columns))
+    spans = tuple(replace(log.spans[0], number=k) for k, log in enumerate(logs))
+    return replace(logs[0], channels=channels, spans=spans)
+
+
+@pytest.mark.parametrize("later_s", [0.0, 3e7], ids=["both from nought", "a later year first"])
+def test_the_stamps_of_two_logs_are_not_mixed(later_s):
+    first = moved(sound(), later_s)
+    both = diagnose(pooled(first, sound()), assembly(), jobs=1)
+    nothing_is_found(both.findings)
+    assert "report.html" in documents(both)
+    moments = {row.horizon_s for row in both.evidence.gain_by_horizon}
+    assert any(h > 0.0 for h in moments)
+    assert all(h >= 0.0 for h in moments)
+
+
+def test_lost_steps_are_looked_for_within_each_log():
+    one, two = (
+        prepare_all(log, assembly().robot, 1, silent)[0]["drive"]
+        for log in (sound(), pooled(moved(sound(), 1000.0), sound()))
+    )
+    alone, both = (lost_steps(p.problem, p.base) for p in (one, two))
+    assert alone is not None
+    assert both is not None
+    assert (both.judged, both.events) == (2 * alone.judged, 2 * alone.events)
 
 
 def test_a_machine_that_was_asked_for_nothing_has_a_report():
