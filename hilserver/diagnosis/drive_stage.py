@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 SPEEDS: Final = tuple(f"wheel.{w}.speed_rpm" for w in WHEELS)
 DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
+TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
 INPUTS: Final[Mapping[str, int]] = {
     **{name: U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
@@ -38,6 +39,7 @@ INPUTS: Final[Mapping[str, int]] = {
 }
 NOMINAL_V: Final = 19.2
 SETTLING_S: Final = 1.0
+MOVING_RPM: Final = 1.0
 SMOOTHING_S: Final = 2.0
 LATELY_S: Final = 0.02
 """A voltage is used where the load did not change for so long: the sensor may lag."""
@@ -67,7 +69,7 @@ class DriveStage:
             names,
             self.segments,
             block_s=block_s,
-            skip_s=0.0 if self._at_rest() else SETTLING_S,
+            skip_s=self._unknown_s(),
         )
         self._inputs, self._row = self._latched()
         self._speed_0 = self._start()
@@ -79,7 +81,7 @@ class DriveStage:
     @staticmethod
     def judges(log: MeasuredLog) -> bool:
         """Return whether the log has what this stage needs."""
-        commanded = log.has(*SETPOINTS) or log.has("twist.linear_m_s", "twist.angular_rad_s")
+        commanded = log.has(*SETPOINTS) or log.has(*TWIST)
         return commanded and any(n in log for n in (*SPEEDS, *DUTIES))
 
     def simulate(self, terms: Mapping[str, float]) -> tuple[Array, Array, Array]:
@@ -160,10 +162,39 @@ class DriveStage:
         begin = np.repeat(self.segments.first[:-1], np.diff(self.segments.first))
         return np.where(last < begin, np.inf, (tick - last) * self.segments.period_s)
 
+    @property
+    def _commanded(self) -> tuple[str, ...]:
+        return SETPOINTS if self.log.has(*SETPOINTS) else TWIST
+
+    def _unknown_s(self) -> Array:
+        """Return how long at the start of each segment nobody knows what the drive was told.
+
+        Without any set-point that is all of it. A machine at rest was told to stand still.
+        """
+        skips_s = np.full(len(self.segments), 0.0 if self._at_rest() else SETTLING_S)
+        for i, span in enumerate(self.segments.span.tolist()):
+            if not self.knows(span):
+                skips_s[i] = np.inf
+                continue
+            first_s = max(float(self.log[n].of(span)[0][0]) for n in self._commanded)
+            if self._moved(span, first_s):
+                skips_s[i] = first_s - self.segments.start_s[i] + SETTLING_S
+        return skips_s
+
+    def knows(self, span: int) -> bool:
+        """Return whether the log holds set-points of a span."""
+        return all(len(self.log[n].of(span)[0]) for n in self._commanded)
+
+    def _moved(self, span: int, before_s: float) -> bool:
+        """Return whether a wheel turned before some time."""
+        stretches = [self.log[n].of(span) for n in SPEEDS if n in self.log]
+        return any(np.median(np.abs(v[t < before_s])) > MOVING_RPM
+                   for t, v in stretches if (t < before_s).any())  # fmt: skip
+
     def _at_rest(self) -> bool:
         firsts = [abs(self.log[n].of(s)[1][:3]).max(initial=0.0)
                   for n in SPEEDS if n in self.log for s in range(len(self.log.spans))]  # fmt: skip
-        return max(firsts, default=0.0) < 1.0
+        return max(firsts, default=0.0) < MOVING_RPM
 
     def _start(self) -> Array:
         """Return wheel speeds and integrals at the start of each segment, shape (m, 8)."""

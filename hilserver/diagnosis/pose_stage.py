@@ -67,13 +67,21 @@ class PoseStage:
         self.left, self.right = WheelSpeeds(log, self.segments, drive).sides()
         self.angle_0 = angles_at_starts(self.left, self.segments)
         names = [n for n in (*TAG, GYRO) if n in log]
-        self.stack = make_stack(log, names, self.segments, block_s=block_s)
+        usable = np.array([self._is_driven(int(s)) for s in self.segments.span], dtype=bool)
+        self.stack = make_stack(log, names, self.segments, block_s=block_s, usable=usable)
         self.has_position = log.has(*POSITION)
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
         self._state = robot.initial_state()
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
         self._tag_rows()
+
+    def _is_driven(self, span: int) -> bool:
+        """Return whether it is known in a span how the wheels of both sides turned."""
+        if self._drive is not None and self._drive[0].knows(span):
+            return True
+        sides = (SPEEDS[:2], SPEEDS[2:])
+        return all(any(n in self.log and len(self.log[n].of(span)[0]) for n in s) for s in sides)
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""

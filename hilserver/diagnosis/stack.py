@@ -85,7 +85,7 @@ def make_stack(
     segments: Segments,
     *,
     block_s: float,
-    skip_s: float = 0.0,
+    skip_s: float | Array = 0.0,
     usable: NDArray[np.bool_] | None = None,
 ) -> Stack:
     """Collect the samples of some channels.
@@ -94,20 +94,20 @@ def make_stack(
     ----------
     block_s : float
         Length of the sign-flip blocks.
-    skip_s : float
+    skip_s : float or ndarray, shape (segments,)
         Left out at the start of each segment.
     usable : ndarray of bool, shape (segments,), optional
         Segments that take part.
     """
     parts: dict[str, list[NDArray[Any]]] = {"segment": [], "t_s": [], "values": [], "at": []}
     edges: dict[str, slice] = {}
-    begin = 0
+    begin, skips_s = 0, np.broadcast_to(skip_s, len(segments))
     for name in names:
         channel = log[name]
         segment, at = segments.locate(channel.span, channel.t_s)
         keep = segment >= 0
         index = np.maximum(segment, 0)
-        keep &= channel.t_s >= segments.start_s[index] + skip_s - 1e-9
+        keep &= channel.t_s >= segments.start_s[index] + skips_s[index] - 1e-9
         if usable is not None:
             keep &= usable[index]
         edges[name] = slice(begin, begin + int(keep.sum()))

@@ -97,6 +97,23 @@ def test_the_stamps_of_two_logs_are_not_mixed(later_s):
     assert all(h >= 0.0 for h in moments)
 
 
+@pytest.mark.parametrize(
+    "words", [["setpoint", "speed"], ["nav.", "gyro"], ["speed", "nav."]], ids=" ".join
+)
+def test_what_one_of_two_logs_lacks_is_not_taken_for_nought(words):
+    nothing_is_found(judged(pooled(sound(), only(sound(), *words))))
+
+
+def test_set_points_that_begin_while_the_machine_drives_were_no_standstill():
+    log = sound()
+    late = {
+        name: Channel(*(column[c.t_s > 10.0] for column in (c.t_s, c.values, c.span)))
+        for name, c in log.channels.items()
+        if "setpoint" in name
+    }
+    nothing_is_found(judged(log.with_channels(late)))
+
+
 def test_lost_steps_are_looked_for_within_each_log():
     one, two = (
         prepare_all(log, assembly().robot, 1, silent)[0]["drive"]
