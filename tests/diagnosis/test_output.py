@@ -81,6 +81,13 @@ def test_one_line_per_log():
     )
 
 
+@pytest.mark.parametrize("verdict", ["nothing_found", "no_difference"])
+def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict):
+    found = nothing_found().model_copy(update={"verdict": verdict, "smallest_detectable": ()})
+    assert found.not_judged
+    assert summary(found).startswith("Nothing could be judged: these data lack channels")
+
+
 def test_a_term_of_several_parts_keeps_them_all():
     terms = (
         FittedTerm("stribeck_friction.f_s", 4.0, None, "%", 0),

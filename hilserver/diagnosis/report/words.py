@@ -28,6 +28,8 @@ INTERVAL_WIDTH = 260.0
 
 def headline(findings: Findings) -> str:
     """Return what the page says first, one sentence."""
+    if not findings.findings and not findings.smallest_detectable and findings.not_judged:
+        return "Nothing could be judged: these data lack channels, see what was not judged and why."
     if findings.verdict is Overall.NOTHING_FOUND:
         return "The simulation fits these data: nothing was found."
     if findings.verdict is Overall.NO_DIFFERENCE:
