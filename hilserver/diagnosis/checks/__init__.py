@@ -18,6 +18,7 @@ from hilserver.diagnosis.checks import (
     orientation,
     repeated,
     sparse,
+    stuck,
     units,
     wrapped,
 )
@@ -32,6 +33,7 @@ FAR_S = 1e5
 Check = Callable[[MeasuredLog, RobotParameters], tuple[MeasuredLog, list[Finding]]]
 
 ORDER: Final[tuple[Check, ...]] = (
+    stuck.find,
     copied.find,
     interpolated.find,
     held.find,
