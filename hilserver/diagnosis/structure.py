@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 LEVEL = 0.001
 LEAST_GAIN = 40.0
 LEAST_T = 3.0
+FEWEST_BLOCKS = 4
+"""In shorter recordings the noise is not known well enough to call a misfit gross."""
 LEAST_SHARE = 0.001
 """Of the samples' variance: what explains less is of no use to anybody."""
 INEXACT = 0.005
@@ -81,6 +83,7 @@ def remaining(
     order = blocks.order
     scores, strong = [], []
     gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
+    gross = gross and stack.n_blocks >= FEWEST_BLOCKS
     most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)

@@ -169,7 +169,9 @@ def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
     _demand(table, column, name)
     values = table.column(column)
     refuse_absurd(values, column, table.where)
-    converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
+    with np.errstate(over="ignore"):
+        converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
+    refuse_absurd(converted, column, lambda row, at: f"{table.where(row, at)}, as {name}")
     return converted
 
 

@@ -14,6 +14,8 @@ from hilserver.identify.wheels import files, present
 Array = NDArray[np.float64]
 
 RESTING_RPM: Final = 1.0
+MOSTLY: Final = 0.5
+"""Share of the samples between the edges that must rest in a sweep."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,9 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
     if not resting.any() or not (turning < -resting_rpm).any():
         return None
     low, high = float(level[resting].min()), float(level[resting].max())
+    inside = (level >= low) & (level <= high)
+    if np.mean(resting[inside]) < MOSTLY:  # quicker than the wheels: they rest at any duty
+        return None
     below, above = level[level < low], level[level > high]
     if not (len(below) and len(above)):
         return None

@@ -23,6 +23,7 @@ from hilserver.identify.wheels import files, present
 Array = NDArray[np.float64]
 
 RISE: Final = 0.632
+FEWEST_SAMPLES: Final = 10
 _CHANGES_MIN = 5
 
 
@@ -134,7 +135,15 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
         raise LogError(f"{files(log)}: the set-point of {wheel} is always 0; there is no step")
     span, start_s = int(setpoint.span[aims[0]]), float(setpoint.t_s[aims[0]])
     t_s, values = speed.of(span)
-    t_s, values = t_s[t_s >= start_s], values[t_s >= start_s]
+    others = (setpoint.span == span) & (setpoint.values != setpoint.values[aims[0]])
+    end_s = float(setpoint.t_s[others & (setpoint.t_s > start_s)].min(initial=np.inf))
+    step = (t_s >= start_s) & (t_s < end_s)
+    t_s, values = t_s[step], values[step]
+    if len(values) < FEWEST_SAMPLES:
+        raise LogError(
+            f"{files(log)}: {len(values)} samples of {wheel} until its set-point changes"
+            f" again; an update rate needs {FEWEST_SAMPLES}: hold the set-point longer"
+        )
     settled = values[len(values) // 2 :]
     final = float(np.median(settled))
     spread = 1.96 * float(np.std(settled)) / math.sqrt(max(len(settled) / 10.0, 1.0))

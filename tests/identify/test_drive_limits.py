@@ -64,6 +64,20 @@ def test_log_without_a_step_is_refused():
         identify_update_rate(measured(t_s, {"wheel.fl.speed_rpm": t_s}))
 
 
+def test_a_step_ends_where_the_setpoint_changes_again():
+    log = incremental(5, row_ms=1)
+    setpoint = log["wheel.fl.setpoint_rpm"]
+    back = setpoint.with_values(np.where(setpoint.t_s < 1.0, setpoint.values, 0.0))
+    stopped = log["wheel.fl.speed_rpm"]
+    stopped = stopped.with_values(np.where(stopped.t_s < 1.0, stopped.values, 0.0))
+    changed = log.with_channels({"wheel.fl.setpoint_rpm": back, "wheel.fl.speed_rpm": stopped})
+    (rise,), (whole,) = (identify_update_rate(each).rises for each in (changed, log))
+    assert rise.rise_s.value == pytest.approx(whole.rise_s.value, rel=0.05)
+    short = setpoint.with_values(np.where(setpoint.t_s < 0.005, setpoint.values, 0.0))
+    with pytest.raises(LogError, match="hold the set-point longer"):
+        identify_update_rate(log.with_channels({"wheel.fl.setpoint_rpm": short}))
+
+
 def sweep(low, high, held=False):
     duty = np.arange(-60.0, 61.0, 1.0)
     speed = np.where(duty < low, (duty - low) * 3.0, np.where(duty > high, (duty - high) * 3.0, 0))
@@ -127,3 +141,13 @@ def test_a_robot_that_never_stands_is_refused():
     with pytest.raises(LogError, match="never stands still"):
         identify_noise(log)
     assert len(identify_noise(log, everywhere=True)) == 2
+
+
+def test_a_duty_quicker_than_the_wheels_shows_no_dead_zone():
+    """In an ordinary drive a wheel is at rest for a moment at nearly any duty."""
+    t_s = np.arange(0.0, 20.0, 0.02)
+    duty = 80.0 * np.sin(2.0 * t_s)
+    speed = 3.0 * np.roll(duty, 20)
+    log = measured(t_s, {"wheel.fl.duty_pct": duty, "wheel.fl.speed_rpm": np.round(speed / 9) * 9})
+    with pytest.raises(LogError, match="slower than the wheels"):
+        identify_dead_zone(log)

@@ -132,3 +132,10 @@ def test_a_machine_that_was_asked_for_nothing_has_a_report():
 @pytest.mark.parametrize("value", [0.0, 1e-9])
 def test_channels_without_noise_overflow_nothing(value):
     judged(held_at(sound(), ["."], value))
+
+
+@pytest.mark.parametrize(("seed", "duration_s"), [(1, 1.05), (3, 3.0), (1, 5.0)])
+def test_a_recording_of_seconds_has_no_unknown_structure(seed, duration_s):
+    """Its noise is hardly known: what looks like a gross misfit is not."""
+    made = recipe("nothing drive", seed, duration_s)
+    nothing_is_found(judged(measured(make(made)[0], made)))

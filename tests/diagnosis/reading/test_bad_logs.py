@@ -214,6 +214,11 @@ KINDS = {
     ),
     "mapping sign": (csv(), COLUMNS.replace("left", "left, sign: 2"), "map.yaml:2: .*sign"),
     "mapping scale": (csv(), COLUMNS.replace("left", "left, scale: 0"), "scale 0 leaves nothing"),
+    "mapped far": (
+        csv(header="time,left", row="{t},1{i}"),
+        "time: {column: time}\n" + COLUMNS.replace("left", "left, scale: 1.0e+300"),
+        "row 2, .*'left', as wheel.fl.speed_rpm: .* is no value of a robot",
+    ),
     "mapping without channels": (csv(), "time: {rate_hz: 50}\n", "key 'channels' is missing"),
     "mapping rate": (csv(), "time: {rate_hz: -1}\n" + COLUMNS, "map.yaml:1: time.rate_hz"),
     "mapping column and rate": (
