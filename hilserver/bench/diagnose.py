@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -124,8 +125,11 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
 
 def _work_off(todo: Sequence[Case | Staged], jobs: int, file: Path, group: str) -> Iterator[Record]:
     begin, shown = time.monotonic(), 0.0
-    with file.open("a", encoding="utf-8") as out:
-        for done, (_, record) in enumerate(in_processes(work, todo, jobs), 1):
+    with (
+        file.open("a", encoding="utf-8") as out,
+        closing(in_processes(work, todo, jobs)) as records,
+    ):
+        for done, (_, record) in enumerate(records, 1):
             out.write(json.dumps(record) + "\n")
             out.flush()
             yield record

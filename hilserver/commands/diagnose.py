@@ -7,7 +7,8 @@ logs are taken for one machine and pooled, unless --each gives every log a repor
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
+from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import add_config, config_path
@@ -126,15 +127,16 @@ def _each(args: argparse.Namespace) -> int:
     folders = _folders(args.logs)
     code, progress, done = EXIT_DONE, Progress(), 0
     try:
-        for index, outcome in _outcomes(args, tasks):
-            done += 1
-            progress(f"{done} of {len(tasks)} logs", done / len(tasks))
-            if outcome.error:
-                code = max(code, outcome.exit_code)
-                progress.say(f"hilserver: {outcome.error}", sys.stderr)
-                continue
-            write(args.out / folders[index], outcome.files)
-            progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
+        with closing(_outcomes(args, tasks)) as outcomes:
+            for index, outcome in outcomes:
+                done += 1
+                progress(f"{done} of {len(tasks)} logs", done / len(tasks))
+                if outcome.error:
+                    code = max(code, outcome.exit_code)
+                    progress.say(f"hilserver: {outcome.error}", sys.stderr)
+                    continue
+                write(args.out / folders[index], outcome.files)
+                progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
     except SystemExit:
         told = f"hilserver: stopped after {done} of {len(tasks)} logs: their reports are kept"
         progress.say(told, sys.stderr)
@@ -144,7 +146,9 @@ def _each(args: argparse.Namespace) -> int:
     return code
 
 
-def _outcomes(args: argparse.Namespace, tasks: list[Task]) -> Iterator[tuple[int, Outcome]]:
+def _outcomes(
+    args: argparse.Namespace, tasks: list[Task]
+) -> Generator[tuple[int, Outcome], None, None]:
     if args.dask:
         return on_cluster(diagnose, tasks, args.dask)
     return in_processes(diagnose, tasks, args.jobs)

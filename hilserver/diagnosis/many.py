@@ -4,7 +4,7 @@ import ctypes
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -33,8 +33,11 @@ def end_with_parent(parent: int) -> None:
 
 def in_processes(
     function: Callable[[T], R], tasks: Sequence[T], workers: int
-) -> Iterator[tuple[int, R]]:
+) -> Generator[tuple[int, R], None, None]:
     """Yield the index and result of every task, as they come.
+
+    Who stops before the end closes the generator (`contextlib.closing`), and the workers end at
+    once; otherwise the interpreter would wait at its end for all that is queued.
 
     Parameters
     ----------
@@ -52,7 +55,7 @@ def in_processes(
         yield from ((index, function(task)) for index, task in enumerate(tasks))
         return
     context = multiprocessing.get_context("spawn")
-    count = min(workers, len(tasks))
+    count, others = min(workers, len(tasks)), set(multiprocessing.active_children())
     with ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool:
         waiting = {pool.submit(function, task): index for index, task in enumerate(tasks)}
         try:
@@ -62,13 +65,17 @@ def in_processes(
             raise FailedError(
                 "a worker process was ended, perhaps for want of memory; try fewer --jobs"
             ) from None
+        except BaseException:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
 def on_cluster(
     function: Callable[[T], R], tasks: Sequence[T], address: str
-) -> Iterator[tuple[int, R]]:
+) -> Generator[tuple[int, R], None, None]:
     """Yield the index and result of every task from a Dask cluster.
 
     Its workers must have this version of hilserver and see the logs under the same paths.

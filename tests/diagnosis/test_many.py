@@ -1,11 +1,13 @@
 """Many logs: the same results from one process, two, and a Dask cluster."""
 
+import multiprocessing
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +72,32 @@ def test_workers_end_with_the_process_that_started_them(tmp_path, how):
     parent.send_signal(how)
     parent.wait(20)
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
+
+
+def test_a_campaign_that_is_stopped_ends_at_once(tmp_path):
+    """Not after all that is queued: neither by a signal nor where its results are taken."""
+    file = tmp_path / "pids"
+    program = (
+        "from tests.diagnosis.test_many import wait_forever\n"
+        "from hilserver.diagnosis.many import in_processes\n"
+        "from hilserver.commands.ending import ended_by_signals\n"
+        "if __name__ == '__main__':\n"
+        "    with ended_by_signals():\n"
+        f"        list(in_processes(wait_forever, [{str(file)!r}] * 40, 2))\n"
+    )
+    script = tmp_path / "campaign.py"
+    script.write_text(program)
+    parent = subprocess.Popen([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."})
+    pids = until(lambda: file.exists() and file.read_text().split(), lambda found: len(found) == 2)
+    parent.send_signal(signal.SIGTERM)
+    assert parent.wait(20) == 0
+    until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
+
+
+def test_closing_the_results_ends_the_workers():
+    with closing(in_processes(time.sleep, [0.0] + [600.0] * 6, 2)) as results:
+        assert next(results) == (0, None)
+    until(multiprocessing.active_children, lambda left: not left)
 
 
 def until(look, good, within_s=30.0):
