@@ -86,6 +86,7 @@ def test_twins_come_out_as_one_group_with_both_values(cause, seed, duration_s, t
     assert len(diagnosis(cause, seed, duration_s).evidence.extension) >= 1
 
 
+@pytest.mark.long
 def test_tyres_that_scrub_are_told_beside_the_rotation_gain():
     """Four radii on tyres with mass: the turn is smaller than the wheels say, and comes late."""
     ratio = 1.9
