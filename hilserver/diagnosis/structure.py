@@ -126,14 +126,19 @@ def misplaced(problem: Problem, point: Point) -> list[int]:
     family = next((f for f in families_of(problem, point) if f.name == RANGING), None)
     if family is None:
         return []
-    f, mine = point.model.fitted[index], point.model.slices[index]
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    others = np.delete(accepted, mine, axis=1)
-    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    others, own = _alone(point, accepted, index)
     target = orthogonal((point.left + own)[:, None], others)[:, 0]
     white = orthogonal(problem.project(problem.whiten(family.columns), bases), others)
     explained = float(target @ target - point.left @ point.left)
     return [index] if joint_gain(white, target) > explained + LEAST_MORE else []
+
+
+def _alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
+    """Return the columns of the other accepted causes, and the effect of one."""
+    f, mine = point.model.fitted[index], point.model.slices[index]
+    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    return np.delete(accepted, mine, axis=1), own
 
 
 def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list[int]:
@@ -160,9 +165,7 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list
 
 def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
     """Return whether one of a family's columns explains more in the place of a cause."""
-    f, mine = point.model.fitted[index], point.model.slices[index]
-    others = np.delete(accepted, mine, axis=1)
-    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    others, own = _alone(point, accepted, index)
     target = orthogonal((point.left + own)[:, None], others)[:, 0]
     effect = orthogonal(own[:, None], others)[:, 0]
     columns = orthogonal(white, others)

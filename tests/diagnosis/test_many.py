@@ -57,38 +57,38 @@ def alive(pid):
         return False
 
 
+def campaign(folder, lines):
+    """Start a program with two workers that wait; return it and their process ids."""
+    file, script = folder / "pids", folder / "campaign.py"
+    head = [
+        "from hilserver.commands.ending import ended_by_signals",
+        "from hilserver.diagnosis.many import in_processes",
+        "from tests.diagnosis.test_many import wait_forever",
+        f"tasks = [{str(file)!r}] * 40",
+    ]
+    script.write_text("\n".join([*head, *lines]))
+    parent = subprocess.Popen([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."})
+    found = until(lambda: file.exists() and file.read_text().split(), lambda ids: len(ids) == 2)
+    return parent, found
+
+
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_the_process_that_started_them(tmp_path, how):
-    file = tmp_path / "pids"
-    program = (
-        "from tests.diagnosis.test_many import wait_forever\n"
-        "from hilserver.diagnosis.many import in_processes\n"
-        f"if __name__ == '__main__': list(in_processes(wait_forever, [{str(file)!r}] * 4, 2))\n"
-    )
-    script = tmp_path / "campaign.py"
-    script.write_text(program)
-    parent = subprocess.Popen([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."})
-    pids = until(lambda: file.exists() and file.read_text().split(), lambda found: len(found) == 2)
+    run = "if __name__ == '__main__': list(in_processes(wait_forever, tasks, 2))"
+    parent, pids = campaign(tmp_path, [run])
     parent.send_signal(how)
     parent.wait(20)
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
 
 
 def test_a_campaign_that_is_stopped_ends_at_once(tmp_path):
-    """Not after all that is queued: neither by a signal nor where its results are taken."""
-    file = tmp_path / "pids"
-    program = (
-        "from tests.diagnosis.test_many import wait_forever\n"
-        "from hilserver.diagnosis.many import in_processes\n"
-        "from hilserver.commands.ending import ended_by_signals\n"
-        "if __name__ == '__main__':\n"
-        "    with ended_by_signals():\n"
-        f"        list(in_processes(wait_forever, [{str(file)!r}] * 40, 2))\n"
-    )
-    script = tmp_path / "campaign.py"
-    script.write_text(program)
-    parent = subprocess.Popen([sys.executable, str(script)], env=os.environ | {"PYTHONPATH": "."})
-    pids = until(lambda: file.exists() and file.read_text().split(), lambda found: len(found) == 2)
+    """Not after all that is queued."""
+    run = [
+        "if __name__ == '__main__':",
+        "    with ended_by_signals():",
+        "        list(in_processes(wait_forever, tasks, 2))",
+    ]
+    parent, pids = campaign(tmp_path, run)
     parent.send_signal(signal.SIGTERM)
     assert parent.wait(20) == 0
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.checks.support import (
     SPAN_S,
     along,
+    alternates,
     data_fault,
     listed,
     measured_channels,
@@ -23,8 +24,6 @@ MISSING_ROWS = 0.05
 MISSING_IN_BURSTS = 0.02
 SLOWEST_S = 0.22
 """Slower channels keep no steady clock of which one could say that a sample is missing."""
-ALTERNATING = 0.35
-"""Share of steps against the one before, in a channel with noise of its own."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -84,7 +83,7 @@ def _repetitions(channel: Channel) -> NDArray[np.bool_] | None:
         return None
     steps = np.diff(channel.values)
     steps = steps[steps != 0]
-    if not len(steps) or np.mean(steps[1:] * steps[:-1] < 0) < ALTERNATING:
+    if not alternates(steps):
         return None
     least = 0.05 * float(np.median(np.abs(steps)))
     burst = ~short & (channel.values[runs.first] != 0)

@@ -5,15 +5,13 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.checks.support import data_fault, listed, measured_channels
+from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
 from hilserver.plant.parameters import RobotParameters
 from hilserver.signals import WHEELS
 
 FEWEST: Final = 100
-ALTERNATING: Final = 0.35
-"""Share of steps against the one before, in a channel with noise of its own."""
 MOVED_RPM: Final = 5.0
 AXES: Final = {"nav.x_m": "nav.y_m", "nav.y_m": "nav.x_m"}
 TURNS: Final = ("nav.yaw_rad", "imu.gyro_z_rad_s")
@@ -46,7 +44,7 @@ def _is_constant(channel: Channel) -> bool:
 def _is_noisy(channel: Channel) -> bool:
     """Return whether a channel goes up and down from row to row."""
     steps = np.diff(channel.values)
-    return len(steps) >= FEWEST and float(np.mean(steps[1:] * steps[:-1] < 0.0)) > ALTERNATING
+    return len(steps) >= FEWEST and alternates(steps)
 
 
 def _should_change(log: MeasuredLog, name: str) -> bool:

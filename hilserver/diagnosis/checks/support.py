@@ -10,6 +10,8 @@ from hilserver.diagnosis.data import Array, Channel
 from hilserver.diagnosis.findings import Finding, Interval, Parameter, Verdict
 from hilserver.diagnosis.names import is_input
 
+ALTERNATING = 0.35
+"""Share of steps against the one before, in a channel with noise of its own."""
 SPAN_S = 1e6
 """Longer than any span; tells the stamps of two spans apart."""
 
@@ -104,6 +106,11 @@ def runs_of(channel: Channel) -> Runs:
     inside[inside] = channel.span[next_first[inside]] == channel.span[first[inside]]
     duration[inside] = channel.t_s[next_first[inside]] - channel.t_s[first[inside]]
     return Runs(first, next_first - first, steps[first], steps[next_first], duration)
+
+
+def alternates(steps: Array) -> bool:
+    """Return whether steps go up and down as those of a noisy channel do."""
+    return len(steps) > 1 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) >= ALTERNATING
 
 
 def row_period_s(channel: Channel) -> float:

@@ -27,12 +27,16 @@ def asked_for(candidate, at):
     return asked
 
 
-@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda c: c.label)
-@pytest.mark.parametrize("side", [0, 1])
-def test_no_sensitivity_leaves_what_the_plant_accepts(candidate, side):
-    at = tuple(Model().plus(candidate, candidate.start).borders()[side].tolist())
-    if not np.isfinite(at).all():
-        pytest.skip("it has no border there")
+def borders():
+    """All candidates with each of their borders that is not at infinity."""
+    for candidate in CANDIDATES:
+        for name, at in (("low", candidate.low), ("high", candidate.high)):
+            if np.isfinite(at).all():
+                yield pytest.param(candidate, at, id=f"{candidate.label}, {name}")
+
+
+@pytest.mark.parametrize(("candidate", "at"), list(borders()))
+def test_no_sensitivity_leaves_what_the_plant_accepts(candidate, at):
     asked = asked_for(candidate, at)
     assert len(asked) == 1 + candidate.n
     for terms in asked:
