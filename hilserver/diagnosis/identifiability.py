@@ -1,6 +1,7 @@
 """What the data cannot tell apart: accepted causes against rivals that could imitate them."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.problem import Point, Problem, fit
-from hilserver.diagnosis.trial import TIE, cost, possible
+from hilserver.diagnosis.trial import TIE, Trial, cost, possible
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,8 @@ class Rival:
     Attributes
     ----------
     cosine : float
-        Of the sensitivities, what the other accepted causes explain taken out.
+        Of the sensitivities, what the other accepted causes explain taken out; of the effects
+        themselves at their fitted sizes where these are more alike, see `likeness`.
     worse : float
         Deviance that it leaves more, a penalty per parameter included; negative: it is better.
     z : float
@@ -43,10 +45,14 @@ class Rival:
     z: float
 
     @property
+    def close(self) -> bool:
+        """Whether it explains the data about as well."""
+        return self.worse < TIE or self.z < CLEAR_Z
+
+    @property
     def ties(self) -> bool:
         """Whether the data cannot tell it from the accepted cause."""
-        close = self.worse < TIE or self.z < CLEAR_Z
-        return close and self.cosine > GROUP_COSINE
+        return self.close and self.cosine > GROUP_COSINE
 
     @property
     def wins(self) -> bool:
@@ -103,11 +109,16 @@ def orthonormal(columns: Array) -> Array:
     return np.asarray(np.linalg.qr(columns / (np.sqrt((columns**2).sum(axis=0)) + 1e-300))[0])
 
 
-def rivals(library: Library, point: Point, index: int) -> list[Rival]:
-    """Fit every confusable rival in the place of an accepted cause; the best start of each."""
-    problem, accepted = library.problem, point.model.fitted[index]
+def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = ()) -> list[Rival]:
+    """Fit every confusable rival in the place of an accepted cause; the best start of each.
+
+    Parameters
+    ----------
+    near : sequence of Trial
+        Others that explained nearly as much when the cause was accepted. A large effect need not
+        look like the slope of its cause: a limit does nothing until it is reached.
+    """
     cosine = cosines(library, point, index)
-    saved = explained(problem, point, index)
     best: dict[str, int] = {}
     taken = set(point.model.causes)
     for i, c in enumerate(library.candidates):
@@ -115,19 +126,51 @@ def rivals(library: Library, point: Point, index: int) -> list[Rival]:
             continue
         if c.cause not in best or cosine[i] > cosine[best[c.cause]]:
             best[c.cause] = i
-    found = []
-    for i in best.values():
-        c = library.candidates[i]
-        theta = c.beginning
+    starts = [(library.candidates[i], library.candidates[i].beginning) for i in best.values()]
+    found = _fitted(library.problem, point, index, starts)
+    found = [replace(r, cosine=float(cosine[best[r.candidate.cause]])) for r in found]
+    starts = [(t.candidate, t.theta) for t in near if t.candidate.cause not in {*best, *taken}]
+    others = _fitted(library.problem, point, index, starts)
+    if any(r.close and r.cosine <= GROUP_COSINE for r in found + others):
+        without = fit(library.problem, point.model.without(index), point, iterations=3)
+        found = [_compared(r, without, point) for r in found]
+        others = [_compared(r, without, point) for r in others]
+    found += [r for r in others if r.ties]
+    return sorted(found, key=lambda r: r.worse)
+
+
+def _fitted(
+    problem: Problem,
+    point: Point,
+    index: int,
+    starts: Sequence[tuple[Candidate, tuple[float, ...]]],
+) -> list[Rival]:
+    """Return the possible ones of some candidates, fitted in the place of an accepted cause."""
+    accepted, found = point.model.fitted[index].candidate, []
+    saved = explained(problem, point, index) if starts else 0.0
+    for c, theta in starts:
         trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
         if not possible(trial):
             continue
         difference = trial.loss - point.loss
-        penalty = cost(c, saved) - cost(accepted.candidate, saved)
+        penalty = cost(c, saved) - cost(accepted, saved)
         worse = float(difference.sum()) + penalty
-        z = deviations(difference, penalty)
-        found.append(Rival(c, trial, float(cosine[i]), worse, z))
-    return sorted(found, key=lambda r: r.worse)
+        found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty)))
+    return found
+
+
+def _compared(rival: Rival, without: Point, point: Point) -> Rival:
+    """Return a rival with the likeness of the effects where that of the slopes is less."""
+    if not rival.close or rival.cosine > GROUP_COSINE:
+        return rival
+    return replace(rival, cosine=max(rival.cosine, likeness(without, point, rival.point)))
+
+
+def likeness(without: Point, one: Point, other: Point) -> float:
+    """Return the |cos| between what two models change of a third that has neither cause."""
+    a, b = without.left - one.left, without.left - other.left
+    norm = float(np.sqrt((a @ a) * (b @ b)))
+    return abs(float(a @ b)) / norm if norm > 0.0 else 0.0
 
 
 def deviations(difference: Array, more: float = 0.0) -> float:
@@ -142,13 +185,22 @@ def deviations(difference: Array, more: float = 0.0) -> float:
     )
 
 
-def settle(library: Library, point: Point) -> tuple[Point, dict[str, list[Rival]]]:
-    """Swap causes for better rivals until none is left; return the rivals that tie."""
+def settle(
+    library: Library, point: Point, near: Mapping[str, Sequence[Trial]] | None = None
+) -> tuple[Point, dict[str, list[Rival]]]:
+    """Swap causes for better rivals until none is left; return the rivals that tie.
+
+    Parameters
+    ----------
+    near : mapping of str to sequence of Trial, optional
+        By accepted cause, see `rivals`.
+    """
+    near = near or {}
     for _ in range(MOST_SWAPS):
         ties: dict[str, list[Rival]] = {}
         swapped = None
         for index, f in enumerate(point.model.fitted):
-            found = rivals(library, point, index)
+            found = rivals(library, point, index, near.get(f.candidate.cause, ()))
             if found and found[0].wins and not found[0].ties:
                 swapped = found[0].point
                 break

@@ -47,7 +47,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     problem, point, rows = p.problem, selected.point, selected.rows
     ties: dict[str, list[Rival]] = {}
     if point.model.fitted:
-        exchanged, ties = settle(p.library, point)
+        exchanged, ties = settle(p.library, point, selected.near)
         rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
         point = prune(problem, exchanged, LEAST_GAIN)
         rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")

@@ -19,6 +19,7 @@ from hilserver.diagnosis.checks import (
     repeated,
     sparse,
     stuck,
+    too_fast,
     units,
     wrapped,
 )
@@ -40,6 +41,7 @@ ORDER: Final[tuple[Check, ...]] = (
     repeated.find,
     wrapped.find,
     units.find,
+    too_fast.find,
     orientation.find,
     sparse.find,
     clocks.find,

@@ -1,6 +1,7 @@
 """Data checks: every fault by its name, its value and the mended data; never a false alarm."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -353,3 +354,11 @@ def test_wheel_angles_that_wrap_are_made_continuous(table, size):
     found = checked.log["wheel.fl.angle_rad"].values
     assert found - found[0] == pytest.approx(angle - angle[0], abs=0.02)
     assert "the angle wraps at" in checked.log.notices[0]
+
+
+def test_setpoints_above_the_top_speed_are_told(table):
+    t, columns = table
+    log = log_of(t, {**columns, SENT[1]: np.where(t > 10.0, 1.5 * ROBOT.max_rpm, columns[SENT[1]])})
+    (note,) = check(log, ROBOT).log.notices
+    assert f"{SENT[1]} reaches 135 rpm, but plant.max_rpm is 90" in note
+    assert not check(log, replace(ROBOT, max_rpm=140.0)).log.notices

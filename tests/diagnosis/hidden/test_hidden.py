@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hilserver_injector.cases import twins
 
 from hilserver.diagnosis.findings import Verdict
 from hilserver.plant.terms import TERMS, main_part
@@ -84,6 +85,24 @@ def test_twins_come_out_as_one_group_with_both_values(cause, seed, duration_s, t
     the_value_is_right(findings, name, value, null)
     the_value_is_right(findings, IMITATED[cause], -value)
     assert len(diagnosis(cause, seed, duration_s).evidence.extension) >= 1
+
+
+@pytest.mark.parametrize("name", ["gain", "limit", "friction", "dead_zone"])
+def test_what_a_bench_cannot_tell_apart_is_one_group(name):
+    """At the limit all the time, or never braking: both twins leave the very same log."""
+    (case,) = (case for case in twins(5) if case.name == name)
+    findings = judged(replace(case.recipe, duration_s=20.0)).findings
+    the_twins_are_one_group(findings, *case.answer.together)
+    ((parameter, value),) = case.recipe.causes.items()
+    the_value_is_right(findings, parameter, value, TERMS[parameter].null or 0.0)
+
+
+@pytest.mark.parametrize("cause", ["process_gain", "time_constant"])
+def test_of_small_steps_the_truth_is_among_what_is_named(cause):
+    """Steps below 5 rpm say little, and never more than they can."""
+    made = replace(recipe(cause, 4, 30.0), manoeuvre="small_steps")
+    (finding,) = judged(made).findings.findings
+    assert cause in finding.causes
 
 
 @pytest.mark.long

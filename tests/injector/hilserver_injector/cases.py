@@ -114,9 +114,12 @@ def twins(seed: int) -> Iterator[Case]:
         others = {"rotation_gain", "gyro_scale", "wheel_radius"}
         how: dict[str, object] = {"manoeuvre": "spins", "recorder": on_spot, "duration_s": 180.0}
         yield _twin(seed, f"spins {name}", {name: 0.05 * sign}, others, **how)
-    bench = {"kind": "bench", "recorder": no_duty}
-    yield _twin(seed, "gain", {"process_gain": -0.1}, {"saturation_limit"}, **bench)
-    yield _twin(seed, "limit", {"saturation_limit": 90.0}, {"process_gain"}, **bench)
+    bench = {"kind": "bench", "recorder": no_duty, "manoeuvre": "flat_out"}
+    yield _twin(seed, "gain", {"process_gain": -0.3}, {"saturation_limit"}, **bench)
+    yield _twin(seed, "limit", {"saturation_limit": 70.0}, {"process_gain"}, **bench)
+    one_way = {"kind": "bench", "manoeuvre": "one_way"}
+    yield _twin(seed, "friction", {"coulomb_friction": 1.5}, {"dead_zone"}, **one_way)
+    yield _twin(seed, "dead_zone", {"dead_zone": 2.0}, {"coulomb_friction"}, **one_way)
 
 
 def outside(seed: int) -> Iterator[Case]:

@@ -190,4 +190,27 @@ def small_steps(rng: np.random.Generator, times: Array) -> Array:
     return table * np.array([1.0, 1.0, -1.0, -1.0])
 
 
-BENCHES = {"mixed": steps, "small_steps": small_steps}
+def flat_out(rng: np.random.Generator, times: Array) -> Array:
+    """Return reversals near the top speed: a weak drive is at its limit all the time."""
+    table, at, sign = np.zeros((len(times), 4)), 1.0, 1.0
+    while at < times[-1]:
+        lasts = float(rng.uniform(0.3, 1.5))
+        inside = (times >= at) & (times < at + lasts)
+        table[inside] = sign * rng.uniform(0.93, 1.0) * TOP_RPM
+        at, sign = at + lasts, -sign
+    return table * np.array([1.0, 1.0, -1.0, -1.0])
+
+
+def one_way(rng: np.random.Generator, times: Array) -> Array:
+    """Return plateaus and gentle ramps in one direction: the drive never brakes."""
+    knots, levels = [0.0, 0.5, 1.5], [0.0, 0.0, 30.0]
+    while knots[-1] < times[-1]:
+        level = float(rng.uniform(15.0, 60.0))
+        knots += [knots[-1] + abs(level - levels[-1]) / 40.0, 0.0]
+        knots[-1] = knots[-2] + float(rng.uniform(0.3, 1.5))
+        levels += [level, level]
+    table = np.repeat(np.interp(times, knots, levels)[:, None], 4, axis=1)
+    return table * np.array([1.0, 1.0, -1.0, -1.0])
+
+
+BENCHES = {"mixed": steps, "small_steps": small_steps, "flat_out": flat_out, "one_way": one_way}

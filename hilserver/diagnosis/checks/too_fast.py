@@ -1,0 +1,29 @@
+"""Set-points above the configured top speed: the plant scales them down, the machine may not."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.findings import Finding
+from hilserver.plant.parameters import RobotParameters
+from hilserver.signals import WHEELS
+
+ROUNDED: Final = 1.01
+"""Times max_rpm that a set-point may show where it was only rounded."""
+
+
+def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Tell of set-points that the replay scales down; the log is left as it is."""
+    names = [name for wheel in WHEELS if (name := f"wheel.{wheel}.setpoint_rpm") in log]
+    fastest = {name: float(np.abs(log[name].values).max(initial=0.0)) for name in names}
+    if max(fastest.values(), default=0.0) <= ROUNDED * robot.max_rpm:
+        return log, []
+    name = max(fastest, key=lambda one: fastest[one])
+    note = (
+        f"{name} reaches {fastest[name]:.4g} rpm, but plant.max_rpm is {robot.max_rpm:.4g}: the"
+        " replay scales such set-points down; if the machine does not, set plant.max_rpm in the"
+        " configuration or the mapping"
+    )
+    return replace(log, notices=(*log.notices, note)), []
