@@ -27,7 +27,7 @@ MOST_CAUSES = 6
 TRIALS = 8
 """Candidates of a round that are fitted: those with the largest linear gain, ..."""
 MOST_FITTED = 3
-"""... and of these in full."""
+"""... and so many causes in full, each with all its shapes."""
 MOST_SHAPES = 4
 """Shapes of a cause that are fitted where much is left to explain."""
 NEARLY_ALL = 0.9
@@ -220,7 +220,11 @@ def _accepted(
     selected: Selected,
 ) -> Trial | None:
     """Return the best trial that is significant and holds on blocks it was not fitted to."""
-    for trial in trials[:MOST_FITTED]:
+    causes: set[str] = set()
+    for trial in trials:
+        causes.add(trial.candidate.cause)
+        if len(causes) > MOST_FITTED:
+            break
         fitted = fit(problem, trial.point.model, trial.point, iterations=4)
         z = wald(problem, fitted, len(fitted.model.fitted) - 1)
         saved = f"saves {trial.gain:.0f} of a deviance of {point.deviance:.0f}"
