@@ -22,7 +22,8 @@ LEAST_BESIDE = 0.1
 """Share of what a cause explains that must be left of it beside the change of another."""
 RIVALS = 3
 PARTS = 4
-"""Parts of the log in which a cause may have different sizes, when causes are compared."""
+"""Parts of the log in which a cause may have a size and a trend of its own, when causes are
+compared."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Drifting:
     p : mapping of str to float
         Of no change, by cause.
     gain : float
-        Deviance that sizes of their own in each part of the log save against the model before.
+        Deviance that sizes and trends of their own in each part of the log save against the model
+        before.
     """
 
     point: Point
@@ -136,7 +138,7 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
 def _rearranged(
     library: Library, first: Point, point: Point, drift: set[str]
 ) -> tuple[Point, float]:
-    """Exchange and drop causes, all compared with sizes of their own in each part of the log.
+    """Exchange and drop causes, all compared with sizes and trends of their own in each part.
 
     Parameters
     ----------
@@ -148,14 +150,13 @@ def _rearranged(
     Point
         With one size each.
     float
-        Deviance with sizes of their own.
+        Deviance with sizes and trends of their own.
     """
     problem = library.problem
     masks = parts(problem)
 
     def cost(model: Model) -> float:
-        fits = (fit(problem, model, point, rows=mask, iterations=3) for mask in masks)
-        return sum(float(f.loss[mask].sum()) for f, mask in zip(fits, masks, strict=True))
+        return sum(_left_in(problem, model, point, mask) for mask in masks)
 
     model, least = point.model, cost(point.model)
     for index, f in enumerate(point.model.fitted):
@@ -174,10 +175,22 @@ def _rearranged(
         if old.candidate.cause in drift
     }
     model, least = _without_stand_ins(problem, model, first, drift, cost, least)
+    model, least = _one_for_all(library, model, first, cost, least)
     if model is not point.model:
         trial = fit(problem, model, point, iterations=5)
         point = trial if inside(trial) else point
     return point, least
+
+
+def _left_in(problem: Problem, model: Model, start: Point, mask: NDArray[np.bool_]) -> float:
+    """Return the deviance of some blocks, with sizes and straight trends of their own there."""
+    point = fit(problem, model, start, rows=mask, iterations=3)
+    left = float(point.loss[mask].sum())
+    columns, rows = problem.accepted(point), mask[problem.stack.block]
+    if columns is None or not rows.any():
+        return left
+    trend = columns[rows] * course(problem)[rows]
+    return left - _saved(orthogonal(trend, columns[rows]), point.left[rows])
 
 
 def _without_stand_ins(
@@ -209,6 +222,28 @@ def _without_stand_ins(
             break
         model = model.without(weakest)
         least = cost(model)
+    return model, least
+
+
+def _one_for_all(
+    library: Library, model: Model, first: Point, cost: Callable[[Model], float], least: float
+) -> tuple[Model, float]:
+    """Return one cause in the place of several where it explains as much as they do together."""
+    if len(model.fitted) < 2:
+        return model, least
+    problem = library.problem
+    target, time = problem.point(Model(), first.poses).left, course(problem)
+    chosen, columns = _singles(library)
+    saved = [
+        (_saved(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), target), i)
+        for k, i in enumerate(chosen)
+    ]
+    for _, i in sorted(saved, reverse=True)[:RIVALS]:
+        c = library.candidates[i]
+        other = Model().plus(c, c.beginning)
+        found = cost(other)
+        if found < least + LEAST_BETTER:
+            return other, found
     return model, least
 
 
