@@ -24,9 +24,18 @@ help: ## Show this list
 run: $(VENV)/.run ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60")
 	@$(BIN)/python .ci/foreground.py $(BIN)/hilserver run --demo $(ARGS)
 
+# Tests that only compute share the cores; the others keep time and have the machine for themselves.
+COMPUTING := tests/diagnosis tests/identify tests/injector_checks tests/plant tests/scenarios
+SHARED := --numprocesses $(shell env -u OMP_NUM_THREADS nproc) --maxprocesses 8 --dist loadfile
+
 .PHONY: test
 test: test-tools lint ## Install what the tests need, lint, run all tests but the long ones
+ifeq ($(strip $(ARGS)),)
+	@computing=0; $(BIN)/python -m pytest $(SHARED) $(COMPUTING) || computing=$$?; \
+	    $(BIN)/python -m pytest $(addprefix --ignore=,$(COMPUTING)) && exit $$computing
+else
 	@$(BIN)/python -m pytest $(ARGS)
+endif
 
 .PHONY: test-long
 test-long: test-tools ## Run the soaks and full campaigns
