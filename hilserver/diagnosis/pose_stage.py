@@ -1,6 +1,7 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import numpy as np
@@ -36,6 +37,11 @@ FEWEST_STARTS: Final = 4
 class PoseStage:
     """The kinematics of one log: what they make of the measured wheel speeds.
 
+    Parameters
+    ----------
+    jobs : int
+        Threads that the segments of a run are shared by; no digit depends on it.
+
     Attributes
     ----------
     segments : Segments
@@ -56,6 +62,7 @@ class PoseStage:
         *,
         block_s: float,
         longest_s: float | None = LONGEST_S,
+        jobs: int = 1,
     ) -> None:
         log = paired(log)
         self.log, self.robot = log, robot
@@ -73,6 +80,8 @@ class PoseStage:
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
         self._state = robot.initial_state()
+        self._shares = self.segments.shares(jobs)
+        self._pool = ThreadPoolExecutor(jobs) if len(self._shares) > 1 else None
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
         self._tag_rows()
 
@@ -117,18 +126,16 @@ class PoseStage:
         if last is not None and last[0] == key:
             return last[1]
         dense = np.empty((self.segments.ticks, 4))
-        y = np.zeros(N_Y)
-        run_pose(
-            p,
-            self._state,
-            self.segments.first,
-            self.left,
-            self.right,
-            poses,
-            self.angle_0,
-            y,
-            dense,
-        )
+
+        def run(share: slice) -> None:
+            ends = self.segments.first[share.start : share.stop + 1]
+            angles, y = self.angle_0[share], np.zeros(N_Y)
+            run_pose(p, self._state, ends, self.left, self.right, poses[share], angles, y, dense)
+
+        if self._pool is None:
+            run(slice(0, len(self.segments)))
+        else:
+            list(self._pool.map(run, self._shares))
         if keep:
             self._last = (key, dense)
         return dense

@@ -68,14 +68,16 @@ def drive_is_known(log: MeasuredLog) -> bool:
     return "process" in log.plant or not DIMENSIONS & set(log.plant)
 
 
-def stages_of(log: MeasuredLog, robot: RobotParameters) -> dict[str, DriveStage | PoseStage]:
-    """Return the stages that a log has the channels for."""
+def stages_of(
+    log: MeasuredLog, robot: RobotParameters, jobs: int = 1
+) -> dict[str, DriveStage | PoseStage]:
+    """Return the stages that a log has the channels for; their runs may use so many threads."""
     total_s = sum(s.end_s - s.start_s for s in log.spans)
     stages: dict[str, DriveStage | PoseStage] = {}
     if DriveStage.judges(log) and drive_is_known(log):
         stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
     if PoseStage.judges(log, driven="drive" in stages):
-        stages["pose"] = pose_stage(log, robot, stages.get("drive"), {})
+        stages["pose"] = pose_stage(log, robot, stages.get("drive"), {}, jobs)
     return stages
 
 
@@ -84,13 +86,15 @@ def pose_stage(
     robot: RobotParameters,
     drive: DriveStage | PoseStage | None,
     terms: dict[str, float],
+    jobs: int = 1,
 ) -> PoseStage:
     """Return the pose stage, its wheel speeds interpolated by the drive with these terms."""
     total_s = sum(s.end_s - s.start_s for s in log.spans)
     dense = None
     if isinstance(drive, DriveStage):
         dense = (drive, drive.simulate(terms)[0])
-    return PoseStage(log, robot, dense, block_s=block_length(total_s, 3.0, 5.0, 72))
+    block_s = block_length(total_s, 3.0, 5.0, 72)
+    return PoseStage(log, robot, dense, block_s=block_s, jobs=jobs)
 
 
 def prepare_all(
@@ -110,7 +114,7 @@ def prepare_all(
     """
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
-    for name, stage in stages_of(log, robot).items():
+    for name, stage in stages_of(log, robot, jobs).items():
         if name == "drive" and lost_setpoints:
             text = "the log does not hold the set-points that the machine got"
             candidates, others = judged_candidates(stage)

@@ -130,8 +130,8 @@ def test_half_the_turn_without_scrubbing_is_the_rotation_gain_alone():
     the_cause_is_named(judged(made).findings, "rotation_gain")
 
 
-def test_neither_threads_nor_a_second_time_change_a_digit():
-    log = ("actuation_delay", 1, 60.0)
+@pytest.mark.parametrize("log", [("actuation_delay", 1, 60.0), NAMED[0][:3]], ids=str)
+def test_neither_threads_nor_a_second_time_change_a_digit(log):
     first = diagnosis(*log)
     again = judged(recipe(*log), jobs=2)
     assert again.findings == first.findings
