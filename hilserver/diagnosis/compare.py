@@ -86,6 +86,7 @@ def compare(
         {n: p.library for n, p in prepared.items()},
         {n: p.base for n, p in prepared.items()},
         np.random.default_rng(seed),
+        jobs,
     )
     for name, p in prepared.items():
         differences += differences_of(name, p, shared[name].point, second, runs)

@@ -118,7 +118,7 @@ def judge(
     prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
     lap("effects")
     tell("selecting causes", 0.0)
-    judged = _judge(prepared, rng)
+    judged = _judge(prepared, rng, jobs)
     lap("selection")
     found = list(checked.findings)
     fitted: dict[int, Fitted] = {}
@@ -180,13 +180,14 @@ def judge(
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
 
 
-def _judge(prepared: dict[str, Prepared], rng: np.random.Generator) -> dict[str, Judged]:
+def _judge(prepared: dict[str, Prepared], rng: np.random.Generator, jobs: int) -> dict[str, Judged]:
     """Select, swap, prune; map what remains; drop what the remains put in doubt."""
     selected = select(
         {n: p.problem for n, p in prepared.items()},
         {n: p.library for n, p in prepared.items()},
         {n: p.base for n, p in prepared.items()},
         rng,
+        jobs,
     )
     return {name: settled(p, selected[name], rng) for name, p in prepared.items()}
 

@@ -1,7 +1,9 @@
 """Forward selection with held-out blocks, joint refit, and a swap check against every rival."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,14 +146,16 @@ def select(
     libraries: Mapping[str, Library],
     points: Mapping[str, Point],
     rng: np.random.Generator,
+    jobs: int = 1,
 ) -> dict[str, Selected]:
-    """Select causes, stage by stage, at one family-wise level."""
+    """Select causes, stage by stage, at one family-wise level; in so many threads."""
     scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
     maxima = null_maxima(list(scores.values()), rng)
     out = {}
-    for name in libraries:
-        other = [s for n, s in scores.items() if n != name]
-        out[name] = _forward(problems[name], libraries[name], points[name], other, rng, maxima)
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        for name, library in libraries.items():
+            other = [s for n, s in scores.items() if n != name]
+            out[name] = _forward(problems[name], library, points[name], other, rng, maxima, pool)
     return out
 
 
@@ -162,6 +166,7 @@ def _forward(
     other: Sequence[Scores],
     rng: np.random.Generator,
     maxima: Array,
+    pool: ThreadPoolExecutor,
 ) -> Selected:
     selected, start = Selected(point), point
     for round_ in range(MOST_CAUSES):
@@ -172,16 +177,18 @@ def _forward(
         gross = point.deviance > GROSS * len(point.left)
         if np.abs(scores.t).max(initial=0.0) < limit and not gross:
             break
-        trials: list[Trial] = []
-        for index, _ in best_starts(scores, library, gross=gross):
-            mine = np.abs(np.where(library.owner == index, scores.t, 0.0))
-            t = float(mine.max())
-            p = float(adjusted(np.array([t]), maxima)[0])
-            trial = attempt(problem, point, library, index, t, p, gross=gross)
-            if trial is not None:
-                trials.append(trial)
+        starts = best_starts(scores, library, gross=gross)
+        ts = [float(np.abs(scores.t[library.owner == index]).max()) for index, _ in starts]
+        ps = adjusted(np.array(ts), maxima).tolist()
+        tried = pool.map(
+            partial(attempt, problem, point, library, gross=gross),
+            [index for index, _ in starts],
+            ts,
+            ps,
+        )
+        trials = [trial for trial in tried if trial is not None]
         least = max(LEAST_GAIN, own_error(point, start.deviance))
-        best = refined(problem, point, trials)
+        best = refined(problem, point, trials, pool)
         accepted = _accepted(problem, point, best, least, limit, selected)
         if accepted is None:
             break

@@ -1,6 +1,7 @@
 """Search for the shape of a cause: of a delay or a limit its value, of a region its edge."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 
 from hilserver.diagnosis.candidate import Candidate
@@ -50,7 +51,7 @@ def searched(
     return best, (min(max(theta, best.low[0]), best.high[0]),)
 
 
-def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Trial]:
+def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Executor) -> list[Trial]:
     """Search the shapes of those trials that could win with a better one; the best first.
 
     Where the best trial explains a gross misfit nearly whole, no shape of another can do better.
@@ -59,15 +60,17 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial]) -> list[Tri
     n = len(point.left)
     whole = point.deviance > GROSS * n and point.deviance - most < NEARLY * n
     least = most if whole else PROMISING * most
-    out = []
-    for trial in trials:
+
+    def best_shape(trial: Trial) -> Trial | None:
         if trial.candidate.moved is None or trial.gain < least:
-            out.append(trial)
-            continue
+            return trial
         moved = refine(problem, trial.point, len(trial.point.model.fitted) - 1)
-        if possible(moved):
-            candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
-            out.append(replace(trial, candidate=candidate, point=moved, gain=gain))
+        if not possible(moved):
+            return None
+        candidate, gain = moved.model.fitted[-1].candidate, point.deviance - moved.deviance
+        return replace(trial, candidate=candidate, point=moved, gain=gain)
+
+    out = [trial for trial in pool.map(best_shape, trials) if trial is not None]
     return sorted(out, key=lambda t: -(t.gain - cost(t.candidate, t.gain)))
 
 
