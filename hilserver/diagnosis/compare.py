@@ -29,6 +29,7 @@ from hilserver.diagnosis.frame import on_a_frame, standing, without_motion
 from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.stages import machine, prepare_all
+from hilserver.diagnosis.standstill import stood_still, too_little_motion
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,7 @@ def compare(
     both = [check(one, robot) for one in (log, other)]
     faults = [finding for checked in both for finding in checked.findings]
     cleaned = [checked.log for checked in both]
+    still = [too_little_motion()] if any(map(stood_still, cleaned)) else []
     if any(standing(one, robot) or without_motion(one, robot) for one in cleaned):
         cleaned = [on_a_frame(one) for one in cleaned]
     pooled, second = together(*cleaned)
@@ -100,7 +102,7 @@ def compare(
         seed=seed,
         version=__version__,
         config_sha256=assembly.config.sha256,
-        findings=(*faults, *found),
+        findings=(*faults, *found, *still),
         smallest_detectable=detectable,
         not_judged=tuple(
             NotJudged(cause=c, reason=r)

@@ -24,6 +24,8 @@ RIVALS = 3
 PARTS = 4
 """Parts of the log in which a cause may have a size and a trend of its own, when causes are
 compared."""
+FEWEST_BLOCKS = 2 * PARTS
+"""In shorter recordings nobody can tell a change from noise."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
     first, gain = point, 0.0
+    if library.problem.stack.n_blocks < FEWEST_BLOCKS:
+        return Drifting(point, {}, gain)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
     if p:

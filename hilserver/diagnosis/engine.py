@@ -21,7 +21,7 @@ from hilserver.diagnosis.findings import (
     Gain,
     LogFile,
     NotJudged,
-    Overall,
+    overall,
 )
 from hilserver.diagnosis.frame import on_a_frame, standing
 from hilserver.diagnosis.gain import crossed, gains, held_out, reported
@@ -35,6 +35,7 @@ from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.settling import Judged, settled
 from hilserver.diagnosis.showing import Shown, evidence
 from hilserver.diagnosis.stages import Prepared, machine, prepare_all
+from hilserver.diagnosis.standstill import at_rest, stood_still, too_little_motion
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -143,11 +144,14 @@ def judge(
         p.library.rewhiten(j.point)
         ceiling |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
     sizes, unseen = _detectable(judged, rng)
+    if stood_still(log):
+        sizes, unseen = at_rest(sizes, unseen)
+        found.append(too_little_motion())
     lap("gain")
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = vocabulary_reasons(judged_causes, reasons, set(prepared))
     findings = Findings(
-        verdict=Overall.FINDINGS if found else Overall.NOTHING_FOUND,
+        verdict=overall(found),
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
         seed=seed,
         version=__version__,

@@ -1,5 +1,6 @@
 """What a diagnosis says: the models of ``findings.json``."""
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import Final, Literal
 
@@ -110,3 +111,9 @@ class Findings(_Model):
     model_patch: str | None = None
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+def overall(found: Iterable[Finding]) -> Overall:
+    """Return the verdict on a log with these findings; too little motion to say is none."""
+    told = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
+    return Overall.FINDINGS if told else Overall.NOTHING_FOUND

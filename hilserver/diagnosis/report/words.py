@@ -30,6 +30,9 @@ def headline(findings: Findings) -> str:
     """Return what the page says first, one sentence."""
     if not findings.findings and not findings.smallest_detectable and findings.not_judged:
         return "Nothing could be judged: these data lack channels, see what was not judged and why."
+    silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
+    if silent and findings.verdict in {Overall.NOTHING_FOUND, Overall.NO_DIFFERENCE}:
+        return explain_finding(silent[0])
     if findings.verdict is Overall.NOTHING_FOUND:
         return "The simulation fits these data: nothing was found."
     if findings.verdict is Overall.NO_DIFFERENCE:

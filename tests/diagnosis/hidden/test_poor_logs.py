@@ -11,12 +11,15 @@ import pytest
 from hilserver_injector import make
 
 from hilserver.bench.diagnose_worker import measured
+from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.data import Channel
 from hilserver.diagnosis.engine import diagnose, silent
+from hilserver.diagnosis.findings import Overall, Verdict
 from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.stages import prepare_all
-from tests.diagnosis.assertions import nothing_is_found
+from hilserver.diagnosis.summary import summary
+from tests.diagnosis.assertions import nothing_is_found, said
 from tests.diagnosis.hidden.logs import assembly, recipe
 
 
@@ -138,4 +141,38 @@ def test_channels_without_noise_overflow_nothing(value):
 def test_a_recording_of_seconds_has_no_unknown_structure(seed, duration_s):
     """Its noise is hardly known: what looks like a gross misfit is not."""
     made = recipe("nothing drive", seed, duration_s)
-    nothing_is_found(judged(measured(make(made)[0], made)))
+    findings = judged(measured(make(made)[0], made))
+    assert findings.verdict == Overall.NOTHING_FOUND, said(findings)
+
+
+def stood_still(seed=1):
+    """The log of a machine that nobody drove: its sensors' noise about where it stood."""
+    log = held_at(sound(), ["setpoint"], 0.0)
+    rng = np.random.default_rng(seed)
+    spread = {"speed": 0.12, "duty": 0.15, "nav.": 0.02, "gyro": 0.006}
+    return log.with_channels(
+        {
+            name: c.with_values(rng.normal(0.0, sd, len(c)))
+            for name, c in log.channels.items()
+            for word, sd in spread.items()
+            if word in name
+        }
+    )
+
+
+def test_of_a_machine_that_stood_still_nothing_is_said_but_that():
+    findings = judged(stood_still())
+    assert findings.verdict == Overall.NOTHING_FOUND
+    (finding,) = findings.findings
+    assert finding.verdict == Verdict.INSUFFICIENT_EXCITATION
+    assert "plan" in finding.separating_experiment
+    assert [d.cause for d in findings.smallest_detectable] == ["gyro_bias"]
+    told = {n.cause: n.reason for n in findings.not_judged}
+    assert told["rotation_gain"] == "the robot stood still"
+    assert "stood still" in summary(findings).splitlines()[0]
+
+
+def test_a_machine_that_drove_and_one_that_stood_are_not_said_to_be_alike():
+    findings = compare(sound(), stood_still(), assembly(), jobs=1).findings
+    assert Verdict.INSUFFICIENT_EXCITATION in {f.verdict for f in findings.findings}
+    assert "stood still" in summary(findings).splitlines()[0]

@@ -1,0 +1,48 @@
+"""A machine that stood still: what its recording can show, and what it cannot."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.drive_stage import SETPOINTS, SPEEDS, TWIST
+from hilserver.diagnosis.findings import Detectable, Finding, NotJudged, Verdict
+
+STILL_RPM: Final = 1.0
+"""A wheel below is at rest but for its noise."""
+SHOWN_AT_REST: Final = frozenset({"gyro_bias"})
+
+
+def stood_still(log: MeasuredLog) -> bool:
+    """Return whether no wheel turned and none was asked to."""
+    speeds = [log[name].values for name in SPEEDS if name in log]
+    asked = [log[name].values for name in (*SETPOINTS, *TWIST) if name in log]
+    if not any(map(len, speeds)) or any(values.any() for values in asked):
+        return False
+    return all(np.quantile(np.abs(v), 0.99) < STILL_RPM for v in speeds if len(v))
+
+
+def too_little_motion() -> Finding:
+    """Return the finding of a recording without any motion."""
+    return Finding(
+        verdict=Verdict.INSUFFICIENT_EXCITATION,
+        causes=(),
+        block="drive",
+        explanation="The robot stood still in all of a recording: nothing of its drive, its"
+        " kinematics and its navigation can be judged.",
+        separating_experiment="Record a drive with straights at several speeds, turns both ways"
+        " and stops; `hilserver plan` says what it can show.",
+    )
+
+
+def at_rest(
+    sizes: Sequence[Detectable], unseen: Sequence[NotJudged]
+) -> tuple[list[Detectable], list[NotJudged]]:
+    """Return what can be seen and what not of a machine at rest.
+
+    What the noise of the wheel speeds would do to a simulated pose is no effect that could be seen.
+    """
+    shown = [size for size in sizes if size.cause in SHOWN_AT_REST]
+    causes = [s.cause for s in sizes if s not in shown] + [u.cause for u in unseen]
+    return shown, [NotJudged(cause=cause, reason="the robot stood still") for cause in causes]
