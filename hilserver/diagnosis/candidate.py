@@ -9,6 +9,8 @@ Theta = Sequence[float]
 StageName = Literal["drive", "pose"]
 
 LARGEST_WAVE = 0.5
+FAR_NULL = 1e6
+"""A limit as far away as this is none: its distance from null says nothing."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,11 @@ class Candidate:
     def n(self) -> int:
         """Number of parameters."""
         return len(self.start)
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether it is the weaker the larger it is, and nothing at infinity."""
+        return not self.linear and abs(self.null[0]) >= FAR_NULL
 
     @property
     def beginning(self) -> tuple[float, ...]:

@@ -13,8 +13,6 @@ PROMISING = 0.5
 """Share of the best trial's gain from which the shape of another is worth a search."""
 NEARLY = 1.1
 """Variance of the whitened residual that is noise but for the noise model's own error."""
-FAR_NULL = 1e6
-"""A limit as far away as this is none: its distance from null says nothing."""
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
@@ -36,8 +34,7 @@ def searched(
     begin += [(starts[0], theta) for theta in starts[0].tried]
     tried = [(deviance(c, theta), c, theta) for c, theta in begin]
     least, best, theta = min(tried, key=lambda item: item[0])
-    null = best.null[0]
-    far = theta - null if abs(null) < FAR_NULL else theta
+    far = theta if best.is_limit else theta - best.null[0]
     stride = FIRST_STRIDE
     while stride > LAST_STRIDE:
         for factor in (1.0 + stride, 1.0 / (1.0 + stride)):

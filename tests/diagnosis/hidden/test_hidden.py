@@ -56,6 +56,8 @@ def test_where_nothing_is_hidden_nothing_is_found(log):
     sizes = {d.cause: d.size for d in findings.smallest_detectable}
     judged_there = "rotation_gain" if "drive" in log[0] else "coulomb_friction"
     assert 0.0 < sizes[judged_there] < np.inf
+    if "drive" in log[0]:
+        assert sizes["setpoint_rate_limit"] >= 150.0, "a limit of which a weaker one shows, shows"
     told = {n.cause for n in findings.not_judged}
     assert not told & set(sizes), "judged and not judged at once"
 
