@@ -29,7 +29,7 @@ it is.
 | `findings` | one entry per finding, below |
 | `total_gain` | error at the end of a free run, before and after, over held-out segments |
 | `ceiling` | the ratio that a flexible regression on everything measured reaches |
-| `smallest_detectable` | the smallest effect of each cause that would have been seen; of a rate limit the weakest |
+| `smallest_detectable` | the smallest effect of each cause that would have shown (weakest limit) |
 | `not_judged` | causes that the data say nothing about, and why |
 | `notices` | what a reader of the data should know |
 | `model_patch` | name of the patch beside it, or null |
