@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from hilserver.diagnosis.findings import Parameter
 from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.pose_stage import POSITION, YAW
-from hilserver.diagnosis.problem import Point, Problem
-from hilserver.diagnosis.structure import Unknown
+from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.structure import INEXACT, Unknown
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
@@ -21,6 +21,7 @@ MUCH = -0.15
 """Smaller differences of the rotation gain are dimensions rather than tyres."""
 LATE_S = 0.03
 LATENCIES = ("imu_latency", "yaw_latency", "clock_offset")
+BENT = ("rotation_gain_speed", "rotation_gain_radius")
 TURNING = "velocity.angular_rad_s"
 SMALLEST_RATIO, LARGEST_RATIO = 0.2, 20.0
 
@@ -42,6 +43,22 @@ def late_turn(point: Point) -> int | None:
     for index, f in enumerate(point.model.fitted):
         if f.candidate.cause in LATENCIES and 0.0 < f.theta[0] < LATE_S:
             return index
+    return None
+
+
+def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
+    """Return the index of a cause that only bends what tyres make a little nearer to a gain.
+
+    Parameters
+    ----------
+    explained : float
+        Deviance that all causes save together.
+    """
+    for index, cause in enumerate(point.model.causes):
+        if cause in BENT:
+            less = fit(problem, point.model.without(index), point, iterations=3)
+            if less.deviance - point.deviance < INEXACT * explained:
+                return index
     return None
 
 

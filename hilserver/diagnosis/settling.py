@@ -11,7 +11,7 @@ from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, fit
 from hilserver.diagnosis.screen import GROSS, Scores
-from hilserver.diagnosis.scrubbing import late_turn, scrubs
+from hilserver.diagnosis.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.selection import Selected
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import (
@@ -85,6 +85,10 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     while scrubbed and (late := late_turn(point)) is not None:
         less = fit(problem, point.model.without(late), point, iterations=3)
         rows += _left_out(point, less, "dropped", "tyres that scrub make the turn late as well")
+        point = less
+    while scrubbed and (bent := bent_turn(problem, point, explained)) is not None:
+        less = fit(problem, point.model.without(bent), point, iterations=3)
+        rows += _left_out(point, less, "dropped", "tyres that scrub bend the turn as well")
         point = less
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base), scrubbed)

@@ -120,6 +120,14 @@ def test_tyres_that_scrub_are_told_beside_the_rotation_gain():
     assert finding.separating_experiment is not None
 
 
+@pytest.mark.long
+def test_what_tyres_bend_is_no_further_cause():
+    """On circles their turn is no multiple of a gain: radius and speed fit a little of the rest."""
+    made = SCENARIOS["slides_in_circle"].draw(41).logs["drive.csv"]
+    (finding,) = [f for f in judged(made).findings.findings if f.causes]
+    assert finding.causes == ("rotation_gain", "friction_anisotropy")
+
+
 def test_a_ranging_anchor_that_is_off_is_no_scale_of_the_navigation():
     made = SCENARIOS["radio"].draw(27).logs["drive.csv"]
     (finding,) = judged(made).findings.findings
