@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +90,15 @@ class MeasuredLog:
     has_stamps: bool = True
     plant: Mapping[str, object] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
+
+    @property
+    def drive_is_known(self) -> bool:
+        """Whether the configured process and controller are those of the log's machine.
+
+        A mapping that gives the dimensions of another machine but not its process says nothing
+        about its motors, and every cause of the drive would be named.
+        """
+        return "process" in self.plant or not DIMENSIONS & set(self.plant)
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels

@@ -21,8 +21,6 @@ from hilserver.plant.parameters import RobotParameters
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
-DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
-
 
 @dataclass
 class Prepared:
@@ -59,22 +57,13 @@ def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) 
     return float(np.clip(total_s / aim, shortest_s, longest_s))
 
 
-def drive_is_known(log: MeasuredLog) -> bool:
-    """Return whether the configured process and controller are those of the log's machine.
-
-    A mapping that gives the dimensions of another machine but not its process says nothing about
-    its motors, and every cause of the drive would be named.
-    """
-    return "process" in log.plant or not DIMENSIONS & set(log.plant)
-
-
 def stages_of(
     log: MeasuredLog, robot: RobotParameters, jobs: int = 1
 ) -> dict[str, DriveStage | PoseStage]:
     """Return the stages that a log has the channels for; their runs may use so many threads."""
     total_s = sum(s.end_s - s.start_s for s in log.spans)
     stages: dict[str, DriveStage | PoseStage] = {}
-    if DriveStage.judges(log) and drive_is_known(log):
+    if DriveStage.judges(log) and log.drive_is_known:
         stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
     if PoseStage.judges(log, driven="drive" in stages):
         stages["pose"] = pose_stage(log, robot, stages.get("drive"), {}, jobs)

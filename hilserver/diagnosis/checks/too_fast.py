@@ -18,7 +18,8 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     """Tell of set-points that the replay scales down; the log is left as it is."""
     names = [name for wheel in WHEELS if (name := f"wheel.{wheel}.setpoint_rpm") in log]
     fastest = {name: float(np.abs(log[name].values).max(initial=0.0)) for name in names}
-    if max(fastest.values(), default=0.0) <= ROUNDED * robot.max_rpm:
+    slow = max(fastest.values(), default=0.0) <= ROUNDED * robot.max_rpm
+    if slow or not log.drive_is_known:
         return log, []
     name = max(fastest, key=lambda one: fastest[one])
     note = (

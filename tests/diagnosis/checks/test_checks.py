@@ -362,3 +362,4 @@ def test_setpoints_above_the_top_speed_are_told(table):
     (note,) = check(log, ROBOT).log.notices
     assert f"{SENT[1]} reaches 135 rpm, but plant.max_rpm is 90" in note
     assert not check(log, replace(ROBOT, max_rpm=140.0)).log.notices
+    assert not check(replace(log, plant={"track_m": 0.5}), ROBOT).log.notices, "not replayed"
