@@ -8,6 +8,7 @@ from hilserver.assembly import assemble
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.memory import share_arenas
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.reading import read_measured
 from hilserver.diagnosis.summary import one_line, summary
@@ -76,6 +77,7 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
 
 def run(task: Task, progress: Progress | None = None) -> Outcome:
     """Judge a task; what a user can mend becomes a sentence."""
+    share_arenas()
     try:
         diagnosis = judge(task, progress)
     except UserError as error:
