@@ -89,7 +89,6 @@ class DriveStage:
         robot = robot_with(self.robot, {k: v for k, v in terms.items() if "shift." not in k})
         p, phase = robot.pack(), terms.get("shift.control_phase", 0.0)
         speed, seen, duty = (np.empty((self.segments.ticks, 4)) for _ in range(3))
-        y, q = np.zeros(N_Y), np.zeros(N_Y, dtype=np.int64)
         run_drive(
             p,
             replace(robot, seed=0).initial_state(),
@@ -99,8 +98,7 @@ class DriveStage:
             self._volts,
             self._speed_0,
             phase,
-            y,
-            q,
+            np.zeros(N_Y),
             speed,
             seen,
             duty,

@@ -7,8 +7,10 @@ Segments lie one after the other in all arrays: segment i covers the rows ``firs
 from typing import Any
 
 from hilserver.compiled import kernel
-from hilserver.plant.drive import encoder, load, process_of_tick
+from hilserver.plant.command import command
+from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
 from hilserver.plant.layout import (
+    P_DRIVE_TERMS,
     P_DT,
     P_ENCODER_SHARE,
     P_NAV_DELAY,
@@ -32,7 +34,7 @@ from hilserver.plant.layout import (
 )
 from hilserver.plant.nav import shown_position, shown_yaw
 from hilserver.plant.pose import wrap
-from hilserver.plant.robot import SIDE, drive_on_with_terms, robot_step
+from hilserver.plant.robot import SIDE, drive_on_with_terms
 
 
 @kernel()
@@ -46,12 +48,11 @@ def run_drive(
     speed_0: Any,
     phase_ticks: float,
     y: Any,
-    q: Any,
     speed: Any,
     seen: Any,
     duty: Any,
 ) -> None:
-    """Run the whole chain from set-points, cut point A.
+    """Run the whole chain from set-points, cut point A: steps 1 to 6 of the plant's tick.
 
     Parameters
     ----------
@@ -78,7 +79,11 @@ def run_drive(
             x[X_BATTERY_V] = volts[k]
             for i in range(4):
                 speed[k, i] = x[X_SPEED + i]
-            robot_step(p, x, inputs[input_row[k]], y, q)
+            command(p, x, inputs[input_row[k]])
+            if p[P_DRIVE_TERMS] != 0.0:
+                drive_terms(p, x, y)
+            else:
+                drive_base(p, x, y)
             for i in range(4):
                 seen[k, i] = y[Y_SPEED + i]
                 duty[k, i] = y[Y_DUTY + i]
