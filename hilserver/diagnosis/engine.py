@@ -29,7 +29,15 @@ from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.other_logs import gain_on
-from hilserver.diagnosis.outcome import coarse, extension, lost, named, outliers, structure
+from hilserver.diagnosis.outcome import (
+    coarse,
+    extension,
+    lost,
+    misplaced_anchor,
+    named,
+    outliers,
+    structure,
+)
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.settling import Judged, settled
@@ -212,6 +220,8 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
         found.append(coarse(j.prepared.coarse_rpm))
     if stage == "pose" and (thrown := outliers(problem, j.point)) is not None:
         found.append(thrown)
+    if j.anchor is not None:
+        found.append(misplaced_anchor(j.anchor))
     steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None
     if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
         found.append(lost(steps))

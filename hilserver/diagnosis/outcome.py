@@ -5,9 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.anchors import Anchor
 from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.diagnosis.evidence import FittedTerm
-from hilserver.diagnosis.explain import explain_finding, separating_experiment
+from hilserver.diagnosis.explain import explain_finding, number, separating_experiment
 from hilserver.diagnosis.findings import Finding, Parameter, Verdict
 from hilserver.diagnosis.identifiability import Rival
 from hilserver.diagnosis.intervals import intervals
@@ -178,6 +179,28 @@ def coarse(step_rpm: float) -> Finding:
         p_adjusted=0.001,
     )
     return finding.model_copy(update={"explanation": explain_finding(finding)})
+
+
+def misplaced_anchor(anchor: Anchor) -> Finding:
+    """Return the finding of a ranging anchor that stands elsewhere than configured."""
+    error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
+    size_m, half_m = anchor.largest * abs(error_m), anchor.largest * anchor.half_m
+    finding = Finding(
+        verdict=Verdict.NAMED,
+        causes=("nav_position_bias",),
+        block="navigation",
+        parameters={
+            "nav_position_bias.amplitude": Parameter(
+                value=size_m, ci95=(size_m - half_m, size_m + half_m), unit="m"
+            )
+        },
+        p_adjusted=anchor.p,
+    )
+    text = (
+        f"{explain_finding(finding)} So it is if the ranging anchor on the side of {anchor.side}"
+        f" measures about {number(abs(error_m), 'm', digits=2)} too {side}."
+    )
+    return finding.model_copy(update={"explanation": text})
 
 
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.diagnosis.anchors import Anchor, anchor_off
 from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.drift import with_drift
 from hilserver.diagnosis.identifiability import Rival, prune, settle
@@ -40,6 +41,7 @@ class Judged:
     drift: dict[str, float]
     scores: Scores
     scrubs: bool
+    anchor: Anchor | None = None
 
 
 def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
@@ -90,8 +92,12 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         less = fit(problem, point.model.without(bent), point, iterations=3)
         rows += _left_out(point, less, "dropped", "tyres that scrub bend the turn as well")
         point = less
+    anchor = None if drift or scrubbed else anchor_off(p.library, point, unknown, rng, explained)
+    if anchor is not None:
+        unknown = []
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
-    return Judged(p, selected, point, kept, unknown, drift, p.library.scores(p.base), scrubbed)
+    scores = p.library.scores(p.base)
+    return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor)
 
 
 def fails(p: Prepared, point: Point) -> bool:

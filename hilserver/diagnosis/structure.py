@@ -190,7 +190,7 @@ def joint_gain(white: Array, left: Array) -> float:
     return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
 
 
-def holds_out(problem: Problem, white: Array, left: Array) -> bool:
+def holds_out(problem: Problem, white: Array, left: Array, least: float = LEAST_GAIN) -> bool:
     """Return whether a family explains blocks that its coefficients were not fitted to."""
     stack = problem.stack
     norm = np.sqrt((white**2).sum(axis=0))
@@ -206,7 +206,7 @@ def holds_out(problem: Problem, white: Array, left: Array) -> bool:
         rest = left - unit @ np.linalg.solve(gram, a.T @ b)
         part = stack.fold == test
         saved.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
-    return sum(saved) > LEAST_GAIN and min(saved) > 0.0
+    return sum(saved) > least and min(saved) > 0.0
 
 
 def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:

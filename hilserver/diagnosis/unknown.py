@@ -108,11 +108,12 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
     return families
 
 
-def _ranging(m: Motion) -> Family:
+def anchor_fields(m: Motion) -> Array:
     """Return how the position moves where one of four ranging anchors measures too long.
 
-    Nobody knows where the anchors are: they are taken to stand about the place where the robot
-    drove. Least squares of the four ranges moves by ``(H'H)^-1 H' e``, H the directions to them.
+    Shape (4, n, 2), metre per metre. Nobody knows where the anchors are: they are taken to stand
+    about the place where the robot drove, from low x and y on against the clock. Least squares of
+    the four ranges moves by ``(H'H)^-1 H' e``, H the directions to them.
     """
     low = np.array([m.x.min(), m.y.min()])
     high = np.array([m.x.max(), m.y.max()])
@@ -122,8 +123,11 @@ def _ranging(m: Motion) -> Family:
     away = np.stack([m.x, m.y], axis=1)[:, None, :] - anchors
     away = away / np.linalg.norm(away, axis=2, keepdims=True)
     normal = np.linalg.inv(np.einsum("nki,nkj->nij", away, away))
-    moved = np.einsum("nij,nkj->kni", normal, away)
-    columns = [m.placed(*field.T) for field in moved]
+    return np.asarray(np.einsum("nij,nkj->kni", normal, away))
+
+
+def _ranging(m: Motion) -> Family:
+    columns = [m.placed(*field.T) for field in anchor_fields(m)]
     return Family(RANGING, POSITION, np.stack(columns, axis=1))
 
 
