@@ -89,8 +89,10 @@ def velocity_terms(
     `angle_left` [rad] is the mean angle of the left wheels (`wheel_runout`). The rate of the
     acceleration_slip factor itself, which would need the wheels' jerk, is left out of `dv`.
     """
-    wave = 1.0 + p[P_RUNOUT] * math.sin(angle_left + p[P_RUNOUT_PHASE])
-    dwave = p[P_RUNOUT] * math.cos(angle_left + p[P_RUNOUT_PHASE]) * w_l
+    wave, dwave = 1.0, 0.0
+    if p[P_RUNOUT] != 0.0:
+        wave = 1.0 + p[P_RUNOUT] * math.sin(angle_left + p[P_RUNOUT_PHASE])
+        dwave = p[P_RUNOUT] * math.cos(angle_left + p[P_RUNOUT_PHASE]) * w_l
     left, right = p[P_RADIUS_LEFT] * wave * w_l, p[P_RADIUS_RIGHT] * w_r
     dleft = p[P_RADIUS_LEFT] * (dwave * w_l + wave * dw_l)
     dright = p[P_RADIUS_RIGHT] * dw_r
