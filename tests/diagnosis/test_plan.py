@@ -48,6 +48,14 @@ def recorded(path, manoeuvre, rate_hz=50.0):
     return path
 
 
+def test_a_manoeuvre_without_motion_shows_the_bias_of_the_gyro_and_no_more():
+    outlook = seen(of_moves([(10, 0, 0)]))
+    assert list(outlook.sizes) == ["gyro_bias"]
+    assert outlook.groups == []
+    for cause in ("surface_change", "imu_latency", "floor_slope"):
+        assert outlook.not_judged[cause]
+
+
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory):
     """A circle at one speed, and what is proposed for 40 s in its place."""

@@ -1,7 +1,7 @@
 """What a diagnosis could tell from a manoeuvre: sizes, groups, and what it cannot judge."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.plan.null_log import Recording, null_log
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.stages import Prepared, prepare_all
+from hilserver.diagnosis.standstill import at_rest
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.plant.parameters import RobotParameters
 
@@ -95,7 +96,17 @@ def look(
     rng = np.random.default_rng(seed)
     log = null_log(spans, robot, recording, rng)
     prepared, reasons = prepare_all(log, robot, jobs, tell)
-    return judge(prepared, reasons, rng)
+    found = judge(prepared, reasons, rng)
+    return found if any(m.setpoints_rpm.any() for m in spans) else _at_rest(found)
+
+
+def _at_rest(found: Outlook) -> Outlook:
+    """Return the outlook of a manoeuvre that asks for no motion."""
+    shown, unseen = at_rest(list(found.sizes.values()), ())
+    reasons = found.not_judged | {n.cause: n.reason for n in unseen}
+    return replace(
+        found, sizes={d.cause: d for d in shown}, groups=[], pairs={}, not_judged=reasons
+    )
 
 
 def judge(

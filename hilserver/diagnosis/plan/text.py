@@ -33,7 +33,8 @@ def _count(prospect: Prospect) -> str:
     shown = [v.cause for v in prospect.causes if v.shows]
     grouped = {c for group in prospect.groups for c in group.causes}
     alone = sum(cause not in grouped for cause in shown)
-    return f"shows {len(shown)} causes at their reference size, {alone} by a name of their own"
+    causes = "1 cause at its" if len(shown) == 1 else f"{len(shown)} causes at their"
+    return f"shows {causes} reference size, {alone} by a name of their own"
 
 
 def _prospect(prospect: Prospect) -> list[str]:
