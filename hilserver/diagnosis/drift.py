@@ -20,6 +20,8 @@ LEAST_BETTER = 20.0
 """Deviance by which a cause that drifts must beat one that does not, to stand in its place."""
 LEAST_BESIDE = 0.1
 """Share of what a cause explains that must be left of it beside the change of another."""
+OF_A_PLACE = {"surface_change"}
+"""What changes along the log may look like these: early and late the robot is at other places."""
 RIVALS = 3
 PARTS = 4
 """Parts of the log in which a cause may have a size and a trend of its own, when causes are
@@ -93,15 +95,18 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     One that drifts about its configured value has no mean effect, so that a selection does not see
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
-    first, gain = point, 0.0
+    first = point
     if library.problem.stack.n_blocks < FEWEST_BLOCKS:
-        return Drifting(point, {}, gain)
+        return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
-    if p:
-        point, least = _rearranged(library, first, point, set(p))
-        p, gain = drifting(library.problem, point, rng), first.deviance - least
-    return Drifting(point, p, gain)
+    suspects = set(p) or OF_A_PLACE & set(first.model.causes)
+    if not suspects:
+        return Drifting(point, {}, 0.0)
+    other, least = _rearranged(library, first, point if p else first, suspects)
+    if not p and suspects & set(other.model.causes):
+        return Drifting(point, {}, 0.0)
+    return Drifting(other, drifting(library.problem, other, rng), first.deviance - least)
 
 
 def _singles(library: Library) -> tuple[list[int], Array]:
