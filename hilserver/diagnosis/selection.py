@@ -197,8 +197,7 @@ def _forward(
         point = both_at_once(problem, accepted.point, library)
         for cause in point.model.causes:
             selected.p.setdefault(cause, min(accepted.p, LEVEL))
-        _refresh_noise(problem, library, point)
-        point = fit(problem, point.model, point, iterations=3)
+        point = with_noise_anew(problem, library, point)
     selected.point = point
     return selected
 
@@ -250,7 +249,8 @@ def _accepted(
     return None
 
 
-def _refresh_noise(problem: Problem, library: Library, point: Point) -> None:
-    """Learn the noise anew from what the extended model leaves."""
+def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:
+    """Learn the noise anew from what the extended model leaves, and fit once more."""
     problem.learn_noise(problem.residual(point.predicted))
     library.rewhiten(point)
+    return fit(problem, point.model, point, iterations=3)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.drift import with_drift
 from hilserver.diagnosis.identifiability import Rival, prune, settle
 from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.problem import Point, fit
+from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import GROSS, Scores
 from hilserver.diagnosis.scrubbing import bent_turn, late_turn, scrubs
-from hilserver.diagnosis.selection import Selected
+from hilserver.diagnosis.selection import Selected, with_noise_anew
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import (
     Unknown,
@@ -46,13 +47,8 @@ class Judged:
 
 def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
     """Weigh the selected causes against rivals, each other and unknown structure."""
-    problem, point, rows = p.problem, selected.point, selected.rows
-    ties: dict[str, list[Rival]] = {}
-    if point.model.fitted:
-        exchanged, ties = settle(p.library, point, selected.near)
-        rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
-        point = prune(problem, exchanged, LEAST_GAIN)
-        rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
+    problem, rows = p.problem, selected.rows
+    point, ties = _weighed(p, selected)
     explained = max(p.base.deviance - point.deviance, 0.0)
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     doubtful = set(without_unknown(problem, point, unknown))
@@ -84,20 +80,57 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
     scrubbed = scrubs(problem, point, unknown)
-    while scrubbed and (late := late_turn(point)) is not None:
-        less = fit(problem, point.model.without(late), point, iterations=3)
-        rows += _left_out(point, less, "dropped", "tyres that scrub make the turn late as well")
-        point = less
-    while scrubbed and (bent := bent_turn(problem, point, explained)) is not None:
-        less = fit(problem, point.model.without(bent), point, iterations=3)
-        rows += _left_out(point, less, "dropped", "tyres that scrub bend the turn as well")
-        point = less
+    if scrubbed:
+        point = _without_what_tyres_do(problem, point, explained, rows)
     anchor = None if drift or scrubbed else anchor_off(p.library, point, unknown, rng, explained)
     if anchor is not None:
         unknown = []
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     scores = p.library.scores(p.base)
     return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor)
+
+
+def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Rival]]]:
+    """Return the selected causes or better ones in their place, and the rivals that tie."""
+    problem, point, rows = p.problem, selected.point, selected.rows
+    if not point.model.fitted:
+        return point, {}
+    exchanged, ties = settle(p.library, point, selected.near)
+    rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
+    point = prune(problem, exchanged, LEAST_GAIN)
+    rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
+    simpler = _with_fewer(problem, point, ties)
+    if simpler is None:
+        return point, ties
+    rows += _left_out(point, simpler, "swapped", "a rival needs no other cause beside it")
+    return settle(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
+
+
+def _without_what_tyres_do(
+    problem: Problem, point: Point, explained: float, rows: list[SelectionRow]
+) -> Point:
+    """Return a model without causes that imitate the scrubbing of tyres."""
+    for found, does in (
+        (late_turn, "make the turn late as well"),
+        (partial(bent_turn, problem, explained=explained), "bend the turn as well"),
+    ):
+        while (index := found(point)) is not None:
+            less = fit(problem, point.model.without(index), point, iterations=3)
+            rows += _left_out(point, less, "dropped", f"tyres that scrub {does}")
+            point = less
+    return point
+
+
+def _with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:
+    """Return a model with fewer causes in which a rival that ties stands for two; or None.
+
+    A wheel radius and a scale of the navigation turn and drive as a rotation gain alone does.
+    """
+    for rival in (r for found in ties.values() for r in found):
+        less = prune(problem, rival.point, LEAST_GAIN)
+        if len(less.model.fitted) < len(point.model.fitted):
+            return less
+    return None
 
 
 def fails(p: Prepared, point: Point) -> bool:
