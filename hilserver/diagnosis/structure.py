@@ -24,7 +24,8 @@ INEXACT = 0.005
 LEAST_BETTER = 50.0
 """Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
 LEAST_MORE = 4.0
-"""Deviance by which misplaced anchors must beat a scale of the navigation, less one per anchor."""
+"""Deviance by which a misplaced anchor must beat a scale of the navigation; all four together, less
+one per anchor."""
 SUBSTITUTE = 0.5
 """|cos| between a cause's effect and a column that could stand in its place."""
 DOMINANCE = 4.0
@@ -116,8 +117,7 @@ def misplaced(problem: Problem, point: Point) -> list[int]:
     """Return the scale of the navigation among the accepted causes, if anchors explain more.
 
     A scale is the simplest of the fields of error that one misplaced ranging anchor makes, and the
-    first to be found. All four columns together are held against it, so they have to be clearly
-    better.
+    first to be found. One anchor alone and all four together are held against it.
     """
     index = next((i for i, c in enumerate(point.model.causes) if c == "nav_scale"), None)
     accepted = problem.accepted(point)
@@ -131,7 +131,9 @@ def misplaced(problem: Problem, point: Point) -> list[int]:
     target = orthogonal((point.left + own)[:, None], others)[:, 0]
     white = orthogonal(problem.project(problem.whiten(family.columns), bases), others)
     explained = float(target @ target - point.left @ point.left)
-    return [index] if joint_gain(white, target) > explained + LEAST_MORE else []
+    alone = (white.T @ target) ** 2 / ((white**2).sum(axis=0) + 1e-300)
+    best = max(float(alone.max()), joint_gain(white, target))
+    return [index] if best > explained + LEAST_MORE else []
 
 
 def _alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
