@@ -99,7 +99,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
     point = prune(problem, exchanged, LEAST_GAIN)
     rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
-    simpler = _with_fewer(problem, point, ties)
+    simpler = with_fewer(problem, point, ties)
     if simpler is None:
         return point, ties
     rows += _left_out(point, simpler, "swapped", "a rival needs no other cause beside it")
@@ -121,7 +121,7 @@ def _without_what_tyres_do(
     return point
 
 
-def _with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:
+def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:
     """Return a model with fewer causes in which a rival that ties stands for two; or None.
 
     A wheel radius and a scale of the navigation turn and drive as a rotation gain alone does.

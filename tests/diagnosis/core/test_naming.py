@@ -9,6 +9,7 @@ from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
+from hilserver.diagnosis.settling import with_fewer
 from hilserver.diagnosis.structure import holds_out, imitated, joint_gain, remaining
 from hilserver.diagnosis.trial import cost
 from hilserver.diagnosis.unknown import Family
@@ -134,6 +135,32 @@ def test_a_superfluous_cause_is_pruned():
     base = problem.point(Model(), np.zeros((0, 3)))
     both = fit(problem, toy.model("a", "b"), base)
     assert prune(problem, both, 10.0).model.causes == ("a",)
+
+
+def test_one_cause_stands_for_two_that_explain_no_more():
+    """A radius turns and drives; with a scale that undoes the one it is a twin of the gain."""
+    rng = np.random.default_rng(3)
+    columns = columns_of(rng, "gain", "scale")
+    columns["radius"] = columns["gain"] + columns["scale"]
+    problem = toy.problem(0.5 * columns["gain"] + rng.normal(size=N), columns)
+    library, base = toy.library(problem)
+    point = fit(problem, toy.model("radius", "scale"), base)
+    _, ties = settle(library, point)
+    fewer = with_fewer(problem, point, ties)
+    assert fewer.model.terms == pytest.approx({"gain": 0.5}, abs=0.05)
+
+
+def test_two_causes_stay_two_where_none_stands_for_both():
+    rng = np.random.default_rng(4)
+    columns = columns_of(rng, "gain", "scale")
+    columns["twin"] = -2.0 * columns["gain"]
+    values = 0.5 * columns["gain"] + 0.3 * columns["scale"] + rng.normal(size=N)
+    problem = toy.problem(values, columns)
+    library, base = toy.library(problem)
+    point = fit(problem, toy.model("gain", "scale"), base)
+    _, ties = settle(library, point)
+    assert [r.candidate.cause for r in ties["gain"]] == ["twin"]
+    assert with_fewer(problem, point, ties) is None
 
 
 def test_structure_must_hold_on_blocks_that_its_coefficients_were_not_fitted_to():
