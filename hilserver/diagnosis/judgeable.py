@@ -94,7 +94,7 @@ def splits(log: MeasuredLog, candidate: Candidate) -> bool:
 def vocabulary_reasons(
     judged: set[str], reasons: dict[str, str], stages: set[str]
 ) -> dict[str, str]:
-    """Return a reason for every physical cause that was not judged."""
+    """Return a reason for every physical cause that was not judged, in the vocabulary's order."""
     out = dict(reasons)
     for name, cause in CAUSES.items():
         if name in judged or name in out:
@@ -108,4 +108,6 @@ def vocabulary_reasons(
             out[name] = "no set-points with wheel speeds, or the mapping gives no plant.process"
         elif cause.block not in ("drive", "controller") and "pose" not in stages:
             out[name] = "no pose and no turn rate in the log, or no wheel speed of both sides"
-    return {k: v for k, v in out.items() if k not in judged}
+    order = {name: place for place, name in enumerate(CAUSES)}
+    left = sorted(out.keys() - judged, key=lambda name: (order.get(name, len(order)), name))
+    return {name: out[name] for name in left}

@@ -1,0 +1,22 @@
+"""Why causes are not judged."""
+
+import random
+
+import hypothesis
+import hypothesis.strategies as st
+
+from hilserver.diagnosis.judgeable import vocabulary_reasons
+from hilserver.diagnosis.vocabulary import CAUSES
+
+
+@hypothesis.given(st.integers(0, 10**6), st.sets(st.sampled_from(sorted(CAUSES))))
+def test_reasons_stand_in_one_order_however_they_were_gathered(seed, judged):
+    """Sets are gathered in another order by every process: findings.json would differ."""
+    names = [*CAUSES, "of another library"]
+    random.Random(seed).shuffle(names)
+    reasons = dict.fromkeys(names[: len(names) // 2], "no channel")
+    found = vocabulary_reasons(judged, reasons, {"drive", "pose"})
+    places = [list(CAUSES).index(name) if name in CAUSES else len(CAUSES) for name in found]
+    assert places == sorted(places)
+    assert not found.keys() & judged
+    assert reasons.keys() - judged <= found.keys()
