@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis import screen
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.disturbance import Motion
 from hilserver.diagnosis.pose_stage import POSITION, PoseStage
@@ -38,7 +39,7 @@ class Anchor:
     Attributes
     ----------
     p : float
-        Family-wise over the anchors.
+        Family-wise over the anchors, weighted so that it compares with the level of the screen.
     side : str
         Where it stands about the driven place, in words.
     error_m, half_m : float
@@ -98,6 +99,7 @@ def anchor_off(
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
     largest = float(np.hypot(*fields[best].T).max())
+    p *= screen.LEVEL / LEVEL
     return Anchor(p, SIDES[best], float(scores.size[best]), half_m, largest)
 
 

@@ -197,8 +197,8 @@ def misplaced_anchor(anchor: Anchor) -> Finding:
         p_adjusted=anchor.p,
     )
     text = (
-        f"{explain_finding(finding)} So it is if the ranging anchor on the side of {anchor.side}"
-        f" measures about {number(abs(error_m), 'm', digits=2)} too {side}."
+        f"{explain_finding(finding).rstrip('.')}, as if the ranging anchor on the side of"
+        f" {anchor.side} measured about {number(abs(error_m), 'm', digits=2)} too {side}."
     )
     return finding.model_copy(update={"explanation": text})
 
