@@ -15,9 +15,16 @@ from hilserver.diagnosis import screen
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.disturbance import Motion
 from hilserver.diagnosis.pose_stage import POSITION, PoseStage
-from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.structure import INEXACT, LEAST_SHARE, Unknown, holds_out
+from hilserver.diagnosis.structure import (
+    INEXACT,
+    LEAST_SHARE,
+    Unknown,
+    alone,
+    holds_out,
+    joint_gain,
+)
 from hilserver.diagnosis.trial import LEAST_SAVED, TIE, cost
 from hilserver.diagnosis.unknown import RANGING, anchor_fields
 
@@ -55,6 +62,39 @@ class Anchor:
     largest: float
 
 
+@dataclass(frozen=True)
+class _Fields:
+    """The fields of four anchors on the positions of a log.
+
+    Attributes
+    ----------
+    moved : ndarray, shape (4, m, 2)
+        See `unknown.anchor_fields`.
+    white : ndarray, shape (n, 4)
+        Their columns, whitened, initial poses projected out.
+    """
+
+    moved: Array
+    white: Array
+
+    def anchor(self, best: int, p: float, error_m: float, half_m: float) -> Anchor:
+        """Return one of the four."""
+        return Anchor(p, SIDES[best], error_m, half_m, float(np.hypot(*self.moved[best].T).max()))
+
+
+def _fields(problem: Problem, point: Point) -> _Fields | None:
+    """Return the fields of four anchors, or None where no position is judged in one frame."""
+    if not isinstance(problem.stage, PoseStage) or problem.stage.begins_anew:
+        return None
+    if POSITION[0] not in problem.stack.edges:
+        return None
+    motion = Motion(problem, point)
+    moved = anchor_fields(motion)
+    columns = np.stack([motion.placed(*field.T) for field in moved], axis=1)
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    return _Fields(moved, problem.project(problem.whiten(columns), bases))
+
+
 def anchor_off(
     library: Library,
     point: Point,
@@ -73,17 +113,11 @@ def anchor_off(
         Deviance that the accepted causes save: a small share of it may be their own inexactness.
     """
     problem = library.problem
+    fields = _fields(problem, point)
+    if fields is None:
+        return None
     stack = problem.stack
-    if not isinstance(problem.stage, PoseStage) or problem.stage.begins_anew:
-        return None
-    if POSITION[0] not in stack.edges:
-        return None
-    motion = Motion(problem, point)
-    fields = anchor_fields(motion)
-    columns = np.stack([motion.placed(*field.T) for field in fields], axis=1)
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    white = problem.project(problem.whiten(columns), bases)
-    white = orthogonal(white, problem.accepted(point))
+    white = orthogonal(fields.white, problem.accepted(point))
     blocks = Blocks.of(stack.block, stack.n_blocks)
     scores = score(white[blocks.order], point.left[blocks.order], blocks)
     best = int(np.argmax(scores.gain))
@@ -98,9 +132,59 @@ def anchor_off(
     if p >= LEVEL or not holds_out(problem, white[:, [best]], point.left, LEAST_SAVED):
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
-    largest = float(np.hypot(*fields[best].T).max())
-    p *= screen.LEVEL / LEVEL
-    return Anchor(p, SIDES[best], float(scores.size[best]), half_m, largest)
+    return fields.anchor(best, p * screen.LEVEL / LEVEL, float(scores.size[best]), half_m)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A scale of the navigation among the accepted causes against misplaced anchors.
+
+    A scale is the simplest of the fields of error that one misplaced anchor makes, and the first to
+    be found.
+
+    Attributes
+    ----------
+    index : int
+        Of the scale among the accepted causes.
+    more : float
+        Deviance that one anchor, or all four less one for each, saves more than the scale.
+    anchor : Anchor
+        The one that explains most in its place.
+    """
+
+    index: int
+    more: float
+    anchor: Anchor
+
+    @property
+    def lost(self) -> bool:
+        """Whether the scale is none."""
+        return self.more > TIE
+
+    @property
+    def open(self) -> bool:
+        """Whether the data cannot tell."""
+        return abs(self.more) <= TIE
+
+
+def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
+    """Hold an accepted scale of the navigation against misplaced anchors; None without one."""
+    accepted = problem.accepted(point)
+    if accepted is None or "nav_scale" not in point.model.causes:
+        return None
+    fields = _fields(problem, point)
+    if fields is None:
+        return None
+    index = point.model.causes.index("nav_scale")
+    others, own = alone(point, accepted, index)
+    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    white = orthogonal(fields.white, others)
+    explained = float(target @ target - point.left @ point.left)
+    squares, along = (white**2).sum(axis=0) + 1e-300, white.T @ target
+    best = int(np.argmax(along**2 / squares))
+    most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
+    error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
+    return Contest(index, most - explained, fields.anchor(best, LEVEL, error_m, half_m))
 
 
 def _rival(library: Library, point: Point) -> float:

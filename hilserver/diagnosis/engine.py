@@ -209,7 +209,15 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     problem, fitted = j.prepared.problem, {}
     for f, finding in zip(
         j.point.model.fitted,
-        named(problem, j.point, j.ties, j.selected.p, j.drift, scrubs=j.scrubs)
+        named(
+            problem,
+            j.point,
+            j.ties,
+            j.selected.p,
+            j.drift,
+            scrubs=j.scrubs,
+            anchor=j.in_doubt,
+        )
         if j.point.model.fitted
         else [],
         strict=True,

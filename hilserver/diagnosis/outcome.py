@@ -90,6 +90,7 @@ def named(
     drift: Mapping[str, float],
     *,
     scrubs: bool = False,
+    anchor: Anchor | None = None,
 ) -> list[Finding]:
     """Return one finding for every accepted cause, with its group.
 
@@ -97,6 +98,8 @@ def named(
     ----------
     scrubs : bool
         Friction across the wheels is a twin of the rotation gain, see `scrubbing`.
+    anchor : Anchor, optional
+        That could stand in the place of a scale of the navigation.
     """
     own = parameters(problem, point)
     found = []
@@ -118,6 +121,9 @@ def named(
             if ratio is not None:
                 causes.append("friction_anisotropy")
                 values["friction_anisotropy.ratio"] = ratio
+        if anchor is not None and cause == "nav_scale":
+            causes.append("nav_position_bias")
+            values |= _field(anchor)
         verdict = Verdict.NAMED if len(causes) == 1 else Verdict.NAMED_GROUP
         if cause in drift:
             verdict = Verdict.DRIFT
@@ -184,16 +190,11 @@ def coarse(step_rpm: float) -> Finding:
 def misplaced_anchor(anchor: Anchor) -> Finding:
     """Return the finding of a ranging anchor that stands elsewhere than configured."""
     error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
-    size_m, half_m = anchor.largest * abs(error_m), anchor.largest * anchor.half_m
     finding = Finding(
         verdict=Verdict.NAMED,
         causes=("nav_position_bias",),
         block="navigation",
-        parameters={
-            "nav_position_bias.amplitude": Parameter(
-                value=size_m, ci95=(size_m - half_m, size_m + half_m), unit="m"
-            )
-        },
+        parameters=_field(anchor),
         p_adjusted=anchor.p,
     )
     text = (
@@ -201,6 +202,13 @@ def misplaced_anchor(anchor: Anchor) -> Finding:
         f" {anchor.side} measured about {number(abs(error_m), 'm', digits=2)} too {side}."
     )
     return finding.model_copy(update={"explanation": text})
+
+
+def _field(anchor: Anchor) -> dict[str, Parameter]:
+    """Return how far the position is off where an anchor moves it most."""
+    size_m, half_m = anchor.largest * abs(anchor.error_m), anchor.largest * anchor.half_m
+    limits = (size_m - half_m, size_m + half_m)
+    return {"nav_position_bias.amplitude": Parameter(value=size_m, ci95=limits, unit="m")}
 
 
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from hilserver.diagnosis.anchors import Anchor, anchor_off
+from hilserver.diagnosis.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.drift import with_drift
 from hilserver.diagnosis.identifiability import Rival, prune, settle
@@ -20,7 +20,6 @@ from hilserver.diagnosis.structure import (
     Unknown,
     families_of,
     imitated,
-    misplaced,
     remaining,
     without_unknown,
 )
@@ -43,6 +42,8 @@ class Judged:
     scores: Scores
     scrubs: bool
     anchor: Anchor | None = None
+    in_doubt: Anchor | None = None
+    """An anchor that could stand in the place of an accepted scale of the navigation."""
 
 
 def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
@@ -54,7 +55,8 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     doubtful = set(without_unknown(problem, point, unknown))
     if point.model.fitted:
         doubtful |= set(imitated(problem, point, families_of(problem, point)))
-        doubtful |= set(misplaced(problem, point))
+        contest = scale_or_anchor(problem, point)
+        doubtful |= {contest.index} if contest is not None and contest.lost else set()
     for index in sorted(doubtful, reverse=True):
         less = fit(problem, point.model.without(index), point, iterations=3)
         rows += _left_out(point, less, "dropped", "unknown structure explains as much")
@@ -85,9 +87,11 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     anchor = None if drift or scrubbed else anchor_off(p.library, point, unknown, rng, explained)
     if anchor is not None:
         unknown = []
+    last = None if drift else scale_or_anchor(problem, point)
+    in_doubt = last.anchor if last is not None and last.open else None
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     scores = p.library.scores(p.base)
-    return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor)
+    return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor, in_doubt)
 
 
 def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Rival]]]:

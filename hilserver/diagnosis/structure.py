@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.screen import GROSS, Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.unknown import RANGING, Family, drive_families, pose_families
+from hilserver.diagnosis.unknown import Family, drive_families, pose_families
 
 Array = NDArray[np.float64]
 
@@ -23,9 +23,6 @@ INEXACT = 0.005
 """Share of what the accepted causes explain that their own form may leave."""
 LEAST_BETTER = 50.0
 """Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
-LEAST_MORE = 4.0
-"""Deviance by which a misplaced anchor must beat a scale of the navigation; all four together, less
-one per anchor."""
 SUBSTITUTE = 0.5
 """|cos| between a cause's effect and a column that could stand in its place."""
 DOMINANCE = 4.0
@@ -113,31 +110,8 @@ def remaining(
     return sorted(found, key=lambda u: -u.gain)
 
 
-def misplaced(problem: Problem, point: Point) -> list[int]:
-    """Return the scale of the navigation among the accepted causes, if anchors explain more.
-
-    A scale is the simplest of the fields of error that one misplaced ranging anchor makes, and the
-    first to be found. One anchor alone and all four together are held against it.
-    """
-    index = next((i for i, c in enumerate(point.model.causes) if c == "nav_scale"), None)
-    accepted = problem.accepted(point)
-    if index is None or accepted is None or problem.stage.name != "pose":
-        return []
-    family = next((f for f in families_of(problem, point) if f.name == RANGING), None)
-    if family is None:
-        return []
-    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    others, own = _alone(point, accepted, index)
-    target = orthogonal((point.left + own)[:, None], others)[:, 0]
-    white = orthogonal(problem.project(problem.whiten(family.columns), bases), others)
-    explained = float(target @ target - point.left @ point.left)
-    alone = (white.T @ target) ** 2 / ((white**2).sum(axis=0) + 1e-300)
-    best = max(float(alone.max()), joint_gain(white, target))
-    return [index] if best > explained + LEAST_MORE else []
-
-
-def _alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
-    """Return the columns of the other accepted causes, and the effect of one."""
+def alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
+    """Return the columns of the other accepted causes, and the effect of one of them."""
     f, mine = point.model.fitted[index], point.model.slices[index]
     own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
     return np.delete(accepted, mine, axis=1), own
@@ -167,7 +141,7 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list
 
 def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
     """Return whether one of a family's columns explains more in the place of a cause."""
-    others, own = _alone(point, accepted, index)
+    others, own = alone(point, accepted, index)
     target = orthogonal((point.left + own)[:, None], others)[:, 0]
     effect = orthogonal(own[:, None], others)[:, 0]
     columns = orthogonal(white, others)

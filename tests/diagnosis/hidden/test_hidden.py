@@ -144,6 +144,16 @@ def test_a_ranging_anchor_that_is_off_is_named_and_no_scale_of_the_navigation(se
     assert not found.evidence.extension, "the plant has no anchors"
 
 
+def test_where_an_anchor_and_a_scale_explain_alike_neither_is_named_alone():
+    found = judged(SCENARIOS["radio"].draw(91).logs["drive.csv"])
+    (finding,) = found.findings.findings
+    assert finding.verdict == Verdict.NAMED_GROUP
+    assert set(finding.causes) == {"nav_scale", "nav_position_bias"}
+    assert set(finding.parameters) == {"nav_scale", "nav_position_bias.amplitude"}
+    assert finding.separating_experiment is not None
+    assert [term.name for term in found.evidence.extension] == ["nav_scale"]
+
+
 @pytest.mark.long
 def test_half_the_turn_is_no_radius_that_a_scale_of_the_navigation_undoes():
     """Without the turn most positions look like outliers, and the radius explains as much."""
