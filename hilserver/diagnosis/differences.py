@@ -15,6 +15,10 @@ from hilserver.diagnosis.stages import Prepared
 
 Array = NDArray[np.float64]
 
+BEYOND, INEXACT = 5.0, 0.2
+"""Errors, and share of the difference, by which a value may lie beyond what is possible: it is
+linear, and the effect need not be."""
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -43,6 +47,19 @@ class Difference:
     def is_worth_a_name(self) -> bool:
         """Whether the values lie as far apart as the cause's least size."""
         return abs(self.values[1] - self.values[0]) >= self.candidate.least
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether both values are ones that a machine can have, but for errors and inexactness."""
+        c = self.candidate
+        if not c.linear:
+            return True
+        low, high = min(c.low) - min(c.null), max(c.high) - max(c.null)
+        share = INEXACT * abs(self.values[1] - self.values[0])
+        return all(
+            low - share - BEYOND * error <= value <= high + share + BEYOND * error
+            for value, error in zip(self.values, self.errors, strict=True)
+        )
 
 
 def differences_of(

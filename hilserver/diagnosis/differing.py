@@ -33,9 +33,10 @@ def difference_findings(
     found = []
     for stage, p in prepared.items():
         mine = sorted(
-            (d for d in differences if d.stage == stage and d.p < LEVEL and d.is_worth_a_name),
+            (d for d in differences
+             if d.stage == stage and d.p < LEVEL and d.is_worth_a_name and d.is_possible),
             key=lambda d: -d.gain,
-        )
+        )  # fmt: skip
         if not mine:
             continue
         best = mine[0]
