@@ -45,8 +45,6 @@ class Anchor:
 
     Attributes
     ----------
-    p : float
-        Family-wise over the anchors, weighted so that it compares with the level of the screen.
     side : str
         Where it stands about the driven place, in words.
     error_m, half_m : float
@@ -55,7 +53,6 @@ class Anchor:
         How far the position moves where it moves most, per metre of the range.
     """
 
-    p: float
     side: str
     error_m: float
     half_m: float
@@ -77,9 +74,9 @@ class _Fields:
     moved: Array
     white: Array
 
-    def anchor(self, best: int, p: float, error_m: float, half_m: float) -> Anchor:
+    def anchor(self, best: int, error_m: float, half_m: float) -> Anchor:
         """Return one of the four."""
-        return Anchor(p, SIDES[best], error_m, half_m, float(np.hypot(*self.moved[best].T).max()))
+        return Anchor(SIDES[best], error_m, half_m, float(np.hypot(*self.moved[best].T).max()))
 
 
 def _fields(problem: Problem, point: Point) -> _Fields | None:
@@ -101,8 +98,8 @@ def anchor_off(
     unknown: Sequence[Unknown],
     rng: np.random.Generator,
     explained: float,
-) -> Anchor | None:
-    """Return the anchor that what a model leaves speaks for, or None.
+) -> tuple[Anchor, float] | None:
+    """Return the anchor that what a model leaves speaks for with its p, or None.
 
     It must hold on blocks that it was not fitted to, and beat every cause of the library and every
     unknown structure that was found: where another explains as much, nothing is said.
@@ -111,6 +108,12 @@ def anchor_off(
     ----------
     explained : float
         Deviance that the accepted causes save: a small share of it may be their own inexactness.
+
+    Returns
+    -------
+    Anchor
+    float
+        Family-wise over the anchors, weighted so that it compares with the level of the screen.
     """
     problem = library.problem
     fields = _fields(problem, point)
@@ -132,7 +135,7 @@ def anchor_off(
     if p >= LEVEL or not holds_out(problem, white[:, [best]], point.left, LEAST_SAVED):
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
-    return fields.anchor(best, p * screen.LEVEL / LEVEL, float(scores.size[best]), half_m)
+    return fields.anchor(best, float(scores.size[best]), half_m), p * screen.LEVEL / LEVEL
 
 
 @dataclass(frozen=True)
@@ -184,7 +187,7 @@ def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     best = int(np.argmax(along**2 / squares))
     most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
     error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
-    return Contest(index, most - explained, fields.anchor(best, LEVEL, error_m, half_m))
+    return Contest(index, most - explained, fields.anchor(best, error_m, half_m))
 
 
 def _rival(library: Library, point: Point) -> float:

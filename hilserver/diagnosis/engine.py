@@ -229,7 +229,7 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     if stage == "pose" and (thrown := outliers(problem, j.point)) is not None:
         found.append(thrown)
     if j.anchor is not None:
-        found.append(misplaced_anchor(j.anchor))
+        found.append(misplaced_anchor(*j.anchor))
     steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None
     if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
         found.append(lost(steps))

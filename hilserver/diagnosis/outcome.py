@@ -187,7 +187,7 @@ def coarse(step_rpm: float) -> Finding:
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
-def misplaced_anchor(anchor: Anchor) -> Finding:
+def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
     """Return the finding of a ranging anchor that stands elsewhere than configured."""
     error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
     finding = Finding(
@@ -195,7 +195,7 @@ def misplaced_anchor(anchor: Anchor) -> Finding:
         causes=("nav_position_bias",),
         block="navigation",
         parameters=_field(anchor),
-        p_adjusted=anchor.p,
+        p_adjusted=p,
     )
     text = (
         f"{explain_finding(finding).rstrip('.')}, as if the ranging anchor on the side of"

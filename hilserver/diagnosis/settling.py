@@ -41,7 +41,8 @@ class Judged:
     drift: dict[str, float]
     scores: Scores
     scrubs: bool
-    anchor: Anchor | None = None
+    anchor: tuple[Anchor, float] | None = None
+    """An anchor that is off, and its p."""
     in_doubt: Anchor | None = None
     """An anchor that could stand in the place of an accepted scale of the navigation."""
 
@@ -130,9 +131,13 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
 
     A wheel radius and a scale of the navigation turn and drive as a rotation gain alone does.
     """
+    if len(point.model.fitted) < 2:
+        return None
     for rival in (r for found in ties.values() for r in found):
         less = prune(problem, rival.point, LEAST_GAIN)
-        if len(less.model.fitted) < len(point.model.fitted):
+        fewer = len(less.model.fitted) < len(point.model.fitted)
+        stands = rival.candidate.cause in less.model.causes
+        if fewer and stands and less.deviance < point.deviance + LEAST_GAIN:
             return less
     return None
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.detectable import POWER
-from hilserver.diagnosis.identifiability import GROUP_COSINE, cosines, prune, settle
+from hilserver.diagnosis.identifiability import GROUP_COSINE, Rival, cosines, prune, settle
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
 from hilserver.diagnosis.screen import critical, null_maxima
@@ -161,6 +161,22 @@ def test_two_causes_stay_two_where_none_stands_for_both():
     _, ties = settle(library, point)
     assert [r.candidate.cause for r in ties["gain"]] == ["twin"]
     assert with_fewer(problem, point, ties) is None
+
+
+def test_a_weak_cause_is_not_lost_with_a_rival_that_is_weaker_still():
+    """A rival that ties may fall below what a cause must save; that says nothing of the cause."""
+    rng = np.random.default_rng(11)
+    columns = columns_of(rng, "own")
+    columns["twin"] = columns["own"] + 20.0 * toy.smooth(rng, N)
+    size = 3.6 / np.sqrt((columns["own"] ** 2).sum())
+    problem = toy.problem(size * columns["own"] + rng.normal(size=N), columns)
+    library, base = toy.library(problem)
+    point = fit(problem, toy.model("own"), base)
+    weaker = fit(problem, toy.model("twin"), base)
+    rival = Rival(library.candidates[1], weaker, 0.99, 1.0, 0.1)
+    assert prune(problem, point, 10.0).model.causes == ("own",)
+    assert prune(problem, weaker, 10.0).model.causes == ()
+    assert with_fewer(problem, point, {"own": [rival]}) is None
 
 
 def test_structure_must_hold_on_blocks_that_its_coefficients_were_not_fitted_to():
