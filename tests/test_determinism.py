@@ -7,12 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hilserver.assembly import assemble_config
 from hilserver.config.root import Config
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon.assembly import assemble_config
 from hilserver.image import ProcessImage, Row
 from hilserver.kernel import compose
 from hilserver.scheduler import RealtimeSettings, Scheduler
-from hilserver.snapshot import SnapshotStore
 from tests.fakes import image_name
 
 N_TICKS = 10_000

@@ -11,8 +11,8 @@ import numpy as np
 from hilserver_injector import Recipe, Table, make
 from hilserver_injector.cases import Case
 
-from hilserver.assembly import Assembly, assemble
 from hilserver.bench.diagnose_scoring import Score, score
+from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
 from hilserver.diagnosis.evidence import Diagnosis
 from hilserver.diagnosis.findings import Findings

@@ -3,10 +3,10 @@
 import argparse
 import json
 
-from hilserver.assembly import Assembly, assemble
 from hilserver.commands.options import add_config, config_path, out_file
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
+from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import EXIT_DONE
 
 EXAMPLE = "hilserver check -c config.yaml"

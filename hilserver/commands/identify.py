@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hilserver.assembly import assemble
 from hilserver.commands.options import add_config, config_path
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.reading import read_measured
 from hilserver.diagnosis.stages import machine

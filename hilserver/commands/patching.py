@@ -4,8 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from hilserver.assembly import Assembly, assemble
 from hilserver.commands.options import config_path
+from hilserver.daemon.assembly import Assembly, assemble
 
 
 def add_patch(parser: argparse.ArgumentParser) -> None:

@@ -11,9 +11,9 @@ import re
 from functools import partial
 from pathlib import Path
 
-from hilserver.assembly import assemble
 from hilserver.commands.options import add_config, config_path, number_within
 from hilserver.commands.progress import Progress
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.output import write_files
 from hilserver.diagnosis.plan.manoeuvre import LONGEST_S, SHORTEST_S
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS

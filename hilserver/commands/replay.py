@@ -10,16 +10,16 @@ import sys
 import time
 from pathlib import Path
 
-from hilserver.assembly import Assembly
 from hilserver.commands.options import add_config
 from hilserver.commands.patching import add_patch, assembled
 from hilserver.config.patch import load_patch
+from hilserver.core.snapshot import read_snapshot
+from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, UserError
 from hilserver.logs import Log, State, open_writer, read_log
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
 from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
-from hilserver.snapshot import read_snapshot
 
 EXAMPLE = "hilserver replay run.mcap -o again.csv"
 PROGRESS_AFTER_S = 2.0

@@ -12,18 +12,18 @@ from pathlib import Path
 
 import uvloop
 
-from hilserver.assembly import Assembly
+from hilserver.commands.demo import demo_assembly, running_controller
 from hilserver.commands.ending import end_was_asked
 from hilserver.commands.options import add_config, number_within
 from hilserver.commands.patching import add_patch, assembled
-from hilserver.daemon import Daemon
-from hilserver.demo import demo_assembly, running_controller
+from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.daemon import Daemon
+from hilserver.daemon.reload import Reloader
 from hilserver.errors import EXIT_DONE
 from hilserver.faults.scenario import Play, json_schema, load_scenario
 from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
-from hilserver.reload import Reloader
 
 EXAMPLE = "hilserver run --demo"
 

@@ -8,12 +8,12 @@ import csv
 import io
 from collections.abc import Callable
 
-from hilserver.assembly import assemble
 from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.daemon.assembly import assemble
 from hilserver.errors import EXIT_DONE
 from hilserver.io.opcua_server.nodeset import to_nodeset
+from hilserver.io.opcua_server.units import find_unit
 from hilserver.signals import Signal, SignalTable
-from hilserver.units import find_unit
 
 EXAMPLE = "hilserver signals --format nodeset2 -o hilserver.nodeset2.xml"
 

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import uvloop
 
-from hilserver.assembly import Assembly, assemble
+from hilserver.commands.demo import demo_assembly, running_controller
 from hilserver.commands.options import add_config, config_path
-from hilserver.daemon import Daemon
-from hilserver.demo import demo_assembly, running_controller
+from hilserver.daemon.assembly import Assembly, assemble
+from hilserver.daemon.daemon import Daemon
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, ConfigError
+from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.signals import WHEELS
-from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 
 EXAMPLE = "hilserver wiring --demo"
 NAMES = {"fl": "front left", "rl": "rear left", "fr": "front right", "rr": "rear right"}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver import __version__
-from hilserver.assembly import Assembly
+from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.differences import Difference, differences_of

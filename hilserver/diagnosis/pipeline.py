@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hilserver.assembly import assemble
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.evidence import Diagnosis

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from hilserver.events import Event, EventBus, EventKind
+from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.faults.links import Line
 from hilserver.faults.mail import Acting, Command, Mailbox, rings_of
 from hilserver.faults.model import Fault, parse_fault

@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field
 
 from hilserver.config.loading import load, place
+from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.errors import ConfigError
 from hilserver.faults.book import Faults
 from hilserver.faults.model import Fault, Seconds
 from hilserver.image import ProcessImage, Row
-from hilserver.inputs import InputGate, Refusal, check_value
 from hilserver.signals import SignalTable
 
 MAX_STEPS = 4000

@@ -14,8 +14,8 @@ from hilserver.image import layout as lay
 from hilserver.image.queues import push_rows
 from hilserver.image.ring import copy_frame, copy_latest
 from hilserver.image.shared_file import SharedFile, map_read_only
+from hilserver.image.status import GOOD
 from hilserver.signals import SignalTable
-from hilserver.status import GOOD
 
 
 class Row(NamedTuple):

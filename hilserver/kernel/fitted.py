@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from hilserver.compiled import kernel
 from hilserver.config.patch import Interval, ModelPatch
 from hilserver.image.layout import W_FRAME_BASE, W_STATUS_BASE
+from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.plant import layout as robot
 from hilserver.plant.terms import TERMS, main_part
-from hilserver.status import GOOD, UNCERTAIN
 
 BLOCKS: Final = ("drive", "kinematics", "navigation", "inertial")
 N_ROW: Final = 6  # low and high of speed [m/s], turn rate [rad/s], wheel speed [rpm]

@@ -8,6 +8,7 @@ from hilserver.image.layout import (
     W_FRAME_BASE,
     W_STATUS_BASE,
 )
+from hilserver.image.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 from hilserver.kernel.modifier_layout import (
     E_A,
     E_B,
@@ -33,7 +34,6 @@ from hilserver.kernel.modifier_layout import (
     Kind,
 )
 from hilserver.plant.noise import normal, uniform
-from hilserver.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 
 STUCK, NOISE, BIAS, SCALE = int(Kind.STUCK), int(Kind.NOISE), int(Kind.BIAS), int(Kind.SCALE)
 DELAY, JITTER, DROP = int(Kind.DELAY), int(Kind.JITTER), int(Kind.DROP)

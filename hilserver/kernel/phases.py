@@ -20,8 +20,8 @@ from hilserver.image.layout import (
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
+from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
-from hilserver.status import GOOD, UNCERTAIN
 
 COMMAND_SAFE = 2
 FAULT_COMMUNICATION = 3

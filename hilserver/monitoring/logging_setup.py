@@ -21,8 +21,8 @@ from typing import Any, Protocol, TextIO
 
 import structlog
 
+from hilserver.core.events import Event, EventKind
 from hilserver.errors import UserError
-from hilserver.events import Event, EventKind
 
 EventDict = MutableMapping[str, Any]
 

@@ -8,7 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.assembly import Assembly
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon.assembly import Assembly
 from hilserver.errors import ConfigError, LogError
 from hilserver.image import ProcessImage, read_frames
 from hilserver.image.layout import W_STATE
@@ -16,7 +17,6 @@ from hilserver.kernel import compose
 from hilserver.logs.writing import Segmented
 from hilserver.replay.plan import Stretch
 from hilserver.scheduler import RealtimeSettings, Scheduler
-from hilserver.snapshot import SnapshotStore
 
 QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11

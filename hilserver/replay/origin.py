@@ -4,9 +4,9 @@ from pathlib import Path
 
 import yaml
 
-from hilserver.assembly import Assembly, assemble_config
 from hilserver.config.patch import Patch, patch_of
 from hilserver.config.root import Config
+from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.errors import ConfigError, LogError
 from hilserver.logs import Log
 

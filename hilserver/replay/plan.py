@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.image.layout import Layout
+from hilserver.image.status import GOOD
 from hilserver.logs import Log, State
 from hilserver.signals import Direction, SignalTable
-from hilserver.status import GOOD
 
 MAX_TICKS = 10**9
 _TWIST = ("twist.linear_m_s", "twist.angular_rad_s")

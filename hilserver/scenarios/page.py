@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from hilserver.assembly import assemble
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.pipeline import Task
 from hilserver.diagnosis.pipeline import judge as diagnose
 from hilserver.diagnosis.reading import read_measured

@@ -8,10 +8,10 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from hilserver.daemon import Daemon
+from hilserver.core.inputs import Refusal
+from hilserver.daemon.daemon import Daemon
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.image import Frame
-from hilserver.inputs import Refusal
 from hilserver.signals import Signal
 from hilserver.testing.journal import Journal
 from hilserver.testing.tap import Capture, Tap

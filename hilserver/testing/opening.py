@@ -8,9 +8,9 @@ from urllib.parse import urlsplit
 
 from pydantic import ValidationError
 
-from hilserver.assembly import assemble_config
 from hilserver.config.root import Config, load_config
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
 from hilserver.faults.scenario import Play, load_scenario
 from hilserver.testing.hil import Hil, Mode

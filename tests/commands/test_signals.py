@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from asyncua import Server, ua
 
-from hilserver.assembly import assemble
 from hilserver.commands import main
 from hilserver.commands.signals import COLUMNS, as_csv, as_markdown
+from hilserver.daemon.assembly import assemble
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, NAMESPACE_URI, describe
 from hilserver.io.opcua_server.nodeset import to_nodeset
-from hilserver.units import UNECE
+from hilserver.io.opcua_server.units import UNECE
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "signals.md"
 

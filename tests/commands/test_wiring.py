@@ -2,13 +2,13 @@
 
 import pytest
 
-from hilserver.assembly import assemble_config
 from hilserver.commands import main
+from hilserver.commands.demo import running_controller
 from hilserver.commands.wiring import Wiring, as_table, complaint
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer, node_id
-from hilserver.daemon import Daemon
-from hilserver.demo import running_controller
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 
 QUIET = "opcua: {enabled: false}\nmetrics: {enabled: false}\nimage: {name: auto}\n"
 

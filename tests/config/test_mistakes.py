@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.assembly import assemble
+from hilserver.daemon.assembly import assemble
 from hilserver.errors import ConfigError
 
 READ = "read: {'ns=1;s=x': wheel.fl.setpoint_rpm}"

@@ -4,10 +4,10 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
-from hilserver.assembly import assemble
 from hilserver.commands import main
 from hilserver.config.patch import json_schema, load_patch
 from hilserver.config.plant import PlantConfig
+from hilserver.daemon.assembly import assemble
 from hilserver.errors import ConfigError
 
 PATCH = {

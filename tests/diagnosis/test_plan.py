@@ -8,8 +8,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.assembly import assemble
 from hilserver.commands import main
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.plan.document import PlanDocument

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from hilserver.assembly import assemble_config
 from hilserver.config.root import Config
-from hilserver.events import EventBus
+from hilserver.core.events import EventBus
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon.assembly import assemble_config
 from hilserver.faults import Faults
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
@@ -12,7 +13,6 @@ from hilserver.image import ProcessImage, Row
 from hilserver.kernel import compose, limit_silence
 from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import RealtimeSettings, Scheduler
-from hilserver.snapshot import SnapshotStore
 from tests.fakes import image_name
 
 

@@ -6,11 +6,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from hilserver.assembly import assemble
+from hilserver.daemon.assembly import assemble
 from hilserver.image import ProcessImage
+from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel import compose
 from hilserver.scheduler.step import LATCH, PUBLISH
-from hilserver.status import GOOD, UNCERTAIN
 from tests.fakes import image_name
 
 BLOCKS = """

@@ -4,13 +4,13 @@ from contextlib import closing
 
 import pytest
 
-from hilserver.assembly import assemble_config
 from hilserver.config.patch import ModelPatch, Patch
 from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble_config
 from hilserver.image import ProcessImage, Row
+from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel import compose
 from hilserver.scheduler.step import LATCH, PUBLISH
-from hilserver.status import GOOD, UNCERTAIN
 from tests.fakes import image_name
 
 CONFIG = Config.model_validate({"sensors": {"nav": {"enabled": True}}})

@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 
 from asyncua import ua
 
-from hilserver.assembly import assemble_config
 from hilserver.config.root import Config
 from hilserver.controller.nodes import SEQUENCE, SETPOINTS, node_id
 from hilserver.controller.server import ControllerServer
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 from tests.io.opcua_server.rig import RobotClient
 
 RING_FRAMES = 8192

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.assembly import assemble_config
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError, FailedError
 from tests.helpers.prom_diff import series_of_text
 from tests.loopback.rig import configuration

@@ -1,6 +1,6 @@
 """The robot drives something else than commanded: that is said, once each time it begins."""
 
-from hilserver.events import EventKind
+from hilserver.core.events import EventKind
 from tests.loopback.rig import configuration, running, wait_until
 
 

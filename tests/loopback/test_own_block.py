@@ -8,7 +8,7 @@ import pytest
 import pytest_asyncio
 import yaml
 
-from hilserver.assembly import assemble
+from hilserver.daemon.assembly import assemble
 from tests.loopback.rig import call, column, frames, run_ticks, serving, text, uint32
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -6,9 +6,9 @@ import time
 import pytest
 import pytest_asyncio
 
-from hilserver.assembly import assemble_config
-from hilserver.control import State
-from hilserver.daemon import Daemon
+from hilserver.core.control import State
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 from hilserver.image.layout import W_HEARTBEAT, W_HEARTBEAT_LIMIT
 from tests.loopback.rig import (
     call,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled.histogram import N_BUCKETS, Histogram125
-from hilserver.inputs import Refusal
+from hilserver.core.inputs import Refusal
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_status import PeerStatus
 from hilserver.monitoring.metrics_sources import MetricsSources

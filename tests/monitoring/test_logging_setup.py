@@ -10,8 +10,8 @@ import structlog
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilserver.core.events import Event, EventKind
 from hilserver.errors import FailedError
-from hilserver.events import Event, EventKind
 from hilserver.monitoring.logging_setup import (
     KEYS_MAX,
     RepeatLimiter,

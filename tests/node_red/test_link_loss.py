@@ -8,12 +8,12 @@ from collections.abc import AsyncIterator, Callable
 
 import pytest
 
-from hilserver.assembly import assemble_config
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import Config
-from hilserver.control import State
 from hilserver.controller.nodes import demo_peer
-from hilserver.daemon import Daemon
+from hilserver.core.control import State
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 from tests.io.opcua_client.conftest import wait_until
 from tests.node_red.black_hole import THEIRS, peer_network
 from tests.node_red.node_red import shipped_flow

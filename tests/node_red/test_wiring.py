@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.assembly import assemble_config
 from hilserver.commands.wiring import NAMES, Wiring, as_table
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
 from tests.node_red.node_red import shipped_flow
 
 pytestmark = [pytest.mark.node_red, pytest.mark.timeout(120)]

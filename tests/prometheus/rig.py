@@ -5,10 +5,10 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilserver.assembly import Assembly, assemble_config
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import Assembly, assemble_config
+from hilserver.daemon.daemon import Daemon
 from tests.io.opcua_client.conftest import free_port
 from tests.node_red.node_red import NodeRed
 from tests.prometheus.server import Prometheus, running_prometheus, until

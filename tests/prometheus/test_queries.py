@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.daemon import Daemon
+from hilserver.daemon.daemon import Daemon
 from tests.node_red.node_red import shipped_flow, test_flow
 from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
 from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilserver.status import GOOD_LOCAL_OVERRIDE
+from hilserver.image.status import GOOD_LOCAL_OVERRIDE
 from hilserver.testing.hil import HilError
 
 MODES = [

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hilserver import __version__
-from hilserver.assembly import Assembly
+from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.plan.document import Missing, PlanDocument, Proposed, prospect
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario

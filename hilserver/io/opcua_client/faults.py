@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import structlog
 
-from hilserver.events import Event, EventKind
+from hilserver.core.events import Event, EventKind
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_status import PeerStatus
 

@@ -11,7 +11,7 @@ from typing import Protocol
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
-from hilserver.inputs import Refusal
+from hilserver.core.inputs import Refusal
 from hilserver.io.opcua_client.faults import FaultBook
 from hilserver.io.opcua_client.latency import ClockOffset, StampWatch, one_way_ns
 from hilserver.io.opcua_client.staleness import Staleness

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import structlog
 from asyncua import ua
 
-from hilserver.clock import UtcClock
 from hilserver.config.peers import PeerConfig
-from hilserver.events import Event, EventBus, EventKind
+from hilserver.core.clock import UtcClock
+from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.faults.links import Lane, Line
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.faults import FaultBook

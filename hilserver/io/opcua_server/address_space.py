@@ -8,8 +8,8 @@ from asyncua import ua
 
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.method_table import Method
-from hilserver.units import NAMESPACE_URI as UNITS_URI
-from hilserver.units import Unit
+from hilserver.io.opcua_server.units import NAMESPACE_URI as UNITS_URI
+from hilserver.io.opcua_server.units import Unit
 
 _READ_WRITE = ua.AccessLevel.CurrentRead.mask | ua.AccessLevel.CurrentWrite.mask
 _WAITING = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from asyncua import ua
 from asyncua.crypto.permission_rules import User
 
-from hilserver.control import Control
+from hilserver.core.control import Control
 from hilserver.errors import UserError
 from hilserver.faults import Faults
 from hilserver.faults.model import parse_faults

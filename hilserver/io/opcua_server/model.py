@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import STRING
+from hilserver.io.opcua_server.units import Unit, find_unit
 from hilserver.signals import LIGHTS, Direction, Signal, SignalTable, ValueType
-from hilserver.units import Unit, find_unit
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from hilserver import __version__
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.method_table import METHODS, Method
+from hilserver.io.opcua_server.units import NAMESPACE_URI as UNITS_URI
+from hilserver.io.opcua_server.units import Unit
 from hilserver.signals import SignalTable
-from hilserver.units import NAMESPACE_URI as UNITS_URI
-from hilserver.units import Unit
 
 _NS = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
 _TYPES = "http://opcfoundation.org/UA/2008/02/Types.xsd"

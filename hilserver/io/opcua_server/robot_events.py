@@ -14,8 +14,8 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.clock import UtcClock
-from hilserver.events import Event, EventBus, EventKind
+from hilserver.core.clock import UtcClock
+from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.io.opcua_server.address_space import SERVER, AddressSpaceBuilder
 from hilserver.io.opcua_server.values import run_to_end
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from asyncua import ua
 
-from hilserver.clock import UtcClock
 from hilserver.config.server import OpcUaConfig, Policy, Role, default_application_uri
-from hilserver.control import Control, State
+from hilserver.core.clock import UtcClock
+from hilserver.core.control import Control, State
+from hilserver.core.events import EventBus
+from hilserver.core.inputs import InputGate
 from hilserver.errors import ConfigError, FailedError
-from hilserver.events import EventBus
 from hilserver.faults import Faults
 from hilserver.image import Frame, ProcessImage
-from hilserver.inputs import InputGate
 from hilserver.io.opcua_security.certificate import application_uris
 from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server import model

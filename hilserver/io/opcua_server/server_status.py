@@ -16,7 +16,7 @@ from asyncua import ua
 from asyncua.server.address_space import AttributeValue
 
 import hilserver
-from hilserver.control import State
+from hilserver.core.control import State
 from hilserver.io.opcua_server.values import FixedDataValue, write_value
 
 PRODUCT_URI = "urn:hilserver"

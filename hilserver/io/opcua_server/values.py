@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from asyncua import ua
 
-from hilserver.clock import UtcClock
+from hilserver.core.clock import UtcClock
 from hilserver.image import Frame
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.model import DATA_TYPES

@@ -4,8 +4,8 @@ import asyncio
 
 import structlog
 
+from hilserver.core.snapshot import SnapshotStore
 from hilserver.image.state_request import take_request
-from hilserver.snapshot import SnapshotStore
 
 _log = structlog.get_logger(__name__)
 

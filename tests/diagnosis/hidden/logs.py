@@ -5,8 +5,8 @@ from functools import cache
 
 from hilserver_injector import Recipe, make, nothing, single
 
-from hilserver.assembly import Assembly, assemble
 from hilserver.bench.diagnose_worker import measured
+from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.evidence import Diagnosis
 

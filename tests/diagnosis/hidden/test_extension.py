@@ -13,11 +13,11 @@ import pytest
 from hilserver_injector import Recorder, make
 from hilserver_injector.recipe import WHEELS
 
-from hilserver.assembly import assemble
 from hilserver.commands import main
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import assemble
+from hilserver.daemon.daemon import Daemon
+from hilserver.daemon.figures import model_gap
 from hilserver.diagnosis.output import documents, write
-from hilserver.figures import model_gap
 from hilserver.testing.hil import Hil
 from tests.diagnosis.hidden.logs import diagnosis, recipe
 from tests.loopback.rig import scrape

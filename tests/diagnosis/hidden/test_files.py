@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hilserver_injector import Table, make
 
-from hilserver.assembly import assemble
 from hilserver.commands import main
 from hilserver.config.patch import load_patch
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.findings import Findings
 from hilserver.diagnosis.schema import findings_schema
 from tests.diagnosis.assertions import (

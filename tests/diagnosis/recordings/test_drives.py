@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilserver.assembly import assemble
+from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.data import Channel
 from hilserver.diagnosis.engine import judge

@@ -13,11 +13,11 @@ import pytest
 import pytest_asyncio
 from asyncua import Server, ua
 
-from hilserver.clock import UtcClock
 from hilserver.config.peers import PeerConfig
-from hilserver.events import EventBus
+from hilserver.core.clock import UtcClock
+from hilserver.core.events import EventBus
+from hilserver.core.inputs import Refusal
 from hilserver.faults import Line
-from hilserver.inputs import Refusal
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 
 URI = "urn:iotbot:agv"

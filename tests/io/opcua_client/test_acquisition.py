@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from hilserver.inputs import Refusal
+from hilserver.core.inputs import Refusal
 from hilserver.io.opcua_client.acquisition import every, too_many_missed, too_slow
 from hilserver.io.opcua_client.subscription import Grant
 from tests.io.opcua_client.conftest import make_harness, peer_config, wait_until

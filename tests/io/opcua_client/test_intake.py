@@ -6,7 +6,7 @@ from asyncua import ua
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.events import EventBus
+from hilserver.core.events import EventBus
 from hilserver.io.opcua_client.faults import HOLD_NS, FaultBook
 from hilserver.io.opcua_client.intake import Intake
 from hilserver.io.opcua_client.staleness import Staleness

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 from asyncua import ua
 
-from hilserver.inputs import Refusal
+from hilserver.core.inputs import Refusal
 from tests.io.opcua_client.conftest import (
     URI,
     Harness,

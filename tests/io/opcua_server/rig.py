@@ -10,20 +10,20 @@ from typing import Any
 
 from asyncua import Client, ua
 
-from hilserver.clock import UtcClock
 from hilserver.config.server import OpcUaConfig
-from hilserver.control import Control
-from hilserver.events import EventBus
+from hilserver.core.clock import UtcClock
+from hilserver.core.control import Control
+from hilserver.core.events import EventBus
+from hilserver.core.inputs import InputGate
+from hilserver.core.snapshot import SnapshotStore
 from hilserver.image import ProcessImage
 from hilserver.image.layout import W_STATE
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
-from hilserver.inputs import InputGate
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.opcua_server.model import NAMESPACE_URI
 from hilserver.signals import WHEELS, Ranges, SignalTable, robot_table
-from hilserver.snapshot import SnapshotStore
 
 TABLE = robot_table(Ranges(max_rpm=90.0, max_linear_m_s=0.8, max_angular_rad_s=3.0))
 

@@ -10,8 +10,8 @@ from hilserver.io.opcua_server.door import STATUS_OF
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, GROUPS, describe
 from hilserver.io.opcua_server.robot_events import TYPE_NAMES
+from hilserver.io.opcua_server.units import UNECE
 from hilserver.signals import Signal, SignalTable
-from hilserver.units import UNECE
 from tests.io.opcua_server.rig import TABLE, Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

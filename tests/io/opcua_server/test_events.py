@@ -10,7 +10,7 @@ from asyncua import ua
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.events import Event, EventKind
+from hilserver.core.events import Event, EventKind
 from hilserver.io.opcua_server.robot_events import TYPE_NAMES, FloodGate
 from tests.io.opcua_server.rig import Rig, RobotClient
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 from asyncua import ua
 
-from hilserver.control import State
+from hilserver.core.control import State
 from hilserver.io.opcua_server.server_status import service_level
 from tests.io.opcua_server.rig import Rig, RobotClient
 

@@ -12,10 +12,10 @@ from asyncua import ua
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.clock import UtcClock
+from hilserver.core.clock import UtcClock
 from hilserver.image import Frame
+from hilserver.image.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from hilserver.io.opcua_server.values import FixedDataValue, SignalVariables, worst
-from hilserver.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from tests.io.opcua_server.rig import TABLE, Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

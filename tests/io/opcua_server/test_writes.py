@@ -5,7 +5,7 @@ import math
 import pytest
 from asyncua import ua
 
-from hilserver.events import EventKind
+from hilserver.core.events import EventKind
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

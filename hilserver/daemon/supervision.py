@@ -7,10 +7,10 @@ client in control may be given a limit as well; overruns become events.
 from collections.abc import Callable
 
 from hilserver.config.root import Config
-from hilserver.control import Control, State
-from hilserver.events import Event, EventBus, EventKind
+from hilserver.core.control import Control, State
+from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.inputs import InputGate
 from hilserver.image import ProcessImage
-from hilserver.inputs import InputGate
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
 from hilserver.scheduler import OverrunReport, Scheduler

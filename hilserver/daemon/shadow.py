@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.config.shadow import ShadowConfig
-from hilserver.events import Event, EventBus, EventKind
+from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.image import Frame
+from hilserver.image.status import GOOD
 from hilserver.plant import layout as robot
 from hilserver.signals import MEASURED, SignalTable
-from hilserver.status import GOOD
 
 Pose = tuple[float, float, float]
 

@@ -3,8 +3,8 @@
 import pytest
 
 from hilserver.errors import ConfigError
+from hilserver.io.opcua_server.units import UNECE, find_unit, unit_id
 from hilserver.signals import Ranges, robot_table
-from hilserver.units import UNECE, find_unit, unit_id
 
 
 @pytest.mark.parametrize(

@@ -11,15 +11,15 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import StrEnum
 
+from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.errors import UserError
-from hilserver.events import Event, EventBus, EventKind
 from hilserver.image import ProcessImage, Row
-from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
-from hilserver.status import (
+from hilserver.image.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     GOOD,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
+from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 
 SETPOINTS = (
     "wheel.fl.setpoint_rpm",

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from hilserver.assembly import assemble_config
 from hilserver.config.root import Config
 from hilserver.config.shadow import ShadowConfig
+from hilserver.core.events import EventBus, EventKind
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.shadow import GapWatch, measured_pose
 from hilserver.errors import ConfigError
-from hilserver.events import EventBus, EventKind
 from hilserver.image import Frame
+from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.plant import layout as robot
-from hilserver.shadow import GapWatch, measured_pose
-from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import make_table
 
 TABLE = make_table()

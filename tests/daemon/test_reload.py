@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import structlog
 
-from hilserver.assembly import Assembly, assemble
 from hilserver.commands import run
+from hilserver.commands.demo import demo_assembly
 from hilserver.config.root import Config
-from hilserver.daemon import Daemon
-from hilserver.demo import demo_assembly
-from hilserver.reload import RELOADABLE, Reloader, changes
+from hilserver.daemon.assembly import Assembly, assemble
+from hilserver.daemon.daemon import Daemon
+from hilserver.daemon.reload import RELOADABLE, Reloader, changes
 from hilserver.scheduler import OverrunLimits
 from tests.commands.test_cli import write_config
 

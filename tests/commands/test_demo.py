@@ -15,7 +15,7 @@ import pytest
 from hilserver.controller.path import Eight
 from tests.commands.test_cli import write_config
 
-CLIENT = Path(__file__).parent / "foreign_client"
+CLIENT = Path(__file__).parents[1] / "foreign_client"
 WATCH_S = 30.0
 """One lap takes 26 s."""
 

@@ -15,23 +15,26 @@ from typing import Self
 
 import structlog
 
-from hilserver import figures
-from hilserver.assembly import Assembly
-from hilserver.clock import UtcClock
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
-from hilserver.construction import command_limit_ticks, make_image, make_scheduler
-from hilserver.control import Control
+from hilserver.core.clock import UtcClock
+from hilserver.core.control import Control
+from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.inputs import InputGate
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon import figures
+from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.construction import command_limit_ticks, make_image, make_scheduler
+from hilserver.daemon.shadow import GapWatch, Pose, measured_pose
+from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
-from hilserver.events import Event, EventBus, EventKind
 from hilserver.faults import Faults, Line, Play
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.faults.scenario import Stage
 from hilserver.image import Frame
 from hilserver.image.layout import W_HEARTBEAT
-from hilserver.inputs import InputGate
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.recorder.launch import running_recorder
@@ -51,9 +54,6 @@ from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import (
     StopReason,
 )
-from hilserver.shadow import GapWatch, Pose, measured_pose
-from hilserver.snapshot import SnapshotStore
-from hilserver.supervision import Supervision
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S = 0.1

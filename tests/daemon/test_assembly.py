@@ -2,8 +2,8 @@
 
 import pytest
 
-from hilserver.assembly import assemble, assemble_config
 from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.errors import ConfigError
 
 BLOCK = """

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.events import EventBus, EventKind
+from hilserver.core.events import EventBus, EventKind
+from hilserver.core.inputs import ControlRefused, InputGate, Refusal, check_value
 from hilserver.image.queues import latch_rows
-from hilserver.inputs import ControlRefused, InputGate, Refusal, check_value
-from hilserver.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
+from hilserver.image.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import ManualClock, make_image, make_table
 
 

@@ -4,13 +4,13 @@ import asyncio
 
 import pytest
 
-from hilserver.control import Control, State
-from hilserver.events import EventBus, EventKind
+from hilserver.core.control import Control, State
+from hilserver.core.events import EventBus, EventKind
+from hilserver.core.inputs import ControlRefused, InputGate
+from hilserver.core.snapshot import SnapshotStore
 from hilserver.image import Row
 from hilserver.image.layout import W_FAULT, W_STATE
-from hilserver.inputs import ControlRefused, InputGate
 from hilserver.kernel.phases import enter_safe, latch
-from hilserver.snapshot import SnapshotStore
 from tests.fakes import make_image, make_table
 
 
@@ -222,6 +222,6 @@ async def test_snapshots_that_do_not_fit_are_refused(world, tmp_path):
 
 
 async def test_a_plant_that_does_not_answer_is_named(world, monkeypatch):
-    monkeypatch.setattr("hilserver.snapshot._SERVED_WITHIN_S", 0.01)
+    monkeypatch.setattr("hilserver.core.snapshot._SERVED_WITHIN_S", 0.01)
     with pytest.raises(ControlRefused, match="did not answer"):
         await world.control.save_snapshot("never")

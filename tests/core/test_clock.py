@@ -2,7 +2,7 @@
 
 import itertools
 
-from hilserver.clock import UtcClock
+from hilserver.core.clock import UtcClock
 from tests.fakes import ManualClock
 
 

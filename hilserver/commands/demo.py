@@ -12,8 +12,8 @@ import signal
 import sys
 from collections.abc import AsyncIterator
 
-from hilserver.assembly import Assembly
 from hilserver.controller.nodes import demo_peer
+from hilserver.daemon.assembly import Assembly
 from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
 

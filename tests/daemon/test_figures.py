@@ -2,10 +2,10 @@
 
 import math
 
-from hilserver.assembly import assemble_config
 from hilserver.config.root import Config
-from hilserver.daemon import Daemon
-from hilserver.figures import model_gap
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
+from hilserver.daemon.figures import model_gap
 from tests.io.opcua_client.conftest import wait_until
 
 

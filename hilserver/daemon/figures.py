@@ -4,13 +4,13 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 
+from hilserver.core.inputs import InputGate
 from hilserver.image import Frame
-from hilserver.inputs import InputGate
+from hilserver.image.status import GOOD
 from hilserver.io.peer_status import PeerStatus
 from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler, SliceFigures
 from hilserver.signals import MEASURED, SignalTable
-from hilserver.status import GOOD
 
 Figure = float | str | bool | int | None
 Table = dict[str, dict[str, Figure]]

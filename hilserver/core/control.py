@@ -15,12 +15,12 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Protocol
 
-from hilserver.events import Event, EventBus, EventKind
+from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.inputs import ControlRefused, InputGate
+from hilserver.core.snapshot import SnapshotStore
 from hilserver.image import ProcessImage, Row
 from hilserver.image.layout import W_DRIVE_OFF, W_FAULT, W_STATE
-from hilserver.inputs import ControlRefused, InputGate
 from hilserver.signals import SignalTable
-from hilserver.snapshot import SnapshotStore
 
 COMMAND_NORMAL, COMMAND_ZERO, COMMAND_SAFE = 0.0, 1.0, 2.0
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
+from hilserver.core.inputs import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.image.layout import (
     REQUEST_LOAD,
@@ -29,9 +30,8 @@ from hilserver.image.layout import (
     W_SHADOW_BASE,
 )
 from hilserver.image.requests import is_done, post_request
-from hilserver.inputs import ControlRefused
 
-SCHEMA = "hilserver.snapshot/1"
+SCHEMA = "hilserver.core.snapshot/1"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
 

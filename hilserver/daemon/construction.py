@@ -3,8 +3,8 @@
 import os
 import time
 
-from hilserver.assembly import Assembly
 from hilserver.config.timing import LimitsConfig
+from hilserver.daemon.assembly import Assembly
 from hilserver.image import ProcessImage
 from hilserver.image.shared_file import MADE_UP
 from hilserver.scheduler import (

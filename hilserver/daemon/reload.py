@@ -12,10 +12,10 @@ from typing import Any
 
 import structlog
 
-from hilserver.assembly import assemble
 from hilserver.config.root import Config
-from hilserver.construction import overrun_limits
-from hilserver.daemon import Daemon
+from hilserver.daemon.assembly import assemble
+from hilserver.daemon.construction import overrun_limits
+from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
 from hilserver.monitoring.logging_setup import report_repeats, setup_logging
 

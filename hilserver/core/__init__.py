@@ -1,0 +1,1 @@
+"""What daemon, links and tools share: state machine, inputs, events, snapshots, the clock."""
