@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one sentence each, with the exit code of spec "Commands"."""
+"""Errors that a user can fix: one sentence each, with the exit code of spec "Commands"."""
 
 import difflib
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ EXIT_BAD_CONFIGURATION = 78
 
 
 class UserError(Exception):
-    """Something the user can mend; printed as one sentence, never as a traceback."""
+    """Something the user can fix; printed as one sentence, never as a traceback."""
 
     exit_code = EXIT_FAILED
 

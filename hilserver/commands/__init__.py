@@ -24,7 +24,7 @@ COMMANDS = {
     "certs": "certificates, trusted clients and passwords of the OPC UA server",
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
-    "diagnose": "what the simulation gets wrong in measured data, why, and what would mend it",
+    "diagnose": "what the simulation gets wrong in measured data, why, and what would fix it",
     "plan": "what an experiment can show before it is driven, and a better manoeuvre",
     "identify": "K_om, step response, update rate, dead zone or noise from a log",
     "latency-test": "what this computer can do, before the model is blamed",
@@ -37,7 +37,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code.
 
-    Errors that a user can mend are printed as sentences, never as tracebacks.
+    Errors that a user can fix are printed as sentences, never as tracebacks.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     with ended_by_signals():

@@ -74,7 +74,7 @@ def load_config(path: Path | None) -> Config:
     Raises
     ------
     ConfigError
-        One line per complaint: file, line, key and mend.
+        One line per complaint: file, line, key and remedy.
     """
     return Config() if path is None else load(path, Config)
 

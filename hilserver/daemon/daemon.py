@@ -270,7 +270,11 @@ class Daemon:
         for item in self.audit:
             if not item.ok:
                 _log.warning(
-                    "degraded", item=item.name, found=item.found, wanted=item.wanted, mend=item.mend
+                    "degraded",
+                    item=item.name,
+                    found=item.found,
+                    wanted=item.wanted,
+                    remedy=item.remedy,
                 )
 
     # --- construction -----------------------------------------------------------------------------

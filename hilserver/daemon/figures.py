@@ -82,13 +82,13 @@ def _ms(nanoseconds: int | None) -> float | None:
 
 
 def audit_table(items: Iterable[AuditItem]) -> Table:
-    """Return the real-time audit: what is fulfilled, and the mend for what is not."""
+    """Return the real-time audit: what is fulfilled, and the remedy for what is not."""
     return {
         item.name: {
             "ok": item.ok,
             "found": item.found,
             "wanted": item.wanted,
-            "mend": item.mend,
+            "remedy": item.remedy,
         }
         for item in items
     }

@@ -72,7 +72,7 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
     Raises
     ------
     LogError
-        One sentence that names file, topic, field and mend.
+        One sentence that names file, topic, field and remedy.
     """
     wanted = {str(channel.topic) for channel in mapping.channels.values()}
     bags = [_read_file(file, wanted) for file in _files(path)]

@@ -36,12 +36,12 @@ class Sentence:
     ----------
     says : str
         Template of what was found.
-    mend : str
+    remedy : str
         What to do about it.
     """
 
     says: str
-    mend: str
+    remedy: str
 
 
 @cache
@@ -110,9 +110,9 @@ def explain_finding(finding: Finding) -> str:
     return text
 
 
-def mend(cause: str) -> str:
+def remedy(cause: str) -> str:
     """Return what to do about a cause."""
-    return sentences()[cause_of(cause).name].mend
+    return sentences()[cause_of(cause).name].remedy
 
 
 def separating_experiment(causes: Iterable[str]) -> str:

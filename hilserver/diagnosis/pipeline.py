@@ -76,7 +76,7 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
 
 
 def run(task: Task, progress: Progress | None = None) -> Outcome:
-    """Judge a task; what a user can mend becomes a sentence."""
+    """Judge a task; what a user can fix becomes a sentence."""
     share_arenas()
     try:
         diagnosis = judge(task, progress)

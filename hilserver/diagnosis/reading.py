@@ -31,7 +31,7 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
     Raises
     ------
     LogError
-        One sentence that names file, row, column and mend.
+        One sentence that names file, row, column and remedy.
     """
     table = None if mapping is None else load_mapping(mapping)
     recordings = [_read(path, table) for path in paths]

@@ -106,8 +106,8 @@ def _row(cause: Cause) -> str:
     nulls = ", ".join(
         "none" if p.null is None else f"{p.null:g}" for p in cause.parts if not p.shape
     )
-    mend = sentences()[cause.name].mend
-    return f"| `{cause.name}` | {shown} | {units} | {nulls} | {cause.block} | {mend} |"
+    remedy = sentences()[cause.name].remedy
+    return f"| `{cause.name}` | {shown} | {units} | {nulls} | {cause.block} | {remedy} |"
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The public vocabulary: every cause that a diagnosis can name.
 
 The physical causes are the plant's terms (`plant/terms.csv`), in their order; those of the data
-have no term, because the data are mended and not the model.
+have no term, because the data are corrected, not the model.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from hilserver.plant.terms import TERMS, Term
 Block = Literal["controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"]
 
 CONTROLLER: Final = frozenset({"setpoint_rate_limit", "control_period", "controller_gains"})
-"""Causes that act in the plant's drive and are mended in the controller."""
+"""Causes that act in the plant's drive and are corrected in the controller."""
 
 
 @dataclass(frozen=True, slots=True)

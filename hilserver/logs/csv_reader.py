@@ -123,7 +123,7 @@ def read_table(
     Raises
     ------
     LogError
-        One sentence that names file, row, column and mend.
+        One sentence that names file, row, column and remedy.
     """
     clean = parse_clean(path.read_bytes())
     if clean is not None:

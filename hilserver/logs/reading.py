@@ -1,4 +1,4 @@
-"""Reading logs of any accepted kind; every complaint is one sentence with file, row and mend."""
+"""Reading logs of any accepted kind; every complaint is one sentence with file, row and remedy."""
 
 from collections.abc import Container
 from pathlib import Path
@@ -20,7 +20,7 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     Raises
     ------
     LogError
-        One sentence that names file, row, column and mend.
+        One sentence that names file, row, column and remedy.
     """
     try:
         if path.suffix == ".mcap":

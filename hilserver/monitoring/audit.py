@@ -24,7 +24,7 @@ class AuditItem:
         Snake case; label of the metric.
     found, wanted : str
         In words.
-    mend : str
+    remedy : str
         What to do; empty if `ok` or if nothing can be done.
     """
 
@@ -32,7 +32,7 @@ class AuditItem:
     ok: bool
     found: str
     wanted: str
-    mend: str = ""
+    remedy: str = ""
 
 
 class Granted(Protocol):
@@ -55,7 +55,7 @@ class Granted(Protocol):
         """What was asked for."""
 
     @property
-    def mend(self) -> str:
+    def remedy(self) -> str:
         """How to get it."""
 
 
@@ -78,7 +78,8 @@ def audit(scheduler: Paced, root: Path = Path("/")) -> list[AuditItem]:
     if all(grant.name != "timer_slack" for grant in scheduler.grants):
         items.append(timer_slack(root, scheduler.thread_id))
     items += [
-        AuditItem(g.name, g.ok, g.found, g.wanted, "" if g.ok else g.mend) for g in scheduler.grants
+        AuditItem(g.name, g.ok, g.found, g.wanted, "" if g.ok else g.remedy)
+        for g in scheduler.grants
     ]
     return items
 
@@ -103,8 +104,8 @@ def governor(root: Path) -> AuditItem:
 def isolated_cores(root: Path) -> AuditItem:
     """Check that a core is kept free of other work."""
     isolated = _read(root, "sys/devices/system/cpu/isolated")
-    mend = "boot with isolcpus=N nohz_full=N and set scheduler.realtime.cpu to N"
-    return _item("isolated_cores", bool(isolated), isolated or "none", "at least one", mend)
+    remedy = "boot with isolcpus=N nohz_full=N and set scheduler.realtime.cpu to N"
+    return _item("isolated_cores", bool(isolated), isolated or "none", "at least one", remedy)
 
 
 def rtprio_limit(root: Path) -> AuditItem:
@@ -112,8 +113,9 @@ def rtprio_limit(root: Path) -> AuditItem:
     if _has_capability(root, _CAP_SYS_NICE):
         return _item("rtprio_limit", True, "CAP_SYS_NICE", "LimitRTPRIO or CAP_SYS_NICE", "")
     limit = _limit(root, "Max realtime priority")
-    mend = "LimitRTPRIO=95 in the unit, or ulimit -r 95"
-    return _item("rtprio_limit", limit not in ("0", "?"), limit, "LimitRTPRIO, CAP_SYS_NICE", mend)
+    remedy = "LimitRTPRIO=95 in the unit, or ulimit -r 95"
+    wanted = "LimitRTPRIO, CAP_SYS_NICE"
+    return _item("rtprio_limit", limit not in ("0", "?"), limit, wanted, remedy)
 
 
 def memlock_limit(root: Path) -> AuditItem:
@@ -121,8 +123,8 @@ def memlock_limit(root: Path) -> AuditItem:
     if _has_capability(root, _CAP_IPC_LOCK):
         return _item("memlock_limit", True, "CAP_IPC_LOCK", "unlimited or CAP_IPC_LOCK", "")
     limit = _limit(root, "Max locked memory")
-    mend = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
-    return _item("memlock_limit", limit == "unlimited", limit, "unlimited, CAP_IPC_LOCK", mend)
+    remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
+    return _item("memlock_limit", limit == "unlimited", limit, "unlimited, CAP_IPC_LOCK", remedy)
 
 
 def clock_source(root: Path) -> AuditItem:
@@ -139,10 +141,10 @@ def cpu_dma_latency(root: Path) -> AuditItem:
             target_us = int.from_bytes(device.read(4), "little", signed=True)
     except OSError as error:
         found = error.strerror or "not readable"
-        mend = "give the user access to /dev/cpu_dma_latency (a udev rule)"
-        return _item("cpu_dma_latency", False, found, "0 us", mend)
-    mend = "set scheduler.realtime.hold_latency_target to true"
-    return _item("cpu_dma_latency", target_us == 0, f"{target_us} us", "0 us", mend)
+        remedy = "give the user access to /dev/cpu_dma_latency (a udev rule)"
+        return _item("cpu_dma_latency", False, found, "0 us", remedy)
+    remedy = "set scheduler.realtime.hold_latency_target to true"
+    return _item("cpu_dma_latency", target_us == 0, f"{target_us} us", "0 us", remedy)
 
 
 def cgroup_cpu(root: Path) -> AuditItem:
@@ -154,8 +156,8 @@ def cgroup_cpu(root: Path) -> AuditItem:
             folder = next(iter(root.glob(f"sys/fs/cgroup/cpu*{path}")), root / "nowhere")
             runtime = _read(folder, "cpu.rt_runtime_us")
             if runtime == "0":
-                mend = "give the group cpu.rt_runtime_us, or run in the root group"
-                return _item("cgroup_cpu", False, "no real-time budget", wanted, mend)
+                remedy = "give the group cpu.rt_runtime_us, or run in the root group"
+                return _item("cgroup_cpu", False, "no real-time budget", wanted, remedy)
         if not controllers:
             quota = _read(root, f"sys/fs/cgroup{path}/cpu.max")
             if quota and not quota.startswith("max"):
@@ -208,12 +210,12 @@ def as_lines(items: Sequence[AuditItem]) -> list[str]:
     for item in items:
         lines.append(f"{'ok     ' if item.ok else 'missing'} {item.name:20} {item.found}")
         if not item.ok:
-            lines[-1] += f" (wanted: {item.wanted}{'; ' if item.mend else ''}{item.mend})"
+            lines[-1] += f" (wanted: {item.wanted}{'; ' if item.remedy else ''}{item.remedy})"
     return lines
 
 
-def _item(name: str, ok: bool, found: str, wanted: str, mend: str) -> AuditItem:
-    return AuditItem(name, ok, found, wanted, "" if ok else mend)
+def _item(name: str, ok: bool, found: str, wanted: str, remedy: str) -> AuditItem:
+    return AuditItem(name, ok, found, wanted, "" if ok else remedy)
 
 
 def _read(root: Path, path: str) -> str:

@@ -4,7 +4,7 @@ from hilserver.errors import ConfigError
 
 
 class PlantError(ConfigError, ValueError):
-    """Parameters the plant cannot run with; one sentence that names the key and the mend.
+    """Parameters the plant cannot run with; one sentence that names the key and the remedy.
 
     A `ValueError` too, so that a configuration model can raise it and add file and line.
     """

@@ -238,10 +238,11 @@ def _check_loop(robot: RobotParameters) -> None:
         raise PlantError(msg)
     if loop.spectral_radius(period_s) >= 1.0:
         limit_s = loop.largest_period_s(period_s)
-        mend = "choose a shorter period or smaller controller gains"
+        remedy = "choose a shorter period or smaller controller gains"
         if limit_s < 1e-6:
-            mend = "no period is stable with these controller gains; choose smaller ones"
+            remedy = "no period is stable with these controller gains; choose smaller ones"
         msg = (
-            f"{where}, but the wheel speed loop is unstable from {limit_s * 1e3:.1f} ms on: {mend}."
+            f"{where}, but the wheel speed loop is unstable from {limit_s * 1e3:.1f} ms on: "
+            f"{remedy}."
         )
         raise PlantError(msg)

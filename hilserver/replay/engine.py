@@ -78,13 +78,13 @@ class Engine:
         if key is not None:
             here, there = (str(i.get(key))[:16] for i in (self._store.identity, identity))
             kind = ConfigError if key in _OF_THE_CONFIGURATION else LogError
-            mend = (
+            remedy = (
                 "use the configuration of its run"
                 if kind is ConfigError
                 else "use the hilserver of its run"
             )
             raise kind(
-                f"{what}: was made with {key} {there}, here it is {here}; {mend}, or replay its"
+                f"{what}: was made with {key} {there}, here it is {here}; {remedy}, or replay its"
                 " set-points with --as-inputs"
             )
         if len(state) != self._store.state_words:

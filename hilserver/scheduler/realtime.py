@@ -47,13 +47,13 @@ class RealtimeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """The answer to one request: what was wanted, what the system said, how to mend it."""
+    """The answer to one request: what was wanted, what the system said, how to fix it."""
 
     name: str
     ok: bool
     wanted: str
     found: str
-    mend: str = ""
+    remedy: str = ""
 
 
 class ProcessGrants:
@@ -105,13 +105,13 @@ class ProcessGrants:
 
     def _lock_memory(self) -> Grant:
         limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-        mend = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
+        remedy = "LimitMEMLOCK=infinity in the unit, or ulimit -l unlimited"
         # With a finite limit and MCL_FUTURE a later allocation would fail in the middle of the run.
         if limit != resource.RLIM_INFINITY and not _has_capability(_CAP_IPC_LOCK):
-            return Grant("memory_lock", False, "locked", f"limit {limit // 1024} KiB", mend)
+            return Grant("memory_lock", False, "locked", f"limit {limit // 1024} KiB", remedy)
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-            return Grant("memory_lock", False, "locked", os.strerror(ctypes.get_errno()), mend)
+            return Grant("memory_lock", False, "locked", os.strerror(ctypes.get_errno()), remedy)
         self._locked = True
         return Grant("memory_lock", True, "locked", "locked")
 
@@ -120,9 +120,9 @@ class ProcessGrants:
             self._latency_target = os.open(_LATENCY_TARGET, os.O_WRONLY | os.O_CLOEXEC)
             os.write(self._latency_target, b"\0\0\0\0")
         except OSError as error:
-            mend = f"give the user write access to {_LATENCY_TARGET} (a udev rule)"
+            remedy = f"give the user write access to {_LATENCY_TARGET} (a udev rule)"
             found = error.strerror or "error"
-            return Grant("latency_target", False, "0 us, held", found, mend)
+            return Grant("latency_target", False, "0 us, held", found, remedy)
         return Grant("latency_target", True, "0 us, held", "0 us, held")
 
 
@@ -154,8 +154,8 @@ def _pin(cpu: int) -> Grant:
     try:
         os.sched_setaffinity(threading.get_native_id(), {cpu})
     except (OSError, ValueError, OverflowError) as error:
-        mend = f"choose one of {sorted(os.sched_getaffinity(0))}"
-        return Grant("thread_core", False, f"core {cpu}", str(error), mend)
+        remedy = f"choose one of {sorted(os.sched_getaffinity(0))}"
+        return Grant("thread_core", False, f"core {cpu}", str(error), remedy)
     return Grant("thread_core", True, f"core {cpu}", f"core {cpu}")
 
 
@@ -165,8 +165,8 @@ def _real_time_priority(priority: int) -> Grant:
     try:
         os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(priority))
     except OSError as error:
-        mend = f"LimitRTPRIO={priority} in the unit, or ulimit -r {priority}"
-        return Grant("thread_priority", False, wanted, error.strerror or "error", mend)
+        remedy = f"LimitRTPRIO={priority} in the unit, or ulimit -r {priority}"
+        return Grant("thread_priority", False, wanted, error.strerror or "error", remedy)
     return Grant("thread_priority", True, wanted, wanted)
 
 

@@ -21,7 +21,7 @@ def stages(monkeypatch, tmp_path):
     def read(paths, mapping):
         asked.append(("read", [p.name for p in paths], mapping))
         if any(p.name == "bad.csv" for p in paths):
-            raise LogError("bad.csv:3: column 't_s': not a number; mend the row")
+            raise LogError("bad.csv:3: column 't_s': not a number; fix the row")
         return [p.name for p in paths]
 
     def judge(log, assembly, *, seed, jobs, progress, test=None):
@@ -57,7 +57,7 @@ def test_several_logs_are_one_machine(stages, tmp_path, capsys):
 def test_a_bad_log_is_one_sentence_exit_2_and_no_file(stages, tmp_path, capsys):
     assert main(["diagnose", "bad.csv", "-o", "out"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == "hilserver: bad.csv:3: column 't_s': not a number; mend the row"
+    assert line == "hilserver: bad.csv:3: column 't_s': not a number; fix the row"
     assert not (tmp_path / "out").exists()
 
 

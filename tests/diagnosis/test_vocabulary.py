@@ -1,4 +1,4 @@
-"""Every cause of the vocabulary has its block, unit, sentence and mend."""
+"""Every cause of the vocabulary has its block, unit, sentence and remedy."""
 
 import re
 
@@ -8,8 +8,8 @@ from hilserver.diagnosis.explain import (
     experiments,
     explain,
     explain_finding,
-    mend,
     number,
+    remedy,
     sentences,
     separating_experiment,
 )
@@ -53,7 +53,7 @@ def test_every_cause_has_a_finished_sentence_with_its_size(cause, sign):
     assert text.endswith(".")
     assert not text[0].islower()
     assert not re.search(r"[{}|?]", text), text
-    assert mend(cause).endswith(".")
+    assert remedy(cause).endswith(".")
 
 
 def test_a_sentence_tells_the_direction():

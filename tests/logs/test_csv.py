@@ -1,4 +1,4 @@
-"""CSV: every bit comes back, and whatever cannot be read is named with its row and its mend."""
+"""CSV: every bit comes back, and whatever cannot be read is named with its row and its remedy."""
 
 import json
 import math

@@ -85,7 +85,7 @@ def test_each_lack_is_named_alone_and_mended(tmp_path, spoil, name):
     assert lack.name == name
     assert lack.found
     assert lack.wanted
-    assert lack.mend
+    assert lack.remedy
 
 
 def test_capabilities_replace_limits(tmp_path):

@@ -57,7 +57,7 @@ def test_the_only_core_is_named(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
     settings = RealtimeSettings(cpu=3, lock_memory=False, hold_latency_target=False)
     (core,) = ProcessGrants(settings).request()
-    assert (core.ok, core.mend) == (False, "use a second core")
+    assert (core.ok, core.remedy) == (False, "use a second core")
 
 
 def test_a_core_that_is_not_there_is_named():
@@ -65,7 +65,7 @@ def test_a_core_that_is_not_there_is_named():
     (core,) = (g for g in grants if g.name == "thread_core")
     assert not core.ok
     assert core.wanted == "core 4000"
-    assert core.mend.startswith("choose one of")
+    assert core.remedy.startswith("choose one of")
 
 
 def test_a_refused_priority_is_visible(monkeypatch):
@@ -77,7 +77,7 @@ def test_a_refused_priority_is_visible(monkeypatch):
     (priority,) = (g for g in grants if g.name == "thread_priority")
     assert (priority.ok, priority.wanted) == (False, "SCHED_FIFO 70")
     assert priority.found == "Operation not permitted"
-    assert "LimitRTPRIO=70" in priority.mend
+    assert "LimitRTPRIO=70" in priority.remedy
 
 
 def test_memory_is_not_locked_under_a_finite_limit_without_the_capability(monkeypatch):
@@ -86,7 +86,7 @@ def test_memory_is_not_locked_under_a_finite_limit_without_the_capability(monkey
     grants = ProcessGrants(RealtimeSettings(hold_latency_target=False))
     (lock,) = grants.request()
     assert (lock.ok, lock.found) == (False, "limit 64 KiB")
-    assert "LimitMEMLOCK" in lock.mend
+    assert "LimitMEMLOCK" in lock.remedy
     grants.release()
 
 
@@ -103,7 +103,7 @@ def test_latency_target_is_held_and_given_back(monkeypatch, tmp_path):
     device.unlink()
     (target,) = ProcessGrants(RealtimeSettings(lock_memory=False)).request()
     assert not target.ok
-    assert "udev" in target.mend
+    assert "udev" in target.remedy
 
 
 def test_priorities_have_a_range():

@@ -134,7 +134,7 @@ def pacing_has_priority(service: Service) -> bool:
     if not is_fifo:
         named = {line.get("item"): line for line in service.lines() if line["event"] == "degraded"}
         assert named["thread_priority"]["found"] == "Operation not permitted"
-        assert named["rtprio_limit"]["mend"] or named["cgroup_cpu"]["mend"]
+        assert named["rtprio_limit"]["remedy"] or named["cgroup_cpu"]["remedy"]
     return is_fifo
 
 

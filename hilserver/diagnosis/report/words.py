@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from html import escape
 
 from hilserver.diagnosis.evidence import CutRow
-from hilserver.diagnosis.explain import QUANTITIES, explain_finding, mend, number
+from hilserver.diagnosis.explain import QUANTITIES, explain_finding, number, remedy
 from hilserver.diagnosis.findings import Finding, Findings, Gain, Overall, Parameter, Verdict
 from hilserver.diagnosis.report import markup
 from hilserver.diagnosis.report.svg import Scale
@@ -246,7 +246,7 @@ def steps(findings: Findings) -> str:
                 " be made of it."
             )
         elif item.verdict is not Verdict.NO_DIFFERENCE:
-            items += [f"{_label(item, cause)}{escape(mend(cause))}" for cause in item.causes[:1]]
+            items += [f"{_label(item, cause)}{escape(remedy(cause))}" for cause in item.causes[:1]]
     if findings.model_patch:
         items.append(
             '<span class="label">Run the extended model.</span> It is the same plant with these'

@@ -1,4 +1,4 @@
-"""Why a peer is not connected although it answers: one sentence with the mend for each reason."""
+"""Why a peer is not connected although it answers: one sentence with the remedy for each reason."""
 
 from collections.abc import Iterable, Sequence
 
@@ -111,12 +111,12 @@ def policy_missing(
 def token_missing(user: str | None, offered: Iterable[ua.UserTokenPolicy]) -> RefusedError:
     """Return that the endpoint does not take what we log in with."""
     kinds = _listed([policy.TokenType.name for policy in offered]) or "nothing"
-    mend = "set user and password_file" if user is None else "remove user and password_file"
+    remedy = "set user and password_file" if user is None else "remove user and password_file"
     what = "anonymous clients" if user is None else "user names"
     return RefusedError(
         FaultKind.LOG_IN,
         "token",
-        f"not connected: it takes no {what} at this endpoint but {kinds}: {mend}",
+        f"not connected: it takes no {what} at this endpoint but {kinds}: {remedy}",
     )
 
 
@@ -143,14 +143,14 @@ def refused_by_peer(
     code = ua.StatusCode(ua.UInt32(error.code)).name
     if code in _LOG_IN_CODES:
         who = "anonymous clients" if user is None else f"user '{user}'"
-        mend = "set user and password_file" if user is None else "check user and password_file"
-        kind, sentence = FaultKind.LOG_IN, f"it refuses {who}: {mend}"
+        remedy = "set user and password_file" if user is None else "check user and password_file"
+        kind, sentence = FaultKind.LOG_IN, f"it refuses {who}: {remedy}"
     elif code in _POLICY_CODES:
         kind, sentence = FaultKind.SECURITY_POLICY, "it refuses policy and mode: set security"
     elif code.startswith("BadCertificate") or code == "BadSecurityChecksFailed":
         which = f"our certificate {ours}" if ours else "an unprotected connection"
-        mend = "trust it there, and check both clocks" if ours else "set security"
-        kind, sentence = FaultKind.CERTIFICATE, f"it refuses {which}: {mend}"
+        remedy = "trust it there, and check both clocks" if ours else "set security"
+        kind, sentence = FaultKind.CERTIFICATE, f"it refuses {which}: {remedy}"
     else:
         return None
     return RefusedError(kind, code, f"not connected: {sentence} ({code})")

@@ -208,8 +208,8 @@ class LinkSecurity:
     ) -> RefusedError:
         identity = self._identity
         assert identity is not None
-        mend = identity.trust_with if is_kept else f"put it into {identity.trust.folder}/trusted"
-        return refusal.certificate_refused(verdict, data, self._host, uri, mend)
+        remedy = identity.trust_with if is_kept else f"put it into {identity.trust.folder}/trusted"
+        return refusal.certificate_refused(verdict, data, self._host, uri, remedy)
 
 
 class PeerClient(Client):  # type: ignore[misc]
@@ -244,8 +244,8 @@ def _identity(config: PeerConfig, opcua: OpcUaConfig, folder: Path) -> _Identity
         )
     left = certificate.not_valid_after_utc - datetime.now(UTC)
     if left < _WARN_BEFORE:
-        mend = "run 'hilserver certs renew'"
-        _log.warning("certificate ends", peer=config.name, days_left=left.days, mend=mend)
+        remedy = "run 'hilserver certs renew'"
+        _log.warning("certificate ends", peer=config.name, days_left=left.days, remedy=remedy)
     trust = ours if security.trust is None else TrustList(folder / security.trust)
     option = "" if security.trust is None else f" --folder {security.trust}"
     trust_with = f"compare it, then 'hilserver certs trust{option} THUMBPRINT'"

@@ -131,7 +131,7 @@ class OpcUaServer:
                 "ok": not is_open,
                 "found": f"{config.host}, {protection}, open to {who}",
                 "wanted": "loopback, or certificates and users",
-                "mend": "see docs/how-to/secure-the-server.md" if is_open else "",
+                "remedy": "see docs/how-to/secure-the-server.md" if is_open else "",
             },
             "opcua_time_stamps": {
                 "ok": True,
@@ -223,7 +223,7 @@ class OpcUaServer:
         left = certificate.not_valid_after_utc - datetime.now(UTC)
         if left < _WARN_BEFORE:
             log.warning(
-                "opcua certificate ends", days_left=left.days, mend="run 'hilserver certs renew'"
+                "opcua certificate ends", days_left=left.days, remedy="run 'hilserver certs renew'"
             )
         iserver.certificate, iserver.private_key = certificate, private_key
 

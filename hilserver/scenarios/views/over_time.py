@@ -73,7 +73,7 @@ class OverTime:
 
 @dataclass(frozen=True, slots=True)
 class AsRecorded:
-    """A channel as it stands in the log, before any fault of the data was mended.
+    """A channel as it stands in the log, before any fault of the data was corrected.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Data checks: every fault by its name, its value and the mended data; never a false alarm."""
+"""Data checks: every fault by its name, its value and the corrected data; never a false alarm."""
 
 import math
 from dataclasses import replace
@@ -24,7 +24,7 @@ def table():
 
 
 def fault(t, columns, **how):
-    """Check a spoilt table; return its only finding and the mended log."""
+    """Check a spoilt table; return its only finding and the corrected log."""
     checked = check(log_of(t, columns, **how), ROBOT)
     assert [f.causes for f in checked.findings] == [checked.findings[0].causes]
     (finding,) = checked.findings

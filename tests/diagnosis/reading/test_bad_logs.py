@@ -1,4 +1,4 @@
-"""Everything that cannot be read: one sentence with file, place and mend; exit code 2."""
+"""Everything that cannot be read: one sentence with file, place and remedy; exit code 2."""
 
 import gzip
 import json

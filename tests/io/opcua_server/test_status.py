@@ -109,11 +109,11 @@ async def test_a_figure_that_changes_its_type_breaks_nothing(rig: Rig, client: R
 
 async def test_audit_items_are_booleans_with_details(rig: Rig, client: RobotClient) -> None:
     rig.tables["audit"] = {
-        "kernel": {"found": "generic", "mend": "boot the rt kernel", "ok": False}
+        "kernel": {"found": "generic", "remedy": "boot the rt kernel", "ok": False}
     }
     rig.server.publish_diagnostics()
     assert await client.read("audit.kernel") is False
-    assert await client.read("audit.kernel.mend") == "boot the rt kernel"
+    assert await client.read("audit.kernel.remedy") == "boot the rt kernel"
     assert await client.read("audit.opcua_access") is True
     rig.tables["audit"] = {}
 
