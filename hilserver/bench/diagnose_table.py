@@ -5,12 +5,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from scipy.stats import beta
-
+from hilserver.bench.binomial import clopper_pearson
 from hilserver.bench.report import Result
 
 Record = dict[str, Any]
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -52,14 +50,6 @@ class Row:
         bound = self.least if self.least is not None else self.most
         raw = {"count": self.count, "trials": self.trials, "ci95": self.interval}
         return Result(self.name, 100.0 * self.share, "%", bound and 100.0 * bound, "bound", raw=raw)
-
-
-def clopper_pearson(count: int, trials: int) -> tuple[float, float]:
-    """Return the exact interval of a share at 95 %; (0, 1) without trials."""
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low = float(beta.ppf(tail, count, trials - count + 1)) if count > 0 else 0.0
-    high = float(beta.ppf(1.0 - tail, count + 1, trials - count)) if count < trials else 1.0
-    return low, high
 
 
 def rows(records: Sequence[Record]) -> list[Row]:

@@ -1,9 +1,11 @@
 """Are two rates of rare events the same? Exact conditional interval, and bootstrap over blocks."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
+
+from hilserver.bench.binomial import clopper_pearson
 
 _RESAMPLES = 4000
 
@@ -21,10 +23,7 @@ def rate_ratio_interval(
     low, high : float
         0 and infinity where the counts tell nothing.
     """
-    total = count + reference
-    alpha = (1 - confidence) / 2
-    low = 0.0 if count == 0 else _solve(lambda p: _at_least(count, total, p) - alpha)
-    high = 1.0 if reference == 0 else _solve(lambda p: alpha - _at_most(count, total, p))
+    low, high = clopper_pearson(count, count + reference, confidence)
     scale = reference_s / time_s
 
     def ratio(p: float) -> float:
@@ -58,29 +57,3 @@ def block_ratio_interval(
     tail = 50 * (1 - confidence)
     low, high = np.percentile(rates[0] / rates[1], [tail, 100 - tail])
     return float(low), float(high)
-
-
-def _at_most(k: int, n: int, p: float) -> float:
-    return math.fsum(_binomial(i, n, p) for i in range(k + 1))
-
-
-def _at_least(k: int, n: int, p: float) -> float:
-    return math.fsum(_binomial(i, n, p) for i in range(k, n + 1))
-
-
-def _binomial(k: int, n: int, p: float) -> float:
-    if p in (0.0, 1.0):
-        return float(k == (n if p else 0))
-    log = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
-    return math.exp(log + k * math.log(p) + (n - k) * math.log1p(-p))
-
-
-def _solve(increasing: Callable[[float], float]) -> float:
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        if increasing(middle) < 0:
-            low = middle
-        else:
-            high = middle
-    return (low + high) / 2

@@ -11,8 +11,9 @@ from hilserver_injector import Recipe
 from hilserver_injector.cases import CLASSES, Answer, Case, cases
 
 from hilserver.bench import diagnose
+from hilserver.bench.binomial import clopper_pearson
 from hilserver.bench.diagnose_scoring import score
-from hilserver.bench.diagnose_table import Row, clopper_pearson
+from hilserver.bench.diagnose_table import Row
 from hilserver.diagnosis.findings import Detectable, Finding, Findings, Parameter
 from hilserver.diagnosis.vocabulary import CAUSES
 from hilserver.errors import FailedError
