@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 import numpy as np
+from markupsafe import Markup
 
 from hilserver.diagnosis.evidence import (
     Array,
@@ -15,24 +16,28 @@ from hilserver.diagnosis.evidence import (
     Similarity,
 )
 from hilserver.diagnosis.explain import QUANTITIES, number
-from hilserver.diagnosis.report import markup
+from hilserver.diagnosis.findings import Parameter
 from hilserver.diagnosis.report.svg import (
     MARGIN_BOTTOM,
     MARGIN_LEFT,
     MARGIN_RIGHT,
     MARGIN_TOP,
+    Figure,
     Plot,
+    Scale,
     label,
     picture,
     span_of,
 )
+from hilserver.diagnosis.vocabulary import part_of
 
 MAX_PATHS = 4
 SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22
+INTERVAL_WIDTH = 260.0
 
 
-def path(way: Path) -> str:
+def path(way: Path) -> Figure:
     """Draw the way over the floor, to scale."""
     tracks = [t for t in (way.measured, way.simulated, way.extended) if t is not None]
     x, y = (span_of(*(t[:, i] for t in tracks), margin=0.05) for i in (0, 1))
@@ -53,7 +58,7 @@ def path(way: Path) -> str:
         for name, track in (("simulated", way.simulated), ("extended", way.extended))
         if track is not None
     )
-    return markup.figure(
+    return Figure(
         picture([plot], f"Path of segment {way.span}"),
         f"Path, segment {way.span}",
         f"Distance from the measured end: {ends}.",
@@ -69,12 +74,12 @@ def _end_error(measured: Array, track: Array) -> float:
     return float(np.hypot(*(track[-1] - measured[-1])))
 
 
-def horizons(rows: Sequence[HorizonRow]) -> list[str]:
+def horizons(rows: Sequence[HorizonRow]) -> list[Figure]:
     """Draw the gain over the length of a free run, one picture for each quantity."""
     return [_horizon(key, list(group)) for key, group in groupby(rows, lambda r: r.quantity)]
 
 
-def _horizon(quantity: str, rows: list[HorizonRow]) -> str:
+def _horizon(quantity: str, rows: list[HorizonRow]) -> Figure:
     name, unit = QUANTITIES.get(quantity, (quantity, "1"))
     runs = [r for r in rows if r.horizon_s > 0]
     x = np.array([r.horizon_s for r in runs])
@@ -89,7 +94,7 @@ def _horizon(quantity: str, rows: list[HorizonRow]) -> str:
     plot.dots(x, ratio, "extended", [_horizon_title(r, unit) for r in runs])
     steps = [f"One step: {number(r.ratio, digits=2)} times." for r in rows if r.horizon_s == 0]
     caption = " ".join(["Error of the simulation by that of the extension, held-out.", *steps])
-    return markup.figure(picture([plot], f"Gain in {name}"), name.capitalize(), caption)
+    return Figure(picture([plot], f"Gain in {name}"), name.capitalize(), caption)
 
 
 def _horizon_title(row: HorizonRow, unit: str) -> str:
@@ -100,7 +105,7 @@ def _horizon_title(row: HorizonRow, unit: str) -> str:
     )
 
 
-def likeness(similarity: Similarity) -> str:
+def likeness(similarity: Similarity) -> Figure | None:
     """Draw which causes look alike in these data."""
     cosine = np.nan_to_num(similarity.cosine)
     others = np.abs(cosine - np.diag(np.diag(cosine)))
@@ -108,7 +113,7 @@ def likeness(similarity: Similarity) -> str:
     kept = np.flatnonzero(strongest >= SMALLEST_LIKENESS)
     kept = np.sort(kept[np.argsort(-strongest[kept], kind="stable")][:MAX_LIKE])
     if len(kept) < 2:
-        return ""
+        return None
     names = [similarity.names[i] for i in kept]
     size, left, top = 22.0, 170.0, 6.0
     parts = []
@@ -140,20 +145,20 @@ def likeness(similarity: Similarity) -> str:
         f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
         f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
     )
-    return markup.figure(
-        svg,
+    return Figure(
+        Markup(svg),  # noqa: S704 - names of causes and numbers
         "Which causes look alike in these data",
         f"Full colour: the same effect (orange: with the other sign). Framed: above"
         f" {similarity.limit:g}, these data cannot tell the two apart. Causes that look like no"
         " other are left out.",
-        role="wide",
+        wide=True,
     )
 
 
-def spectrum(row: NoiseRow) -> str:
+def spectrum(row: NoiseRow) -> Figure | None:
     """Draw the power spectral density of one channel's noise and of its model."""
     if row.frequency_hz is None or row.density is None:
-        return ""
+        return None
     keep = (row.frequency_hz > 0) & (row.density > 0)
     f, density = row.frequency_hz[keep], row.density[keep]
     model = None if row.model is None else row.model[keep]
@@ -171,14 +176,14 @@ def spectrum(row: NoiseRow) -> str:
     plot.line(f, density, "measured", "measured")
     if model is not None:
         plot.line(f, model, "extended", "model")
-    return markup.figure(
+    return Figure(
         picture([plot], f"Noise of {row.channel}"),
         row.channel,
         "Dark: residual; blue: noise model.",
     )
 
 
-def dependence(item: Dependence) -> str:
+def dependence(item: Dependence) -> Figure:
     """Draw what remains of a residual against one regressor."""
     plot = Plot(
         span_of(item.x),
@@ -190,14 +195,14 @@ def dependence(item: Dependence) -> str:
     plot.level(0.0)
     plot.band(item.x, item.low, item.high, "extended")
     plot.line(item.x, item.mean, "extended", f"{item.channel} over {item.regressor}")
-    return markup.figure(
+    return Figure(
         picture([plot], f"{item.channel} over {item.regressor}"),
         f"{item.channel} over {item.regressor}",
         f"Statistic {number(item.statistic)}, critical {number(item.critical)}.",
     )
 
 
-def course(item: Course) -> str:
+def course(item: Course) -> Figure:
     """Draw a parameter over time."""
     plot = Plot(
         span_of(item.t_s),
@@ -210,12 +215,12 @@ def course(item: Course) -> str:
     plot.line(item.t_s, item.value, "extended", item.cause)
     plot.dots(item.t_s, item.value, "extended",
               [number(float(v), item.unit) for v in item.value])  # fmt: skip
-    return markup.figure(
+    return Figure(
         picture([plot], f"{item.cause} over time"), item.cause, "Fitted in windows, with 95 %."
     )
 
 
-def paths(ways: Iterable[Path]) -> list[str]:
+def paths(ways: Iterable[Path]) -> list[Figure]:
     """Draw the longest ways."""
     longest = sorted(ways, key=lambda w: -_length(w.measured))[:MAX_PATHS]
     return [path(way) for way in sorted(longest, key=lambda w: w.span)]
@@ -223,3 +228,25 @@ def paths(ways: Iterable[Path]) -> list[str]:
 
 def _length(track: Array) -> float:
     return float(np.nansum(np.hypot(*np.diff(track, axis=0).T)))
+
+
+def interval(parameter: Parameter, name: str) -> Markup:
+    """Draw value and interval of a parameter beside its null."""
+    try:
+        null = part_of(name).null
+    except KeyError:
+        null = None
+    if parameter.ci95 is None or null is None:
+        return Markup("<span></span>")
+    low, high = parameter.ci95
+    left, right = min(low, null), max(high, null)
+    margin = 0.08 * ((right - left) or 1.0)
+    to_x = Scale(left - margin, right + margin, 0, INTERVAL_WIDTH)
+    a, b, at, zero = (f"{float(to_x(v)):.1f}" for v in (low, high, parameter.value, null))
+    text = f"{name}: {number(low)} to {number(high)}; without the effect {number(null)}"
+    return Markup(
+        '<svg viewBox="0 0 {width:g} 24" role="img" aria-label="{text}">'
+        '<path class="grid" d="M0 12H{width:g}"/><path class="null" d="M{zero} 4V20"/>'
+        '<path class="whisker" d="M{a} 12H{b}"/><circle class="dot" cx="{at}" cy="12" r="5"/>'
+        "<title>{text}</title></svg>"
+    ).format(width=INTERVAL_WIDTH, text=text, zero=zero, a=a, b=b, at=at)

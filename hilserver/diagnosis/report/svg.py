@@ -7,6 +7,7 @@ from html import escape
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.explain import MINUS, power_of_ten
@@ -252,12 +253,22 @@ class Plot:
         return f"<g>{self._axes()}{''.join(self._drawn)}</g>"
 
 
-def picture(plots: Sequence[Plot], name: str) -> str:
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A drawing with its title above and a sentence below."""
+
+    svg: Markup
+    title: str
+    caption: str
+    wide: bool = False
+
+
+def picture(plots: Sequence[Plot], name: str) -> Markup:
     """Return plots below each other as one SVG element; `name` is read aloud."""
     width = max(plot.width for plot in plots)
     height = max(plot.top + plot.height for plot in plots)
     inner = "".join(plot.render() for plot in plots)
-    return (
+    return Markup(  # noqa: S704 - texts are escaped where they are drawn
         f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(name)}">'
         f"{inner}</svg>"
     )

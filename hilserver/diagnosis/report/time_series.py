@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.evidence import Array, Series
 from hilserver.diagnosis.explain import number
-from hilserver.diagnosis.report import markup
-from hilserver.diagnosis.report.svg import MAX_POINTS, Plot, picture, span_of
+from hilserver.diagnosis.report.svg import MAX_POINTS, Figure, Plot, picture, span_of
 
 MAX_SPANS = 60
 
 
-def series(item: Series) -> str:
+def series(item: Series) -> Figure:
     """Draw one channel above its residual before and after."""
     t = _continuous(item.t_s, item.span)
     edges = _edges(item.span)
@@ -46,9 +45,7 @@ def series(item: Series) -> str:
         text += f" before, {_mean(after, item.unit)} after"
     if item.held_out is not None:
         text += "; shaded: took no part in the fit"
-    return markup.figure(
-        picture([values, residual], f"{item.name} over time"), item.name, f"{text}."
-    )
+    return Figure(picture([values, residual], f"{item.name} over time"), item.name, f"{text}.")
 
 
 def improvement(item: Series) -> float:
