@@ -100,6 +100,7 @@ def _check_endpoint(text: str) -> str:
 
 NodeId = Annotated[str, AfterValidator(_check_node)]
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+Inputs = Annotated[tuple[str, ...], Field(min_length=1, max_length=100)]
 Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
 
 
@@ -123,7 +124,7 @@ class PeerConfig(_Section):
     on_stale : {"hold", "zero", "ramp"}
         What happens to the set-points then.
     read : dict
-        Their node -> our input signal.
+        Their node -> our input signal, or several of them that get the same value.
     sequence_node : str or None
         Their counter; tells a living controller from a server that merely answers.
     write : dict
@@ -152,8 +153,8 @@ class PeerConfig(_Section):
     on_stale: Literal["hold", "zero", "ramp"] = Field(
         "ramp", description="set-points then: hold them, zero, or ramp (safe state)"
     )
-    read: Annotated[dict[NodeId, str], Field(max_length=1000)] = Field(
-        {}, description="their node: our input signal"
+    read: Annotated[dict[NodeId, str | Inputs], Field(max_length=1000)] = Field(
+        {}, description="their node: our input signal, or a list of them that get the same value"
     )
     sequence_node: NodeId | None = Field(
         None, description="their counter: tells a living controller from a server that answers"
@@ -164,12 +165,17 @@ class PeerConfig(_Section):
     write_every_ms: Annotated[float, Field(ge=1, le=3_600_000)] = Field(
         20, description="period of the multi-write"
     )
+    write_status: Literal["honest", "good"] = Field(
+        "honest",
+        description="status of what is written: as it is, or always Good (stock clients raise on"
+        " Uncertain); values that are Bad are then not written",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> "PeerConfig":
         if not self.read and not self.write:
             raise ValueError(f"peer '{self.name}' reads and writes nothing: fill read or write")
-        for what, names in (("read", self.read.values()), ("write", self.write.values())):
+        for what, names in (("read", self.inputs), ("write", self.write.values())):
             twice = _first_duplicate(names)
             if twice is not None:
                 raise ValueError(f"{what} of peer '{self.name}' names '{twice}' twice")
@@ -180,6 +186,16 @@ class PeerConfig(_Section):
                 f" values come ({slowest_ms:g} ms), so at least {2 * slowest_ms:g}"
             )
         return self
+
+    def inputs_of(self, node: str) -> tuple[str, ...]:
+        """Return the inputs that the value of `node` goes to; none for a node that is not read."""
+        names = self.read.get(node, ())
+        return (names,) if isinstance(names, str) else names
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Every input that this peer sets."""
+        return tuple(name for node in self.read for name in self.inputs_of(node))
 
     @property
     def host(self) -> str:
@@ -244,7 +260,7 @@ def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
     known = {str(getattr(item, "name", item)) for item in table}  # without hidden ones
     problems = []
     reader: dict[int, str] = {}
-    for node, signal in peer.read.items():
+    for node, signal in _reads(peer):
         message = ""
         if signal not in known:
             message = _unknown(signal, known)
@@ -279,12 +295,16 @@ def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
         problems.append(SignalProblem((twice, "name"), f"two peers have the name '{twice}'"))
     owner: dict[str, str] = {}
     for peer in peers:
-        for node, signal in peer.read.items():
+        for node, signal in _reads(peer):
             other = owner.setdefault(signal, peer.name)
             if other != peer.name:
                 message = f"'{signal}' is set by two peers, '{other}' and '{peer.name}'"
                 problems.append(SignalProblem((peer.name, "read", node), message))
     return problems
+
+
+def _reads(peer: PeerConfig) -> Iterator[tuple[str, str]]:
+    return ((node, signal) for node in peer.read for signal in peer.inputs_of(node))
 
 
 def _unknown(signal: str, names: Iterable[str]) -> str:

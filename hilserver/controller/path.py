@@ -116,7 +116,9 @@ def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, f
     turning = om_rad_s / (2 * robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m)
     left, right = RPM_PER_RAD_S * (straight + turning), RPM_PER_RAD_S * (turning - straight)
     scale = min(1.0, robot.max_rpm / max(abs(left), abs(right), 1e-12))
-    left, right = left * scale, right * scale
+    # 90 * (x / 90) may be a last bit more than x, and the daemon refuses what exceeds its limit.
+    limit = robot.max_rpm
+    left, right = (max(-limit, min(limit, side * scale)) for side in (left, right))
     return {"fl": left, "rl": left, "fr": right, "rr": right}
 
 

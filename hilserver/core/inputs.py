@@ -112,6 +112,7 @@ class InputGate:
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
+        self._denied: dict[str, str] = {}
 
     def write(
         self, source: str, values: Mapping[str, object], *, received_ns: int | None = None
@@ -165,6 +166,7 @@ class InputGate:
         return checked
 
     def _remember(self, source: str, groups: Iterable[list[Row]], now_ns: int) -> None:
+        self._denied.pop(source, None)
         changed = False
         for row in (row for group in groups for row in group):
             before = self._newest.get(row.slot)
@@ -177,15 +179,26 @@ class InputGate:
 
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
         self.rejected[(source, reason.value)] += 1
-        text = f"{source}: {name} = {value!r:.60} refused: {self._explain(name, reason)}"
+        if reason is Refusal.NOT_IN_CONTROL:
+            # A peer without control goes on offering all its values: one line until that changes.
+            if self._denied.get(source) == self.owner:
+                return
+            self._denied[source] = self.owner
+        text = f"{source}: {name} = {value!r:.60} refused: {self._explain(source, name, reason)}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
 
-    def _explain(self, name: str, reason: Refusal) -> str:
+    def _explain(self, source: str, name: str, reason: Refusal) -> str:
         if reason is Refusal.NOT_IN_CONTROL:
-            return f"'{self.owner}' has control"
+            return (
+                f"'{self.owner}' has control; writing '{kind_of(source)}' to control.source takes it"
+            )
         if reason is Refusal.OUT_OF_RANGE:
             signal = self._table[name]
             return f"outside {signal.low:g} .. {signal.high:g} {signal.unit}"
+        if reason is Refusal.TYPE_MISMATCH:
+            signal = self._table[name]
+            wanted = f"{len(signal.slots)} values of type" if signal.is_array else "a value of type"
+            return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
 
     def take(self, kind: str) -> None:

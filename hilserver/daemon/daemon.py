@@ -176,7 +176,7 @@ class Daemon:
         self._tell_audit()
         self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         for peer in self.peers:
-            self.gate.expect(peer.config.read.values())
+            self.gate.expect(peer.config.inputs)
             await peer.start()
             self._resources.push_async_callback(peer.stop)
         idle = asyncio.create_task(self._idle(), name="idle")

@@ -7,3 +7,8 @@ UNCERTAIN_NO_COMMUNICATION = 0x408F0000  # NoCommunicationLastUsableValue
 UNCERTAIN_LAST_USABLE_VALUE = 0x40900000
 BAD_WAITING_FOR_INITIAL_DATA = 0x80320000
 BAD_OUT_OF_SERVICE = 0x808D0000
+
+
+def is_bad(code: int) -> bool:
+    """Whether the two uppermost bits say Bad (OPC 10000-4, 7.39)."""
+    return code >> 30 & 3 >= 2

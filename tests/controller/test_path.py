@@ -79,3 +79,11 @@ def test_signs_of_the_frame_page():
     left_turn = wheel_speeds_rpm(Robot(), 0.0, 0.5)
     assert left_turn["fl"] < 0
     assert left_turn["fl"] == left_turn["fr"]
+
+
+@given(
+    st.floats(-10, 10), st.floats(-50, 50), st.sampled_from([62.0, 80.0, 90.0, 140.0, 89.9999999])
+)
+def test_no_wheel_is_asked_for_more_than_its_limit(v_m_s, om_rad_s, max_rpm):
+    wheels = wheel_speeds_rpm(Robot(max_rpm=max_rpm), v_m_s, om_rad_s)
+    assert all(abs(rpm) <= max_rpm for rpm in wheels.values())

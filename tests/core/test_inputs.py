@@ -45,6 +45,38 @@ def test_of_scalar_and_array_the_later_write_wins(world):
     assert latched(image, "wheel.rl.setpoint_rpm") == 2.0
 
 
+def test_a_source_without_control_is_reported_once_per_change(world):
+    gate, _, events, _ = world
+    for rpm in range(5):
+        gate.write("opcua", {"wheel.fl.setpoint_rpm": rpm, "wheel.fr.setpoint_rpm": -rpm})
+    assert len(events.recent) == 1
+    assert "'peer' has control" in events.recent[-1].message
+    assert "writing 'opcua' to control.source takes it" in events.recent[-1].message
+    assert gate.rejected["opcua", "not_in_control"] == 10
+    gate.take("page")
+    gate.write("opcua", {"wheel.fl.setpoint_rpm": 1.0})
+    assert "'page' has control" in events.recent[-1].message
+    gate.take("opcua")
+    gate.write("opcua", {"wheel.fl.setpoint_rpm": 1.0})
+    gate.take("page")
+    gate.write("opcua", {"wheel.fl.setpoint_rpm": 1.0})
+    assert "'page' has control" in events.recent[-1].message
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "wanted"),
+    [
+        ("drive.enable", 1.0, "a value of type Boolean expected"),
+        ("wheel.fl.setpoint_rpm", True, "a value of type Double expected"),
+        ("wheels.setpoints_rpm", 1.0, "4 values of type Double expected"),
+    ],
+)
+def test_a_wrong_type_names_the_type_wanted(world, name, value, wanted):
+    gate, _, events, _ = world
+    gate.write("peer:a", {name: value})
+    assert wanted in events.recent[-1].message
+
+
 @pytest.mark.parametrize(
     ("name", "value", "refusal"),
     [

@@ -63,10 +63,10 @@ class Intake:
         faults: FaultBook,
         utc_ns: Callable[[int], int],
     ) -> None:
-        self._signals = config.read
+        self._inputs = {node: config.inputs_of(node) for node in config.read}
         self._sequence_node = config.sequence_node
         self._stamped_node = config.sequence_node
-        self._sends_sequence = SEQUENCE_SIGNAL not in config.read.values()
+        self._sends_sequence = SEQUENCE_SIGNAL not in config.inputs
         self._source = f"peer:{config.name}"
         self._status = status
         self._gate = gate
@@ -90,7 +90,7 @@ class Intake:
     def expect(self, nodes: Iterable[str], now_ns: int) -> None:
         """Hold every input as unusable until its first good sample."""
         for node in nodes:
-            self._staleness.unusable(self._signals.get(node, node), now_ns)
+            self._lose(node, now_ns)
 
     def missing(self, node: str, why: str, now_ns: int) -> None:
         """Name a node that the peer does not have (yet)."""
@@ -117,13 +117,14 @@ class Intake:
                 self._faults.report(verdict.fault, node, sentence, now_ns)
                 self._drop(node, now_ns)
                 continue
-            self._staleness.usable(self._signals.get(node, node))
+            for name in self._inputs.get(node, (node,)):
+                self._staleness.usable(name)
             if node == self._sequence_node:
                 advanced |= self._count(verdict, now_ns)
             else:
                 changed |= has_changed
-            if node in self._signals:
-                self._keep(node, verdict.value)
+            for name in self._inputs.get(node, ()):
+                self._keep(name, verdict.value)
         if news:
             self._observe_interval(now_ns)
         if advanced:
@@ -141,17 +142,20 @@ class Intake:
             return True, False
         return now != before, value is not None and value != before[1]
 
-    def _keep(self, node: str, value: object) -> None:
-        signal = self._signals[node]
+    def _keep(self, signal: str, value: object) -> None:
         if signal in self._refused and self._refused[signal] == value:
             return
         self._refused.pop(signal, None)
         self._picture[signal] = value
 
     def _drop(self, node: str, now_ns: int) -> None:
-        signal = self._signals.get(node, node)
-        self._picture.pop(signal, None)
-        self._staleness.unusable(signal, now_ns)
+        for name in self._inputs.get(node, ()):
+            self._picture.pop(name, None)
+        self._lose(node, now_ns)
+
+    def _lose(self, node: str, now_ns: int) -> None:
+        for name in self._inputs.get(node, (node,)):
+            self._staleness.unusable(name, now_ns)
 
     def _count(self, verdict: Verdict, now_ns: int) -> bool:
         value = verdict.value
@@ -200,7 +204,7 @@ class Intake:
     def _hand_over(self, now_ns: int) -> None:
         self._staleness.heard(now_ns)
         self._status.input_received_ns.update(dict.fromkeys(self._picture, now_ns))
-        if not self._picture or now_ns < self._pause_until_ns:
+        if not self._picture or self._staleness.waiting or now_ns < self._pause_until_ns:
             return
         refusals = self._gate.write(self._source, self._picture)
         for signal, reason in refusals.items():

@@ -23,6 +23,7 @@ from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.opcua_client.writer import Output, Writer
 from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.signals import MEASURED
 
 HEARTBEAT_S = 1.0
 WATCH_S = 0.02
@@ -106,7 +107,8 @@ class PeerLink:
         self._events = events
         self._read_output = read_output
         self._clock = clock
-        self._staleness = Staleness(int(config.stale_after_ms * 1e6))
+        commanding = [name for name in config.inputs if not name.startswith(MEASURED)]
+        self._staleness = Staleness(int(config.stale_after_ms * 1e6), commanding)
         self._faults = FaultBook(self.status, events.publish)
         self._intake = Intake(
             config, self.status, gate, self._staleness, self._faults, clock.utc_ns

@@ -2,10 +2,12 @@
 
 A peer is stale while nothing new was heard for longer than the limit, or while one input has been
 unusable (NaN, text, bad status, missing) for longer than the limit: a robot must not go on with
-three of its four set-points. A peer that was never heard is stale but is not lost, so that the two
-sides can be started in any order.
+three of its four set-points. A peer is fresh from the moment at which something was heard while
+every input that commands had a value; until then it is waited for, not lost, so that the two sides
+can be started in any order and nodes may appear after their server.
 """
 
+from collections.abc import Collection
 from enum import Enum
 
 
@@ -24,15 +26,23 @@ class Staleness:
     ----------
     limit_ns : int
         Age [ns] above which inputs are stale.
+    commanding : collection of str
+        Inputs without which the peer cannot command; the others may stay away.
     """
 
-    def __init__(self, limit_ns: int) -> None:
+    def __init__(self, limit_ns: int, commanding: Collection[str] = ()) -> None:
         self.limit_ns = limit_ns
         self.stale = True
         self.reason = "never heard"
+        self._commanding = frozenset(commanding)
         self._known = False
         self._heard_ns: int | None = None
         self._unusable_since_ns: dict[str, int] = {}
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a stale peer still lacks an input that commands: nothing may be driven by it."""
+        return self.stale and not self._commanding.isdisjoint(self._unusable_since_ns)
 
     def heard(self, now_ns: int) -> None:
         """Note that something new arrived: a newer number, or a value where nothing counts."""
@@ -64,6 +74,9 @@ class Staleness:
             return "never heard"
         if now_ns - self._heard_ns > self.limit_ns:
             return f"nothing new for more than {self.limit_ns / 1e6:g} ms"
+        if self.waiting:
+            first = min(self._commanding.intersection(self._unusable_since_ns))
+            return f"{first} has no usable value yet"
         for name, since_ns in self._unusable_since_ns.items():
             if now_ns - since_ns > self.limit_ns:
                 return f"{name} has had no usable value for more than {self.limit_ns / 1e6:g} ms"

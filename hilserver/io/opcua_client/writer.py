@@ -8,6 +8,7 @@ from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
+from hilserver.image.status import GOOD, is_bad
 from hilserver.io.opcua_client.acquisition import every
 from hilserver.io.opcua_client.faults import FaultBook
 from hilserver.io.opcua_client.session import LinkLostError, Session
@@ -80,14 +81,18 @@ class Writer:
         if len(self._targets) < len(self._config.write) and time.monotonic() >= self._look_again_s:
             await self._find_targets()
             self._look_again_s = time.monotonic() + LOOK_AGAIN_S
-        signals = list(self._targets)
-        if not signals:
-            return
-        request = ua.WriteParameters()
         try:
-            request.NodesToWrite = [self._value(signal) for signal in signals]
+            outputs = {signal: self._read_output(signal) for signal in self._targets}
         except LookupError:
             return  # no tick has made a value yet
+        if self._config.write_status == "good":
+            outputs = {
+                s: (value, GOOD, ns) for s, (value, code, ns) in outputs.items() if not is_bad(code)
+            }
+        if not outputs:
+            return
+        signals, request = list(outputs), ua.WriteParameters()
+        request.NodesToWrite = [self._value(signal, outputs[signal]) for signal in signals]
         self._lane.put((signals, request))
         for named, due in self._lane.take():
             await self._send(named, due)
@@ -101,9 +106,9 @@ class Writer:
             if not result.is_good() and signal in self._targets:
                 self._on_refused(signal, result)
 
-    def _value(self, signal: str) -> ua.WriteValue:
+    def _value(self, signal: str, output: Output) -> ua.WriteValue:
         node, kind = self._targets[signal]
-        value, status, monotonic_ns = self._read_output(signal)
+        value, status, monotonic_ns = output
         data = ua.DataValue(variant(value, kind))
         if signal not in self._bare:
             data = ua.DataValue(

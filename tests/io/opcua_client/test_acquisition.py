@@ -95,7 +95,7 @@ async def test_a_failing_gate_ends_the_session_instead_of_being_swallowed(peer):
 async def test_while_another_commands_the_peer_asks_seldom(peer):
     harness = make_harness(peer_config(peer.port, mode="poll"))
     harness.gate.refuse = dict.fromkeys(
-        [*harness.link.config.read.values(), "input.sequence"], Refusal.NOT_IN_CONTROL
+        [*harness.link.config.inputs, "input.sequence"], Refusal.NOT_IN_CONTROL
     )
     await harness.link.start()
     task = asyncio.create_task(peer.run())

@@ -23,7 +23,8 @@ class Bench:
         self.status = PeerStatus("iot2050")
         self.gate, self.events = RecordingGate(), EventBus()
         self.faults = FaultBook(self.status, self.events.publish)
-        self.staleness = Staleness(300_000_000)
+        commanding = [n for n in config.inputs if n.partition(".")[0] != "measured"]
+        self.staleness = Staleness(300_000_000, commanding)
         self.intake = Intake(
             config, self.status, self.gate, self.staleness, self.faults, lambda ns: ns
         )
@@ -32,6 +33,7 @@ class Bench:
     def receive(self, *samples):
         self.now_ns += 10_000_000
         self.intake.receive([(n, ua.DataValue(v)) for n, v in samples], self.now_ns)
+        self.staleness.check(self.now_ns)
 
 
 VALUES = st.one_of(
@@ -43,8 +45,10 @@ BATCH = st.lists(st.tuples(st.sampled_from([FL, RR]), VALUES), max_size=4)
 @settings(max_examples=150, deadline=None)
 @given(st.lists(BATCH, max_size=20))
 def test_only_finite_numbers_reach_the_gate_and_the_latest_wins(batches):
-    bench, newest = Bench(), {}
-    for number, batch in enumerate(batches):
+    bench = Bench()
+    bench.receive((FL, 0.0), (RR, 0.0), (SEQ, 0))
+    newest = {FL: 0.0, RR: 0.0}
+    for number, batch in enumerate(batches, 1):
         bench.receive(*batch, (SEQ, number))
         newest |= dict(batch)
         group = bench.gate.groups[-1]
@@ -54,6 +58,25 @@ def test_only_finite_numbers_reach_the_gate_and_the_latest_wins(batches):
             usable = isinstance(value, int | float) and math.isfinite(value)
             assert (group[signal] == value) if usable else (signal not in group)
     assert bench.gate.all_finite
+
+
+def test_nothing_is_driven_before_every_commanding_input_had_a_value():
+    bench = Bench()
+    bench.intake.expect([FL, RR], 0)
+    bench.receive((FL, 1.0), (SEQ, 1))
+    assert bench.gate.groups == []
+    bench.receive((RR, -1.0), (SEQ, 2))
+    assert bench.gate.latest["wheel.fl.setpoint_rpm"] == 1.0
+    assert bench.gate.latest["wheel.rr.setpoint_rpm"] == -1.0
+
+
+def test_one_node_feeds_several_inputs():
+    left = ["wheel.fl.setpoint_rpm", "wheel.rl.setpoint_rpm"]
+    bench = Bench(read={FL: left, RR: "wheel.rr.setpoint_rpm"})
+    bench.receive((FL, 7.0), (RR, -7.0), (SEQ, 1))
+    assert [bench.gate.latest[name] for name in left] == [7.0, 7.0]
+    bench.receive((FL, math.nan), (SEQ, 2))
+    assert not set(left) & set(bench.gate.groups[-1])
 
 
 def test_a_batch_without_a_newer_number_brings_nothing_in():

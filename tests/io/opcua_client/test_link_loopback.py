@@ -188,6 +188,19 @@ async def test_outputs_are_written_back_with_stamp_and_status(peer):
         assert (light.Value.Value, light.Value.VariantType) == (3, ua.VariantType.Byte)
 
 
+async def test_outputs_are_written_as_good_where_the_peer_wants_it_so(peer):
+    act = {w: f"nsu={URI};s=rpm_act_{w.upper()}" for w in ("fl", "fr")}
+    write = {f"wheel.{w}.speed_rpm": node for w, node in act.items()}
+    harness = make_harness(peer_config(peer.port, write=write, write_status="good"))
+    harness.outputs["wheel.fl.speed_rpm"] = (12.5, ua.StatusCodes.UncertainLastUsableValue)
+    harness.outputs["wheel.fr.speed_rpm"] = (9.0, ua.StatusCodes.BadWaitingForInitialData)
+    async with running(harness, peer):
+        await wait_until(lambda: harness.status.writes > 2)
+        written = await peer.read("rpm_act_FL")
+        assert (written.Value.Value, written.StatusCode.name) == (12.5, "Good")
+        assert (await peer.read("rpm_act_FR")).Value.Value == 0.0
+
+
 async def test_refused_and_impossible_writes_are_named(peer):
     config = peer_config(
         peer.port,
@@ -216,6 +229,10 @@ async def test_a_node_that_comes_later_is_found(mode):
     try:
         async with running(harness, peer):
             await wait_until(lambda: any("rpm_set_RR" in k for k in harness.status.faults))
+            await wait_until(lambda: harness.status.sequence_received > 20)
+            assert harness.gate.groups == []
+            assert not harness.heard("delivers fresh values")
+            assert harness.stale == []
             await peer.add("rpm_set_RR", 4.0, ua.VariantType.Double)
             await wait_until(lambda: harness.gate.latest.get("wheel.rr.setpoint_rpm") == 4.0)
     finally:

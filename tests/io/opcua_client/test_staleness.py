@@ -42,6 +42,36 @@ def test_one_unusable_input_makes_the_peer_stale():
     assert watch.check(512) is Transition.RESTORED
 
 
+def test_a_peer_is_waited_for_until_every_commanding_input_had_a_value():
+    watch = Staleness(LIMIT, ["wheel.fl.setpoint_rpm"])
+    watch.unusable("wheel.fl.setpoint_rpm", 0)
+    watch.unusable("measured.pose.x_m", 0)
+    for now in range(0, 20 * LIMIT, LIMIT // 2):  # the server answers, the node is not there
+        watch.heard(now)
+        assert watch.check(now) is None
+    assert watch.waiting
+    assert watch.reason == "wheel.fl.setpoint_rpm has no usable value yet"
+    watch.usable("wheel.fl.setpoint_rpm")
+    watch.usable("measured.pose.x_m")
+    watch.heard(now)
+    assert not watch.waiting
+    assert watch.check(now) is Transition.FIRST
+
+
+def test_a_lost_peer_is_not_restored_by_a_server_without_values():
+    watch = Staleness(LIMIT, ["wheel.fl.setpoint_rpm"])
+    watch.heard(0)
+    watch.check(0)
+    assert watch.check(LIMIT + 1) is Transition.LOST
+    watch.unusable("wheel.fl.setpoint_rpm", LIMIT + 2)  # a new session, no value so far
+    watch.heard(LIMIT + 3)
+    assert watch.check(LIMIT + 3) is None
+    assert watch.waiting
+    watch.usable("wheel.fl.setpoint_rpm")
+    watch.heard(LIMIT + 4)
+    assert watch.check(LIMIT + 4) is Transition.RESTORED
+
+
 @given(st.lists(st.tuples(st.integers(1, 2 * LIMIT), st.booleans()), max_size=60))
 def test_stale_exactly_when_nothing_was_heard_for_the_limit(steps):
     watch, now, heard = Staleness(LIMIT), 0, None
