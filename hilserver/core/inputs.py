@@ -189,9 +189,8 @@ class InputGate:
 
     def _explain(self, source: str, name: str, reason: Refusal) -> str:
         if reason is Refusal.NOT_IN_CONTROL:
-            return (
-                f"'{self.owner}' has control; writing '{kind_of(source)}' to control.source takes it"
-            )
+            kind = kind_of(source)
+            return f"'{self.owner}' has control; writing '{kind}' to control.source takes it"
         if reason is Refusal.OUT_OF_RANGE:
             signal = self._table[name]
             return f"outside {signal.low:g} .. {signal.high:g} {signal.unit}"
