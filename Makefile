@@ -60,6 +60,7 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m hilserver.diagnosis.mapping_reference > docs/reference/mapping.md
 	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md
 	@$(BIN)/python -m hilserver.faults.reference > docs/reference/faults.md
+	@$(BIN)/python -m hilserver.core.transitions > docs/reference/states.md
 	@$(BIN)/python -m hilserver.diagnosis.reference > docs/reference/findings.md
 	@$(BIN)/python -m hilserver.diagnosis.schema findings > hilserver/diagnosis/findings.schema.json
 	@$(BIN)/python -m hilserver.diagnosis.schema patch > hilserver/diagnosis/model_patch.schema.json

@@ -20,6 +20,10 @@ class FailedError(UserError):
     """The system refused: port in use, device absent, file not writable."""
 
 
+class ControlRefused(UserError):
+    """A command that is not possible now; the sentence says why, or who has control."""
+
+
 class LogError(UserError):
     """A log or mapping file that cannot be read."""
 

@@ -9,11 +9,10 @@ later one wins whatever form it had.
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import Literal
 
-WHEELS = ("fl", "rl", "fr", "rr")
-"""Wheel names in the order of every array (spec "Frame and signs")."""
+from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, WHEELS
 
 RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", "internal"))
 """First parts of names that belong to the daemon itself; no block may have them."""
@@ -32,6 +31,22 @@ LIGHTS = (
     "rotation",
     "running",
 )
+
+
+class State(IntEnum):
+    """States of the daemon; the numbers are those of ``sim.state``."""
+
+    STARTING = 0
+    RUNNING = 1
+    PAUSED = 2
+    SAFE = 3
+    STOPPING = 4
+
+    @property
+    def word(self) -> str:
+        """As metrics, logs and messages show it: ``running``."""
+        return self.name.lower()
+
 
 Source = Literal["scenario", "page", "opcua", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "ros2", "peer")
@@ -242,7 +257,8 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
 
 def _add_hidden(b: _Builder) -> None:
     in_ = Direction.IN
-    b.add("internal.command", "1", in_, 0, 2, "0 normal, 1 zero, 2 safe ramp", hidden=True)
+    commands = f"{COMMAND_NORMAL} normal, {COMMAND_ZERO} zero, {COMMAND_SAFE} safe ramp"
+    b.add("internal.command", "1", in_, COMMAND_NORMAL, COMMAND_SAFE, commands, hidden=True)
     b.add("internal.pose_request", "1", in_, 0, 2**53, "Counter of SetPose", hidden=True)
     b.add("internal.pose_x_m", "m", in_, -1e6, 1e6, "SetPose x", hidden=True)
     b.add("internal.pose_y_m", "m", in_, -1e6, 1e6, "SetPose y", hidden=True)
@@ -298,9 +314,10 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     out = Direction.OUT
     b.add("sim.tick", "1", out, 0, 2**53, "Tick that made these values", type_=ValueType.INT64)
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
-    states = "0 starting, 1 running, 2 paused, 3 safe, 4 stopping"
-    b.add("sim.state", "1", out, 0, 4, f"State of the daemon: {states}", type_=ValueType.BYTE)
-    b.add("internal.state", "1", Direction.IN, 0, 4, "What sim.state shows", hidden=True)
+    states = ", ".join(f"{state} {state.word}" for state in State)
+    text, last = f"State of the daemon: {states}", max(State)
+    b.add("sim.state", "1", out, 0, last, text, type_=ValueType.BYTE)
+    b.add("internal.state", "1", Direction.IN, 0, last, "What sim.state shows", hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for block in blocks:

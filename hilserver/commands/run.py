@@ -123,7 +123,7 @@ def _make_watchdog(daemon: Daemon) -> Watchdog:
     return Watchdog(
         heartbeat_ns=lambda: daemon.scheduler.heartbeat_ns,
         ready=lambda: daemon.supervision.first_ticks_met,
-        status=lambda: f"{control.state.name.lower()}: {control.reason}",
+        status=lambda: f"{control.state.word}: {control.reason}",
     )
 
 

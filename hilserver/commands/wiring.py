@@ -22,10 +22,9 @@ from hilserver.daemon.daemon import Daemon
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, ConfigError
 from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.monitoring.logging_setup import setup_logging
-from hilserver.signals import WHEELS
+from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 
 EXAMPLE = "hilserver wiring --demo"
-NAMES = {"fl": "front left", "rl": "rear left", "fr": "front right", "rr": "rear right"}
 MOVES_RPM = 0.05
 SETTLE_S = 0.4
 LOOK_S = 0.005
@@ -139,7 +138,7 @@ class Wiring:
         findings: list[Finding] = []
         for number, wheel in enumerate(WHEELS, 1):
             self._say(
-                f"{number} of {len(WHEELS)}: let the controller turn the {NAMES[wheel]} wheel"
+                f"{number} of {len(WHEELS)}: let the controller turn the {WHEEL_WORDS[wheel]} wheel"
                 f" alone, forward, at {self._speed_rpm:g} rpm"
             )
             if number == 1 or findings[-1].arrived != "nothing":
@@ -212,7 +211,7 @@ def complaint(wheel: str, wanted_rpm: float, moving: dict[str, float]) -> str:
     complaints: list[str] = []
     if moved != wheel:
         kind = "side" if moved[1] != wheel[1] else "order"
-        complaints.append(f"{kind}: {NAMES[moved]} instead of {NAMES[wheel]}")
+        complaints.append(f"{kind}: {WHEEL_WORDS[moved]} instead of {WHEEL_WORDS[wheel]}")
         wanted_rpm = abs(wanted_rpm) if moved.endswith("l") else -abs(wanted_rpm)
     if rpm * wanted_rpm < 0:
         complaints.append("sign: forward is positive on the left, negative on the right")

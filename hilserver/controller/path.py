@@ -14,6 +14,8 @@ The path point waits when the robot is far behind (saturated wheels, a restart e
 import math
 from dataclasses import dataclass
 
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
+
 RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
 
 
@@ -107,7 +109,7 @@ class Command:
     wheels_rpm: dict[str, float]
 
 
-STOP = {"fl": 0.0, "rl": 0.0, "fr": 0.0, "rr": 0.0}
+STOP = dict.fromkeys(WHEELS, 0.0)
 
 
 def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, float]:
@@ -119,7 +121,7 @@ def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, f
     # 90 * (x / 90) may be a last bit more than x, and the daemon refuses what exceeds its limit.
     limit = robot.max_rpm
     left, right = (max(-limit, min(limit, side * scale)) for side in (left, right))
-    return {"fl": left, "rl": left, "fr": right, "rr": right}
+    return dict.fromkeys(LEFT_WHEELS, left) | dict.fromkeys(RIGHT_WHEELS, right)
 
 
 def follow(

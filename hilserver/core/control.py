@@ -1,38 +1,23 @@
-"""The state machine of the daemon, and the commands that move it.
+"""The commands of operators and the daemon, and what each of them does on its way.
 
-::
-
-    starting -> running <-> paused
-                   |  ^        |
-                   v  | Reset  v
-                   safe <------+          any -> stopping
-
-In the safe state the set-points ramp to zero, the drive is then disabled, outputs keep being
-computed with quality Uncertain. It ends only by Reset, and only when its cause is gone.
+Which state follows which command is the table in `hilserver.core.transitions`. In the safe state
+the set-points ramp to zero, the drive is then disabled, outputs keep being computed with quality
+Uncertain. It ends only by Reset, and only when its cause is gone.
 """
 
 from collections.abc import Callable
-from enum import IntEnum
 from typing import Protocol
 
 from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.core.inputs import ControlRefused, InputGate
+from hilserver.core.inputs import InputGate
 from hilserver.core.snapshot import SnapshotStore
+from hilserver.core.transitions import Command, next_state
+from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
 from hilserver.image.layout import W_DRIVE_OFF, W_FAULT, W_STATE
-from hilserver.signals import SignalTable
-
-COMMAND_NORMAL, COMMAND_ZERO, COMMAND_SAFE = 0.0, 1.0, 2.0
-
-
-class State(IntEnum):
-    """States of the daemon; the numbers are those of ``sim.state``."""
-
-    STARTING = 0
-    RUNNING = 1
-    PAUSED = 2
-    SAFE = 3
-    STOPPING = 4
+from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE
+from hilserver.scheduler.faults import fault_of
+from hilserver.signals import SignalTable, State
 
 
 class Pacing(Protocol):
@@ -85,7 +70,7 @@ class Control:
         measured_pose: Callable[[], tuple[float, float, float] | None] = lambda: None,
     ) -> None:
         self.state = State.STARTING
-        self.reason = "starting"
+        self.reason = self.state.word
         self.speed = 1.0
         self.reset_statistics = reset_statistics
         self._speed_changed = speed_changed
@@ -111,41 +96,41 @@ class Control:
         kind = EventKind.SAFE_STATE if safe else EventKind.STATE
         self._events.publish(Event(kind, 800 if safe else 200, "daemon", reason))
 
-    def _refuse_in(self, what: str, *states: State) -> None:
-        if self.state in states:
-            name = self.state.name.lower()
-            raise ControlRefused(
-                f"{what} is not possible while the daemon is {name}: {self.reason}"
-            )
+    def _next(self, command: Command) -> State:
+        try:
+            return next_state(self.state, command)
+        except ControlRefused as refused:
+            because = "" if self.reason == self.state.word else f" ({self.reason})"
+            raise ControlRefused(f"{refused}{because}") from None
 
     def started(self) -> None:
         """First ticks are done: leave `STARTING`."""
-        if self.state is State.STARTING:
-            self._go(State.RUNNING, "running")
+        state = self._next(Command.STARTED)
+        if state is not self.state:
+            self._go(state, state.word)
 
     def start(self) -> None:
         """Run on from a pause."""
-        self._refuse_in("Start", State.STARTING, State.SAFE, State.STOPPING)
+        state = self._next(Command.START)
         self._pacing.resume()
-        self._go(State.RUNNING, "running")
+        self._go(state, state.word)
 
     def pause(self) -> None:
         """Stop the plant at the next tick; inputs and outputs stay visible."""
-        self._refuse_in("Pause", State.STARTING, State.SAFE, State.STOPPING)
+        state = self._next(Command.PAUSE)
         self._pacing.pause()
-        self._go(State.PAUSED, "paused")
+        self._go(state, state.word)
 
     def step(self, n: int) -> None:
         """Run exactly `n` ticks, then pause again."""
         if not 1 <= n <= 1_000_000:
             raise ValueError(f"Step takes 1 to 1000000 ticks, not {n}")
-        if self.state is not State.PAUSED:
-            raise ControlRefused("Step works while the daemon is paused; call Pause first")
+        self._next(Command.STEP)
         self._pacing.step(n)
 
     def stop(self) -> None:
         """Emergency stop: go to the safe state."""
-        self._refuse_in("Stop", State.STOPPING)
+        self._next(Command.STOP)
         self.enter_safe("stopped by command", cause=None)
 
     def enter_safe(self, reason: str, *, cause: str | None) -> None:
@@ -158,13 +143,14 @@ class Control:
         """
         if cause is not None:
             self._causes[cause] = reason
-        if self.state in (State.SAFE, State.STOPPING):
+        state = self._next(Command.FAULT)
+        if state is self.state:
             return
         if self.state is State.PAUSED:
             self._pacing.resume()
         self._command(COMMAND_SAFE)
         self._disable_at = self._pacing.tick + self._safe_ramp_ticks
-        self._go(State.SAFE, reason)
+        self._go(state, reason)
 
     def clear_cause(self, cause: str) -> None:
         """Note that a condition has ended: Reset may acknowledge the safe state now."""
@@ -176,9 +162,10 @@ class Control:
 
     def reset(self) -> None:
         """Acknowledge the safe state; otherwise put the simulation back to its start."""
-        self._refuse_in("Reset", State.STARTING, State.STOPPING)
+        state = self._next(Command.RESET)
         if self.state is State.SAFE:
             self._acknowledge()
+            self._go(state, state.word)
             return
         self._snapshots.reset()
         for callback in self.on_reset:
@@ -192,7 +179,6 @@ class Control:
         self._image.words[W_FAULT] = self._image.words[W_DRIVE_OFF] = 0
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
         self._command(COMMAND_NORMAL)
-        self._go(State.RUNNING, "running")
 
     def _command(self, command: float) -> None:
         self._image.push([Row(self._table.slot("internal.command"), command)])
@@ -243,7 +229,7 @@ class Control:
 
     async def load_snapshot(self, name: str) -> None:
         """Continue from a saved state; version, kernels, signals and parameters have to match."""
-        self._refuse_in("LoadSnapshot", State.STARTING, State.SAFE, State.STOPPING)
+        self._next(Command.LOAD_SNAPSHOT)
         await self._snapshots.load(name)
         self._command(COMMAND_NORMAL)
 
@@ -257,15 +243,14 @@ class Control:
 
     def stopping(self, reason: str) -> None:
         """Leave for good."""
-        self._go(State.STOPPING, reason)
+        self._go(self._next(Command.END), reason)
 
     def supervise(self) -> None:
         """Finish the safe state's ramp; take over a fault on which the plant has acted already."""
         if self.state is State.SAFE:
             self._insist_on_safe()
-        code = int(self._image.words[W_FAULT])
-        if code and self.state not in (State.SAFE, State.STOPPING):
-            self.enter_safe(FAULTS.get(code, f"fault {code} in the paced loop"), cause=None)
+        if code := int(self._image.words[W_FAULT]):
+            self.enter_safe(fault_of(code).text, cause=None)
 
     def _insist_on_safe(self) -> None:
         slot = self._table.slot("internal.command")
@@ -273,11 +258,3 @@ class Control:
             self._command(COMMAND_SAFE)
         if self._pacing.tick >= self._disable_at:
             self._image.words[W_DRIVE_OFF] = 1
-
-
-FAULTS = {
-    1: "a single overrun was longer than scheduler.limits allow",
-    2: "more consecutive overruns than scheduler.limits allow",
-    3: "the communication side did not answer in time",
-}
-"""Fault numbers of the paced loop in words."""

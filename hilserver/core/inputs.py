@@ -12,20 +12,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import StrEnum
 
 from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.errors import UserError
+from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
 from hilserver.image.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     GOOD,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
+from hilserver.plant.layout import WHEELS
 from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 
 SETPOINTS = (
-    "wheel.fl.setpoint_rpm",
-    "wheel.rl.setpoint_rpm",
-    "wheel.fr.setpoint_rpm",
-    "wheel.rr.setpoint_rpm",
+    *(f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS),
     "twist.linear_m_s",
     "twist.angular_rad_s",
 )
@@ -42,10 +40,6 @@ class Refusal(StrEnum):
     OUT_OF_RANGE = "out_of_range"
     NOT_IN_CONTROL = "not_in_control"
     QUEUE_FULL = "queue_full"
-
-
-class ControlRefused(UserError):
-    """A command that is not possible now; the sentence says why and who has control."""
 
 
 def kind_of(source: str) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
-from hilserver.core.inputs import ControlRefused
+from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.image.layout import (
     REQUEST_LOAD,

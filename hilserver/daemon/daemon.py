@@ -325,7 +325,7 @@ class Daemon:
         return measured_pose(self.gate.newest, self.table, self.image.latest(), parameters)
 
     def _state_name(self) -> str:
-        return self.control.state.name.lower()
+        return self.control.state.word
 
     def _make_peer(self, config: PeerConfig) -> PeerLink:
         return PeerLink(

@@ -7,13 +7,14 @@ client in control may be given a limit as well; overruns become events.
 from collections.abc import Callable
 
 from hilserver.config.root import Config
-from hilserver.core.control import Control, State
+from hilserver.core.control import Control
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import InputGate
 from hilserver.image import ProcessImage
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
 from hilserver.scheduler import OverrunReport, Scheduler
+from hilserver.signals import State
 
 NOTICES = {
     X_TWIST_REDUCED: "the twist has two parts: only the larger one is driven (exclusive_twist)",

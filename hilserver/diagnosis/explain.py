@@ -11,9 +11,9 @@ import yaml
 
 from hilserver.diagnosis.findings import Finding, Parameter, Verdict
 from hilserver.diagnosis.vocabulary import CAUSES, Part, cause_of, part_of
+from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 
 MINUS: Final = "\N{MINUS SIGN}"
-WHEELS: Final = ("front left", "rear left", "front right", "rear right")
 QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     "position_m": ("position", "m"),
     "yaw_rad": ("heading", "rad"),
@@ -222,5 +222,5 @@ class _Filling:
         if parameter is None:
             return "?"
         if part == "wheel":
-            return WHEELS[int(parameter.value)]
+            return WHEEL_WORDS[WHEELS[int(parameter.value)]]
         return number(parameter.value, parameter.unit)

@@ -16,8 +16,6 @@ from hilserver.diagnosis.data import MeasuredLog
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.wheels import (
-    LEFT,
-    RIGHT,
     at,
     files,
     need,
@@ -25,6 +23,7 @@ from hilserver.identify.wheels import (
     present,
     side_sum_rpm,
 )
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -104,7 +103,8 @@ class _Samples:
 
     def _mean_speed(self, span: int, t_s: Array, before_s: Array) -> Array:
         """Return the mean of w_L + w_R over the stretch before each stamp."""
-        grid = self.log[f"wheel.{present(self.log, 'speed_rpm', LEFT)[0]}.speed_rpm"].of(span)[0]
+        left = present(self.log, "speed_rpm", LEFT_WHEELS)[0]
+        grid = self.log[f"wheel.{left}.speed_rpm"].of(span)[0]
         speed = side_sum_rpm(self.log, span, grid)
         grid, speed = grid[np.isfinite(speed)], speed[np.isfinite(speed)]
         if len(grid) < 2:
@@ -164,7 +164,7 @@ def identify_rotation(
     channel = next((name for name in YAW_RATES if name in log), None)
     if channel is None:
         raise LogError(f"{files(log)}: K_om needs one of {', '.join(YAW_RATES)}")
-    for side in (LEFT, RIGHT):
+    for side in (LEFT_WHEELS, RIGHT_WHEELS):
         if not present(log, "speed_rpm", side):
             need(log, f"wheel.{side[0]}.speed_rpm")
     data = _Samples(log, robot, channel)

@@ -7,11 +7,9 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.errors import LogError
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 
 Array = NDArray[np.float64]
-
-LEFT, RIGHT = ("fl", "rl"), ("fr", "rr")
-WHEELS = (*LEFT, *RIGHT)
 
 
 def present(log: MeasuredLog, quantity: str, wheels: Sequence[str] = WHEELS) -> list[str]:
@@ -63,7 +61,7 @@ def per_span(log: MeasuredLog, name: str, function: Callable[[int, Array], Array
 def side_sum_rpm(log: MeasuredLog, span: int, t_s: Array) -> Array:
     """Return w_L + w_R [rpm]; a side is the mean of its measured wheels."""
     total = np.zeros(len(t_s))
-    for side in (LEFT, RIGHT):
+    for side in (LEFT_WHEELS, RIGHT_WHEELS):
         wheels = present(log, "speed_rpm", side)
         total += np.mean([at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels], axis=0)
     return total

@@ -22,9 +22,8 @@ from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
 from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
-
-COMMAND_SAFE = 2
-FAULT_COMMUNICATION = 3
+from hilserver.plant.layout import COMMAND_SAFE
+from hilserver.scheduler import faults
 
 
 @kernel()
@@ -44,7 +43,7 @@ def _watch_heartbeat(command_slot: int, values: Any, words: Any) -> None:
         return
     words[W_HEARTBEAT_AGE] += 1
     if words[W_HEARTBEAT_AGE] == words[W_HEARTBEAT_LIMIT]:
-        enter_safe(FAULT_COMMUNICATION, command_slot, values, words)
+        enter_safe(faults.COMMUNICATION, command_slot, values, words)
 
 
 @kernel()

@@ -8,6 +8,8 @@ dead even when the event loop still answers. *Ready* means that the robot is bei
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hilserver.signals import State
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -51,7 +53,7 @@ def alive(sources: HealthSources, now_ns: int) -> Verdict:
     """Judge the heartbeat of the pacing back end at `now_ns` [CLOCK_MONOTONIC ns]."""
     heartbeat_ns = sources.heartbeat_ns()
     if heartbeat_ns == 0:
-        if sources.state() == "starting":
+        if sources.state() == State.STARTING.word:
             return Verdict(True, "the plant is being compiled and warmed up")
         return Verdict(False, "the pacing back end has never woken up")
     age_s = (now_ns - heartbeat_ns) / 1e9
@@ -66,7 +68,7 @@ def ready(sources: HealthSources, now_ns: int) -> Verdict:
     if not verdict.ok:
         return verdict
     state = sources.state()
-    if state != "running":
+    if state != State.RUNNING.word:
         return Verdict(False, f"the state is {state}, not running")
     if not sources.first_ticks_met():
         return Verdict(False, "the first ticks have not met their deadlines yet")

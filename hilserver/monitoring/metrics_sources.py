@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.histogram import Histogram125
 
-STATES = ("starting", "running", "paused", "safe", "stopping")
-
 
 class DurationCounts(Protocol):
     """The part of `Histogram125` that is exported."""
@@ -121,7 +119,7 @@ class MetricsSources:
     slices : callable
         Name of the slice -> its figures, in the order of the configuration.
     state : callable
-        One of `STATES`.
+        Word of a `State`: ``running`` and so on.
     realtime_factor : callable
         Simulated time over wall time, rolling; NaN while unknown.
     executed_slices : tuple of str

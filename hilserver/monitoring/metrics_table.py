@@ -14,8 +14,9 @@ import numpy as np
 
 from hilserver import __version__
 from hilserver.compiled.histogram import BOUNDS_NS
-from hilserver.monitoring.metrics_sources import STATES, DurationCounts, MetricsSources, PeerFigures
+from hilserver.monitoring.metrics_sources import DurationCounts, MetricsSources, PeerFigures
 from hilserver.monitoring.metrics_totals import Reading, counter
+from hilserver.signals import State
 
 US, MS, S = 10**3, 10**6, 10**9
 
@@ -105,8 +106,8 @@ def _realtime_factor(sources: MetricsSources) -> Iterator[Row]:
 
 def _state(sources: MetricsSources) -> Iterator[Row]:
     now = sources.state()
-    for state in STATES:
-        yield (state,), float(state == now)
+    for state in State:
+        yield (state.word,), float(state.word == now)
 
 
 def _peer(figure: Callable[[PeerFigures], float | Reading | None]) -> Callable[..., Iterator[Row]]:

@@ -5,7 +5,7 @@ from typing import Any
 from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     COMMAND_NORMAL,
-    COMMAND_SAFE_RAMP,
+    COMMAND_SAFE,
     N_WHEELS,
     P_COMMAND_TERMS,
     P_DELAY_TICKS,
@@ -38,7 +38,7 @@ from hilserver.plant.layout import (
 @part
 def safe_ramp(p: Any, x: Any) -> None:
     """Take the set-points linearly to zero, from what was commanded last."""
-    if x[X_LAST_COMMAND] != COMMAND_SAFE_RAMP:
+    if x[X_LAST_COMMAND] != COMMAND_SAFE:
         x[X_RAMP_TICKS] = 0.0
         for i in range(N_WHEELS):
             x[X_RAMP_START + i] = x[X_COMMANDED + i]
@@ -109,7 +109,7 @@ def command(p: Any, x: Any, u: Any) -> None:
     wish = u[U_COMMAND]
     x[X_TWIST_REDUCED] = 0.0
     x[X_SCALED] = 0.0
-    if wish == COMMAND_SAFE_RAMP:
+    if wish == COMMAND_SAFE:
         safe_ramp(p, x)
     elif wish != COMMAND_NORMAL or u[U_ENABLE] == 0.0:
         for i in range(N_WHEELS):

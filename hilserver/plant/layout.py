@@ -8,8 +8,16 @@ complete snapshot and equal `p`, `x`, `u` give equal bits.
 
 from typing import Final
 
-WHEELS: Final = ("fl", "rl", "fr", "rr")
+LEFT_WHEELS: Final = ("fl", "rl")
+RIGHT_WHEELS: Final = ("fr", "rr")
+WHEELS: Final = LEFT_WHEELS + RIGHT_WHEELS
 N_WHEELS: Final = 4
+WHEEL_WORDS: Final = {
+    "fl": "front left",
+    "rl": "rear left",
+    "fr": "front right",
+    "rr": "rear right",
+}
 
 # --- status codes (OPC UA part 4) -----------------------------------------------------------------
 GOOD: Final = 0
@@ -30,9 +38,10 @@ U_POSE_REQUEST: Final = 14  # hidden: a counter; when it changes, the pose is se
 U_POSE: Final = 15  # hidden: x [m], y [m], yaw [rad]
 N_U: Final = 18
 
+# values of u[U_COMMAND]
 COMMAND_NORMAL: Final = 0
 COMMAND_ZERO: Final = 1
-COMMAND_SAFE_RAMP: Final = 2
+COMMAND_SAFE: Final = 2  # ramp to zero
 
 # --- outputs y ------------------------------------------------------------------------------------
 Y_SPEED: Final = 0  # 4 wheels [rpm], as the encoder shows it

@@ -17,11 +17,12 @@ from hilserver.kernel import compose
 from hilserver.logs.writing import Segmented
 from hilserver.replay.plan import Stretch
 from hilserver.scheduler import RealtimeSettings, Scheduler
+from hilserver.signals import State
 
 QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11
 BATCH_TICKS = 1 << 10
-RUNNING, IN_ROWS = 1, -1
+IN_ROWS = -1
 _OF_THE_CONFIGURATION = ("parameters", "base_period_ns", "slices", "patch")
 
 
@@ -92,7 +93,7 @@ class Engine:
 
     def feed_state(self, *, in_rows: bool) -> None:
         """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
-        self.image.words[W_STATE] = IN_ROWS if in_rows else RUNNING
+        self.image.words[W_STATE] = IN_ROWS if in_rows else State.RUNNING
 
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
         """Run through a stretch; give its frames."""

@@ -23,6 +23,7 @@ from numba.core import types
 from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
+from hilserver.scheduler import faults
 from hilserver.scheduler.policies import (
     FAIL,
     STRETCH,
@@ -30,7 +31,6 @@ from hilserver.scheduler.policies import (
     OverrunPolicy,
     shift_ns,
 )
-from hilserver.scheduler.step import FAULT_CONSECUTIVE_OVERRUNS, FAULT_SINGLE_OVERRUN
 
 # Settings
 PERIOD, POLICY, CATCH_UP_LIMIT, SINGLE_LIMIT, CONSECUTIVE_LIMIT = range(5)
@@ -127,10 +127,10 @@ def conclude(law: NDArray[np.int64], end_ns: int) -> int:
         return STOP
     excess = law[EXECUTION] - law[PERIOD] if law[BACKLOG] == 1 else -law[MARGIN]
     if law[SINGLE_LIMIT] > 0 and excess > law[SINGLE_LIMIT]:
-        return FAULT_SINGLE_OVERRUN
+        return faults.SINGLE_OVERRUN
     if law[CONSECUTIVE_LIMIT] > 0 and law[CONSECUTIVE] >= law[CONSECUTIVE_LIMIT]:
         law[CONSECUTIVE] = 0
-        return FAULT_CONSECUTIVE_OVERRUNS
+        return faults.CONSECUTIVE_OVERRUNS
     return OK
 
 

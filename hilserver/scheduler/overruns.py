@@ -10,13 +10,9 @@ from dataclasses import dataclass
 
 from hilserver.scheduler.causes import Cause, CauseFinder, Look
 from hilserver.scheduler.exchange import HEARTBEAT, NEXT_TICK
-from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN
+from hilserver.scheduler.faults import fault_of
+from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN, OK, STOP
 from hilserver.scheduler.machine import Machine
-from hilserver.scheduler.step import (
-    FAULT_CONSECUTIVE_OVERRUNS,
-    FAULT_SINGLE_OVERRUN,
-    FAULT_SLICE,
-)
 
 PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
@@ -177,10 +173,6 @@ class Overruns:
 
 
 def _consequence(code: int) -> str:
-    if code >= FAULT_SLICE:
-        return f"fault {code - FAULT_SLICE}"
-    return {
-        FAULT_SINGLE_OVERRUN: "single_overrun_limit",
-        FAULT_CONSECUTIVE_OVERRUNS: "consecutive_overrun_limit",
-        -1: "stopped",
-    }.get(code, "")
+    if code == OK:
+        return ""
+    return "stopped" if code == STOP else fault_of(code).name

@@ -22,12 +22,7 @@ PUBLISH = -2
 """Publish the outputs of this tick; return 0. Called for the last tick of a state that was restored
 while paused, too."""
 FAULT = -3
-"""Go to the safe state; ``tick`` carries the code: one of the ``FAULT_*`` below."""
-
-FAULT_SINGLE_OVERRUN = 1
-FAULT_CONSECUTIVE_OVERRUNS = 2
-FAULT_SLICE = 16
-"""``FAULT_SLICE + n``: a slice returned the fault number n > 0."""
+"""Go to the safe state; ``tick`` carries the code, one of `hilserver.scheduler.faults`."""
 
 STEP_SIGNATURE: Any = types.int64(
     types.int64, types.int64, types.int64, types.float64[::1], types.int64[::1]

@@ -14,9 +14,10 @@ from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.libc import monotonic_ns
 from hilserver.scheduler import exchange as ex
+from hilserver.scheduler import faults
 from hilserver.scheduler import law as lw
 from hilserver.scheduler import statistics_rows as rows
-from hilserver.scheduler.step import FAULT, FAULT_SLICE, LATCH, PUBLISH, STEP_TYPE
+from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_TYPE
 
 # Flags returned by `turn`
 RAN, RING, ENDED, STANDING = 1, 2, 4, 8
@@ -238,12 +239,12 @@ def turn(
     flags = RAN
     code = verdict
     if fault > 0 and verdict == lw.OK:
-        code = FAULT_SLICE + fault
+        code = faults.SLICE + fault
     if code > 0:
         step(FAULT, code, law[lw.CURRENT], values, words)
     if law[lw.KIND] != lw.NO_OVERRUN or code not in (0, law[lw.LAST_FAULT]):
         write_record(law, control, ring, scratch, blamed, code)
-    law[lw.LAST_FAULT] = code if code >= FAULT_SLICE else 0
+    law[lw.LAST_FAULT] = code if code >= faults.SLICE else 0
     for row in range(comm.shape[0] // ex.N_COMM):
         if lw.is_due(tick, comm[row * ex.N_COMM + ex.COMM_PERIOD_TICKS]):
             ex.announce(comm, row, tick, law[lw.CURRENT])

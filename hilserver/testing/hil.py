@@ -95,7 +95,7 @@ class Hil:
         while (left := goal - scheduler.ticks_done) > 0:
             self._check_runs()
             if time.monotonic() > limit_s:
-                state = self.daemon.control.state.name.lower()
+                state = self.daemon.control.state.word
                 raise HilError(f"{n} ticks did not pass in time; the daemon is {state}")
             await asyncio.sleep(min(max(left * self._period_s * 0.9, 0.0002), DRAIN_EVERY_S))
 

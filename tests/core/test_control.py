@@ -4,13 +4,16 @@ import asyncio
 
 import pytest
 
-from hilserver.core.control import Control, State
+from hilserver.core.control import Control
 from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import ControlRefused, InputGate
+from hilserver.core.inputs import InputGate
 from hilserver.core.snapshot import SnapshotStore
+from hilserver.core.transitions import TRANSITIONS, Command
+from hilserver.errors import ControlRefused
 from hilserver.image import Row
 from hilserver.image.layout import W_FAULT, W_STATE
 from hilserver.kernel.phases import enter_safe, latch
+from hilserver.signals import State
 from tests.fakes import make_image, make_table
 
 
@@ -72,7 +75,7 @@ def world(tmp_path):
 def test_run_pause_step_run(world):
     control = world.control
     assert control.state is State.RUNNING
-    with pytest.raises(ControlRefused, match="call Pause first"):
+    with pytest.raises(ControlRefused, match="only in state paused"):
         control.step(3)
     control.pause()
     control.step(3)
@@ -80,6 +83,35 @@ def test_run_pause_step_run(world):
     assert world.image.words[W_STATE] == 2
     control.start()
     assert world.pacing.log == ["pause", "step 3", "resume"]
+
+
+BY_METHOD = {
+    Command.START: lambda control: control.start(),
+    Command.PAUSE: lambda control: control.pause(),
+    Command.STEP: lambda control: control.step(1),
+    Command.STOP: lambda control: control.stop(),
+    Command.RESET: lambda control: control.reset(),
+    Command.STARTED: lambda control: control.started(),
+    Command.FAULT: lambda control: control.enter_safe("a fault", cause=None),
+    Command.END: lambda control: control.stopping("the end"),
+}
+
+
+@pytest.mark.parametrize("command", BY_METHOD, ids=str)
+@pytest.mark.parametrize("state", State, ids=lambda state: state.word)
+def test_a_command_leads_where_the_table_says(tmp_path, state, command):
+    world = World(tmp_path)
+    world.control.state = state
+    following = TRANSITIONS[command][state]
+    try:
+        if following is None:
+            with pytest.raises(ControlRefused, match=f"{command} is not possible in state"):
+                BY_METHOD[command](world.control)
+        else:
+            BY_METHOD[command](world.control)
+        assert world.control.state is (state if following is None else following)
+    finally:
+        world.image.close()
 
 
 def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world):

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import ControlRefused, InputGate, Refusal, check_value
+from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.errors import ControlRefused
 from hilserver.image.queues import latch_rows
 from hilserver.image.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
 from tests.fakes import ManualClock, make_image, make_table

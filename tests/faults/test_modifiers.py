@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.image.status import GOOD, GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
+from hilserver.plant.layout import WHEELS
 from tests.faults.rig import Rig
 
 INPUT = "measured.battery.voltage_v"  # nothing in the plant reads it: what goes in comes out
@@ -194,9 +195,7 @@ async def test_an_array_is_faulted_in_all_its_scalars():
     async with Rig() as rig:
         rig.faults.inject({"fault": "stuck", "signal": "wheels.speeds_rpm", "value": 12.0})
         await rig.advance(2)
-        assert [rig.series(f"wheel.{w}.speed_rpm")[-1] for w in ("fl", "rl", "fr", "rr")] == [
-            12
-        ] * 4
+        assert [rig.series(f"wheel.{w}.speed_rpm")[-1] for w in WHEELS] == [12] * 4
 
 
 async def test_a_paused_run_does_not_age_a_fault():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from tests.faults.rig import Rig
 
 MODE = {"control__mode": 1}
@@ -28,7 +29,7 @@ async def test_1_yaw_rate_without_60_2pi_turns_9_5_times_too_slow():
 
 async def test_2_dead_command_timeout_drives_on():
     settings = {"ticks": 2000, "silence_ticks": 500}
-    wheels = {f"wheel__{w}__setpoint_rpm": s * 30 for w, s in WHEELS.items()}
+    wheels = {f"wheel__{w}__setpoint_rpm": s * 30 for w, s in FORWARD.items()}
     healthy = await drive(**settings, **wheels)
     broken = await drive("shield.dead_command_timeout", **settings, **wheels)
     assert healthy["wheel.fl.setpoint_rpm"][500] == 30
@@ -37,7 +38,7 @@ async def test_2_dead_command_timeout_drives_on():
     assert broken["wheel.fl.speed_rpm"][-1] == pytest.approx(30, abs=1)
 
 
-WHEELS = {"fl": 1, "rl": 1, "fr": -1, "rr": -1}
+FORWARD = dict.fromkeys(LEFT_WHEELS, 1) | dict.fromkeys(RIGHT_WHEELS, -1)
 
 
 async def test_2_a_command_in_time_keeps_the_robot_going():

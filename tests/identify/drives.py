@@ -3,6 +3,7 @@
 import numpy as np
 
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
+from hilserver.plant.layout import WHEELS
 
 STEP_S = 1e-4
 
@@ -51,7 +52,7 @@ def spins(k_om, *, imu_late_s=0.0, reverse_s=2.0, duration_s=120.0, rng, rate_hz
     turn = -k_om * 0.085 * 2.0 * speed * 2.0 * np.pi / 60.0
     t_s = np.arange(1.0, duration_s - 0.1, 1.0 / rate_hz)
     values = {}
-    for wheel in ("fl", "rl", "fr", "rr"):
+    for wheel in WHEELS:
         values[f"wheel.{wheel}.setpoint_rpm"] = aim[np.round(t_s / STEP_S).astype(int)]
         seen = np.interp(t_s, fine_s, speed) + 0.12 * rng.normal(size=len(t_s))
         values[f"wheel.{wheel}.speed_rpm"] = seen

@@ -9,11 +9,10 @@ import pytest
 import pytest_asyncio
 from asyncua import ua
 
+from hilserver.plant.layout import WHEELS
 from tests.loopback.rig import call, configuration, double, frames, run_ticks, running
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-WHEELS = ("fl", "rl", "fr", "rr")
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")

@@ -6,11 +6,11 @@ import pytest
 import pytest_asyncio
 from asyncua import ua
 
-from hilserver.core.control import State
-from hilserver.core.inputs import ControlRefused
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
+from hilserver.errors import ControlRefused
 from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
+from hilserver.signals import State
 from tests.loopback.rig import (
     Peer,
     call,

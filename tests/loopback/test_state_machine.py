@@ -9,7 +9,7 @@ import pytest
 import pytest_asyncio
 from asyncua import ua
 
-from hilserver.core.control import State
+from hilserver.signals import State
 from tests.loopback.rig import (
     call,
     column,

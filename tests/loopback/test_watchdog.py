@@ -6,10 +6,10 @@ import time
 import pytest
 import pytest_asyncio
 
-from hilserver.core.control import State
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.image.layout import W_HEARTBEAT, W_HEARTBEAT_LIMIT
+from hilserver.signals import State
 from tests.loopback.rig import (
     call,
     column,

@@ -3,6 +3,7 @@
 import pytest
 
 from hilserver.monitoring.health import HealthSources, alive, ready
+from hilserver.signals import State
 
 NOW_NS = 100 * 10**9
 
@@ -18,7 +19,7 @@ def sources(
     )
 
 
-@pytest.mark.parametrize("state", ["starting", "running", "paused", "safe", "stopping"])
+@pytest.mark.parametrize("state", [state.word for state in State])
 def test_a_beating_heart_is_alive_in_every_state(state: str) -> None:
     assert alive(sources(state), NOW_NS).ok
 

@@ -11,9 +11,9 @@ import pytest
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer
-from hilserver.core.control import State
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
+from hilserver.signals import State
 from tests.io.opcua_client.conftest import wait_until
 from tests.node_red.black_hole import THEIRS, peer_network
 from tests.node_red.node_red import shipped_flow

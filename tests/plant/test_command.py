@@ -64,7 +64,7 @@ def test_zero_command():
 
 
 def ramp(rig, ticks):
-    rig.u[at.U_COMMAND] = at.COMMAND_SAFE_RAMP
+    rig.u[at.U_COMMAND] = at.COMMAND_SAFE
     return np.array([setpoints(rig.step()) for _ in range(ticks)])
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hilserver.logs import read_log
+from hilserver.plant.layout import WHEELS
 
-WHEELS = ("fl", "rl", "fr", "rr")
 HEADER = ",".join(["t_s", *(f"wheel.{w}.setpoint_rpm" for w in WHEELS)])
 
 

@@ -7,6 +7,7 @@ import yaml
 
 from hilserver.config.root import Config
 from hilserver.logs import read_log
+from hilserver.plant.layout import WHEELS
 from tests.helpers.daemons import running_daemon
 from tests.replay.test_recordings import outputs_from, replay
 
@@ -28,7 +29,7 @@ ROWS = [(0.0, 0, 0), (0.1, 20, 20), (0.5, 60, 20), (1.0, 0, 0)]
 def replayed(tmp_path_factory):
     """The same set-points without, with and without the patch."""
     folder = tmp_path_factory.mktemp("patched")
-    names = [f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr")]
+    names = [f"wheel.{w}.setpoint_rpm" for w in WHEELS]
     lines = [",".join(["t_s", *names])]
     lines += [f"{t},{left},{left},{-right},{-right}" for t, left, right in ROWS]
     (folder / "in.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -12,7 +12,7 @@ import pytest
 from asyncua import Client, ua
 
 from hilserver.bench.wire import Wire, frame
-from hilserver.core.control import State
+from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig, RobotClient
 from tests.security.pki import Pki
 from tests.security.stock import Stock

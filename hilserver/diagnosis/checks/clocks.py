@@ -9,10 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from hilserver.diagnosis.checks.motion import LEFT, RAD_S_PER_RPM, RIGHT
+from hilserver.diagnosis.checks.motion import RAD_S_PER_RPM
 from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 
 LARGEST_S = 1.0
@@ -135,7 +136,7 @@ Motion = tuple[Channel, Channel]
 
 def _wheel_motion(log: MeasuredLog) -> Motion | None:
     """Return forward and turning speed of the wheels, up to a factor, of the longest span."""
-    names = [f"wheel.{side[0]}.speed_rpm" for side in (LEFT, RIGHT)]
+    names = [f"wheel.{side[0]}.speed_rpm" for side in (LEFT_WHEELS, RIGHT_WHEELS)]
     if not log.has(*names):
         return None
     left = log[names[0]]

@@ -5,8 +5,8 @@ import numpy as np
 from hilserver.diagnosis.checks.support import along, data_fault, listed, row_period_s
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 CAUSE = "setpoint_as_measurement"
 MAX_LAG_S = 0.5

@@ -20,8 +20,8 @@ from hilserver.diagnosis.checks.support import (
 )
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 FEWEST_RUNS = 20
 SLOWEST_HZ = 1.5

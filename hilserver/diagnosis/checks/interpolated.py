@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.checks.support import data_fault, row_period_s, subset
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 SLOWEST_S = 0.5
 FEWEST_PIECES = 15

@@ -11,7 +11,6 @@ from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 
 WINDOW_S = 1.0
 RAD_S_PER_RPM = np.pi / 30.0
-LEFT, RIGHT = ("fl", "rl"), ("fr", "rr")
 
 
 @dataclass(frozen=True, slots=True)

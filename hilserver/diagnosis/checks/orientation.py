@@ -10,8 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from hilserver.diagnosis.checks.motion import (
-    LEFT,
-    RIGHT,
     Line,
     ends_in,
     finite,
@@ -24,9 +22,10 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-MIRROR = {"fl": "fr", "rl": "rr", "fr": "fl", "rr": "rl"}
+MIRROR = dict(zip(WHEELS, RIGHT_WHEELS + LEFT_WHEELS, strict=True))
 SURE = 0.7
 """Least correlation at which a sign is believed."""
 SLOWEST_M_S, SLOWEST_RAD_S = 0.02, 0.03
@@ -178,7 +177,7 @@ def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
 def _wheel_rate(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     for what in ("speed_rpm", "setpoint_rpm"):
         windows = windows_of(log)
-        left, right = (side_mean(log, side, what, windows) for side in (LEFT, RIGHT))
+        left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
         if left is not None and right is not None:
             rate: Array = robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)
             return rate
@@ -194,7 +193,7 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     speed, rate = found
     windows = windows_of(log)
     fits = []
-    for side, forward in ((LEFT, 1.0), (RIGHT, -1.0)):
+    for side, forward in ((LEFT_WHEELS, 1.0), (RIGHT_WHEELS, -1.0)):
         w = side_mean(log, side, kinds[0], windows)
         fit = None if w is None else _two_weights(w * robot.wheel_radius_m, speed, rate)
         if fit is None or abs(fit[0]) < 0.2 or abs(fit[1]) < 0.02:
@@ -206,7 +205,7 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
         return _swapped(log, kinds, dict.fromkeys(kinds, 1.0), text)
     against = [
         f"wheel.{wheel}.{kind}"
-        for side, v, om in ((LEFT, left_v, left_om), (RIGHT, right_v, right_om))
+        for side, v, om in ((LEFT_WHEELS, left_v, left_om), (RIGHT_WHEELS, right_v, right_om))
         if v == om == -1
         for wheel in side
         for kind in kinds

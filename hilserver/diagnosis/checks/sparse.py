@@ -17,8 +17,8 @@ from hilserver.diagnosis.checks.support import (
 )
 from hilserver.diagnosis.data import Array, Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 FEWEST_ROWS = 3
 """Between faster set-points the stamps of the rows themselves are too coarse."""

@@ -8,8 +8,8 @@ import numpy as np
 from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 FEWEST: Final = 100
 MOVED_RPM: Final = 5.0

@@ -7,8 +7,8 @@ import numpy as np
 
 from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 ROUNDED: Final = 1.01
 """Times max_rpm that a set-point may show where it was only rounded."""

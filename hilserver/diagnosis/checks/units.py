@@ -5,8 +5,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from hilserver.diagnosis.checks.motion import (
-    LEFT,
-    RIGHT,
     Line,
     ends_in,
     line,
@@ -18,8 +16,8 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.data import Array, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 WHEEL = {
     np.pi / 30.0: "holds rad/s where rpm is meant",
@@ -133,7 +131,7 @@ def _there(log: MeasuredLog, names: Iterable[str]) -> list[str]:
 def _rolled(log: MeasuredLog, what: str, robot: RobotParameters) -> Array | None:
     """Return the distance per second that the wheels rolled, whatever their signs [m/s]."""
     windows = windows_of(log)
-    left, right = (side_mean(log, side, what, windows) for side in (LEFT, RIGHT))
+    left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
     if left is None or right is None:
         return None
     result: Array = robot.wheel_radius_m * np.abs(left - right) / 2.0
@@ -155,7 +153,7 @@ def _turned(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     """Return the turn rate that the wheels say [rad/s]."""
     windows = windows_of(log)
     for what in ("speed_rpm", "setpoint_rpm"):
-        left, right = (side_mean(log, side, what, windows) for side in (LEFT, RIGHT))
+        left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
         if left is not None and right is not None:
             result: Array = robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)
             return result

@@ -6,8 +6,8 @@ import numpy as np
 
 from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 FASTEST = 4.0
 """Times max_rpm that no wheel turns."""

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 from asyncua import ua
 from asyncua.crypto.permission_rules import User
 
-from hilserver.core.inputs import ControlRefused, InputGate, Refusal, check_value
+from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES

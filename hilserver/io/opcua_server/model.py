@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import STRING
 from hilserver.io.opcua_server.units import Unit, find_unit
-from hilserver.signals import LIGHTS, Direction, Signal, SignalTable, ValueType
+from hilserver.signals import LIGHTS, Direction, Signal, SignalTable, State, ValueType
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
@@ -46,7 +46,7 @@ DATA_TYPES = {
 ENUMERATIONS: dict[str, tuple[str, ...]] = {
     "control.mode": ("wheels", "twist"),
     "lights.command": LIGHTS,
-    "sim.state": ("starting", "running", "paused", "safe", "stopping"),
+    "sim.state": tuple(state.word for state in State),
 }
 """Signals whose numbers have names: MultiStateDiscrete with EnumStrings."""
 TWO_STATES = {"drive.enable": ("disabled", "enabled")}

@@ -9,7 +9,7 @@ from asyncua import ua
 
 from hilserver.config.server import OpcUaConfig, Policy, Role, default_application_uri
 from hilserver.core.clock import UtcClock
-from hilserver.core.control import Control, State
+from hilserver.core.control import Control
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.errors import ConfigError, FailedError
@@ -30,7 +30,7 @@ from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
 from hilserver.io.opcua_server.transport import RobotUaServer
 from hilserver.io.opcua_server.values import FixedDataValue, SignalVariables, write_value
-from hilserver.signals import SignalTable
+from hilserver.signals import SignalTable, State
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _WARN_BEFORE = timedelta(days=30)

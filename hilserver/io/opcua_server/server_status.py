@@ -16,8 +16,8 @@ from asyncua import ua
 from asyncua.server.address_space import AttributeValue
 
 import hilserver
-from hilserver.core.control import State
 from hilserver.io.opcua_server.values import FixedDataValue, write_value
+from hilserver.signals import State
 
 PRODUCT_URI = "urn:hilserver"
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)

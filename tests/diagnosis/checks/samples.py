@@ -3,8 +3,8 @@
 import numpy as np
 
 from hilserver.diagnosis.data import Channel, MeasuredLog, Span
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-from hilserver.signals import WHEELS
 
 ROBOT = RobotParameters()
 RAD_S = np.pi / 30.0

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.findings import Verdict
-from hilserver.signals import WHEELS
+from hilserver.plant.layout import WHEELS
 from tests.diagnosis.checks.samples import ROBOT, drive, log_of
 
 SPEEDS = tuple(f"wheel.{wheel}.speed_rpm" for wheel in WHEELS)

@@ -8,6 +8,7 @@ import pytest
 from asyncua import ua
 
 from hilserver.core.inputs import Refusal
+from hilserver.plant.layout import WHEELS
 from tests.io.opcua_client.conftest import (
     URI,
     Harness,
@@ -45,7 +46,7 @@ async def test_setpoints_and_sequence_arrive(peer, mode):
     speeds = harness.gate.values("wheel.fl.setpoint_rpm")
     assert len(set(speeds)) >= 5
     assert harness.gate.values("input.sequence")[-1] > 20
-    assert set(harness.gate.latest) >= {f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr")}
+    assert set(harness.gate.latest) >= {f"wheel.{w}.setpoint_rpm" for w in WHEELS}
     assert harness.status.state == "stopped"
 
 

@@ -23,7 +23,8 @@ from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.opcua_server.model import NAMESPACE_URI
-from hilserver.signals import WHEELS, Ranges, SignalTable, robot_table
+from hilserver.plant.layout import WHEELS
+from hilserver.signals import Ranges, SignalTable, robot_table
 
 TABLE = robot_table(Ranges(max_rpm=90.0, max_linear_m_s=0.8, max_angular_rad_s=3.0))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.core.control import State
+from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig
 
 FOLDER = Path(__file__).parents[2] / "foreign_client"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from asyncua import ua
 
-from hilserver.core.control import State
+from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 import pytest
 from asyncua import ua
 
-from hilserver.core.control import State
 from hilserver.io.opcua_server.server_status import service_level
+from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

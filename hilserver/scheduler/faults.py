@@ -1,0 +1,37 @@
+"""Faults of the paced loop: why it asks for the safe state. Each code with its name and its words.
+
+The step receives the code in its ``FAULT`` phase and keeps the first one; the state machine reads
+it there and says the words. The compiled code compares plain integers.
+"""
+
+from typing import Final, NamedTuple
+
+SINGLE_OVERRUN: Final = 1
+CONSECUTIVE_OVERRUNS: Final = 2
+COMMUNICATION: Final = 3
+SLICE: Final = 16
+"""``SLICE + n``: a slice returned the fault number n > 0."""
+
+
+class Fault(NamedTuple):
+    """Name of a fault for logs and tests, and the sentence that a user reads."""
+
+    name: str
+    text: str
+
+
+_FAULTS: Final = {
+    SINGLE_OVERRUN: Fault(
+        "single_overrun_limit", "a single overrun was longer than scheduler.limits allow"
+    ),
+    CONSECUTIVE_OVERRUNS: Fault(
+        "consecutive_overrun_limit", "more consecutive overruns than scheduler.limits allow"
+    ),
+    COMMUNICATION: Fault("communication", "the communication side did not answer in time"),
+}
+
+
+def fault_of(code: int) -> Fault:
+    """Return name and words of a code."""
+    number = code - SLICE
+    return _FAULTS.get(code) or Fault(f"fault {number}", f"a slice reported fault {number}")
