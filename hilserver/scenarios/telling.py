@@ -9,9 +9,10 @@ from typing import Final
 
 import yaml
 from hilserver_injector import Recipe
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from hilserver.diagnosis.explain import QUANTITIES, number
-from hilserver.diagnosis.findings import Finding, Findings, Verdict
+from hilserver.diagnosis.findings import Finding, Findings, Parameter, Verdict
 from hilserver.scenarios.expectation import Drive, Scenario, judge
 
 COLUMNS: Final = 100
@@ -36,19 +37,36 @@ def words() -> Mapping[str, Words]:
 
 def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) -> str:
     """Return the section of a scenario in Markdown; `picture` is the file of its plot."""
-    own = words()[scenario.name]
-    paragraphs = [
-        f"## `{scenario.name}`",
-        f"The thesis: {scenario.says}.",
-        own.happens,
-        f"![{own.title}]({picture})",
-        own.seen,
-        f"**Hidden:** {_hidden(drive)}.",
-        *_said(drive, findings),
-        f"**What to do:** {own.do}",
-        *(f"**To tell them apart:** {text}" for text in _experiments(findings)),
-    ]
-    return "\n\n".join(map(wrapped, paragraphs)) + "\n"
+    told = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
+    better = {k: g for k, g in findings.total_gain.items() if g.ratio > 1.0}
+    best = max(better, key=lambda key: better[key].ratio) if better else None
+    text = _template().render(
+        name=scenario.name,
+        says=scenario.says,
+        words=words()[scenario.name],
+        picture=picture,
+        hidden=_hidden(drive),
+        findings=findings,
+        told=told,
+        rows=[row for f in told for row in _rows(f, drive)],
+        gain=better.get(best) if best else None,
+        quantity=QUANTITIES.get(best, (best, "1")) if best else None,
+        judgement=judge(drive.expectation, findings),
+        experiments=_experiments(findings),
+    )
+    return "\n\n".join(map(wrapped, text.strip().split("\n\n"))) + "\n"
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(  # noqa: S701 - Markdown, of our own words and names
+        loader=PackageLoader("hilserver.scenarios"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    return environment.get_template("section.md.j2")
 
 
 def wrapped(paragraph: str) -> str:
@@ -82,42 +100,13 @@ def _listed(what: object) -> str:
     return " and ".join(f"{p:.4g}" if isinstance(p, float) else f"`{p}`" for p in parts)
 
 
-def _said(drive: Drive, findings: Findings) -> list[str]:
-    """Return the verdict, the sentences, the values beside the truth, and the gain."""
-    told = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    lines = [f"**The diagnosis says:** `{findings.verdict}`."]
-    lines += [f"- {_named(f)} {f.explanation}" for f in told]
-    parts = ["\n".join([lines[0], "", *lines[1:]]) if told else lines[0]]
-    rows = [row for f in told for row in _rows(f, drive)]
-    if rows:
-        head = ["| parameter | found | 95 % | hidden |", "|---|---|---|---|"]
-        parts.append("\n".join(head + rows))
-    if gained := _gain(findings):
-        parts.append(gained)
-    result = judge(drive.expectation, findings)
-    if not result.right:
-        wrong = [f"{name} was not hidden" for name in result.wrong]
-        parts.append(f"**Not as it should be:** {'; '.join((*result.missing, *wrong))}.")
-    return parts
-
-
-def _named(finding: Finding) -> str:
-    names = ", ".join(f"`{cause}`" for cause in finding.causes)
-    return f"`{finding.verdict}`: {names}." if names else f"`{finding.verdict}`."
-
-
-def _rows(finding: Finding, drive: Drive) -> list[str]:
-    rows = []
-    for name, p in finding.parameters.items():
-        if p.ci95 is None:
-            continue
-        low, high = (number(v, digits=4) for v in p.ci95)
-        truth = hidden_value(name, finding, drive)
-        hidden = "" if truth is None else number(truth, p.unit, digits=4)
-        rows.append(
-            f"| `{name}` | {number(p.value, p.unit, digits=4)} | {low} to {high} | {hidden} |"
-        )
-    return rows
+def _rows(finding: Finding, drive: Drive) -> list[tuple[str, Parameter, float | None]]:
+    """Return the parameters with an interval, and the true values."""
+    return [
+        (name, p, hidden_value(name, finding, drive))
+        for name, p in finding.parameters.items()
+        if p.ci95 is not None
+    ]
 
 
 def hidden_value(name: str, finding: Finding, drive: Drive) -> float | None:
@@ -138,23 +127,6 @@ def _mean(name: str, recipes: Mapping[str, Recipe]) -> float | None:
     values = [recipe.causes.get(name) for recipe in recipes.values()]
     known = [float(v) for v in values if v is not None]
     return sum(known) / len(known) if known else None
-
-
-def _gain(findings: Findings) -> str:
-    better = {k: g for k, g in findings.total_gain.items() if g.ratio > 1.0}
-    if not better:
-        return ""
-    key, gain = max(better.items(), key=lambda item: item[1].ratio)
-    name, unit = QUANTITIES.get(key, (key, "1"))
-    sure = ""
-    if gain.ci95 is not None:
-        low, high = (number(v, digits=2) for v in gain.ci95)
-        sure = f", 95 % {low} to {high}"
-    return (
-        f"With the extended model the error in {name} after {number(gain.horizon_s)} s falls from"
-        f" {number(gain.before, unit, digits=2)} to {number(gain.after, unit, digits=2)}"
-        f" ({number(gain.ratio, digits=2)} times smaller{sure})."
-    )
 
 
 def _experiments(findings: Findings) -> list[str]:
