@@ -17,7 +17,7 @@ from hilserver.daemon.assembly import assemble
 from hilserver.daemon.construction import overrun_limits
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
-from hilserver.monitoring.logging_setup import report_repeats, setup_logging
+from hilserver.monitoring.logging_setup import notice, report_repeats, setup_logging
 
 _log = structlog.get_logger(__name__)
 
@@ -118,9 +118,9 @@ class Reloader:
             RELOADABLE[begin](self._daemon, new)
         for change in found:
             if any(change.key.startswith(begin) for begin in uses):
-                _log.info("reload: changed", key=change.key, before=change.before, now=change.after)
+                notice("reload: changed", key=change.key, before=change.before, now=change.after)
         if not found:
-            _log.info("reload: the configuration has not changed")
+            notice("reload: the configuration has not changed")
         self.from_file = _reloaded(self.from_file, new)
         self._daemon.config = _reloaded(self._daemon.config, new)
 

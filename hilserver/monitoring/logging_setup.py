@@ -1,7 +1,8 @@
 """Logging: one chain for our own lines and those of libraries.
 
-Readable on a terminal, one JSON object per line otherwise. A line that repeats is printed once per
-window and counted; the next one that passes says how many were left out::
+Readable on a terminal (local time, no logger names), one JSON object per line otherwise (UTC). A
+line that repeats is printed once per window and counted; the next one that passes says how many
+were left out::
 
     overrun  cause=preempted slice=plant ...
     overrun  cause=preempted slice=plant suppressed=1843 ...
@@ -160,13 +161,8 @@ def setup_logging(
         Hand it to `report_repeats` now and then.
     """
     out = sys.stderr if stream is None else stream
-    is_terminal = out.isatty()
-    is_console = line_format == "console" or (line_format == "auto" and is_terminal)
+    is_console = is_readable(line_format, out)
     limiter = RepeatLimiter(repeat_window_s, clock_s)
-    render: list[Any] = [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
-    if is_console:
-        plain = structlog.dev.plain_traceback
-        render = [structlog.dev.ConsoleRenderer(colors=is_terminal, exception_formatter=plain)]
     number = logging.getLevelNamesMapping()[level]
     structlog.configure(
         processors=[
@@ -175,8 +171,7 @@ def setup_logging(
             _ExpectedErrors((*EXPECTED_ERRORS, *expected_errors)),
             _printable,
             limiter,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            *render,
+            *_rendering(is_console, colors=out.isatty()),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(number),
         logger_factory=lambda *names: _StreamLogger(out, str(names[0]) if names else ""),
@@ -186,6 +181,31 @@ def setup_logging(
     for library in LIBRARIES:
         logging.getLogger(library).setLevel(max(number, logging.WARNING))
     return limiter
+
+
+def is_readable(line_format: str, out: TextIO) -> bool:
+    """Whether lines on `out` are for people: asked for, or `out` is a terminal."""
+    return line_format == "console" or (line_format == "auto" and out.isatty())
+
+
+def _rendering(is_console: bool, *, colors: bool) -> list[Any]:
+    if not is_console:
+        stamp = structlog.processors.TimeStamper(fmt="iso", utc=True)
+        json = structlog.processors.JSONRenderer()
+        return [stamp, structlog.processors.format_exc_info, json]
+    plain = structlog.dev.plain_traceback
+    return [
+        _drop_logger_name,
+        structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
+        structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain),
+    ]
+
+
+def notice(text: str, **details: object) -> None:
+    """Log what was asked for by name, such as a reload, whatever the level."""
+    everything = structlog.make_filtering_bound_logger(logging.NOTSET)
+    logger = structlog.get_config()["logger_factory"]("hilserver")
+    structlog.wrap_logger(logger, wrapper_class=everything).info(text, **details)
 
 
 def report_repeats(limiter: RepeatLimiter, *, at_end: bool = False) -> None:
@@ -282,6 +302,11 @@ def _add_logger_name(logger: Any, _method: str, event: EventDict) -> EventDict:
     name = getattr(logger, "name", "")
     if name:
         event["logger"] = name
+    return event
+
+
+def _drop_logger_name(_logger: Any, _method: str, event: EventDict) -> EventDict:
+    event.pop("logger", None)
     return event
 
 

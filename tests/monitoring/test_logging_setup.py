@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -17,6 +18,7 @@ from hilserver.monitoring.logging_setup import (
     RepeatLimiter,
     log_event,
     log_overrun,
+    notice,
     report_repeats,
     setup_logging,
 )
@@ -79,6 +81,28 @@ def test_readable_on_a_terminal_unless_json_is_asked_for() -> None:
     setup_logging(stream=stream, line_format="json")
     structlog.get_logger().info("hello")
     assert json_lines(stream)[0]["event"] == "hello"
+
+
+def test_a_terminal_shows_local_time_and_no_logger_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "XYZ-5")  # five hours ahead of UTC
+    time.tzset()
+    stream = Terminal()
+    setup_logging(stream=stream)
+    hour = time.gmtime(time.time() + 5 * 3600).tm_hour
+    structlog.get_logger("hilserver.test").info("hello")
+    monkeypatch.undo()
+    time.tzset()
+    assert f"{hour:02}:" in stream.getvalue()
+    assert "hilserver.test" not in stream.getvalue()
+
+
+def test_a_notice_passes_whatever_the_level() -> None:
+    stream = io.StringIO()
+    setup_logging("ERROR", stream=stream)
+    structlog.get_logger().warning("left out")
+    notice("reload: changed", key="logging.level")
+    (line,) = json_lines(stream)
+    assert (line["event"], line["key"]) == ("reload: changed", "logging.level")
 
 
 def test_level_counts_for_us_and_for_libraries() -> None:
