@@ -25,6 +25,12 @@ class MetricsConfig(Section):
         description="address to listen on; everyone who reaches it can read all figures",
     )
     port: int = Field(9464, ge=0, le=65535, description="TCP port; 0 takes a free one")
+    host_names: tuple[str, ...] = Field(
+        (),
+        max_length=20,
+        description="names that scrapers call this computer by, besides its addresses, localhost"
+        " and its host name; requests for other names are refused (DNS rebinding)",
+    )
 
 
 class LogLevel(StrEnum):

@@ -383,5 +383,9 @@ class Daemon:
         )
         config = self.config.metrics
         return HttpServer(
-            host=config.host, port=config.port, render=self.metrics.render, health=health
+            host=config.host,
+            port=config.port,
+            render=self.metrics.render,
+            health=health,
+            host_names=config.host_names,
         )

@@ -1,10 +1,12 @@
 """The file behind the arena: /dev/shm, mode 0600, locked by its owner."""
 
 import contextlib
+import errno
 import fcntl
 import mmap
 import os
 import re
+import stat
 import time
 from pathlib import Path
 
@@ -36,45 +38,70 @@ def sweep(now_s: float | None = None) -> int:
     removed = 0
     for path in _FOLDER.glob(f"hilserver-{MADE_UP}-*"):
         with contextlib.suppress(OSError):
-            if path.stat().st_mtime > limit_s:
-                continue
-            fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                path.unlink()
-                removed += 1
-            finally:
-                os.close(fd)
+            if path.lstat().st_mtime <= limit_s:
+                removed += _remove_left_behind(path)
     return removed
 
 
-def _open_locked(path: Path) -> int:
-    """Return a locked descriptor of `path`; one that its last owner removed meanwhile is no use."""
-    for _ in range(_OPEN_TRIES):
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.fchmod(fd, 0o600)
-            if os.fstat(fd).st_nlink > 0:
-                return fd
-        except BaseException:
-            os.close(fd)
-            raise
+def _remove_left_behind(path: Path) -> bool:
+    """Remove what a killed daemon of the same user left behind; return whether there was any.
+
+    Raises
+    ------
+    BlockingIOError
+        If its owner is alive.
+    PermissionError
+        If it belongs to another user: a daemon that adopted it would hand its memory over.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    try:
+        found = os.fstat(fd)
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "is no regular file")
+        if found.st_uid != os.geteuid():
+            raise PermissionError(errno.EPERM, f"belongs to another user (id {found.st_uid})")
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Without a link it was removed meanwhile, and the path may lead to somebody's new file.
+        if os.fstat(fd).st_nlink:
+            path.unlink()
+        return True
+    finally:
         os.close(fd)
+
+
+def _make_locked(path: Path) -> int:
+    """Return a descriptor of a new, locked file at `path`; nothing that is there is adopted."""
+    for _ in range(_OPEN_TRIES):
+        _remove_left_behind(path)
+        with contextlib.suppress(FileExistsError, BlockingIOError):
+            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.fchmod(fd, 0o600)  # whatever the umask took away
+                if os.fstat(fd).st_nlink > 0:
+                    return fd
+            except BaseException:
+                os.close(fd)
+                raise
+            os.close(fd)
     raise BlockingIOError
 
 
 class SharedFile:
     """An owned, exclusively locked file in shared memory; removed by `close`.
 
-    A file that a killed daemon left behind has no lock and is replaced.
+    A file that a killed daemon of the same user left behind has no lock and is replaced; any other
+    that is there is refused.
     """
 
     def __init__(self, name: str, n_bytes: int) -> None:
         sweep()
         self.path = path_of(name)
         try:
-            self._fd = _open_locked(self.path)
+            self._fd = _make_locked(self.path)
         except BlockingIOError:
             raise FailedError(
                 f"another hilserver uses the process image '{name}'; stop it or set image.name"
@@ -85,7 +112,6 @@ class SharedFile:
                 f"cannot use {self.path}: {reason}; remove it or set image.name"
             ) from None
         try:
-            os.ftruncate(self._fd, 0)
             # A hole would end in a bus error when shared memory is full.
             os.posix_fallocate(self._fd, 0, n_bytes)
             self.map = mmap.mmap(self._fd, n_bytes)
@@ -109,13 +135,16 @@ class SharedFile:
 def map_read_only(name: str) -> mmap.mmap:
     """Map the image of a running daemon for reading."""
     try:
-        fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW)
+        fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
         raise FailedError(
             f"there is no process image '{name}'; is the daemon running under that image.name?"
         ) from None
     try:
-        if os.fstat(fd).st_size < mmap.PAGESIZE:
+        found = os.fstat(fd)
+        if os.geteuid() not in (0, found.st_uid) and found.st_uid != 0:
+            raise FailedError(f"the process image '{name}' belongs to user {found.st_uid}")
+        if found.st_size < mmap.PAGESIZE:
             raise FailedError(f"the process image '{name}' is not complete; try again")
         return mmap.mmap(fd, 0, prot=mmap.PROT_READ)
     finally:

@@ -2,16 +2,18 @@
 
 The client library's own server brings a thread per request and listens on every address. This one
 shares the daemon's loop and bounds everything a client can make it spend: the size of a request,
-the time to send it and to take the answer, the number of connections, and the work of rendering
-(an answer serves all scrapes of the next `RENDER_EVERY_S`).
+the time to send it and to take the answer, the number of connections (when all places are taken,
+the one that has waited longest makes room), and the work of rendering (an answer serves all scrapes
+of the next `RENDER_EVERY_S`).
 """
 
 import asyncio
 import errno
 import json
 import os
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from http import HTTPStatus
 
@@ -22,7 +24,7 @@ from hilserver.monitoring.health import HealthSources, Verdict, alive, ready
 from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
 
 REQUEST_BYTES_MAX = 8192
-CONNECTIONS_MAX = 32
+CONNECTIONS_MAX = 128
 TIMEOUT_S = 2.0
 LINGER_S = 0.2
 RENDER_EVERY_S = 0.05
@@ -72,6 +74,8 @@ class HttpServer:
         ``Metrics.render``: whether OpenMetrics is wanted -> (body, content type).
     health : HealthSources
         What the two probes judge.
+    host_names : collection of str
+        Names that requests may call us by, besides addresses, localhost and this computer's name.
     clock_ns : callable
         CLOCK_MONOTONIC [ns].
     """
@@ -83,6 +87,7 @@ class HttpServer:
         port: int = 9464,
         render: Callable[[bool], tuple[bytes, str]],
         health: HealthSources,
+        host_names: Collection[str] = (),
         timeout_s: float = TIMEOUT_S,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
@@ -92,7 +97,8 @@ class HttpServer:
         self._timeout_s = timeout_s
         self._clock_ns = clock_ns
         self._server: asyncio.Server | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._names = {name.lower() for name in ("localhost", socket.gethostname(), *host_names)}
+        self._tasks: dict[asyncio.Task[None], asyncio.WriteTransport] = {}  # oldest first
         self._rendered: dict[bool, tuple[int, Response]] = {}
         self._routes: dict[str, Callable[[Request], Response]] = {
             "/metrics": self._metrics,
@@ -138,13 +144,14 @@ class HttpServer:
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._tasks) >= CONNECTIONS_MAX:
-            writer.transport.abort()
-            return
+            oldest = next(iter(self._tasks))
+            self._tasks.pop(oldest).abort()
+            oldest.cancel()
         task = asyncio.get_running_loop().create_task(self._serve(reader, writer))
-        self._tasks.add(task)
+        self._tasks[task] = writer.transport
 
         def ended(_: asyncio.Task[None]) -> None:
-            self._tasks.discard(task)
+            self._tasks.pop(task, None)
             writer.transport.abort()  # also when it was cancelled before its first step
 
         task.add_done_callback(ended)
@@ -164,7 +171,7 @@ class HttpServer:
         try:
             async with asyncio.timeout(self._timeout_s):
                 head = await reader.readuntil(b"\r\n\r\n")
-            request = parse_request(head)
+            request = parse_request(head, self._names)
             return self._respond(request).encode(is_head=request.is_head)
         except TimeoutError:
             reason = f"no complete request came within {self._timeout_s:g} s"

@@ -5,8 +5,10 @@ browsers, and every leniency would be a way to mislead it.
 """
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from http import HTTPStatus
+from ipaddress import ip_address
 
 _REQUEST_LINE = re.compile(rb"([A-Z]{1,16}) (/[\x21-\x7e]*) HTTP/1\.([01])")
 _HEADER = re.compile(rb"([!#$%&'*+\-.^_`|~0-9A-Za-z]+):[ \t]*([\x20-\x7e\x80-\xff\t]*?)[ \t]*")
@@ -39,8 +41,15 @@ class Request:
     accept: str
 
 
-def parse_request(head: bytes) -> Request:
-    """Parse everything up to and including the empty line; raise `RefusedRequestError`."""
+def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Request:
+    """Parse everything up to and including the empty line; raise `RefusedRequestError`.
+
+    Parameters
+    ----------
+    names : collection of str
+        Host names, in lower case, that requests may call us by; IP addresses always may. A page
+        in a browser reaches a server on loopback under a name of its own (DNS rebinding).
+    """
     request_line, *header_lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     match = _REQUEST_LINE.fullmatch(request_line)
     if match is None:
@@ -49,6 +58,10 @@ def parse_request(head: bytes) -> Request:
     headers = _parse_headers(header_lines)
     if minor_version == b"1" and len(headers.get("host", [])) != 1:
         raise RefusedRequestError(HTTPStatus.BAD_REQUEST, "HTTP/1.1 needs exactly one Host header")
+    for host in headers.get("host", []):
+        if not _is_ours(host, names):
+            reason = "this server is not known by that name; see metrics.host_names"
+            raise RefusedRequestError(HTTPStatus.MISDIRECTED_REQUEST, reason)
     if method not in {b"GET", b"HEAD"}:
         raise RefusedRequestError(HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered")
     return Request(
@@ -68,3 +81,14 @@ def _parse_headers(lines: list[bytes]) -> dict[str, list[str]]:
         name, value = match.groups()
         headers.setdefault(name.decode("ascii").lower(), []).append(value.decode("latin-1"))
     return headers
+
+
+def _is_ours(host: str, names: Collection[str]) -> bool:
+    name = re.sub(r":\d{0,5}$", "", host).lower()
+    if name in names:
+        return True
+    try:
+        ip_address(name.removeprefix("[").removesuffix("]"))
+    except ValueError:
+        return False
+    return True

@@ -1,13 +1,15 @@
 """The file behind the arena: what the system refuses is one sentence, never a crash later on."""
 
 import fcntl
+import os
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
-from hilserver.image.shared_file import SharedFile, path_of
+from hilserver.image.shared_file import SharedFile, map_read_only, path_of
 from tests.fakes import image_name
 
 N_BYTES = 4096
@@ -58,9 +60,10 @@ def test_a_file_removed_by_its_last_owner_meanwhile_is_made_anew(name, monkeypat
     lock, calls = fcntl.flock, []
 
     def late(fd, operation):
-        calls.append(fd)
-        if len(calls) == 1:
-            path_of(name).unlink()
+        if Path(f"/proc/self/fd/{fd}").readlink() == path_of(name):  # not what the sweep looks at
+            calls.append(fd)
+            if len(calls) == 1:
+                path_of(name).unlink()
         lock(fd, operation)
 
     monkeypatch.setattr(fcntl, "flock", late)
@@ -74,3 +77,37 @@ def test_an_image_that_is_not_complete_yet_is_told(name, content):
     path_of(name).write_bytes(content)
     with pytest.raises(FailedError, match=f"process image '{name}'"):
         ImageReader.attach(name)
+
+
+def test_a_file_of_another_user_is_neither_adopted_nor_removed(name, monkeypatch):
+    """Its owner could read, write and shrink the daemon's memory."""
+    path_of(name).write_bytes(b"theirs")
+    path_of(name).chmod(0o666)
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(FailedError, match=rf"{name}: belongs to another user \(id \d+\).*image"):
+        SharedFile(name, N_BYTES)
+    assert path_of(name).read_bytes() == b"theirs"
+
+
+def test_who_had_a_leftover_open_does_not_see_the_daemon_in_it(name):
+    with path_of(name).open("w+b") as theirs, closing(SharedFile(name, N_BYTES)) as file:
+        file.map[:5] = b"robot"
+        assert theirs.read() == b""
+
+
+def test_a_pipe_in_its_place_is_named_and_nothing_waits(name):
+    os.mkfifo(path_of(name))
+    with pytest.raises(FailedError, match=f"hilserver-{name}: is no regular file"):
+        SharedFile(name, N_BYTES)
+    with pytest.raises(FailedError, match="not complete"):
+        map_read_only(name)
+
+
+def test_an_image_of_another_user_is_not_read(name, monkeypatch):
+    path_of(name).write_bytes(bytes(N_BYTES))
+    os.chown(path_of(name), os.getuid(), os.getgid())
+    if os.getuid() == 0:
+        os.chown(path_of(name), 65534, 65534)
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    with pytest.raises(FailedError, match="belongs to user"):
+        map_read_only(name)

@@ -1,6 +1,7 @@
 """The endpoint over real sockets: scrapes, probes, and clients that mean no good."""
 
 import asyncio
+import contextlib
 import json
 import socket
 from collections.abc import AsyncIterator, Callable
@@ -156,13 +157,13 @@ async def test_unknown_path_names_the_known_ones(endpoint: Endpoint) -> None:
 async def test_malformed_requests_and_methods(endpoint: Endpoint) -> None:
     assert (await endpoint.send(b"\x16\x03\x01\x02\x00\r\n\r\n"))[0] == 400
     assert (await endpoint.get("/healthz", "no header"))[0] == 400
-    post = b"POST /metrics HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\n\r\nabc"
+    post = b"POST /metrics HTTP/1.1\r\nHost: localhost\r\nContent-Length: 3\r\n\r\nabc"
     status, headers, _ = await endpoint.send(post)
     assert (status, headers["Allow"]) == (405, "GET, HEAD")
 
 
 async def test_oversized_request_is_refused_and_the_server_goes_on(endpoint: Endpoint) -> None:
-    head = b"GET /metrics HTTP/1.1\r\nHost: a\r\nX: "
+    head = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nX: "
     assert (await endpoint.send(head + b"a" * REQUEST_BYTES_MAX))[0] == 431
     assert (await endpoint.get("/healthz"))[0] == 200
 
@@ -200,19 +201,38 @@ async def test_a_client_that_does_not_read_is_dropped() -> None:
         await server.stop()
 
 
-async def test_slow_clients_up_to_the_limit_and_not_one_more(endpoint: Endpoint) -> None:
+async def drip(port: int) -> None:
+    """Send a request byte by byte, and again on a new connection when the server has closed."""
+    for _ in range(50):
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        with contextlib.closing(writer.transport), contextlib.suppress(OSError):
+            for byte in b"GET /healthz HTTP/1.1\r\nX: " + b"a" * 200:
+                writer.write(bytes((byte,)))
+                await asyncio.sleep(0.05)
+                await writer.drain()
+        await asyncio.sleep(0.1)
+
+
+async def test_dripping_clients_do_not_keep_a_probe_out(endpoint: Endpoint) -> None:
+    """All places are taken by requests that never end: the oldest makes room."""
     endpoint.server._timeout_s = 30
-    port = endpoint.server.port
-    silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX)]
-    await until(lambda: endpoint.server.connections == CONNECTIONS_MAX)
-    reader, one_more = await asyncio.open_connection("127.0.0.1", port)
-    assert await closed_without_answer(reader)
-    _, gone = silent.pop()
-    gone.transport.abort()
-    await until(lambda: endpoint.server.connections == CONNECTIONS_MAX - 1)
-    assert (await endpoint.get("/healthz"))[0] == 200
-    for writer in (one_more, *(writer for _, writer in silent)):
-        writer.transport.abort()
+    async with asyncio.TaskGroup() as group:
+        drips = [group.create_task(drip(endpoint.server.port)) for _ in range(CONNECTIONS_MAX + 8)]
+        await until(lambda: endpoint.server.connections == CONNECTIONS_MAX)
+        statuses = [(await endpoint.get("/healthz"))[0] for _ in range(10)]
+        for task in drips:
+            task.cancel()
+    assert statuses == [200] * 10
+
+
+async def test_a_page_of_another_name_learns_nothing(endpoint: Endpoint) -> None:
+    request = b"GET /metrics HTTP/1.1\r\nHost: rebound.example:9464\r\n\r\n"
+    status, _, body = await endpoint.send(request)
+    assert status == 421
+    assert b"metrics.host_names" in body
+    assert b"hil_" not in body
+    endpoint.server._names.add("rebound.example")
+    assert (await endpoint.send(request))[0] == 200
 
 
 async def test_a_broken_source_is_an_error_of_its_page_only(endpoint: Endpoint) -> None:
@@ -277,7 +297,7 @@ def test_the_same_on_uvloop() -> None:
         await test_malformed_requests_and_methods(endpoint)
         await test_oversized_request_is_refused_and_the_server_goes_on(endpoint)
         await test_a_client_that_never_finishes_is_told_and_closed(endpoint)
-        await test_slow_clients_up_to_the_limit_and_not_one_more(endpoint)
+        await test_dripping_clients_do_not_keep_a_probe_out(endpoint)
         await test_port_in_use_is_one_sentence_with_its_mend(endpoint)
         await endpoint.server.stop()
         await test_a_client_that_does_not_read_is_dropped()

@@ -58,3 +58,30 @@ def test_other_methods_are_refused(method: bytes) -> None:
 def test_no_bytes_raise_anything_else(head: bytes) -> None:
     with contextlib.suppress(RefusedRequestError):
         assert parse_request(head + b"\r\n\r\n").path.startswith("/")
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "localhost",
+        "LOCALHOST:9464",
+        "127.0.0.1",
+        "127.0.0.1:9464",
+        "[::1]:9464",
+        "192.0.2.1",
+        "robot",
+    ],
+)
+def test_our_names_and_every_address_are_answered(host: str) -> None:
+    head = f"GET /metrics HTTP/1.1\r\nHost: {host}\r\n\r\n".encode()
+    assert parse_request(head, {"localhost", "robot"}).path == "/metrics"
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "localhost.evil.example", "", "127.0.0.1.evil", ":80"]
+)
+def test_another_name_is_misdirected(host: str) -> None:
+    head = f"GET /metrics HTTP/1.1\r\nHost: {host}\r\n\r\n".encode()
+    with pytest.raises(RefusedRequestError) as refused:
+        parse_request(head, {"localhost", "robot"})
+    assert refused.value.status == 421
