@@ -92,9 +92,12 @@ class Control:
             return
         self.state, self.reason = state, reason
         self._image.words[W_STATE] = int(state)
-        safe = state is State.SAFE
-        kind = EventKind.SAFE_STATE if safe else EventKind.STATE
-        self._events.publish(Event(kind, 800 if safe else 200, "daemon", reason))
+        if state is State.SAFE:
+            way_out = "call Reset once this has ended" if self._causes else "call Reset to drive on"
+            text = f"{reason}; {way_out}"
+            self._events.publish(Event(EventKind.SAFE_STATE, 800, "daemon", text))
+        else:
+            self._events.publish(Event(EventKind.STATE, 200, "daemon", reason))
 
     def _next(self, command: Command) -> State:
         try:
@@ -154,7 +157,10 @@ class Control:
 
     def clear_cause(self, cause: str) -> None:
         """Note that a condition has ended: Reset may acknowledge the safe state now."""
-        self._causes.pop(cause, None)
+        ended = self._causes.pop(cause, None)
+        if ended is not None and not self._causes and self.state is State.SAFE:
+            text = f"what led to the safe state has ended ({ended}): call Reset to drive on"
+            self._events.publish(Event(EventKind.STATE, 300, "daemon", text))
 
     def zero_setpoints(self) -> None:
         """Set all set-points to zero at once, without leaving the running state."""

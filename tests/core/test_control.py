@@ -129,12 +129,14 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
     world.latch()
     assert world.value("drive.enable") == 0.0
     assert world.events.recent[-1].kind is EventKind.SAFE_STATE
+    assert world.events.recent[-1].message.endswith("call Reset once this has ended")
     with pytest.raises(ControlRefused, match="peer 'a' is silent"):
         control.reset()
     for forbidden in (control.start, control.pause):
         with pytest.raises(ControlRefused, match="safe"):
             forbidden()
     control.clear_cause("peer:a")
+    assert world.events.recent[-1].message.endswith("call Reset to drive on")
     control.reset()
     world.latch()
     assert control.state is State.RUNNING
