@@ -4,6 +4,7 @@ The authentication token is random, and belongs to the connection and the certif
 session was made with. Subscriptions are reached through the session that owns them.
 """
 
+import math
 import secrets
 from collections.abc import Sequence
 from typing import Any
@@ -84,6 +85,14 @@ class RobotSession(InternalSession):  # type: ignore[misc]
         if len(items) > self.iserver.config.max_operations:
             raise ServiceError(_Codes.BadTooManyOperations)
         return items
+
+    async def create_session(
+        self, params: ua.CreateSessionParameters, sockname: Any = None
+    ) -> ua.CreateSessionResult:
+        """Revise the time-out into bounds; NaN would never run out."""
+        if not math.isfinite(params.RequestedSessionTimeout):
+            params.RequestedSessionTimeout = self.iserver.max_session_timeout_ms
+        return await super().create_session(params, sockname=sockname)
 
     # --- values and methods -----------------------------------------------------------------------
 
