@@ -1,4 +1,4 @@
-"""What hostile clients tried: numbers that are none, more than their share, the places of others."""
+"""What hostile clients tried: numbers that are none, more than their share, others' places."""
 
 import math
 from collections.abc import AsyncIterator
