@@ -1,12 +1,14 @@
 """The documents: every link leads somewhere, and the first screen shows the two commands."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+WORD = re.compile(r"\w+")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 
 
@@ -18,10 +20,17 @@ def test_every_relative_link_leads_to_a_file(page: Path) -> None:
     assert not missing
 
 
-def test_readme_shows_both_commands_on_its_first_screen() -> None:
-    first_screen = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()[:24]
-    assert any(line.startswith("$ make run") for line in first_screen)
-    assert any(line.startswith("$ make test") for line in first_screen)
+def test_readme_shows_picture_commands_and_result_on_its_first_screen() -> None:
+    first_screen = "\n".join((ROOT / "README.md").read_text(encoding="utf-8").splitlines()[:24])
+    for shown in ("](docs/overview.svg)", "\n$ make run", "\n$ make test", "opc.tcp://127.0.0.1"):
+        assert shown in first_screen
+
+
+def test_figures_of_the_readme_stand_in_one_line_cells() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = text.split("<!-- figures: begin -->")[1].split("<!-- figures: end -->")[0].splitlines()
+    cells = [cell.strip() for row in rows for cell in row.split("|")]
+    assert not [cell for cell in cells if len(cell) > 55]
 
 
 def test_every_page_of_the_docs_can_be_reached_from_the_index() -> None:
@@ -35,3 +44,20 @@ def test_every_page_of_the_docs_can_be_reached_from_the_index() -> None:
                 reached.add(target)
                 waiting.append(target)
     assert set(ROOT.glob("docs/**/*.md")) <= reached
+
+
+def test_the_map_in_contributing_names_every_folder_once_in_the_order_of_the_layers() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    drawn = re.findall(r"^  (\w+)/ ", text, flags=re.MULTILINE)
+    assert sorted(drawn) == sorted(p.parent.name for p in ROOT.glob("hilserver/*/__init__.py"))
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    layers = contract["tool"]["importlinter"]["contracts"][0]["layers"]
+    height = {room: place for place, layer in enumerate(layers) for room in WORD.findall(layer)}
+    heights = [height[room] for room in drawn]
+    assert heights == sorted(heights)
+
+
+def test_root_modules_are_those_of_the_map() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    drawn = set(re.findall(r"(\w+\.py)  ", text.split("```")[3]))
+    assert drawn == {path.name for path in ROOT.glob("hilserver/*.py")} - {"__init__.py"}
