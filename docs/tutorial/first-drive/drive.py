@@ -17,6 +17,7 @@ async def main(endpoint: str) -> None:
         setpoints = client.get_node(f"ns={space};s=wheels.setpoints_rpm")
         speed = client.get_node(f"ns={space};s=velocity.linear_m_s")
         await source.write_value("opcua", ua.VariantType.String)
+        await asyncio.sleep(0.1)  # outputs are published every 20 ms
         print("control:", await source.read_value(), flush=True)
         for _ in range(6):
             await setpoints.write_value(FORWARD, ua.VariantType.Double)
@@ -24,6 +25,7 @@ async def main(endpoint: str) -> None:
             print(f"speed {await speed.read_value():.3f} m/s", flush=True)
         await setpoints.write_value(STOP, ua.VariantType.Double)
         await source.write_value("peer", ua.VariantType.String)
+        await asyncio.sleep(0.1)
         print("control:", await source.read_value(), flush=True)
 
 
