@@ -5,6 +5,9 @@ unusable (NaN, text, bad status, missing) for longer than the limit: a robot mus
 three of its four set-points. A peer is fresh from the moment at which something was heard while
 every input that commands had a value; until then it is waited for, not lost, so that the two sides
 can be started in any order and nodes may appear after their server.
+
+While our own event loop is held up, nobody listens: what the peer sends meanwhile waits in the
+socket, or was not even asked for. That is no silence of the peer, and does not count as its age.
 """
 
 from collections.abc import Collection
@@ -37,6 +40,7 @@ class Staleness:
         self._commanding = frozenset(commanding)
         self._known = False
         self._heard_ns: int | None = None
+        self._excused = False
         self._unusable_since_ns: dict[str, int] = {}
 
     @property
@@ -47,6 +51,20 @@ class Staleness:
     def heard(self, now_ns: int) -> None:
         """Note that something new arrived: a newer number, or a value where nothing counts."""
         self._heard_ns = now_ns
+        self._excused = False
+
+    def held_up(self, duration_ns: int) -> None:
+        """Leave a time in which nobody listened out of all ages.
+
+        Only once until something new is heard: a loop that is late again and again still calls a
+        silent peer silent.
+        """
+        if self._heard_ns is None or self._excused:
+            return
+        self._excused = True
+        self._heard_ns += duration_ns
+        for name in self._unusable_since_ns:
+            self._unusable_since_ns[name] += duration_ns
 
     def unusable(self, name: str, now_ns: int) -> None:
         """Note that the newest sample of the input `name` cannot be used."""
