@@ -1,10 +1,23 @@
 """Load test kit and injector from this tree, whatever the installed package brings along."""
 
+import os
 import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "tests" / "injector"))
+import hypothesis
+
+ROOT = Path(__file__).parent
+sys.path.insert(0, str(ROOT / "tests" / "injector"))
+
+# Recordings of real machines are no part of the project; they may lie beside the checkout.
+RECORDINGS = ROOT.parent / "shared" / "data"
+if RECORDINGS.is_dir():
+    os.environ.setdefault("HIL_DATA_DIR", str(RECORDINGS))
+
+# How long a busy computer takes for an example says nothing about the code.
+hypothesis.settings.register_profile("hilserver", deadline=None)
+hypothesis.settings.load_profile("hilserver")
 
 _INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pytest11"))
 pytest_plugins = ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing.plugin"]

@@ -82,5 +82,5 @@ def no_prediction_saw_its_block(problem, model, spoil):
         spoilt = spoil(problem, rows)
         start = spoilt.point(model, spoilt.start_poses({}))
         after = held_out(spoilt, crossed(spoilt, start, model))
-        assert np.allclose(after[rows], before[rows], rtol=0.0, atol=1e-9)
+        assert np.allclose(after[rows], before[rows], rtol=0.0, atol=1e-9), "saw its own block"
         assert not np.allclose(after[~rows], before[~rows], rtol=0.0, atol=1e-3), "nothing was fed"

@@ -1,7 +1,6 @@
-"""A stage without a robot: samples that are a sum of known columns and noise."""
+"""A drive that is no robot: samples that are a sum of known columns and noise."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -9,10 +8,12 @@ from hilserver.diagnosis.candidate import Candidate
 from hilserver.diagnosis.clock import cut
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
+from hilserver.diagnosis.drive_stage import DriveStage
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.noise import NoiseModel
 from hilserver.diagnosis.problem import Problem
 from hilserver.diagnosis.stack import make_stack
+from hilserver.plant.parameters import RobotParameters
 
 SIGNAL = "wheel.fl.speed_rpm"
 PERIOD_S = 0.02
@@ -32,15 +33,16 @@ def measured_log(values, *, edges=None, blocks=None, period_s=PERIOD_S):
     return MeasuredLog((Source("toy.csv", "0" * 64),), {SIGNAL: channel}, spans)
 
 
-class LinearStage:
-    """Predicts a sum of columns, one per term."""
+class LinearStage(DriveStage):
+    """A drive stage, to every branch of the engine, that predicts a sum of columns, one per term.
 
-    name = "drive"
+    Only the replay is replaced; whoever asks for more of a drive than samples fails.
+    """
 
     def __init__(self, values, columns, *, block_s=1.0):
         self.log = measured_log(values)
-        self.robot = SimpleNamespace(period_s=PERIOD_S)
-        self.segments = cut(self.log, PERIOD_S, None)
+        self.robot = RobotParameters()
+        self.segments = cut(self.log, self.robot.period_s, None)
         self.stack = make_stack(self.log, [SIGNAL], self.segments, block_s=block_s)
         self.columns = columns
 

@@ -1,11 +1,10 @@
 """Errors of 24 ultra-wideband ranges against motion capture (recording `uwb_trolley`)."""
 
-import os
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
-import pytest
+
+from tests.helpers.recordings import recording
 
 ANCHORS_M = [
     (-3.42, 3.01), (0.00, 3.01), (3.61, 2.98), (3.60, 0.00),
@@ -13,17 +12,6 @@ ANCHORS_M = [
 ]  # fmt: skip
 ANCHOR_HEIGHT_M = 1.04
 TAGS_M = [(-0.0689, -0.1423), (-0.0750, 0.1402), (0.2034, 0.1451)]
-
-
-def recording(folder):
-    """The folder of a real recording, or a skip that says why."""
-    root = os.environ.get("HIL_DATA_DIR")
-    if not root:
-        pytest.skip("HIL_DATA_DIR is not set; real recordings are not part of the project")
-    path = Path(root) / folder
-    if not path.is_dir():
-        pytest.skip(f"HIL_DATA_DIR holds no folder {folder}")
-    return path
 
 
 def range_errors(drive):

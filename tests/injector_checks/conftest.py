@@ -1,8 +1,6 @@
 """Logs without noise, and drives of a single move."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,12 +35,3 @@ def one_move(monkeypatch):
         return quiet(Recipe(manoeuvre="one move", duration_s=duration_s, causes=named))
 
     return recipe
-
-
-@pytest.fixture
-def data_folder():
-    """Return the folder of real recordings."""
-    folder = os.environ.get("HIL_DATA_DIR")
-    if not folder or not (Path(folder) / "uwb_trolley").is_dir():
-        pytest.skip("HIL_DATA_DIR names no folder with uwb_trolley")
-    return Path(folder)

@@ -6,6 +6,8 @@ from hilserver_injector import Noise, Recipe, make
 from hilserver_injector.sensors import OM, YAW, X, Y
 from hilserver_injector.ultra_wideband import NoRecordingError, residuals
 
+from tests.helpers.recordings import recording
+
 
 @pytest.fixture(scope="module")
 def log():
@@ -85,8 +87,8 @@ def test_measured_noise_needs_the_recording(monkeypatch):
         make(Recipe(duration_s=2.0, noise=Noise(measured_position=True)))
 
 
-def test_measured_noise_is_never_white(data_folder):
-    _, errors = residuals(str(data_folder))
+def test_measured_noise_is_never_white():
+    _, errors = residuals(str(recording("uwb_trolley").parent))
     for series in errors:
         assert 0.02 < series.std() < 0.08
         assert correlation(series, 50) > 0.5  # after 0.5 s

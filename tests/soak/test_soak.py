@@ -26,7 +26,8 @@ SAMPLE_S = 2.0
 POLL_S = 0.05
 SETTLED = 0.25
 """Share of the run after which nothing may grow any more."""
-GROWTH_MB_PER_H = 60.0
+GROWTH_MB_PER_H = 6.0
+"""Twice of what an hour has shown."""
 NOISE_MB = 3.0
 CONFIG = "scheduler: {catch_up_limit: 10000}\n"
 """What a busy computer took from the simulation, it gets back: no tick is ever left out."""
@@ -150,3 +151,18 @@ def test_nothing_grows_and_time_keeps_pace(tmp_path, duration_s):
     grid_ns, wall_ns = deviations_ns(times_ns)
     assert grid_ns < PERIOD_NS
     assert wall_ns < PERIOD_NS
+
+
+@pytest.mark.parametrize(
+    ("figure", "per_h"),
+    [(0, 4.0 * GROWTH_MB_PER_H), (1, 4.0), (2, 4.0), (3, 4.0)],
+    ids=["memory", "descriptors", "threads", "tasks"],
+)
+def test_what_grows_in_an_hour_is_seen(figure, per_h):
+    hours = np.linspace(0.0, 1.0, int(LONG_S / SAMPLE_S))
+    samples = np.zeros((len(hours), 2, 4))
+    samples[..., 0] = 200.0 + np.random.default_rng(0).uniform(0.0, NOISE_MB, samples.shape[:2])
+    assert_flat(samples, LONG_S)
+    samples[:, 1, figure] += np.floor(per_h * hours) if figure else per_h * hours
+    with pytest.raises(AssertionError):
+        assert_flat(samples, LONG_S)

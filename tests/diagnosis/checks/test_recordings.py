@@ -1,6 +1,5 @@
 """Measurements of real machines through the mappings of the how-to (HIL_DATA_DIR)."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -9,17 +8,13 @@ from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.mapping import builtin_mappings, load_mapping
 from hilserver.diagnosis.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
+from tests.helpers.recordings import recording
 
 MAPPINGS = Path(__file__).parents[3] / "docs" / "how-to" / "mappings"
-DATA = Path(os.environ.get("HIL_DATA_DIR", ""))
-recorded = pytest.mark.skipif(
-    not (DATA / "skidsteer_drive").is_dir(),
-    reason="HIL_DATA_DIR names no folder with the recordings of real machines",
-)
 
 
 def checked(file, mapping):
-    log = read_measured([DATA / file], MAPPINGS / f"{mapping}.yaml")
+    log = read_measured([file], MAPPINGS / f"{mapping}.yaml")
     return check(log, RobotParameters(icr_offset_m=0.0, **log.plant))
 
 
@@ -37,10 +32,9 @@ def test_the_built_in_mappings_are_valid(name):
     assert load_mapping(name).is_for_bags
 
 
-@recorded
 @pytest.mark.parametrize("floor", ["asphalt", "gravel", "sand"])
 def test_the_encoder_of_the_warthog_is_held_at_4_hz(floor):
-    result = checked(f"skidsteer_drive/warthog_{floor}.csv", "warthog")
+    result = checked(recording("skidsteer_drive") / f"warthog_{floor}.csv", "warthog")
     (held,) = [f for f in result.findings if "wheel.fl.speed_rpm" in f.regressors]
     assert held.causes == ("held_samples",)
     assert held.parameters["held_samples"].value == pytest.approx(4.0, rel=0.05)
@@ -49,14 +43,14 @@ def test_the_encoder_of_the_warthog_is_held_at_4_hz(floor):
     assert {cause for cause, _ in causes(result)} <= {"held_samples", "sign_flip"}
 
 
-@recorded
 def test_nothing_but_held_samples_is_wrong_with_the_husky():
-    result = checked("skidsteer_drive/husky_mixed.csv", "husky")
+    result = checked(recording("skidsteer_drive") / "husky_mixed.csv", "husky")
     assert {cause for cause, _ in causes(result)} == {"held_samples"}
     assert "imu.gyro_z_rad_s" not in {channel for _, channel in causes(result)}
 
 
-@recorded
 def test_nothing_is_wrong_with_the_differential_drive():
-    for path in sorted((DATA / "diffdrive_umbmark").glob("*.csv")):
+    paths = sorted(recording("diffdrive_umbmark").glob("*.csv"))
+    assert paths
+    for path in paths:
         assert not checked(path, "diffdrive").findings, path.name

@@ -13,7 +13,7 @@ from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.findings import Overall
 from hilserver.diagnosis.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
-from tests.diagnosis.uwb_trolley import recording
+from tests.helpers.recordings import recording
 
 MAPPINGS = Path(__file__).parents[3] / "docs" / "how-to" / "mappings"
 

@@ -10,7 +10,7 @@ from hilserver.diagnosis.reading import read_measured
 from hilserver.identify.dead_zone import identify_dead_zone
 from hilserver.identify.estimates import blocks_of, regress
 from hilserver.identify.update_rate import compare, identify_update_rate
-from tests.diagnosis.uwb_trolley import recording
+from tests.helpers.recordings import recording
 
 PWM_FULL = 255
 STEPS = f"""
