@@ -135,7 +135,6 @@ class PeerLink:
         self.status.state = LinkState.STOPPED
 
     async def _watch(self) -> None:
-        loop = asyncio.get_running_loop()
         while True:
             now_ns = time.monotonic_ns()
             transition = self._staleness.check(now_ns) if self.config.read else None
@@ -143,11 +142,11 @@ class PeerLink:
             if transition is not None:
                 self._tell(transition, now_ns)
             self._faults.expire(now_ns)
-            due_s = loop.time() + WATCH_S
+            due_ns = time.monotonic_ns() + int(WATCH_S * 1e9)
             await asyncio.sleep(WATCH_S)
-            late_s = loop.time() - due_s
-            if late_s > WATCH_S:
-                self._staleness.held_up(int(late_s * 1e9))
+            woken_ns = time.monotonic_ns()
+            if woken_ns - due_ns > WATCH_S * 1e9:
+                self._staleness.held_up(due_ns, woken_ns)
 
     def _tell(self, transition: Transition, now_ns: int) -> None:
         name = self.config.name

@@ -53,7 +53,7 @@ class Staleness:
         self._heard_ns = now_ns
         self._excused = False
 
-    def held_up(self, duration_ns: int) -> None:
+    def held_up(self, from_ns: int, to_ns: int) -> None:
         """Leave a time in which nobody listened out of all ages.
 
         Only once until something new is heard: a loop that is late again and again still calls a
@@ -61,10 +61,13 @@ class Staleness:
         """
         if self._heard_ns is None or self._excused:
             return
+
+        def moved(since_ns: int) -> int:
+            return since_ns + max(0, to_ns - max(since_ns, from_ns))
+
         self._excused = True
-        self._heard_ns += duration_ns
-        for name in self._unusable_since_ns:
-            self._unusable_since_ns[name] += duration_ns
+        self._heard_ns = moved(self._heard_ns)
+        self._unusable_since_ns = {k: moved(t) for k, t in self._unusable_since_ns.items()}
 
     def unusable(self, name: str, now_ns: int) -> None:
         """Note that the newest sample of the input `name` cannot be used."""
