@@ -14,7 +14,6 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import Command, next_state
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
-from hilserver.image.layout import W_DRIVE_OFF, W_FAULT, W_STATE
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import SignalTable, State
@@ -91,7 +90,7 @@ class Control:
         if state is self.state and reason == self.reason:
             return
         self.state, self.reason = state, reason
-        self._image.words[W_STATE] = int(state)
+        self._image.control.state = state
         if state is State.SAFE:
             way_out = "call Reset once this has ended" if self._causes else "call Reset to drive on"
             text = f"{reason}; {way_out}"
@@ -182,7 +181,7 @@ class Control:
         if self._causes:
             raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
         self._gate.stop()
-        self._image.words[W_FAULT] = self._image.words[W_DRIVE_OFF] = 0
+        self._image.control.fault = self._image.control.drive_off = 0
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
         self._command(COMMAND_NORMAL)
 
@@ -255,7 +254,7 @@ class Control:
         """Finish the safe state's ramp; take over a fault on which the plant has acted already."""
         if self.state is State.SAFE:
             self._insist_on_safe()
-        if code := int(self._image.words[W_FAULT]):
+        if code := self._image.control.fault:
             self.enter_safe(fault_of(code).text, cause=None)
 
     def _insist_on_safe(self) -> None:
@@ -263,4 +262,4 @@ class Control:
         if self._image.frame_values[slot] != COMMAND_SAFE:  # the queue was full
             self._command(COMMAND_SAFE)
         if self._pacing.tick >= self._disable_at:
-            self._image.words[W_DRIVE_OFF] = 1
+            self._image.control.drive_off = 1

@@ -21,14 +21,7 @@ from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
-from hilserver.image.layout import (
-    REQUEST_LOAD,
-    REQUEST_SAVE,
-    W_LIVE_BASE,
-    W_LIVE_LENGTH,
-    W_REQUEST_TICK,
-    W_SHADOW_BASE,
-)
+from hilserver.image.layout import REQUEST_LOAD, REQUEST_SAVE
 from hilserver.image.requests import is_done, post_request
 
 SCHEMA = "hilserver.core.snapshot/1"
@@ -64,20 +57,8 @@ class SnapshotStore:
             "signals": hashlib.sha256(layout).hexdigest(),
             **parameters,
         }
-        self.initial = self._live.copy()
+        self.initial = self._image.live.copy()
         self._lock = asyncio.Lock()
-
-    @property
-    def _live(self) -> NDArray[np.int64]:
-        return self._slice(W_LIVE_BASE)
-
-    @property
-    def _shadow(self) -> NDArray[np.int64]:
-        return self._slice(W_SHADOW_BASE)
-
-    def _slice(self, word: int) -> NDArray[np.int64]:
-        base, length = int(self._image.words[word]), int(self._image.words[W_LIVE_LENGTH])
-        return self._image.words[base : base + length]
 
     def reset(self) -> None:
         """Put everything back to the state before the first tick, at tick 0.
@@ -89,7 +70,7 @@ class SnapshotStore:
         """
         if self._lock.locked():
             raise ControlRefused("Reset has to wait: a snapshot is being saved or loaded")
-        self._shadow[:] = self.initial
+        self._image.shadow[:] = self.initial
         post_request(REQUEST_LOAD, 0, self._image.words)
 
     async def save(self, name: str) -> Path:
@@ -103,8 +84,8 @@ class SnapshotStore:
         path = self._path(name)
         async with self._lock:
             await self._serve(REQUEST_SAVE, 0)
-            tick = int(self._image.words[W_REQUEST_TICK])
-            state = self._shadow.copy()
+            tick = self._image.control.request_tick
+            state = self._image.shadow.copy()
         meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity}
         await asyncio.to_thread(_write, path, state, meta)
         return path
@@ -124,7 +105,7 @@ class SnapshotStore:
                 f"snapshot '{name}' was made with {key} {_short(meta['identity'].get(key))}, this"
                 f" run has {_short(self.identity[key])}; use the configuration it was made with"
             )
-        if state.shape != self._shadow.shape:
+        if state.shape != self._image.shadow.shape:
             raise ControlRefused(f"snapshot '{name}' holds a state of another size")
         await self.restore(state, int(meta["tick"]))
         return int(meta["tick"])
@@ -133,12 +114,12 @@ class SnapshotStore:
         """Leave a copy of the state in shared memory, for a recorder; return its tick."""
         async with self._lock:
             await self._serve(REQUEST_SAVE, 0)
-            return int(self._image.words[W_REQUEST_TICK])
+            return self._image.control.request_tick
 
     async def restore(self, state: NDArray[np.int64], tick: int) -> None:
         """Continue from `state`, as a snapshot or a recording holds it, at `tick`."""
         async with self._lock:
-            self._shadow[:] = state
+            self._image.shadow[:] = state
             await self._serve(REQUEST_LOAD, tick)
 
     def differs_in(self, identity: Mapping[str, Any]) -> str | None:
@@ -148,7 +129,7 @@ class SnapshotStore:
     @property
     def state_words(self) -> int:
         """Length of a state in words of 8 bytes."""
-        return int(self._image.words[W_LIVE_LENGTH])
+        return self._image.control.live_length
 
     def _path(self, name: str) -> Path:
         if not _NAME.fullmatch(name):

@@ -34,7 +34,6 @@ from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.faults.scenario import Stage
 from hilserver.image import Frame
-from hilserver.image.layout import W_HEARTBEAT
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.recorder.launch import running_recorder
@@ -213,7 +212,7 @@ class Daemon:
     # --- communication slices ---------------------------------------------------------------------
 
     def _publish(self, _tick: int, _planned_ns: int) -> None:
-        self.image.words[W_HEARTBEAT] += 1
+        self.image.control.heartbeat += 1
         frame = self.image.latest()
         if frame is None:
             return

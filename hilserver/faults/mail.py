@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 from hilserver.faults.plan import Entry
 from hilserver.image import ProcessImage
-from hilserver.image.layout import W_MAIL_HEAD, W_MAIL_TAIL, W_TIMED_HEAD
 from hilserver.kernel import modifier_layout as lay
 from hilserver.kernel.modifier_layout import Kind
 from hilserver.kernel.modifier_mail import show_mail
@@ -43,17 +42,17 @@ class Mailbox:
     @property
     def head(self) -> int:
         """Commands sent so far."""
-        return int(self._image.words[W_MAIL_HEAD])
+        return self._image.control.mail_head
 
     @property
     def tail(self) -> int:
         """Commands that the step has taken."""
-        return int(self._image.words[W_MAIL_TAIL])
+        return self._image.control.mail_tail
 
     @property
     def timed_rows(self) -> int:
         """Timed input rows pushed so far."""
-        return int(self._image.words[W_TIMED_HEAD])
+        return self._image.control.timed_head
 
     @property
     def waiting(self) -> int:

@@ -1,7 +1,8 @@
 """Where things lie in the arena.
 
 The arena is one file in shared memory, seen as float64 and as int64 at once. Its first words are
-the control words below; a JSON text that names every signal and region follows, then the regions.
+the control words, see `word`; a JSON text that names every signal and region follows, then the
+regions.
 """
 
 import json
@@ -13,48 +14,6 @@ from hilserver.signals import SignalTable
 
 MAGIC = 0x48494C5345525652  # "HILSERVR"
 VERSION = 1
-
-W_MAGIC = 0
-W_VERSION = 1
-W_JSON_BYTES = 2
-W_PID = 3
-W_N_SLOTS = 4
-W_RING_LENGTH = 5  # frames, a power of two
-W_RING_STRIDE = 6
-W_RING_BASE = 7
-W_RING_HEAD = 8  # frames published so far
-W_FRAME_BASE = 9  # working frame: values of this tick
-W_STATUS_BASE = 10
-W_NOW_BASE = 11  # rows for the next tick
-W_NOW_CAPACITY = 12
-W_NOW_HEAD = 13
-W_NOW_TAIL = 14
-W_TIMED_BASE = 15  # rows for given ticks, rising
-W_TIMED_CAPACITY = 16
-W_TIMED_HEAD = 17
-W_TIMED_TAIL = 18
-W_LIVE_BASE = 19  # what a snapshot holds, in one piece
-W_LIVE_LENGTH = 20
-W_SHADOW_BASE = 21
-W_REQUEST = 22  # number of the newest snapshot or restore request
-W_REQUEST_KIND = 23
-W_REQUEST_DONE = 24
-W_REQUEST_TICK = 25
-W_STATE = 26  # state of the daemon, latched for sim.state; negative: it comes in rows (replay)
-W_FAULT = 27  # first fault number since the last acknowledge
-W_HEARTBEAT = 28  # counted up by the communication side
-W_HEARTBEAT_SEEN = 29
-W_HEARTBEAT_AGE = 30  # ticks since it moved
-W_HEARTBEAT_LIMIT = 31  # ticks; 0: not watched
-W_BASE_PERIOD_NS = 32
-W_DRIVE_OFF = 33  # 1: drive.enable is held at false, whoever writes it
-W_MODIFIERS = 48  # base of the faults and forces at work; 0: this image has none
-W_MAIL_BASE = 49  # commands for them
-W_MAIL_HEAD = 50
-W_MAIL_TAIL = 51
-W_SETPOINT_SLOTS = 52  # the set-points are the first slots
-W_COMMAND_LIMIT = 53  # ticks without a set-point until they become zero; 0: never
-W_COMMANDED = 54  # 1: a set-point was latched in this tick
 N_CONTROL_WORDS = 64
 JSON_WORDS = 32768
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from hilserver.errors import FailedError
 from hilserver.image import layout as lay
+from hilserver.image import word
+from hilserver.image.control_words import ControlWords
 from hilserver.image.queues import push_rows
 from hilserver.image.ring import copy_frame, copy_latest
 from hilserver.image.shared_file import SharedFile, map_read_only
@@ -55,12 +57,21 @@ class Frame:
 
 
 class ImageReader:
-    """Reads frames of an arena, in the daemon or, through `attach`, in any other process."""
+    """Reads frames of an arena, in the daemon or, through `attach`, in any other process.
+
+    Attributes
+    ----------
+    values, words : ndarray of float64 and of int64
+        The whole arena, seen as either.
+    control : ControlWords
+        Its first words, by name.
+    """
 
     def __init__(self, buffer: Any) -> None:
         self.values: NDArray[np.float64] = np.frombuffer(buffer, dtype=np.float64)
         self.words: NDArray[np.int64] = np.frombuffer(buffer, dtype=np.int64)
-        self.n_slots = int(self.words[lay.W_N_SLOTS])
+        self.control = ControlWords(self.words)
+        self.n_slots = self.control.n_slots
 
     @classmethod
     def attach(cls, name: str) -> "ImageReader":
@@ -73,14 +84,14 @@ class ImageReader:
         """
         buffer = map_read_only(name)
         words = np.frombuffer(buffer, dtype=np.int64, count=2)
-        if words[lay.W_MAGIC] != lay.MAGIC or words[lay.W_VERSION] != lay.VERSION:
+        if words[word.MAGIC] != lay.MAGIC or words[word.VERSION] != lay.VERSION:
             raise FailedError(f"the process image '{name}' was made by another hilserver version")
         return cls(buffer)
 
     @property
     def description(self) -> dict[str, Any]:
         """Signals and regions as the header names them."""
-        start, n_bytes = lay.N_CONTROL_WORDS * 8, int(self.words[lay.W_JSON_BYTES])
+        start, n_bytes = lay.N_CONTROL_WORDS * 8, self.control.json_bytes
         text = self.words.view(np.uint8)[start : start + n_bytes].tobytes()
         description: dict[str, Any] = json.loads(text)
         return description
@@ -88,7 +99,20 @@ class ImageReader:
     @property
     def head(self) -> int:
         """Number of frames published so far."""
-        return int(self.words[lay.W_RING_HEAD])
+        return self.control.ring_head
+
+    @property
+    def live(self) -> NDArray[np.int64]:
+        """What a snapshot holds, in one piece; the plant's own while it runs."""
+        return self._state_at(self.control.live_base)
+
+    @property
+    def shadow(self) -> NDArray[np.int64]:
+        """The copy of `live` that the plant saves to, or loads, between two ticks."""
+        return self._state_at(self.control.shadow_base)
+
+    def _state_at(self, base: int) -> NDArray[np.int64]:
+        return self.words[base : base + self.control.live_length]
 
     def latest(self) -> Frame | None:
         """Return a copy of the newest frame, None before the first."""
@@ -115,7 +139,7 @@ class ImageReader:
 
     @staticmethod
     def _frame(number: int, values: NDArray[np.float64], words: NDArray[np.int64]) -> Frame:
-        tick, planned_ns, latched = (int(word) for word in words[:3])
+        tick, planned_ns, latched = words[:3].tolist()
         return Frame(number, tick, planned_ns, latched, values, words[3:])
 
 
@@ -169,23 +193,23 @@ class ProcessImage(ImageReader):
         layout, region = self.layout, self.layout.regions
         self._describe(words)
         header = {
-            lay.W_VERSION: lay.VERSION,
-            lay.W_PID: os.getpid(),
-            lay.W_N_SLOTS: layout.n_slots,
-            lay.W_RING_LENGTH: layout.ring_length,
-            lay.W_RING_STRIDE: layout.stride,
-            lay.W_RING_BASE: region["ring"].base,
-            lay.W_FRAME_BASE: region["frame"].base,
-            lay.W_STATUS_BASE: region["status"].base,
-            lay.W_NOW_BASE: region["now"].base,
-            lay.W_NOW_CAPACITY: layout.queue_rows,
-            lay.W_TIMED_BASE: region["timed"].base,
-            lay.W_TIMED_CAPACITY: layout.queue_rows,
-            lay.W_LIVE_BASE: region["live"].base,
-            lay.W_LIVE_LENGTH: region["live"].length,
-            lay.W_SHADOW_BASE: region["shadow"].base,
-            lay.W_BASE_PERIOD_NS: period_ns,
-            lay.W_MAGIC: lay.MAGIC,
+            word.VERSION: lay.VERSION,
+            word.PID: os.getpid(),
+            word.N_SLOTS: layout.n_slots,
+            word.RING_LENGTH: layout.ring_length,
+            word.RING_STRIDE: layout.stride,
+            word.RING_BASE: region["ring"].base,
+            word.FRAME_BASE: region["frame"].base,
+            word.STATUS_BASE: region["status"].base,
+            word.NOW_BASE: region["now"].base,
+            word.NOW_CAPACITY: layout.queue_rows,
+            word.TIMED_BASE: region["timed"].base,
+            word.TIMED_CAPACITY: layout.queue_rows,
+            word.LIVE_BASE: region["live"].base,
+            word.LIVE_LENGTH: region["live"].length,
+            word.SHADOW_BASE: region["shadow"].base,
+            word.BASE_PERIOD_NS: period_ns,
+            word.MAGIC: lay.MAGIC,
         }
         for index, value in header.items():
             words[index] = value
@@ -193,9 +217,9 @@ class ProcessImage(ImageReader):
     def _describe(self, words: NDArray[np.int64]) -> None:
         text = lay.describe(self._table, self.layout, self._run)
         start = lay.N_CONTROL_WORDS * 8
-        words[lay.W_JSON_BYTES] = 0  # readers take an empty description for one in the making
+        words[word.JSON_BYTES] = 0  # readers take an empty description for one in the making
         words.view(np.uint8)[start : start + len(text)] = np.frombuffer(text, dtype=np.uint8)
-        words[lay.W_JSON_BYTES] = len(text)
+        words[word.JSON_BYTES] = len(text)
 
     def tell(self, **run: Any) -> None:
         """Add to what recorders read about the run, once it is known."""
@@ -222,29 +246,29 @@ class ProcessImage(ImageReader):
     @property
     def pushed_rows(self) -> int:
         """Rows handed to the plant so far; a frame with as many `latched_rows` contains them."""
-        return int(self.words[lay.W_NOW_HEAD])
+        return self.control.now_head
 
     def push(self, rows: Iterable[Row]) -> bool:
         """Hand rows to the next tick, all together; False if the queue has no room."""
-        return self._push(rows, lay.W_NOW_BASE)
+        return self._push(rows, word.NOW_BASE)
 
     def push_timed(self, rows: Iterable[Row]) -> bool:
         """Hand rows to the ticks they name (rising); False if the queue has no room."""
-        return self._push(rows, lay.W_TIMED_BASE)
+        return self._push(rows, word.TIMED_BASE)
 
     def push_timed_table(self, table: NDArray[np.float64]) -> bool:
         """Like `push_timed`; columns are tick, slot, value and status, shape (n, 4)."""
-        return self._push_table(table, lay.W_TIMED_BASE)
+        return self._push_table(table, word.TIMED_BASE)
 
-    def _push(self, rows: Iterable[Row], word: int) -> bool:
+    def _push(self, rows: Iterable[Row], queue: int) -> bool:
         table = np.array([(r.tick, r.slot, r.value, r.status) for r in rows], dtype=np.float64)
-        return self._push_table(table, word)
+        return self._push_table(table, queue)
 
-    def _push_table(self, table: NDArray[np.float64], word: int) -> bool:
+    def _push_table(self, table: NDArray[np.float64], queue: int) -> bool:
         if table.size == 0:
             return True
-        base, capacity = int(self.words[word]), int(self.words[word + 1])
-        pushed = push_rows(table, base, capacity, word + 2, word + 3, self.values, self.words)
+        base, capacity = int(self.words[queue]), int(self.words[queue + 1])
+        pushed = push_rows(table, base, capacity, queue + 2, queue + 3, self.values, self.words)
         return bool(pushed == len(table))
 
     def close(self) -> None:

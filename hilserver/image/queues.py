@@ -11,21 +11,8 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
-from hilserver.image.layout import (
-    ROW_WORDS,
-    W_COMMANDED,
-    W_FRAME_BASE,
-    W_NOW_BASE,
-    W_NOW_CAPACITY,
-    W_NOW_HEAD,
-    W_NOW_TAIL,
-    W_SETPOINT_SLOTS,
-    W_STATUS_BASE,
-    W_TIMED_BASE,
-    W_TIMED_CAPACITY,
-    W_TIMED_HEAD,
-    W_TIMED_TAIL,
-)
+from hilserver.image import word
+from hilserver.image.layout import ROW_WORDS
 
 
 @kernel("int64(float64[:, ::1], int64, int64, int64, int64, float64[::1], int64[::1])")
@@ -58,24 +45,24 @@ def push_rows(
 def _apply(place: int, values: Any, words: Any) -> None:
     slot, value = int(values[place + 1]), values[place + 2]
     if not math.isnan(value):
-        values[words[W_FRAME_BASE] + slot] = value
-        if slot < words[W_SETPOINT_SLOTS]:
-            words[W_COMMANDED] = 1
-    words[words[W_STATUS_BASE] + slot] = int(values[place + 3])
+        values[words[word.FRAME_BASE] + slot] = value
+        if slot < words[word.SETPOINT_SLOTS]:
+            words[word.COMMANDED] = 1
+    words[words[word.STATUS_BASE] + slot] = int(values[place + 3])
 
 
 @kernel()
 def latch_rows(tick: int, values: Any, words: Any) -> None:
     """Apply the rows due at `tick`: first the timed ones, then those for now, in their order."""
-    base, mask = words[W_TIMED_BASE], words[W_TIMED_CAPACITY] - 1
-    head, tail = load_acquire(words, W_TIMED_HEAD), words[W_TIMED_TAIL]
+    base, mask = words[word.TIMED_BASE], words[word.TIMED_CAPACITY] - 1
+    head, tail = load_acquire(words, word.TIMED_HEAD), words[word.TIMED_TAIL]
     while tail < head and values[base + (tail & mask) * ROW_WORDS] <= tick:
         _apply(base + (tail & mask) * ROW_WORDS, values, words)
         tail += 1
-    store_release(words, W_TIMED_TAIL, tail)
-    base, mask = words[W_NOW_BASE], words[W_NOW_CAPACITY] - 1
-    head, tail = load_acquire(words, W_NOW_HEAD), words[W_NOW_TAIL]
+    store_release(words, word.TIMED_TAIL, tail)
+    base, mask = words[word.NOW_BASE], words[word.NOW_CAPACITY] - 1
+    head, tail = load_acquire(words, word.NOW_HEAD), words[word.NOW_TAIL]
     while tail < head:
         _apply(base + (tail & mask) * ROW_WORDS, values, words)
         tail += 1
-    store_release(words, W_NOW_TAIL, tail)
+    store_release(words, word.NOW_TAIL, tail)

@@ -9,40 +9,37 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import fence, load_acquire, store_release
-from hilserver.image.layout import (
-    FRAME_HEADER_WORDS,
-    W_FRAME_BASE,
-    W_N_SLOTS,
-    W_NOW_TAIL,
-    W_RING_BASE,
-    W_RING_HEAD,
-    W_RING_LENGTH,
-    W_RING_STRIDE,
-    W_STATUS_BASE,
-)
+from hilserver.image import word
+from hilserver.image.layout import FRAME_HEADER_WORDS
 
 READ_TRIES = 8
 
 
 @kernel()
+def _place(number: int, words: Any) -> int:
+    row = number & (words[word.RING_LENGTH] - 1)
+    return int(words[word.RING_BASE] + row * words[word.RING_STRIDE])
+
+
+@kernel()
 def publish_frame(tick: int, planned_ns: int, values: Any, words: Any) -> None:
     """Copy the working frame into the ring and announce it."""
-    number = words[W_RING_HEAD]
-    base = words[W_RING_BASE] + (number & (words[W_RING_LENGTH] - 1)) * words[W_RING_STRIDE]
-    n_slots = words[W_N_SLOTS]
-    frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
+    number = words[word.RING_HEAD]
+    base = _place(number, words)
+    n_slots = words[word.N_SLOTS]
+    frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
     store_release(words, base, 2 * number + 1)
     fence()
     words[base + 1] = tick
     words[base + 2] = planned_ns
-    words[base + 3] = words[W_NOW_TAIL]
+    words[base + 3] = words[word.NOW_TAIL]
     data = base + FRAME_HEADER_WORDS
     for slot in range(n_slots):
         values[data + slot] = values[frame + slot]
     for slot in range(n_slots):
         words[data + n_slots + slot] = words[status + slot]
     store_release(words, base, 2 * number + 2)
-    store_release(words, W_RING_HEAD, number + 1)
+    store_release(words, word.RING_HEAD, number + 1)
 
 
 @kernel()
@@ -55,8 +52,8 @@ def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words:
     out_words : ndarray of int64, shape (3 + n_slots,)
         Tick, planned time [ns], rows latched so far, and the status codes.
     """
-    base = words[W_RING_BASE] + (number & (words[W_RING_LENGTH] - 1)) * words[W_RING_STRIDE]
-    n_slots = words[W_N_SLOTS]
+    base = _place(number, words)
+    n_slots = words[word.N_SLOTS]
     if load_acquire(words, base) != 2 * number + 2:
         return -1
     out_words[0] = words[base + 1]
@@ -94,7 +91,7 @@ def copy_latest(values: Any, words: Any, out_values: Any, out_words: Any) -> int
     -2 needs a writer that goes round the whole ring within one copy, `READ_TRIES` times.
     """
     for _ in range(READ_TRIES):
-        head = load_acquire(words, W_RING_HEAD)
+        head = load_acquire(words, word.RING_HEAD)
         if head == 0:
             return -1
         if copy_frame(head - 1, values, words, out_values, out_words) == 0:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.image import layout as lay
 from hilserver.image.process_image import ImageReader
 from hilserver.image.shared_file import path_of
 
@@ -42,8 +41,8 @@ class ShadowReader:
     """Notices when the shadow region got a new state, and copies it."""
 
     def __init__(self, reader: ImageReader) -> None:
-        self._words = reader.words
-        self._seen = int(self._words[lay.W_REQUEST_DONE])
+        self._reader = reader
+        self._seen = reader.control.request_done
 
     def take(self) -> tuple[int, int, NDArray[np.int64]] | None:
         """Return kind, tick and state of the newest served request, None if there is no new one.
@@ -51,23 +50,19 @@ class ShadowReader:
         The state that a restore brought is as good as one that was saved: the plant went on from
         it. A copy during which the next request began is dropped; that one comes soon.
         """
-        done = int(self._words[lay.W_REQUEST_DONE])
+        control = self._reader.control
+        done = control.request_done
         if done == self._seen:
             return None
-        copies = [self._copy(), self._copy()]
-        kind, tick = (int(self._words[w]) for w in (lay.W_REQUEST_KIND, lay.W_REQUEST_TICK))
-        if int(self._words[lay.W_REQUEST]) != done or not np.array_equal(copies[0], copies[1]):
+        copies = [self._reader.shadow.copy(), self._reader.shadow.copy()]
+        kind, tick = control.request_kind, control.request_tick
+        if control.request != done or not np.array_equal(copies[0], copies[1]):
             return None
         self._seen = done
         return kind, tick, copies[0]
 
-    def _copy(self) -> NDArray[np.int64]:
-        base, length = int(self._words[lay.W_SHADOW_BASE]), int(self._words[lay.W_LIVE_LENGTH])
-        return self._words[base : base + length].copy()
-
 
 def live_state(reader: ImageReader) -> NDArray[np.int64] | None:
     """Return the state before the first tick, None once there was one."""
-    base, length = int(reader.words[lay.W_LIVE_BASE]), int(reader.words[lay.W_LIVE_LENGTH])
-    state = reader.words[base : base + length].copy()
+    state = reader.live.copy()
     return state if reader.head == 0 else None

@@ -17,15 +17,7 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.cache import cache_dir, hash_of
 from hilserver.image import ProcessImage
-from hilserver.image.layout import (
-    W_COMMAND_LIMIT,
-    W_HEARTBEAT_AGE,
-    W_HEARTBEAT_LIMIT,
-    W_MAIL_BASE,
-    W_MODIFIERS,
-    W_SETPOINT_SLOTS,
-    Region,
-)
+from hilserver.image.layout import Region
 from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
 from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
@@ -158,20 +150,20 @@ def compose(composition: Composition, image: ProcessImage) -> StepFunction:
 
 def watch_communication(image: ProcessImage, limit_ticks: int) -> None:
     """Let the plant go to the safe state when the event loop is silent for `limit_ticks`."""
-    image.words[W_HEARTBEAT_AGE] = 0
-    image.words[W_HEARTBEAT_LIMIT] = limit_ticks
+    image.control.heartbeat_age = 0
+    image.control.heartbeat_limit = limit_ticks
 
 
 def limit_silence(image: ProcessImage, limit_ticks: int) -> None:
     """Let the set-points become zero when none has come for `limit_ticks`; 0: never."""
-    image.words[W_COMMAND_LIMIT] = limit_ticks
+    image.control.command_limit = limit_ticks
 
 
 def _fill(composition: Composition, image: ProcessImage) -> None:
     regions = image.layout.regions
-    image.words[W_MODIFIERS] = regions["modifiers"].base
-    image.words[W_MAIL_BASE] = regions["modifier_mail"].base
-    image.words[W_SETPOINT_SLOTS] = robot.U_MODE
+    image.control.modifiers = regions["modifiers"].base
+    image.control.mail_base = regions["modifier_mail"].base
+    image.control.setpoint_slots = robot.U_MODE
 
     def put(name: str, numbers: Any) -> None:
         region = regions[name]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
 from hilserver.config.patch import Interval, ModelPatch
-from hilserver.image.layout import W_FRAME_BASE, W_STATUS_BASE
+from hilserver.image import word
 from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.plant import layout as robot
 from hilserver.plant.terms import TERMS, main_part
@@ -87,8 +87,8 @@ def flag_unfitted(limits: int, values: Any, words: Any) -> None:
     limits : int
         Base of the region with the ranges, see `fitted_limits`.
     """
-    outputs = words[W_FRAME_BASE] + FIRST_OUTPUT
-    status = words[W_STATUS_BASE] + FIRST_OUTPUT
+    outputs = words[word.FRAME_BASE] + FIRST_OUTPUT
+    status = words[word.STATUS_BASE] + FIRST_OUTPUT
     for block in range(AFFECTED.shape[0]):
         if _is_outside(limits + block * N_ROW, outputs, values):
             for i in range(N_OUTPUTS):

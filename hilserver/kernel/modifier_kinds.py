@@ -4,10 +4,7 @@ import math
 from typing import Any
 
 from hilserver.compiled import kernel
-from hilserver.image.layout import (
-    W_FRAME_BASE,
-    W_STATUS_BASE,
-)
+from hilserver.image import word
 from hilserver.image.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 from hilserver.kernel.modifier_layout import (
     E_A,
@@ -132,7 +129,7 @@ def _from_value(tick: int, entry: int, raw: float, values: Any, words: Any) -> f
 def modify(tick: int, entry: int, base: int, values: Any, words: Any) -> None:
     """Let a modifier of one signal act on its value and status."""
     slot, kind = words[entry + E_SLOT], words[entry + E_KIND]
-    place = words[W_FRAME_BASE] + slot
+    place = words[word.FRAME_BASE] + slot
     raw = values[place]
     _begin(tick, entry, raw, values, words)
     if words[entry + E_RING] >= 0:
@@ -149,16 +146,16 @@ def modify(tick: int, entry: int, base: int, values: Any, words: Any) -> None:
         value = raw
     values[place] = value
     if kind == FORCE:
-        words[words[W_STATUS_BASE] + slot] = GOOD_LOCAL_OVERRIDE
+        words[words[word.STATUS_BASE] + slot] = GOOD_LOCAL_OVERRIDE
     elif kind == DISCONNECT:
-        words[words[W_STATUS_BASE] + slot] = UNCERTAIN_NO_COMMUNICATION
+        words[words[word.STATUS_BASE] + slot] = UNCERTAIN_NO_COMMUNICATION
 
 
 @kernel()
 def swap(entry: int, values: Any, words: Any) -> None:
     """Exchange two signals, values and status."""
     a, b = words[entry + E_SLOT], words[entry + E_OTHER]
-    frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
+    frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
     values[frame + a], values[frame + b] = values[frame + b], values[frame + a]
     words[status + a], words[status + b] = words[status + b], words[status + a]
 
@@ -170,7 +167,7 @@ def scale_by_last_wheel(entry: int, values: Any, words: Any) -> None:
     The wheels are looked at in the driver's order fl, fr, rl, rr; a wheel that is still too fast
     is cut off by its motor, so that the path bends.
     """
-    frame = words[W_FRAME_BASE]
+    frame = words[word.FRAME_BASE]
     linear, angular = frame + words[entry + E_SLOT], frame + words[entry + E_OTHER]
     straight = values[linear] * values[entry + E_A]
     turning = values[angular] * values[entry + E_B]

@@ -4,12 +4,7 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
-from hilserver.image.layout import (
-    W_MAIL_BASE,
-    W_MAIL_HEAD,
-    W_MAIL_TAIL,
-    W_TIMED_TAIL,
-)
+from hilserver.image import word
 from hilserver.kernel.modifier_layout import (
     E_FROM,
     E_ID,
@@ -44,7 +39,7 @@ FORCE, DEAD_TIMEOUT = int(Kind.FORCE), int(Kind.DEAD_TIMEOUT)
 @kernel("void(int64, int64[::1])")
 def show_mail(head: int, words: Any) -> None:
     """Show all commands before `head` to the plant, at once."""
-    store_release(words, W_MAIL_HEAD, head)
+    store_release(words, word.MAIL_HEAD, head)
 
 
 @kernel()
@@ -109,17 +104,17 @@ def _remove(operation: int, number: int, base: int, words: Any) -> None:
 @kernel()
 def drain_mail(tick: int, base: int, words: Any) -> None:
     """Take the commands that are shown; a modifier that begins now begins with `tick`."""
-    head, tail = load_acquire(words, W_MAIL_HEAD), words[W_MAIL_TAIL]
+    head, tail = load_acquire(words, word.MAIL_HEAD), words[word.MAIL_TAIL]
     while tail < head:
-        row = words[W_MAIL_BASE] + (tail & (MAIL_ROWS - 1)) * MAIL_ROW
+        row = words[word.MAIL_BASE] + (tail & (MAIL_ROWS - 1)) * MAIL_ROW
         if words[row] == OP_ADD:
             _add(tick, row + 1, base, words)
         elif words[row] == OP_SKIP_TIMED:
-            words[W_TIMED_TAIL] = max(words[W_TIMED_TAIL], words[row + 1 + E_ID])
+            words[word.TIMED_TAIL] = max(words[word.TIMED_TAIL], words[row + 1 + E_ID])
         else:
             _remove(words[row], words[row + 1 + E_ID], base, words)
         tail += 1
-    store_release(words, W_MAIL_TAIL, tail)
+    store_release(words, word.MAIL_TAIL, tail)
 
 
 @kernel()

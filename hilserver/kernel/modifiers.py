@@ -12,16 +12,7 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
-from hilserver.image.layout import (
-    W_COMMAND_LIMIT,
-    W_COMMANDED,
-    W_FRAME_BASE,
-    W_MAIL_HEAD,
-    W_MAIL_TAIL,
-    W_MODIFIERS,
-    W_SETPOINT_SLOTS,
-    W_STATUS_BASE,
-)
+from hilserver.image import word
 from hilserver.kernel.modifier_kinds import modify, scale_by_last_wheel, swap
 from hilserver.kernel.modifier_layout import (
     E_FROM,
@@ -54,7 +45,7 @@ FORCE, SWAP, LAST_WHEEL = int(Kind.FORCE), int(Kind.SWAP), int(Kind.LAST_WHEEL)
 
 @kernel()
 def _restore(base: int, values: Any, words: Any) -> None:
-    frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
+    frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
     for i in range(words[base + H_TOUCHED]):
         slot = words[base + TOUCHED + i]
         values[frame + slot] = values[base + RAW_VALUE + i]
@@ -70,8 +61,8 @@ def _touch(slot: int, base: int, values: Any, words: Any) -> None:
         if words[base + TOUCHED + i] == slot:
             return
     words[base + TOUCHED + n] = slot
-    values[base + RAW_VALUE + n] = values[words[W_FRAME_BASE] + slot]
-    words[base + RAW_STATUS + n] = words[words[W_STATUS_BASE] + slot]
+    values[base + RAW_VALUE + n] = values[words[word.FRAME_BASE] + slot]
+    words[base + RAW_STATUS + n] = words[words[word.STATUS_BASE] + slot]
     words[base + H_TOUCHED] = n + 1
 
 
@@ -102,12 +93,12 @@ def _act(tick: int, side: int, base: int, values: Any, words: Any) -> None:
 @kernel()
 def restore_true_values(tick: int, values: Any, words: Any) -> None:
     """Undo the modifiers of the last tick, take new ones, drop those whose time is over."""
-    base = words[W_MODIFIERS]
+    base = words[word.MODIFIERS]
     if base == 0:
         return
     if words[base + H_TOUCHED] > 0:
         _restore(base, values, words)
-    if load_acquire(words, W_MAIL_HEAD) != words[W_MAIL_TAIL]:
+    if load_acquire(words, word.MAIL_HEAD) != words[word.MAIL_TAIL]:
         drain_mail(tick, base, words)
     if words[base + H_COUNT] > 0:
         expire(tick, base, words)
@@ -117,28 +108,28 @@ def restore_true_values(tick: int, values: Any, words: Any) -> None:
 
 @kernel()
 def watch_commands(tick: int, values: Any, words: Any) -> None:
-    """Set the set-points to zero when none has come for `W_COMMAND_LIMIT` ticks."""
-    base = words[W_MODIFIERS]
-    if words[W_COMMANDED] != 0 or tick < words[base + H_LAST_COMMAND]:
-        words[W_COMMANDED] = 0
+    """Set the set-points to zero when none has come for `word.COMMAND_LIMIT` ticks."""
+    base = words[word.MODIFIERS]
+    if words[word.COMMANDED] != 0 or tick < words[base + H_LAST_COMMAND]:
+        words[word.COMMANDED] = 0
         words[base + H_LAST_COMMAND] = tick
         words[base + H_SILENT] = 0
         return
-    silent = tick - words[base + H_LAST_COMMAND] > words[W_COMMAND_LIMIT]
+    silent = tick - words[base + H_LAST_COMMAND] > words[word.COMMAND_LIMIT]
     if not silent or words[base + H_TIMEOUT_DEAD] != 0:
         return
     words[base + H_TIMEOUTS] += 1 - words[base + H_SILENT]
     words[base + H_SILENT] = 1
-    for slot in range(words[W_SETPOINT_SLOTS]):
-        values[words[W_FRAME_BASE] + slot] = 0.0
+    for slot in range(words[word.SETPOINT_SLOTS]):
+        values[words[word.FRAME_BASE] + slot] = 0.0
 
 
 @kernel()
 def modify_inputs(tick: int, values: Any, words: Any) -> None:
     """Let the modifiers of inputs act on what was latched."""
-    if words[W_COMMAND_LIMIT] > 0:
+    if words[word.COMMAND_LIMIT] > 0:
         watch_commands(tick, values, words)
-    base = words[W_MODIFIERS]
+    base = words[word.MODIFIERS]
     if base > 0 and words[base + H_COUNT] > 0:
         _act(tick, INPUT, base, values, words)
 
@@ -146,6 +137,6 @@ def modify_inputs(tick: int, values: Any, words: Any) -> None:
 @kernel()
 def modify_outputs(tick: int, values: Any, words: Any) -> None:
     """Let the modifiers of outputs act on what is about to be published."""
-    base = words[W_MODIFIERS]
+    base = words[word.MODIFIERS]
     if base > 0 and words[base + H_COUNT] > 0:
         _act(tick, OUTPUT, base, values, words)

@@ -5,18 +5,7 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
-from hilserver.image.layout import (
-    W_BASE_PERIOD_NS,
-    W_DRIVE_OFF,
-    W_FAULT,
-    W_FRAME_BASE,
-    W_HEARTBEAT,
-    W_HEARTBEAT_AGE,
-    W_HEARTBEAT_LIMIT,
-    W_HEARTBEAT_SEEN,
-    W_STATE,
-    W_STATUS_BASE,
-)
+from hilserver.image import word
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
@@ -29,20 +18,20 @@ from hilserver.scheduler import faults
 @kernel()
 def enter_safe(code: int, command_slot: int, values: Any, words: Any) -> None:
     """Go to the safe state from the plant's side; the first fault number is kept."""
-    if words[W_FAULT] == 0:
-        words[W_FAULT] = code
-    values[words[W_FRAME_BASE] + command_slot] = COMMAND_SAFE
+    if words[word.FAULT] == 0:
+        words[word.FAULT] = code
+    values[words[word.FRAME_BASE] + command_slot] = COMMAND_SAFE
 
 
 @kernel()
 def _watch_heartbeat(command_slot: int, values: Any, words: Any) -> None:
-    beat = load_acquire(words, W_HEARTBEAT)
-    if beat != words[W_HEARTBEAT_SEEN]:
-        words[W_HEARTBEAT_SEEN] = beat
-        words[W_HEARTBEAT_AGE] = 0
+    beat = load_acquire(words, word.HEARTBEAT)
+    if beat != words[word.HEARTBEAT_SEEN]:
+        words[word.HEARTBEAT_SEEN] = beat
+        words[word.HEARTBEAT_AGE] = 0
         return
-    words[W_HEARTBEAT_AGE] += 1
-    if words[W_HEARTBEAT_AGE] == words[W_HEARTBEAT_LIMIT]:
+    words[word.HEARTBEAT_AGE] += 1
+    if words[word.HEARTBEAT_AGE] == words[word.HEARTBEAT_LIMIT]:
         enter_safe(faults.COMMUNICATION, command_slot, values, words)
 
 
@@ -57,13 +46,13 @@ def latch(
     """
     tick = serve_request(tick, words)
     restore_true_values(tick, values, words)
-    if words[W_STATE] >= 0:
-        values[words[W_FRAME_BASE] + state_slot] = words[W_STATE]
+    if words[word.STATE] >= 0:
+        values[words[word.FRAME_BASE] + state_slot] = words[word.STATE]
     latch_rows(tick, values, words)
     modify_inputs(tick, values, words)
-    if words[W_DRIVE_OFF] != 0:
-        values[words[W_FRAME_BASE] + enable_slot] = 0.0
-    if words[W_HEARTBEAT_LIMIT] > 0:
+    if words[word.DRIVE_OFF] != 0:
+        values[words[word.FRAME_BASE] + enable_slot] = 0.0
+    if words[word.HEARTBEAT_LIMIT] > 0:
         _watch_heartbeat(command_slot, values, words)
     return int(tick)
 
@@ -88,9 +77,9 @@ def publish(
     sim_slot : int
         Slot of ``sim.tick``; ``sim.time_s``, ``sim.state`` and ``internal.state`` follow it.
     """
-    frame, status = words[W_FRAME_BASE], words[W_STATUS_BASE]
+    frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
     values[frame + sim_slot] = tick
-    values[frame + sim_slot + 1] = tick * (words[W_BASE_PERIOD_NS] * 1e-9)
+    values[frame + sim_slot + 1] = tick * (words[word.BASE_PERIOD_NS] * 1e-9)
     values[frame + sim_slot + 2] = values[frame + sim_slot + 3]
     if values[frame + command_slot] == COMMAND_SAFE:
         for slot in range(first_output, first_output + n_outputs):

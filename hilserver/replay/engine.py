@@ -12,7 +12,6 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import ConfigError, LogError
 from hilserver.image import ProcessImage, read_frames
-from hilserver.image.layout import W_STATE
 from hilserver.kernel import compose
 from hilserver.logs.writing import Segmented
 from hilserver.replay.plan import Stretch
@@ -93,7 +92,7 @@ class Engine:
 
     def feed_state(self, *, in_rows: bool) -> None:
         """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
-        self.image.words[W_STATE] = IN_ROWS if in_rows else State.RUNNING
+        self.image.control.state = IN_ROWS if in_rows else State.RUNNING
 
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
         """Run through a stretch; give its frames."""

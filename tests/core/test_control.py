@@ -11,7 +11,6 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import TRANSITIONS, Command
 from hilserver.errors import ControlRefused
 from hilserver.image import Row
-from hilserver.image.layout import W_FAULT, W_STATE
 from hilserver.kernel.phases import enter_safe, latch
 from hilserver.signals import State
 from tests.fakes import make_image, make_table
@@ -80,7 +79,7 @@ def test_run_pause_step_run(world):
     control.pause()
     control.step(3)
     assert control.state is State.PAUSED
-    assert world.image.words[W_STATE] == 2
+    assert world.image.control.state == 2
     control.start()
     assert world.pacing.log == ["pause", "step 3", "resume"]
 
@@ -195,7 +194,7 @@ def test_a_fault_of_the_paced_loop_is_taken_over(world):
     assert world.control.state is State.SAFE
     assert "consecutive overruns" in world.control.reason
     world.control.reset()
-    assert world.image.words[W_FAULT] == 0
+    assert world.image.control.fault == 0
 
 
 def test_reset_outside_the_safe_state_starts_the_simulation_anew(world):

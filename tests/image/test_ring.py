@@ -9,7 +9,7 @@ import pytest
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
-from hilserver.image import ImageReader, ProcessImage
+from hilserver.image import ImageReader, ProcessImage, word
 from hilserver.image import layout as lay
 from hilserver.image.ring import copy_latest, publish_frame
 from hilserver.image.shared_file import path_of
@@ -44,9 +44,9 @@ def image(request):
 @kernel()
 def write_frames(n: int, values: Any, words: Any) -> None:
     """Publish frames whose values all equal the frame's number."""
-    frame = words[lay.W_FRAME_BASE]
+    frame = words[word.FRAME_BASE]
     for number in range(n):
-        for slot in range(words[lay.W_N_SLOTS]):
+        for slot in range(words[word.N_SLOTS]):
             values[frame + slot] = number
         publish_frame(number, number, values, words)
 
@@ -54,12 +54,12 @@ def write_frames(n: int, values: Any, words: Any) -> None:
 @kernel()
 def copy_without_lock(values: Any, words: Any, out_values: Any, out_words: Any) -> int:
     """Read the newest frame as `copy_latest` does, with the sequence lock taken out."""
-    head = load_acquire(words, lay.W_RING_HEAD)
+    head = load_acquire(words, word.RING_HEAD)
     if head == 0:
         return -1
-    base = words[lay.W_RING_BASE]
+    base = words[word.RING_BASE]
     out_words[0] = words[base + 1]
-    for slot in range(words[lay.W_N_SLOTS]):
+    for slot in range(words[word.N_SLOTS]):
         out_values[slot] = values[base + lay.FRAME_HEADER_WORDS + slot]
     return int(head - 1)
 
@@ -69,7 +69,7 @@ def count_frames(copy: Any) -> Any:
     def loop(last: int, values: Any, words: Any, out_values: Any, out_words: Any) -> Any:
         whole = torn = 0
         for _ in range(1_000_000_000):
-            if load_acquire(words, lay.W_RING_HEAD) >= last:
+            if load_acquire(words, word.RING_HEAD) >= last:
                 break
             if copy(values, words, out_values, out_words) < 0:
                 continue

@@ -8,7 +8,6 @@ import pytest_asyncio
 
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
-from hilserver.image.layout import W_HEARTBEAT, W_HEARTBEAT_LIMIT
 from hilserver.signals import State
 from tests.loopback.rig import (
     call,
@@ -72,9 +71,9 @@ async def test_a_pause_is_no_silence(robot):
 
 async def test_the_time_out_is_real_time_at_every_speed(robot):
     daemon, _ = robot
-    limit = daemon.image.words[W_HEARTBEAT_LIMIT]
+    limit = daemon.image.control.heartbeat_limit
     daemon.control.set_speed(50.0)
-    assert daemon.image.words[W_HEARTBEAT_LIMIT] == 50 * limit
+    assert daemon.image.control.heartbeat_limit == 50 * limit
     time.sleep(TIMEOUT_S / 2)  # noqa: ASYNC251 - a hiccup, shorter than the time-out
     await asyncio.sleep(0.2)
     daemon.control.set_speed(1.0)
@@ -84,8 +83,8 @@ async def test_the_time_out_is_real_time_at_every_speed(robot):
 async def test_the_heartbeat_goes_on_in_a_pause_as_often_as_the_time_out_needs():
     config = configuration(opcua={"enabled": False}, scheduler={"communication_timeout_ms": 80.0})
     async with Daemon(assemble_config(config)) as daemon:
-        daemon.image.words[W_HEARTBEAT_LIMIT] = 0  # the beats count here, not who watches them
+        daemon.image.control.heartbeat_limit = 0  # the beats count here, not who watches them
         daemon.control.pause()
-        before = int(daemon.image.words[W_HEARTBEAT])
+        before = daemon.image.control.heartbeat
         await asyncio.sleep(1.0)
-        assert daemon.image.words[W_HEARTBEAT] - before > 20
+        assert daemon.image.control.heartbeat - before > 20

@@ -10,7 +10,7 @@ import numpy as np
 
 from hilserver.errors import FailedError
 from hilserver.image import FrameBatch, ImageReader, read_frames
-from hilserver.image.layout import REQUEST_LOAD, W_RING_LENGTH
+from hilserver.image.layout import REQUEST_LOAD
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
 from hilserver.logs.log import State
@@ -43,7 +43,7 @@ class Source:
             self.close()
             raise FailedError(f"the daemon of the process image '{name}' is not running any more")
         self.description = self._describe()
-        self._ring_length = int(self._reader.words[W_RING_LENGTH])
+        self._ring_length = self._reader.control.ring_length
         self._shadow = ShadowReader(self._reader)
         self._next = max(0, self._reader.head)
         self._last_tick: int | None = None

@@ -17,7 +17,6 @@ from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.image import ProcessImage
-from hilserver.image.layout import W_STATE
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
@@ -118,7 +117,7 @@ class Rig:
             values[slot(f"wheel.{wheel}.speed_rpm")] = values[slot(f"wheel.{wheel}.setpoint_rpm")]
         values[slot("sim.tick")] = self.pacing.tick
         values[slot("sim.time_s")] = self.pacing.tick * 1e-3
-        values[slot("sim.state")] = image.words[W_STATE]
+        values[slot("sim.state")] = image.control.state
         if change is not None:
             change(values, status)
         publish_frame(self.pacing.tick, time.monotonic_ns(), image.values, image.words)

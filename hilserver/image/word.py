@@ -1,0 +1,47 @@
+"""Where each control word lies: the first words of the arena, by name.
+
+Kernels write ``words[word.STATE]``; everybody else writes ``image.control.state``, see
+`control_words.ControlWords`.
+"""
+
+MAGIC = 0
+VERSION = 1
+JSON_BYTES = 2
+PID = 3
+N_SLOTS = 4
+RING_LENGTH = 5  # frames, a power of two
+RING_STRIDE = 6
+RING_BASE = 7
+RING_HEAD = 8  # frames published so far
+FRAME_BASE = 9  # working frame: values of this tick
+STATUS_BASE = 10
+NOW_BASE = 11  # rows for the next tick
+NOW_CAPACITY = 12
+NOW_HEAD = 13
+NOW_TAIL = 14
+TIMED_BASE = 15  # rows for given ticks, rising
+TIMED_CAPACITY = 16
+TIMED_HEAD = 17
+TIMED_TAIL = 18
+LIVE_BASE = 19  # what a snapshot holds, in one piece
+LIVE_LENGTH = 20
+SHADOW_BASE = 21
+REQUEST = 22  # number of the newest snapshot or restore request
+REQUEST_KIND = 23
+REQUEST_DONE = 24
+REQUEST_TICK = 25
+STATE = 26  # state of the daemon, latched for sim.state; negative: it comes in rows (replay)
+FAULT = 27  # first fault number since the last acknowledge
+HEARTBEAT = 28  # counted up by the communication side
+HEARTBEAT_SEEN = 29
+HEARTBEAT_AGE = 30  # ticks since it moved
+HEARTBEAT_LIMIT = 31  # ticks; 0: not watched
+BASE_PERIOD_NS = 32
+DRIVE_OFF = 33  # 1: drive.enable is held at false, whoever writes it
+MODIFIERS = 48  # base of the faults and forces at work; 0: this image has none
+MAIL_BASE = 49  # commands for them
+MAIL_HEAD = 50
+MAIL_TAIL = 51
+SETPOINT_SLOTS = 52  # the set-points are the first slots
+COMMAND_LIMIT = 53  # ticks without a set-point until they become zero; 0: never
+COMMANDED = 54  # 1: a set-point was latched in this tick
