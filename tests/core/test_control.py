@@ -12,6 +12,7 @@ from hilserver.core.transitions import TRANSITIONS, Command
 from hilserver.errors import ControlRefused
 from hilserver.image import Row
 from hilserver.kernel.phases import enter_safe, latch
+from hilserver.kernel.places import Places
 from hilserver.signals import State
 from tests.fakes import make_image, make_table
 
@@ -55,10 +56,13 @@ class World:
         )
         self.control.started()
 
+    @property
+    def at(self):
+        names = ("internal.command", "drive.enable", "internal.state", "sim.tick")
+        return Places(*[0] * 7, *map(self.table.slot, names))
+
     def latch(self):
-        names = ("internal.command", "drive.enable", "internal.state")
-        slots = [self.table.slot(name) for name in names]
-        self.pacing.tick = latch(self.pacing.tick, *slots, self.image.values, self.image.words)
+        self.pacing.tick = latch(self.pacing.tick, self.at, self.image.values, self.image.words)
 
     def value(self, name):
         return self.image.frame_values[self.table.slot(name)]
@@ -187,8 +191,7 @@ def test_the_safe_state_reaches_the_plant_although_the_queue_was_full(world):
 
 
 def test_a_fault_of_the_paced_loop_is_taken_over(world):
-    slot = world.table.slot("internal.command")
-    enter_safe(2, slot, world.image.values, world.image.words)
+    enter_safe(2, world.at, world.image.values, world.image.words)
     assert world.value("internal.command") == 2.0
     world.control.supervise()
     assert world.control.state is State.SAFE

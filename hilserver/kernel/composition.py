@@ -1,0 +1,98 @@
+"""What runs in a step: the robot's own parts and the user's blocks, by slice."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
+from hilserver.plant import layout as robot
+from hilserver.plant.blocks import BlockDeclaration
+from hilserver.signals import SignalTable
+
+
+@dataclass(frozen=True)
+class Part:
+    """One of the robot's own parts and the slice it runs in: robot, imu, battery, tof or nav."""
+
+    name: str
+    slice: str
+
+
+@dataclass(frozen=True)
+class BlockUse:
+    """A user's block, put into a slice and wired.
+
+    Attributes
+    ----------
+    inputs : mapping of str
+        Signal for each declared input.
+    parameters : mapping of float
+        Values that replace the declared defaults.
+    """
+
+    name: str
+    declaration: BlockDeclaration
+    slice: str
+    inputs: Mapping[str, str]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def output_signal(self, output: str) -> str:
+        """Return the name of the signal of an output."""
+        return f"{self.name}.{output}"
+
+    @property
+    def regions(self) -> dict[str, int]:
+        """Lengths [words] of what the block remembers between its runs."""
+        d = self.declaration
+        return {
+            f"{self.name}.u": len(d.inputs),
+            f"{self.name}.y": len(d.outputs),
+            f"{self.name}.x": len(d.state),
+        }
+
+
+@dataclass(frozen=True)
+class Composition:
+    """What runs: the robot's parts and the blocks, by slice.
+
+    Attributes
+    ----------
+    slices : sequence of str
+        Compiled slices in the order in which they run in a tick.
+    periods_s : mapping of float
+        Period of each slice [s].
+    hall : ndarray of float64
+        Line segments for the range finders, as `tof_step` takes them, flattened.
+    fitted : ndarray of float64 or None
+        Ranges in which the terms of a patch were fitted; None without a patch.
+    """
+
+    table: SignalTable
+    slices: Sequence[str]
+    periods_s: Mapping[str, float]
+    parts: Sequence[Part]
+    blocks: Sequence[BlockUse]
+    parameters: NDArray[np.float64]
+    state: NDArray[np.float64]
+    hall: NDArray[np.float64]
+    fitted: NDArray[np.float64] | None = None
+
+    @property
+    def live_regions(self) -> dict[str, int]:
+        """Regions of the arena that a snapshot holds, with their lengths in words."""
+        regions = {"x": robot.N_X} | REGIONS_LIVE
+        for block in self.blocks:
+            regions |= block.regions
+        return regions
+
+    @property
+    def fixed_regions(self) -> dict[str, int]:
+        """Regions of the arena that a run does not change."""
+        regions = {"p": robot.N_P, "hall": self.hall.size} | REGIONS_FIXED
+        if self.fitted is not None:
+            regions["fitted"] = self.fitted.size
+        for block in self.blocks:
+            regions[f"{block.name}.p"] = len(block.declaration.parameters)
+        return regions

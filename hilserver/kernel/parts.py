@@ -1,0 +1,94 @@
+"""What runs in the slices: the robot's parts, and what a user's block takes and gives.
+
+The generated step calls these in the order of the configuration.
+"""
+
+import math
+from typing import Any
+
+from hilserver.compiled import kernel
+from hilserver.image import word
+from hilserver.image.status import GOOD, UNCERTAIN
+from hilserver.kernel.places import Places
+from hilserver.plant.battery import battery_step
+from hilserver.plant.imu import imu_step
+from hilserver.plant.kernels import inlined
+from hilserver.plant.layout import N_P, N_U, N_X, N_Y
+from hilserver.plant.nav import nav_step
+from hilserver.plant.robot import robot_step
+from hilserver.plant.tof import tof_step
+
+# --- the robot ------------------------------------------------------------------------------------
+
+
+@inlined
+def _pieces(at: Places, values: Any, words: Any) -> Any:
+    """Return p, x, u, y and q, as every part of the robot takes them."""
+    return (
+        values[at.p : at.p + N_P],
+        values[at.x : at.x + N_X],
+        values[at.u : at.u + N_U],
+        values[at.y : at.y + N_Y],
+        words[at.q : at.q + N_Y],
+    )
+
+
+@inlined
+def robot(at: Places, values: Any, words: Any) -> None:
+    """Run steps 1 to 11 of the tick: command, wheels, kinematics, pose."""
+    p, x, u, y, q = _pieces(at, values, words)
+    robot_step(p, x, u, y, q)
+
+
+@inlined
+def imu(at: Places, values: Any, words: Any) -> None:
+    """Show yaw rate, heading and acceleration."""
+    p, x, u, y, q = _pieces(at, values, words)
+    imu_step(p, x, u, y, q)
+
+
+@inlined
+def battery(at: Places, values: Any, words: Any) -> None:
+    """Take the charge of this run from the battery and show its voltage."""
+    p, x, u, y, q = _pieces(at, values, words)
+    battery_step(p, x, u, y, q)
+
+
+@inlined
+def tof(at: Places, values: Any, words: Any) -> None:
+    """Show the four distances to the walls."""
+    p, x, u, y, q = _pieces(at, values, words)
+    tof_step(p, x, u, y, q, values[at.hall : at.hall_end])
+
+
+@inlined
+def nav(at: Places, values: Any, words: Any) -> None:
+    """Show the pose as the navigation tag measures it."""
+    p, x, u, y, q = _pieces(at, values, words)
+    nav_step(p, x, u, y, q)
+
+
+# --- a user's block -------------------------------------------------------------------------------
+
+
+@kernel()
+def read_inputs(slots: Any, u: Any, values: Any, words: Any) -> None:
+    """Copy the signals in `slots` to a block's inputs."""
+    for i in range(slots.shape[0]):
+        u[i] = values[words[word.FRAME_BASE] + slots[i]]
+
+
+@kernel()
+def give_up(y: Any) -> None:
+    """Make the outputs of a block that raised unusable."""
+    for i in range(y.shape[0]):
+        y[i] = math.nan
+
+
+@kernel()
+def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
+    """Copy a block's outputs to the signals in `slots`; what is not finite is Uncertain."""
+    for i in range(slots.shape[0]):
+        values[words[word.FRAME_BASE] + slots[i]] = y[i]
+        status = GOOD if math.isfinite(y[i]) else UNCERTAIN
+        words[words[word.STATUS_BASE] + slots[i]] = status

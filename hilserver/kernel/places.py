@@ -1,0 +1,55 @@
+"""Where the parts of one configuration lie in the process image: all that tells two steps apart."""
+
+from typing import NamedTuple
+
+from hilserver.image.layout import Layout
+from hilserver.plant import layout as robot
+from hilserver.signals import SignalTable
+
+
+class Places(NamedTuple):
+    """Where the robot's numbers begin, and the slots that the phases need.
+
+    Attributes
+    ----------
+    p, x, u, y, hall : int
+        Index into `values`: parameters, state, inputs, outputs, walls.
+    q : int
+        Index into `words`: status codes of the outputs.
+    hall_end : int
+        Index into `values` behind the last wall.
+    command, enable, state, sim : int
+        Slots of the signals ``internal.command``, ``drive.enable``, ``internal.state`` and
+        ``sim.tick``; ``sim.time_s``, ``sim.state`` and ``internal.state`` follow the last.
+    """
+
+    p: int
+    x: int
+    u: int
+    y: int
+    q: int
+    hall: int
+    hall_end: int
+    command: int
+    enable: int
+    state: int
+    sim: int
+
+
+def find_places(layout: Layout, table: SignalTable) -> Places:
+    """Return the places of a layout: the frame begins with the inputs, the outputs follow."""
+    regions = layout.regions
+    frame, status, hall = regions["frame"].base, regions["status"].base, regions["hall"]
+    return Places(
+        p=regions["p"].base,
+        x=regions["x"].base,
+        u=frame,
+        y=frame + robot.N_U,
+        q=status + robot.N_U,
+        hall=hall.base,
+        hall_end=hall.base + hall.length,
+        command=table.slot("internal.command"),
+        enable=table.slot("drive.enable"),
+        state=table.slot("internal.state"),
+        sim=table.slot("sim.tick"),
+    )

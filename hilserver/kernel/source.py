@@ -1,0 +1,97 @@
+"""Writes the step of one configuration: a list of calls, because numba cannot loop over functions.
+
+What the calls do stands in `phases`, `parts`, `fitted` and the blocks; here is only their order.
+"""
+
+from collections.abc import Iterable, Sequence
+
+from hilserver.image.layout import Layout, Region
+from hilserver.kernel.composition import BlockUse, Composition
+from hilserver.kernel.places import find_places
+
+_HEAD = '''\
+"""Generated: which parts run in which slice, and where in the process image their numbers lie."""
+
+import numpy as np
+
+from hilserver.compiled import kernel
+from hilserver.kernel import fitted, parts, phases
+from hilserver.kernel.places import Places
+from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_SIGNATURE
+
+'''
+
+_PHASES = """
+
+@kernel(STEP_SIGNATURE)
+def step(phase, tick, planned_ns, values, words):
+    if phase == LATCH:
+        return phases.latch(tick, AT, values, words)
+    if phase == PUBLISH:
+{before_publish}        return phases.publish(tick, planned_ns, AT, values, words)
+    if phase == FAULT:
+        return phases.enter_safe(tick, AT, values, words)
+"""
+
+
+def step_source(composition: Composition, layout: Layout) -> str:
+    """Return the source of the step, a module with the function ``step``."""
+    blocks = list(enumerate(composition.blocks))
+    lines = [f"AT = {find_places(layout, composition.table)!r}"]
+    for number, block in blocks:
+        lines += _block_slots(number, block, composition)
+    fitted = layout.regions.get("fitted")
+    flag = "" if fitted is None else f"        fitted.flag_unfitted({fitted.base}, values, words)\n"
+    body: list[str] = []
+    for index, name in enumerate(composition.slices):
+        period_s = composition.periods_s[name]
+        in_slice = [(number, block) for number, block in blocks if block.slice == name]
+        body.append(f"if phase == {index}:  # slice '{name}', every {period_s:g} s")
+        body += [
+            f"    parts.{part.name}(AT, values, words)"
+            for part in composition.parts
+            if part.slice == name
+        ]
+        if in_slice:
+            body.append("    fault = 0")
+        for number, block in in_slice:
+            body += [f"    {line}" for line in _block_call(number, block, period_s, layout)]
+        body.append(f"    return {'fault' if in_slice else '0'}")
+    body.append("return 0")
+    phases = _PHASES.format(before_publish=flag)
+    return _HEAD + _text(lines) + phases + _text(f"    {line}" for line in body)
+
+
+def _text(lines: Iterable[str]) -> str:
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _block_slots(number: int, block: BlockUse, composition: Composition) -> list[str]:
+    inputs = [block.inputs[name] for name in block.declaration.inputs]
+    outputs = [block.output_signal(output.name) for output in block.declaration.outputs]
+    return [
+        f"INPUTS_{number} = {_slots(inputs, composition)}",
+        f"OUTPUTS_{number} = {_slots(outputs, composition)}",
+    ]
+
+
+def _slots(signals: Sequence[str], composition: Composition) -> str:
+    slots = [composition.table.slot(name) for name in signals]
+    return f"np.array({slots}, dtype=np.int64)  # {', '.join(signals)}"
+
+
+def _piece(region: Region) -> str:
+    return f"values[{region.base} : {region.base + region.length}]"
+
+
+def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -> list[str]:
+    u, y, x, p = (_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp")
+    return [
+        f"parts.read_inputs(INPUTS_{number}, {u}, values, words)",
+        "try:",
+        f"    block_{number}({period_s!r}, {u}, {y}, {x}, {p})  # {block.name}",
+        "except Exception:",
+        f"    fault = {number + 1}",
+        f"    parts.give_up({y})",
+        f"parts.write_outputs(OUTPUTS_{number}, {y}, values, words)",
+    ]
