@@ -15,31 +15,35 @@ from typing import Self
 
 import structlog
 
-from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.peers import PeerConfig
+from hilserver.core import metrics as core_metrics
 from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import InputGate
 from hilserver.core.snapshot import SnapshotStore
-from hilserver.daemon import figures
+from hilserver.daemon import figures, metrics
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.construction import command_limit_ticks, make_image, make_scheduler
 from hilserver.daemon.shadow import GapWatch, Pose, measured_pose
 from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Faults, Line, Play
+from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.faults.scenario import Stage
 from hilserver.image import Frame
+from hilserver.io import peer_metrics
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.recorder.launch import running_recorder
 from hilserver.io.recorder.state_service import StateService
 from hilserver.kernel import compose, limit_silence, watch_communication
-from hilserver.monitoring.audit import AuditItem, audit
+from hilserver.metrics import Source
+from hilserver.monitoring import audit
+from hilserver.monitoring.audit import AuditItem
 from hilserver.monitoring.health import HealthSources
 from hilserver.monitoring.health_http import HttpServer
 from hilserver.monitoring.logging_setup import (
@@ -48,11 +52,9 @@ from hilserver.monitoring.logging_setup import (
     report_repeats,
 )
 from hilserver.monitoring.metrics import Metrics
-from hilserver.monitoring.metrics_sources import MetricsSources
 from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
-from hilserver.scheduler import (
-    StopReason,
-)
+from hilserver.scheduler import StopReason
+from hilserver.scheduler import metrics as scheduler_metrics
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S = 0.1
@@ -136,7 +138,7 @@ class Daemon:
         self.gaps = GapWatch(config.shadow, self.table, self._model_gap, self.events)
         self.peers = [self._make_peer(peer) for peer in config.peers]
         self.server = self._make_server() if config.opcua.enabled else None
-        self.metrics = Metrics(self._metrics_sources())
+        self.metrics = self._make_metrics()
         self.http = self._make_http() if config.metrics.enabled else None
         self._frame: Frame | None = None
 
@@ -171,7 +173,7 @@ class Daemon:
         if self._play is not None:
             self.stage.play(self._play.scenario)
         await self.scheduler.start()
-        self.audit = audit(self.scheduler)
+        self.audit = audit.audit(self.scheduler)
         self._tell_audit()
         self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
         for peer in self.peers:
@@ -355,24 +357,22 @@ class Daemon:
             folder=self.assembly.folder,
         )
 
-    def _metrics_sources(self) -> MetricsSources:
-        return MetricsSources(
-            slices=lambda: figures.slices_by_name(self.scheduler),
-            state=self._state_name,
-            realtime_factor=lambda: self.scheduler.statistics.tick.real_time_factor,
-            peers=lambda: [peer.status for peer in self.peers],
-            input_ages_s=lambda: figures.input_ages_s(self.gate),
-            rejected=lambda: self.gate.rejected,
-            end_to_end=self.end_to_end,
-            gc_pause=self.scheduler.gc_pauses.pauses,
-            model_gap=self._model_gap,
-            gap_alarms=lambda: self.gaps.alarms,
-            audit=lambda: {item.name: item.ok for item in self.audit},
-            faults=self.faults.counts,
-            tasks=lambda: len(asyncio.all_tasks()),
-            kernel_hash=kernel_hash(),
-            config_sha256=lambda: self.config.sha256,
+    def _make_metrics(self) -> Metrics:
+        return Metrics(
+            Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(self.scheduler)),
+            Source(core_metrics.STATE_METRICS, lambda: self.control.state),
+            Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(self.gate)),
+            Source(peer_metrics.METRICS, lambda: [peer.status for peer in self.peers]),
+            Source(metrics.LATENCY_METRICS, lambda: self.end_to_end),
+            Source(metrics.GAP_METRICS, self._model_gap),
+            Source(metrics.ALARM_METRICS, lambda: self.gaps.alarms),
+            Source(fault_metrics.METRICS, self.faults.counts),
+            Source(audit.METRICS, lambda: {item.name: item.ok for item in self.audit}),
+            Source(metrics.PROGRAM_METRICS, self._program),
         )
+
+    def _program(self) -> metrics.Program:
+        return metrics.Program(self.config.sha256, len(asyncio.all_tasks()))
 
     def _make_http(self) -> HttpServer:
         health = HealthSources(

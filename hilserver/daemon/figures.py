@@ -9,23 +9,18 @@ from hilserver.image import Frame
 from hilserver.image.status import GOOD
 from hilserver.io.peer_status import PeerStatus
 from hilserver.monitoring.audit import AuditItem
-from hilserver.scheduler import Scheduler, SliceFigures
+from hilserver.scheduler import Scheduler
+from hilserver.scheduler.metrics import slices_by_name
 from hilserver.signals import MEASURED, SignalTable
 
 Figure = float | str | bool | int | None
 Table = dict[str, dict[str, Figure]]
-MAX_SOURCES = 16
 
 
 def _us(nanoseconds: float | None) -> float | None:
     if nanoseconds is None or math.isnan(nanoseconds):
         return None
     return nanoseconds * 1e-3
-
-
-def slices_by_name(scheduler: Scheduler) -> dict[str, SliceFigures]:
-    """Return the figures of every slice, in the order of the scheduler."""
-    return {name: scheduler.statistics.slice(name) for name in scheduler.statistics.names}
 
 
 def slice_table(scheduler: Scheduler) -> Table:
@@ -92,12 +87,6 @@ def audit_table(items: Iterable[AuditItem]) -> Table:
         }
         for item in items
     }
-
-
-def input_ages_s(gate: InputGate) -> Mapping[str, float]:
-    """Return the age of every source that has written [s], at most `MAX_SOURCES` of them."""
-    ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
-    return {source: age for source, age in ages.items() if age is not None}
 
 
 def model_gap(gate: InputGate, table: SignalTable, frame: Frame | None) -> Mapping[str, float]:

@@ -5,10 +5,12 @@ tested on a tree of its own. Missing items degrade the figures, visibly: they st
 metric and in OPC UA, and never stop the daemon.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
+
+from hilserver.metrics import Kind, Metric, by_name
 
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
@@ -201,6 +203,17 @@ CHECKS: tuple[Callable[[Path], AuditItem], ...] = (
     cgroup_cpu,
     virtualised,
     swap,
+)
+
+
+METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
+    Metric(
+        "hil_audit_ok",
+        Kind.GAUGE,
+        "1 where the system fulfils an item of the real-time audit.",
+        ("item",),
+        by_name,
+    ),
 )
 
 

@@ -1,17 +1,17 @@
 """Prometheus exposition of the daemon's figures.
 
-A custom collector turns the int64 counts that kernels and links keep anyway into metric families at
-the moment of a scrape: counting costs the paced path nothing more, and no second set of histograms
-exists that could disagree with the first.
+A custom collector turns the rows that every room declares into metric families at the moment of a
+scrape. Histograms come from the int64 counts that kernels and links keep anyway: counting costs the
+paced path nothing more, and no second set of histograms exists that could disagree with the first.
 
-    metrics = Metrics(MetricsSources(slices=..., state=..., realtime_factor=...))
+    metrics = Metrics(Source(scheduler.METRICS, lambda: pace(scheduler)), ...)
     body, content_type = metrics.render()              # what /metrics answers
     with metrics.statistics_reset():                   # exported totals keep counting
         scheduler.statistics.reset()
 """
 
-import dataclasses
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, cast
 
@@ -27,11 +27,8 @@ from prometheus_client.metrics_core import Metric as Family
 from prometheus_client.registry import Collector
 
 from hilserver.compiled.histogram import BOUNDS_NS
-from hilserver.monitoring.metrics_sources import MetricsSources
-from hilserver.monitoring.metrics_table import METRICS, Kind, Metric
-from hilserver.monitoring.metrics_totals import Counts, LifetimeTotals, Reading
-
-__all__ = ["Metrics", "MetricsSources"]
+from hilserver.metrics import Kind, Metric, Reading, Row, Source
+from hilserver.monitoring.metrics_totals import Counts, LifetimeTotals
 
 _OPENMETRICS = "application/openmetrics-text; version=1.0.0"
 _FAMILIES: dict[Kind, Any] = {
@@ -43,9 +40,9 @@ _BOUNDS_TEXT = [str(bound_ns / 1e9) for bound_ns in BOUNDS_NS]
 
 
 class Metrics:
-    """The registry of one daemon: its own metrics and the client library's process metrics."""
+    """The registry of one daemon: the rooms' metrics and the client library's process metrics."""
 
-    def __init__(self, sources: MetricsSources) -> None:
+    def __init__(self, *sources: Source[Any]) -> None:
         self.registry = CollectorRegistry(auto_describe=False)
         self._collector = _HilCollector(sources)
         self.registry.register(self._collector)
@@ -61,40 +58,44 @@ class Metrics:
     @contextmanager
     def statistics_reset(self) -> Iterator[None]:
         """Surround a reset of any source, so that nothing counted before it is lost."""
-        self._collector.read(self._collector.totals.advance)
+        for key, reading in self._collector.readings():
+            self._collector.totals.advance(key, reading)
         yield
-        self._collector.read(self._collector.totals.rebase)
+        for key, reading in self._collector.readings():
+            self._collector.totals.rebase(key, reading)
+
+
+_Key = tuple[str, tuple[str, ...]]
 
 
 class _HilCollector(Collector):
-    """Yields one family per row of the table of metrics."""
+    """Yields one family per metric."""
 
-    def __init__(self, sources: MetricsSources) -> None:
+    def __init__(self, sources: tuple[Source[Any], ...]) -> None:
         self.totals = LifetimeTotals()
         self._sources = sources
 
     def collect(self) -> Iterator[Family]:
         """Yield all families with their present values."""
-        sources = self._sources_of_one_scrape()
-        for metric in METRICS:
-            yield self._family(metric, sources)
+        for metric, rows in self._read():
+            yield self._family(metric, rows)
 
-    def read(self, take: Callable[[object, Reading], object]) -> None:
-        """Hand the present reading of every counter and histogram to `take`."""
-        sources = self._sources_of_one_scrape()
-        for metric in METRICS:
-            for labels, value in metric.read(sources):
+    def readings(self) -> Iterator[tuple[_Key, Reading]]:
+        """Yield the present reading of every counter and histogram."""
+        for metric, rows in self._read():
+            for labels, value in rows:
                 if isinstance(value, Reading):
-                    take((metric.name, labels), value)
+                    yield (metric.name, labels), value
 
-    def _sources_of_one_scrape(self) -> MetricsSources:
-        # Six metrics read the slices: asked once, all six show the same instant.
-        slices = self._sources.slices()
-        return dataclasses.replace(self._sources, slices=lambda: slices)
+    def _read(self) -> Iterator[tuple[Metric[Any], list[Row]]]:
+        for source in self._sources:
+            figures = source.figures()
+            for metric in source.metrics:
+                yield metric, [row for row in metric.read(figures) if _is_known(row)]
 
-    def _family(self, metric: Metric, sources: MetricsSources) -> Family:
+    def _family(self, metric: Metric[Any], rows: list[Row]) -> Family:
         family = _FAMILIES[metric.kind](metric.name, metric.help, labels=metric.labels)
-        for labels, value in metric.read(sources):
+        for labels, value in rows:
             if not isinstance(value, Reading):
                 family.add_metric(labels, value)
                 continue
@@ -106,7 +107,12 @@ class _HilCollector(Collector):
         return cast("Family", family)
 
 
-def _buckets(metric: Metric, counts: Counts) -> list[tuple[str, float]]:
+def _is_known(row: Row) -> bool:
+    _, value = row
+    return isinstance(value, Reading) or (value is not None and math.isfinite(value))
+
+
+def _buckets(metric: Metric[Any], counts: Counts) -> list[tuple[str, float]]:
     """Return (upper bound [s] as text, cumulated count) of the exported buckets and ``+Inf``."""
     cumulated = np.cumsum(counts).tolist()
     exported = [(_BOUNDS_TEXT[index], cumulated[index]) for index in metric.bound_indices]

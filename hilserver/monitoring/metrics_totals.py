@@ -13,28 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.metrics import Reading
+
 Counts = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a source shows now.
-
-    Attributes
-    ----------
-    counts : ndarray of int64
-        One count for a counter, one per bucket for a histogram; never falls but by a reset.
-    sum_ns : int
-        Sum of the counted durations [ns]; 0 for a counter.
-    """
-
-    counts: Counts
-    sum_ns: int = 0
-
-
-def counter(value: int) -> Reading:
-    """Return the reading of a plain counter."""
-    return Reading(np.array([value], dtype=np.int64))
 
 
 @dataclass(slots=True)

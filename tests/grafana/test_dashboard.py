@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hilserver.monitoring.metrics_table import METRICS
+from hilserver.daemon.metrics import METRICS
 
 HERE = Path(__file__).parent
 GRAFANA = HERE.parents[1] / "deploy" / "grafana"

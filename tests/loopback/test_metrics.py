@@ -15,8 +15,8 @@ from asyncua import ua
 from structlog.testing import capture_logs
 
 from hilserver.controller.nodes import demo_peer
+from hilserver.daemon.metrics import METRICS
 from hilserver.monitoring.health_http import RENDER_EVERY_S
-from hilserver.monitoring.metrics_table import METRICS
 from tests.helpers.prom_diff import PromDiff, series_of_text
 from tests.loopback.rig import call, configuration, run_ticks, running, scrape, take, wait_until
 

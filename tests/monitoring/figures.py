@@ -2,16 +2,24 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled.histogram import N_BUCKETS, Histogram125
+from hilserver.core import metrics as core
 from hilserver.core.inputs import Refusal
+from hilserver.daemon import metrics as daemon
+from hilserver.faults import metrics as faults
+from hilserver.io import peer_metrics
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_status import PeerStatus
-from hilserver.monitoring.metrics_sources import MetricsSources
+from hilserver.metrics import Source
+from hilserver.monitoring import audit
+from hilserver.scheduler import metrics as scheduler
 from hilserver.scheduler.statistics import SliceFigures, Window
+from hilserver.signals import State
 
 SLICES = ("plant", "sensors", "publish", "supervise", "own")
 
@@ -36,7 +44,7 @@ class FakeDaemon:
 
     def __init__(self) -> None:
         self.slices = {name: slice_figures(name) for name in SLICES}
-        self.state = "starting"
+        self.state = State.STARTING
         self.realtime_factor = math.nan
         self.peers = [PeerStatus("iot2050")]
         self.input_ages_s: dict[str, float] = {}
@@ -48,24 +56,28 @@ class FakeDaemon:
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
         self.tasks = 8
+        self.n_reads = 0
 
-    def sources(self) -> MetricsSources:
-        return MetricsSources(
-            slices=lambda: self.slices,
-            state=lambda: self.state,
-            realtime_factor=lambda: self.realtime_factor,
-            peers=lambda: self.peers,
-            input_ages_s=lambda: self.input_ages_s,
-            rejected=lambda: self.rejected,
-            end_to_end=self.end_to_end,
-            gc_pause=self.gc_pause,
-            model_gap=lambda: self.model_gap,
-            gap_alarms=lambda: self.gap_alarms,
-            audit=lambda: self.audit,
-            faults=lambda: self.faults,
-            tasks=lambda: self.tasks,
-            kernel_hash="0123456789abcdef",
-        )
+    def sources(self) -> list[Source[Any]]:
+        return [
+            Source(scheduler.METRICS, self.pace),
+            Source(core.STATE_METRICS, lambda: self.state),
+            Source(core.INPUT_METRICS, lambda: core.Inputs(self.input_ages_s, self.rejected)),
+            Source(peer_metrics.METRICS, lambda: self.peers),
+            Source(daemon.LATENCY_METRICS, lambda: self.end_to_end),
+            Source(daemon.GAP_METRICS, lambda: self.model_gap),
+            Source(daemon.ALARM_METRICS, lambda: self.gap_alarms),
+            Source(faults.METRICS, lambda: self.faults),
+            Source(audit.METRICS, lambda: self.audit),
+            Source(daemon.PROGRAM_METRICS, self.program),
+        ]
+
+    def pace(self) -> scheduler.Pace:
+        self.n_reads += 1
+        return scheduler.Pace(self.slices, self.realtime_factor, self.gc_pause)
+
+    def program(self) -> daemon.Program:
+        return daemon.Program("0123456789abcdef", self.tasks)
 
     def fill(self) -> None:
         """Set everything that a daemon in its default configuration can ever show."""
@@ -73,7 +85,7 @@ class FakeDaemon:
         self.slices = {
             name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES
         }
-        self.state = "running"
+        self.state = State.RUNNING
         self.realtime_factor = 1.0
         peer = self.peers[0]
         peer.connected, peer.clock_offset_s = True, 0.002

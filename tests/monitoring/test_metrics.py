@@ -11,10 +11,12 @@ from prometheus_client.openmetrics.parser import (
 from prometheus_client.parser import text_string_to_metric_families
 
 from hilserver.compiled.histogram import BOUNDS_NS, N_BUCKETS
+from hilserver.daemon.metrics import METRICS
 from hilserver.io.peer_status import PeerStatus
+from hilserver.metrics import Kind
 from hilserver.monitoring.metrics import Metrics
-from hilserver.monitoring.metrics_table import METRICS, Kind
 from hilserver.scheduler.statistics import Window
+from hilserver.signals import State
 from tests.helpers.prom_diff import PromDiff, series_of_text
 from tests.monitoring.figures import FakeDaemon, slice_figures, zeros
 
@@ -48,7 +50,7 @@ def daemon() -> FakeDaemon:
 
 @pytest.fixture
 def metrics(daemon: FakeDaemon) -> Metrics:
-    return Metrics(daemon.sources())
+    return Metrics(*daemon.sources())
 
 
 def counts_of(*latencies_ns: int) -> np.ndarray:
@@ -75,7 +77,7 @@ STIMULI = {
     "hil_overruns_total": lambda d: figures(d, late_wakes=1),
     "hil_missed_ticks_total": lambda d: figures(d, missed_ticks=4),
     "hil_realtime_factor": lambda d: setattr(d, "realtime_factor", 0.5),
-    "hil_state": lambda d: setattr(d, "state", "running"),
+    "hil_state": lambda d: setattr(d, "state", State.RUNNING),
     "hil_peer_connected": lambda d: setattr(d.peers[0], "connected", True),
     "hil_peer_reconnects_total": lambda d: setattr(d.peers[0], "reconnects", 2),
     "hil_peer_round_trip_seconds_bucket": lambda d: d.peers[0].round_trip.observe(700_000),
@@ -123,7 +125,7 @@ def test_overruns_are_told_apart_by_cause(daemon: FakeDaemon, metrics: Metrics) 
 
 
 def test_exactly_one_state_is_set(daemon: FakeDaemon, metrics: Metrics) -> None:
-    daemon.state = "paused"
+    daemon.state = State.PAUSED
     series = series_of_text(metrics.render()[0].decode())
     states = {
         dict(labels)["state"]: v for (name, labels), v in series.items() if name == "hil_state"
@@ -169,7 +171,7 @@ def test_unknown_figures_are_left_out_instead_of_invented(metrics: Metrics) -> N
 def test_default_configuration_stays_within_300_series() -> None:
     daemon = FakeDaemon()
     daemon.fill()
-    metrics = Metrics(daemon.sources())
+    metrics = Metrics(*daemon.sources())
     for is_openmetrics in (False, True):
         text = metrics.render(is_openmetrics)[0].decode()
         lines = [line for line in text.splitlines() if not line.startswith("#")]
@@ -203,7 +205,7 @@ def test_openmetrics_and_text_agree_and_parse(daemon: FakeDaemon, metrics: Metri
 def test_hostile_label_values_stay_inside_their_quotes() -> None:
     daemon = FakeDaemon()
     daemon.peers = [PeerStatus('a"b\\c\nhil_state{state="running"} 1')]
-    series = series_of_text(Metrics(daemon.sources()).render()[0].decode())
+    series = series_of_text(Metrics(*daemon.sources()).render()[0].decode())
     label = frozenset({("peer", daemon.peers[0].name)})
     assert series["hil_peer_connected", label] == 0
 
@@ -238,15 +240,9 @@ def test_a_reset_by_another_process_is_noticed_when_a_count_falls(
 
 
 def test_slices_are_read_once_per_scrape() -> None:
-    daemon, calls = FakeDaemon(), []
-
-    def slices() -> dict:
-        calls.append(1)
-        return daemon.slices
-
-    metrics = Metrics(replace(daemon.sources(), slices=slices))
-    metrics.render()
-    assert len(calls) == 1
+    daemon = FakeDaemon()
+    Metrics(*daemon.sources()).render()
+    assert daemon.n_reads == 1
 
 
 @pytest.mark.parametrize("factor", [math.nan, math.inf])

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.monitoring.metrics_totals import LifetimeTotals, Reading, counter
+from hilserver.metrics import Reading, counter
+from hilserver.monitoring.metrics_totals import LifetimeTotals
 
 increments = st.lists(st.integers(0, 1000), min_size=3, max_size=3)
 steps = st.lists(st.tuples(increments, st.booleans()), max_size=40)

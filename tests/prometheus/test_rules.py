@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hilserver.monitoring.metrics_table import METRICS
+from hilserver.daemon.metrics import METRICS
 from tests.prometheus.server import DEPLOY, missing
 
 pytestmark = pytest.mark.prometheus

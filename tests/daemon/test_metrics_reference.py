@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from hilserver.monitoring.metrics_reference import markdown
-from hilserver.monitoring.metrics_table import METRICS
+from hilserver.daemon.metrics import METRICS
+from hilserver.daemon.metrics_reference import markdown
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "metrics.md"
 

@@ -1,17 +1,19 @@
-"""The reference page of all metrics, written from the table: ``make reference``."""
+"""The reference page of all metrics, written from their rows: ``make reference``."""
 
 import sys
+from typing import Any
 
 from hilserver.compiled.histogram import BOUNDS_NS
-from hilserver.monitoring.metrics_table import METRICS, Kind, Metric
+from hilserver.daemon.metrics import METRICS
+from hilserver.metrics import Kind, Metric
 
 _INTRODUCTION = """\
 # Metrics
 
-<!-- Written by `make reference` from hilserver/monitoring/metrics_table.py. -->
+<!-- Written by `make reference` from the rows in hilserver/daemon/metrics.py. -->
 
 `http://127.0.0.1:9464/metrics` serves these names in Prometheus' text format, and in OpenMetrics to
-clients that ask for it. All times are in seconds. A metric that has nothing to tell (no peer, no
+clients that ask for it. All times are in seconds. A metric that has nothing to report (no peer, no
 complete window yet) is absent rather than zero.
 
 - Histograms have 1-2-5 buckets. What is shorter than the first bound stands in the first bucket,
@@ -38,7 +40,7 @@ Both answer with a line of JSON: `{"ok": true, "state": "running", "reason": "..
 """
 
 
-def _row(metric: Metric) -> str:
+def _row(metric: Metric[Any]) -> str:
     labels = ", ".join(f"`{label}`" for label in metric.labels)
     kind = str(metric.kind)
     if metric.kind is Kind.HISTOGRAM:

@@ -1,0 +1,61 @@
+"""Metrics of what the daemon does with its state and its inputs."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final, NamedTuple
+
+from hilserver.core.inputs import InputGate
+from hilserver.metrics import Kind, Metric, Row, by_name, counter
+from hilserver.signals import State
+
+MAX_SOURCES: Final = 16
+"""Sources whose age is exported; anybody may write under a name of his own."""
+
+
+class Inputs(NamedTuple):
+    """What came in: age of every source's newest accepted write [s], and refusals.
+
+    `rejected` counts by (source, reason).
+    """
+
+    ages_s: Mapping[str, float]
+    rejected: Mapping[tuple[str, str], int]
+
+
+def inputs(gate: InputGate) -> Inputs:
+    """Return the figures of the gate at this moment; a source never heard is left out."""
+    ages = {source: gate.age_s(source) for source in gate.sources[:MAX_SOURCES]}
+    heard = {source: age_s for source, age_s in ages.items() if age_s is not None}
+    return Inputs(heard, gate.rejected)
+
+
+def _states(now: State) -> Iterator[Row]:
+    for state in State:
+        yield (state.name.lower(),), float(state is now)
+
+
+STATE_METRICS: Final[tuple[Metric[State], ...]] = (
+    Metric(
+        "hil_state",
+        Kind.GAUGE,
+        "1 for the state the daemon is in, 0 for the others.",
+        ("state",),
+        _states,
+    ),
+)
+
+INPUT_METRICS: Final[tuple[Metric[Inputs], ...]] = (
+    Metric(
+        "hil_input_age_seconds",
+        Kind.GAUGE,
+        "Age of the newest accepted input of a source.",
+        ("source",),
+        lambda now: by_name(now.ages_s),
+    ),
+    Metric(
+        "hil_rejected_values_total",
+        Kind.COUNTER,
+        "Values refused before the process image, by source and reason.",
+        ("source", "reason"),
+        lambda now: ((labels, counter(count)) for labels, count in sorted(now.rejected.items())),
+    ),
+)

@@ -1,0 +1,94 @@
+"""All metrics: those of the rooms, and those of the daemon itself.
+
+A new metric is a row in the table of the room that feeds it; only a new table is entered here and
+in `Daemon`.
+"""
+
+import platform
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from hilserver import __version__
+from hilserver.compiled import kernel_hash
+from hilserver.compiled.histogram import Histogram125
+from hilserver.core import metrics as core
+from hilserver.faults import metrics as faults
+from hilserver.io import peer_metrics
+from hilserver.metrics import US, Kind, Metric, S, by_name, durations
+from hilserver.monitoring import audit
+from hilserver.scheduler import metrics as scheduler
+
+
+class Program(NamedTuple):
+    """What runs: hash of the configuration, and asyncio tasks that have not ended."""
+
+    config: str
+    tasks: int
+
+
+LATENCY_METRICS: Final[tuple[Metric[Histogram125], ...]] = (
+    Metric(
+        "hil_end_to_end_seconds",
+        Kind.HISTOGRAM,
+        "Change of a set-point to the first published output that contains it.",
+        (),
+        lambda end_to_end: [((), durations(end_to_end))],
+        (500 * US, 5 * S),
+    ),
+)
+
+GAP_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
+    Metric(
+        "hil_model_gap",
+        Kind.GAUGE,
+        "Measured minus simulated value of a channel, in the channel's unit.",
+        ("channel",),
+        by_name,
+    ),
+)
+
+ALARM_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
+    Metric(
+        "hil_model_gap_alarm",
+        Kind.GAUGE,
+        "1 while the gap of a channel exceeds shadow.limits, else 0.",
+        ("channel",),
+        by_name,
+    ),
+)
+
+PROGRAM_METRICS: Final[tuple[Metric[Program], ...]] = (
+    Metric(
+        "hil_asyncio_tasks",
+        Kind.GAUGE,
+        "Tasks of the event loop that have not ended; without a change in clients it stays flat.",
+        (),
+        lambda now: [((), float(now.tasks))],
+    ),
+    Metric(
+        "hil_build_info",
+        Kind.GAUGE,
+        "Always 1; the labels name the running program, its kernels and its configuration.",
+        ("version", "python", "kernel", "config"),
+        lambda now: [(_build(now.config), 1.0)],
+    ),
+)
+
+
+def _build(config: str) -> tuple[str, ...]:
+    return __version__, platform.python_version(), kernel_hash(), config
+
+
+METRICS: Final[tuple[Metric[Any], ...]] = (
+    *scheduler.METRICS,
+    *core.STATE_METRICS,
+    *core.INPUT_METRICS,
+    *peer_metrics.METRICS,
+    *LATENCY_METRICS,
+    *GAP_METRICS,
+    *ALARM_METRICS,
+    *faults.METRICS,
+    *audit.METRICS,
+    *PROGRAM_METRICS,
+)
+"""In the order of the reference page."""

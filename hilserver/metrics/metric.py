@@ -1,0 +1,106 @@
+"""A metric as a row: name, kind, help, labels, and the function that reads it."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.histogram import BOUNDS_NS, Histogram125
+
+US: Final = 10**3
+MS: Final = 10**6
+S: Final = 10**9
+
+Figures = TypeVar("Figures")
+
+
+class Kind(StrEnum):
+    """Kinds of metrics, in Prometheus' words."""
+
+    COUNTER = "counter"
+    GAUGE = "gauge"
+    HISTOGRAM = "histogram"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a counter or a histogram shows now.
+
+    Attributes
+    ----------
+    counts : ndarray of int64
+        One count for a counter, one per bucket for a histogram; falls only when it is reset.
+    sum_ns : int
+        Sum of the counted durations [ns]; 0 for a counter.
+    """
+
+    counts: NDArray[np.int64]
+    sum_ns: int = 0
+
+
+Row = tuple[tuple[str, ...], float | Reading | None]
+"""Label values and the value; None while it is unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric(Generic[Figures]):
+    """One metric.
+
+    Attributes
+    ----------
+    name : str
+        Ends in its unit, counters in ``_total``. A metric never changes its meaning.
+    read : callable
+        Yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
+        What is None or NaN is left out.
+    range_ns : tuple of int
+        Smallest and largest exported bucket bound [ns] of a histogram; both are 1-2-5 bounds.
+        What lies outside is counted in the first bucket and in ``+Inf``.
+    """
+
+    name: str
+    kind: Kind
+    help: str
+    labels: tuple[str, ...]
+    read: Callable[[Figures], Iterable[Row]]
+    range_ns: tuple[int, int] = (0, 0)
+
+    @property
+    def bound_indices(self) -> range:
+        """Indices into ``BOUNDS_NS`` of the exported bucket bounds."""
+        low, high = (int(np.searchsorted(BOUNDS_NS, bound)) for bound in self.range_ns)
+        return range(low, high + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Source(Generic[Figures]):
+    """Metrics and the figures they are read from.
+
+    Attributes
+    ----------
+    figures : callable
+        Called once per scrape, on the event loop, so that all metrics of a source show the same
+        instant; returns at once what it has.
+    """
+
+    metrics: Sequence[Metric[Figures]]
+    figures: Callable[[], Figures]
+
+
+def counter(value: int) -> Reading:
+    """Return the reading of a plain counter."""
+    return Reading(np.array([value], dtype=np.int64))
+
+
+def durations(histogram: Histogram125) -> Reading:
+    """Return the reading of a histogram, which is counted on in place."""
+    return Reading(histogram.counts.copy(), histogram.sum_ns)
+
+
+def by_name(figures: Mapping[str, float]) -> Iterator[Row]:
+    """Yield a row for every entry, labelled with its key: the reader of a table of numbers."""
+    for name, value in sorted(figures.items()):
+        yield (name,), float(value)
