@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import hilserver.plant.layout as at
 from hilserver.bench.report import Result
 from hilserver.compiled import kernel
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.reference.library import FLAGS, ReferencePlant, build
 from hilserver.plant.reference.vectors import cases
@@ -48,7 +49,7 @@ class _Numba:
     """One compiled robot with its arrays, turning while it drives."""
 
     def __init__(self, robot: RobotParameters) -> None:
-        self.p, self.x = robot.pack(), robot.initial_state()
+        self.p, self.x = pack(robot), initial_state(robot)
         self.u, self.y, self.q = _inputs()
 
     def direct(self, ticks: int) -> None:

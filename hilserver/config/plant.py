@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from hilserver.config.hall import load_hall
 from hilserver.plant import parts
 from hilserver.plant.errors import PlantError
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import GEOMETRIC_GAINS, ROTATION_GAINS, RobotParameters
 from hilserver.plant.terms import complete
 
@@ -216,5 +217,5 @@ def to_parameters(
         nav=parts.Navigation(**part("nav", sensors.nav)),
         hall=load_hall(sensors.tof.hall, folder or Path()),
     )
-    robot.pack()  # refuses terms that do not fit the robot
+    pack(robot)  # refuses terms that do not fit the robot
     return robot

@@ -24,6 +24,7 @@ from hilserver.kernel import BlockUse, Composition, Part
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.plant.blocks import load_block
 from hilserver.plant.errors import PlantError
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
 from hilserver.signals import MEASURED, BlockOutput, Ranges, SignalTable, robot_table
@@ -148,8 +149,8 @@ class _Builder:
             periods_s=periods_s,
             parts=parts,
             blocks=blocks,
-            parameters=robot.pack(),
-            state=robot.initial_state(),
+            parameters=pack(robot),
+            state=initial_state(robot),
             hall=robot.hall,
             fitted=None if self._patch is None else fitted_limits(self._patch.model),
         )

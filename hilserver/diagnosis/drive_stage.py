@@ -22,6 +22,7 @@ from hilserver.plant.layout import (
     U_TWIST_LINEAR,
     WHEELS,
 )
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -87,11 +88,11 @@ class DriveStage:
     def simulate(self, terms: Mapping[str, float]) -> tuple[Array, Array, Array]:
         """Return true speed, shown speed and duty at every tick, each of shape (ticks, 4)."""
         robot = robot_with(self.robot, {k: v for k, v in terms.items() if "shift." not in k})
-        p, phase = robot.pack(), terms.get("shift.control_phase", 0.0)
+        p, phase = pack(robot), terms.get("shift.control_phase", 0.0)
         speed, seen, duty = (np.empty((self.segments.ticks, 4)) for _ in range(3))
         run_drive(
             p,
-            replace(robot, seed=0).initial_state(),
+            initial_state(replace(robot, seed=0)),
             self.segments.first,
             self._inputs,
             self._row,
@@ -134,8 +135,8 @@ class DriveStage:
         """
         seen = np.empty((self.segments.ticks, 4))
         run_process(
-            self.robot.pack(),
-            replace(self.robot, seed=0).initial_state(),
+            pack(self.robot),
+            initial_state(replace(self.robot, seed=0)),
             self.segments.first,
             duty,
             self._volts,

@@ -10,6 +10,7 @@ from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
         0.5 * sum(np.interp(at, along(log[n], start_s), log[n].values) for n in SPEEDS[part])
         for part in (slice(0, 2), slice(2, 4))
     )
-    p = robot.pack()
+    p = pack(robot)
     rims = p[P_RADIUS_LEFT] * left + p[P_RADIUS_RIGHT] * right
     return np.asarray(p[P_YAW_GAIN] * rims * 2.0 * np.pi / 60.0)
 

@@ -16,6 +16,7 @@ from hilserver.diagnosis.model import robot_with
 from hilserver.diagnosis.stack import make_stack
 from hilserver.diagnosis.wheel_speeds import WheelSpeeds, angles_at_starts
 from hilserver.plant.layout import N_Y, P_DT, P_SEED
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -79,7 +80,7 @@ class PoseStage:
         self.has_position = log.has(*POSITION)
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
-        self._state = robot.initial_state()
+        self._state = initial_state(robot)
         self._shares = self.segments.shares(jobs)
         self._pool = ThreadPoolExecutor(jobs) if len(self._shares) > 1 else None
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
@@ -115,7 +116,7 @@ class PoseStage:
         return self._run(self._pack(inner), poses)
 
     def _pack(self, terms: Mapping[str, float]) -> Array:
-        p = robot_with(self.robot, terms).pack()
+        p = pack(robot_with(self.robot, terms))
         p[P_DT] = self.period_s
         return p
 

@@ -6,6 +6,7 @@ from, see `Log.run` and `Log.states`.
 
 from hilserver.logs.log import Log, State
 from hilserver.logs.reading import read_log
-from hilserver.logs.writing import LogWriter, Segmented, open_writer
+from hilserver.logs.writer import LogWriter, Segmented
+from hilserver.logs.writing import open_writer
 
 __all__ = ["Log", "LogWriter", "Segmented", "State", "open_writer", "read_log"]

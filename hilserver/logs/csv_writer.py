@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hilserver.logs.log import State
-from hilserver.logs.writing import Segmented, WholeFile
+from hilserver.logs.writer import Segmented, WholeFile
 
 BAD = 0x8000_0000
 """A status code with this bit has no usable value."""

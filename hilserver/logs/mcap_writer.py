@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.logs.log import State
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout, payload_dtype
-from hilserver.logs.writing import Segmented, WholeFile
+from hilserver.logs.writer import Segmented, WholeFile
 
 TOPIC = "/hilserver/frame"
 METADATA = "hilserver"

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,8 @@ import hilserver.plant.layout as at
 from hilserver.plant.battery import DUTY_FULL_PCT, HIGHEST_V, LOWEST_V, open_circuit_voltage
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import anisotropy
+from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS, complete
-
-if TYPE_CHECKING:
-    from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
@@ -46,7 +43,7 @@ _KINEMATIC_SWITCHES = (
 class _Values:
     """The terms of one robot, asked by name."""
 
-    def __init__(self, robot: "RobotParameters") -> None:
+    def __init__(self, robot: RobotParameters) -> None:
         self._values = complete(robot.terms)
 
     def __call__(self, name: str) -> float:
@@ -60,7 +57,7 @@ class _Values:
         return self._values[name] != TERMS[name].null
 
 
-def pack(robot: "RobotParameters") -> Array:
+def pack(robot: RobotParameters) -> Array:
     """Return the parameters as the kernels read them, shape (N_P,).
 
     Raises
@@ -96,7 +93,7 @@ def _delay_runs(name: str, delay_s: float, period_s: float, most: int) -> float:
     return nearest if abs(runs - nearest) < 1e-9 * max(nearest, 1.0) else runs
 
 
-def _pack_command(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_command(p: Array, robot: RobotParameters, term: _Values) -> None:
     rpm_per_rad_s = 60.0 / (2.0 * math.pi)
     p[at.P_MAX_RPM] = robot.max_rpm
     p[at.P_RPM_PER_M_S] = rpm_per_rad_s / robot.wheel_radius_m
@@ -113,7 +110,7 @@ def _pack_command(p: Array, robot: "RobotParameters", term: _Values) -> None:
     p[at.P_COMMAND_TERMS] = delay_s > 0.0 or rate is not None
 
 
-def _pack_controller(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_controller(p: Array, robot: RobotParameters, term: _Values) -> None:
     c = robot.controller
     period_s = term.given("control_period")
     if period_s is None:
@@ -139,7 +136,7 @@ def _pack_controller(p: Array, robot: "RobotParameters", term: _Values) -> None:
     p[at.P_DRIVE_TERMS] = c.k_d > 0.0 or slower or any(map(term.on, _DRIVE_SWITCHES))
 
 
-def _pack_process(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_process(p: Array, robot: RobotParameters, term: _Values) -> None:
     loop = robot.loop
     gain = loop.gain * (1.0 + term("process_gain"))
     t1_s = loop.t1_s * (1.0 + term("time_constant"))
@@ -162,7 +159,7 @@ def _pack_process(p: Array, robot: "RobotParameters", term: _Values) -> None:
     p[at.P_LOAD + int(wheel)] = term("wheel_load.f")
 
 
-def _pack_kinematics(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_kinematics(p: Array, robot: RobotParameters, term: _Values) -> None:
     radius = robot.wheel_radius_m * (1.0 + term("wheel_radius"))
     half_difference = term("wheel_radius_difference") / 2.0
     factor, shift_m = 1.0, 0.0
@@ -186,7 +183,7 @@ def encoder_weights(period_s: float, filter_s: float) -> tuple[float, float]:
     return max(1.0 - closed * filter_s / period_s, 0.0), 1.0 - closed
 
 
-def _anisotropy(robot: "RobotParameters", term: _Values) -> tuple[float, float]:
+def _anisotropy(robot: RobotParameters, term: _Values) -> tuple[float, float]:
     offset_m = term("friction_anisotropy.offset")
     if robot.wheelbase_m is None:
         msg = "plant.terms.friction_anisotropy: needs plant.wheelbase_m; two wheels do not scrub."
@@ -201,7 +198,7 @@ def _anisotropy(robot: "RobotParameters", term: _Values) -> tuple[float, float]:
     return anisotropy(robot.wheelbase_m, robot.track_m, ratio, offset_m)
 
 
-def _pack_motion_terms(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_motion_terms(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_KINEMATIC_TERMS] = any(map(term.on, _KINEMATIC_SWITCHES))
     p[at.P_BASE_TURN] = robot.k_om * robot.wheel_radius_m
     p[at.P_GAIN_SPEED] = term("rotation_gain_speed")
@@ -222,7 +219,7 @@ def _pack_motion_terms(p: Array, robot: "RobotParameters", term: _Values) -> Non
     p[at.P_RUNOUT_PHASE] = term("wheel_runout.phase")
 
 
-def _pack_body_sensors(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_body_sensors(p: Array, robot: RobotParameters, term: _Values) -> None:
     imu, battery, tof = robot.imu, robot.battery, robot.tof
     p[at.P_IMU_ENABLED] = imu.enabled
     p[at.P_IMU_DELAY] = _delay_runs("imu_latency", term("imu_latency"), imu.period_s, at.RING - 2)
@@ -242,7 +239,7 @@ def _pack_body_sensors(p: Array, robot: "RobotParameters", term: _Values) -> Non
     p[at.P_TOF_COS] = math.cos(tof.field_of_view_rad / 2.0)
 
 
-def _pack_navigation(p: Array, robot: "RobotParameters", term: _Values) -> None:
+def _pack_navigation(p: Array, robot: RobotParameters, term: _Values) -> None:
     nav = robot.nav
     every = 1.0 / (nav.rate_hz * nav.period_s)
     if nav.enabled and (round(every) < 1 or abs(every - round(every)) > 1e-6 * every):
@@ -278,8 +275,9 @@ def _pack_navigation(p: Array, robot: "RobotParameters", term: _Values) -> None:
     p[at.P_DISTORTION_PHASE_2] = term("heading_distortion.phase2")
 
 
-def initial_state(p: Array) -> Array:
-    """Return the state at rest in the origin, shape (N_X,), for packed parameters `p`."""
+def initial_state(robot: RobotParameters) -> Array:
+    """Return the state at rest in the origin, shape (N_X,)."""
+    p = pack(robot)
     x = np.zeros(at.N_X)
     charge = float(p[at.P_CHARGE_0])
     x[at.X_CHARGE] = charge

@@ -1,4 +1,4 @@
-"""The robot's parameters: physical values, checked; `pack` makes the array the kernels read."""
+"""The robot's parameters: physical values, checked; `packing` makes the array the kernels read."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import default_hall
-from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
 from hilserver.plant.stability import Loop
 from hilserver.plant.terms import complete
@@ -25,7 +24,6 @@ __all__ = [
     "Process",
     "RangeFinders",
     "RobotParameters",
-    "initial_state",
 ]
 
 ROTATION_GAINS: Final[Mapping[str, float]] = {
@@ -156,14 +154,6 @@ class RobotParameters:
     def ranges(self) -> Ranges:
         """The limits that max_rpm sets."""
         return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s)
-
-    def pack(self) -> NDArray[np.float64]:
-        """Return the parameters as the kernels read them, shape (N_P,)."""
-        return pack(self)
-
-    def initial_state(self) -> NDArray[np.float64]:
-        """Return the state at rest in the origin, shape (N_X,)."""
-        return initial_state(self.pack())
 
 
 def _numbers(part: object, path: str) -> Iterator[tuple[str, str, float]]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from hilserver.logs import Log
 from hilserver.logs.csv_writer import BAD
-from hilserver.logs.writing import Segmented
+from hilserver.logs.writer import Segmented
 from hilserver.signals import Direction, SignalTable
 
 

@@ -13,7 +13,7 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.errors import ConfigError, LogError
 from hilserver.image import ProcessImage, read_frames
 from hilserver.kernel import compose
-from hilserver.logs.writing import Segmented
+from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
 from hilserver.scheduler import RealtimeSettings, Scheduler
 from hilserver.signals import State

@@ -10,6 +10,7 @@ from hilserver_injector.sensors import YAW, X, Y
 
 from hilserver.compiled import kernel
 from hilserver.plant import layout as at
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.terms import TERMS, main_part
@@ -41,7 +42,7 @@ def follow(p, x, u, y, q, ticks, setpoints, out):
 def differences(recipe, terms):
     table, truth = make(quiet(recipe))
     robot = RobotParameters(terms=terms)
-    p, x = robot.pack(), robot.initial_state()
+    p, x = pack(robot), initial_state(robot)
     x[at.X_POSE : at.X_POSE + 3] = truth.dense[0, [X, Y, YAW]]
     u, y, q = np.zeros(at.N_U), np.zeros(at.N_Y), np.zeros(at.N_Y, np.int64)
     u[at.U_ENABLE] = 1.0

@@ -4,7 +4,7 @@ import numpy as np
 
 from hilserver.image import FrameBatch
 from hilserver.logs.provenance import SCHEMA
-from hilserver.logs.writing import Segmented
+from hilserver.logs.writer import Segmented
 
 NAMES = ("wheel.fl.setpoint_rpm", "internal.command", "wheel.fl.speed_rpm", "sim.tick")
 PERIOD_NS = 1_000_000

@@ -3,6 +3,7 @@
 import numpy as np
 
 import hilserver.plant.layout as at
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.sensors import battery_step, imu_step, nav_step, tof_step
@@ -13,8 +14,8 @@ SENSOR_TICKS = 10
 class Rig:
     def __init__(self, **parameters):
         self.robot = RobotParameters(**parameters)
-        self.p = self.robot.pack()
-        self.x = self.robot.initial_state()
+        self.p = pack(self.robot)
+        self.x = initial_state(self.robot)
         self.u = np.zeros(at.N_U)
         self.u[at.U_ENABLE] = 1.0
         self.y = np.zeros(at.N_Y)

@@ -15,6 +15,7 @@ from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig,
 from hilserver.errors import ConfigError
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import balance
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import Battery, Controller, Navigation, Process, RobotParameters
 from tests.plant.rig import Rig
 
@@ -55,7 +56,7 @@ def test_refused(parameters, words):
 def test_navigation_rate_must_fit_its_slice():
     nav = Navigation(enabled=True, rate_hz=30.0)
     with pytest.raises(PlantError, match=r"nearest are 25 and 33\.3333 Hz"):
-        RobotParameters(nav=nav).pack()
+        pack(RobotParameters(nav=nav))
 
 
 @pytest.mark.parametrize("period_s", [0.0001, 0.001, 0.01, 0.0145])
@@ -74,7 +75,7 @@ def test_two_wheels_have_no_wheelbase():
     rig = Rig(wheelbase_m=None, track_m=0.55, icr_offset_m=0.0).twist(0.2, 0.5).step(2000)
     assert rig.velocity.tolist() == pytest.approx([0.2, 0.0, 0.5], abs=1e-7)
     with pytest.raises(PlantError, match=r"needs plant\.wheelbase_m"):
-        RobotParameters(wheelbase_m=None, terms={"friction_anisotropy.ratio": 2.0}).pack()
+        pack(RobotParameters(wheelbase_m=None, terms={"friction_anisotropy.ratio": 2.0}))
 
 
 def test_ranges_follow_max_rpm():
@@ -144,7 +145,7 @@ def test_friction_balance_is_the_least_dissipation(ratio, offset_m):
 
 def test_sections_default_to_the_default_robot():
     robot = to_parameters(PlantConfig(), KinematicsConfig(), SensorsConfig(), PERIODS)
-    assert robot.pack().tobytes() == RobotParameters().pack().tobytes()
+    assert pack(robot).tobytes() == pack(RobotParameters()).tobytes()
 
 
 def test_sections_reach_the_robot():

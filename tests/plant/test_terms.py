@@ -5,6 +5,7 @@ import pytest
 
 import hilserver.plant.layout as at
 from hilserver.plant.errors import PlantError
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import Controller, Navigation, RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.terms import TERMS, complete
@@ -32,10 +33,10 @@ def random_states(rng, x, u):
 def test_null_terms_equal_the_separate_base_to_the_bit(terms):
     rng = np.random.default_rng(1)
     robot = RobotParameters(terms=terms)
-    p = robot.pack()
+    p = pack(robot)
     u, q = np.zeros(at.N_U), np.zeros(at.N_Y, dtype=np.int64)
     u[at.U_ENABLE] = 1.0
-    x, y, y_base = robot.initial_state(), np.zeros(at.N_Y), np.zeros(at.N_Y)
+    x, y, y_base = initial_state(robot), np.zeros(at.N_Y), np.zeros(at.N_Y)
     for _ in range(SAMPLES):
         random_states(rng, x, u)
         x_base = x[: at.X_DUTY + 10].copy()
@@ -48,8 +49,8 @@ def test_null_terms_equal_the_separate_base_to_the_bit(terms):
 
 
 def test_null_terms_pack_to_the_same_bits():
-    assert RobotParameters(terms=NULLS).pack().tobytes() == RobotParameters().pack().tobytes()
-    assert RobotParameters(terms={"control_period": 0.001}).pack()[at.P_DRIVE_TERMS] == 0.0
+    assert pack(RobotParameters(terms=NULLS)).tobytes() == pack(RobotParameters()).tobytes()
+    assert pack(RobotParameters(terms={"control_period": 0.001}))[at.P_DRIVE_TERMS] == 0.0
 
 
 def lively(terms):
@@ -126,7 +127,7 @@ def test_a_thousandth_changes_a_bit(name, plain):
 )
 def test_refused_terms(terms, words):
     with pytest.raises(PlantError, match=words) as caught:
-        RobotParameters(terms=terms).pack()
+        pack(RobotParameters(terms=terms))
     assert "\n" not in str(caught.value)
     assert "plant.terms." in str(caught.value)
 

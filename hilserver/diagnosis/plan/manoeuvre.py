@@ -14,6 +14,7 @@ from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.errors import ConfigError, LogError
 from hilserver.faults.scenario import Scenario, load_scenario
 from hilserver.plant.layout import P_HALF_TRACK, P_RPM_PER_M_S, P_RPM_PER_RAD_S
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -117,7 +118,7 @@ def _to_wheels(columns: Mapping[str, Array], robot: RobotParameters, is_twist: b
 
 def from_twist(robot: RobotParameters, linear_m_s: Array, angular_rad_s: Array) -> Array:
     """Return the set-points of a twist, equation (5.25), shape (n, 4) [rpm]."""
-    p = robot.pack()
+    p = pack(robot)
     if robot.exclusive_twist:
         straight_on = np.abs(linear_m_s) >= np.abs(angular_rad_s) * p[P_HALF_TRACK]
         linear_m_s = np.where(straight_on, linear_m_s, 0.0)

@@ -14,7 +14,7 @@ from hilserver.image.layout import REQUEST_LOAD
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
 from hilserver.logs.log import State
-from hilserver.logs.writing import Segmented
+from hilserver.logs.writer import Segmented
 
 BATCH_FRAMES = 256
 _MARGIN_FRAMES = 64

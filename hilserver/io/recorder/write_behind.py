@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hilserver.logs import LogWriter, State
-from hilserver.logs.writing import Segmented
+from hilserver.logs.writer import Segmented
 
 FLUSH_EVERY_S = 0.2
 SYNC_EVERY_S = 1.0

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hilserver.plant.layout as at
+from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import Navigation, RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.sensors import imu_step, nav_step
@@ -91,8 +92,8 @@ def setpoints(tick: int) -> NDArray[np.float64]:
 
 def drive(robot: RobotParameters) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Run the manoeuvre with the compiled plant; yield tick and numbers as in `COLUMNS`."""
-    p = robot.pack()
-    x, u = robot.initial_state(), np.zeros(at.N_U)
+    p = pack(robot)
+    x, u = initial_state(robot), np.zeros(at.N_U)
     y, q = np.zeros(at.N_Y), np.zeros(at.N_Y, dtype=np.int64)
     u[at.U_ENABLE] = 1.0
     for tick in range(TICKS):

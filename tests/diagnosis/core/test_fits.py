@@ -9,6 +9,7 @@ from hilserver.diagnosis.library import drive_candidates
 from hilserver.diagnosis.model import Fitted, Model, robot_with
 from hilserver.diagnosis.problem import fit
 from hilserver.diagnosis.quick_noise import lonely
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 from tests.diagnosis import toy
 from tests.diagnosis.assertions import no_prediction_saw_its_block
@@ -174,11 +175,11 @@ def test_the_terms_of_a_model_stand_beside_those_of_the_plant():
 
 
 def test_no_effect_is_no_change_of_the_plant():
-    base = RobotParameters().pack()
+    base = pack(RobotParameters())
     for candidate in drive_candidates(100.0):
         terms = candidate.terms(candidate.null)
         if candidate.linear and len(terms) == 1:
-            assert np.array_equal(robot_with(RobotParameters(), terms).pack(), base), candidate
+            assert np.array_equal(pack(robot_with(RobotParameters(), terms)), base), candidate
 
 
 def test_only_few_far_samples_in_a_row_are_outliers():
