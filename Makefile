@@ -56,6 +56,7 @@ format: $(VENV)/.dev ## Bring all code into the project's form
 .PHONY: reference
 reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m hilserver.daemon.metrics_reference > docs/reference/metrics.md
+	@$(BIN)/python -m hilserver.daemon.step_reference > docs/reference/step.md
 	@$(BIN)/python -m hilserver.config.reference > docs/reference/configuration.md
 	@$(BIN)/python -m hilserver.diagnosis.mapping_reference > docs/reference/mapping.md
 	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md

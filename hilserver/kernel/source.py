@@ -37,7 +37,8 @@ def step(phase, tick, planned_ns, values, words):
 def step_source(composition: Composition, layout: Layout) -> str:
     """Return the source of the step, a module with the function ``step``."""
     blocks = list(enumerate(composition.blocks))
-    lines = [f"AT = {find_places(layout, composition.table)!r}"]
+    places = find_places(layout, composition.table)._asdict()
+    lines = ["AT = Places(", *(f"    {name}={place}," for name, place in places.items()), ")"]
     for number, block in blocks:
         lines += _block_slots(number, block, composition)
     fitted = layout.regions.get("fitted")
@@ -87,9 +88,16 @@ def _piece(region: Region) -> str:
 def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -> list[str]:
     u, y, x, p = (_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp")
     return [
+        f"# {block.name}",
         f"parts.read_inputs(INPUTS_{number}, {u}, values, words)",
         "try:",
-        f"    block_{number}({period_s!r}, {u}, {y}, {x}, {p})  # {block.name}",
+        f"    block_{number}(",
+        f"        {period_s!r},  # dt_s",
+        f"        {u},  # u",
+        f"        {y},  # y",
+        f"        {x},  # x",
+        f"        {p},  # p",
+        "    )",
         "except Exception:",
         f"    fault = {number + 1}",
         f"    parts.give_up({y})",
