@@ -88,11 +88,11 @@ def cut(
         if length < SHORTEST_S:
             continue
         n = 1 if longest_s is None else max(1, int(np.ceil(length / longest_s - 1e-9)))
-        step = length / n
-        for k in range(n):
-            span.append(i)
-            end = s.end_s + period_s if k == n - 1 else s.start_s + (k + 1) * step
-            edges.append((s.start_s + k * step, end))
+        since = length / n * np.arange(n + 1)
+        if log.on_ticks:  # so that samples lie on rows of the dense arrays
+            since = period_s * np.rint(since / period_s)
+        span += [i] * n
+        edges += pairwise([*(s.start_s + since[:-1]).tolist(), s.end_s + period_s])
     start, end_s = (np.array(e) for e in zip(*edges, strict=True)) if edges else ([], [])
     lead_s = period_s * round(lead_s / period_s)
     length = np.asarray(end_s) - np.asarray(start) + lead_s

@@ -82,6 +82,9 @@ class MeasuredLog:
         Keys of the plant configuration that the mapping file sets.
     notices : tuple of str
         What a reader should be told: rows dropped, the file ends early.
+    on_ticks : bool
+        True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that
+        stands first in a row came at one of the ticks after the row before it.
     """
 
     sources: tuple[Source, ...]
@@ -90,6 +93,7 @@ class MeasuredLog:
     has_stamps: bool = True
     plant: Mapping[str, object] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
+    on_ticks: bool = False
 
     @property
     def drive_is_known(self) -> bool:

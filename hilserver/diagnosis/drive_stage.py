@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.clock import cut
 from hilserver.diagnosis.data import MeasuredLog
-from hilserver.diagnosis.kernels import run_drive, run_process, sample
+from hilserver.diagnosis.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.model import robot_with
 from hilserver.diagnosis.stack import make_stack
 from hilserver.plant.layout import (
     N_U,
     N_Y,
+    U_COMMAND,
     U_ENABLE,
     U_MODE,
     U_SETPOINT,
@@ -37,6 +38,7 @@ INPUTS: Final[Mapping[str, int]] = {
     "twist.angular_rad_s": U_TWIST_ANGULAR,
     "control.mode": U_MODE,
     "drive.enable": U_ENABLE,
+    "internal.command": U_COMMAND,
 }
 NOMINAL_V: Final = 19.2
 SETTLING_S: Final = 1.0
@@ -75,6 +77,8 @@ class DriveStage:
         self._inputs, self._row = self._latched()
         self._speed_0 = self._start()
         self._volts = np.full(self.segments.ticks, NOMINAL_V)
+        if log.on_ticks:
+            self._inputs, self._row = self._placed()
         if "battery.voltage_v" in log:
             _, _, duty = self.simulate({})
             self._volts = self._voltage(np.abs(duty).sum(axis=1))
@@ -236,6 +240,35 @@ class DriveStage:
                     index[first + k : end] = len(rows)
                     rows.append(now.copy())
         return np.array(rows), index
+
+    def _placed(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return the inputs with changes at the ticks, between two rows, that the wheels tell."""
+        ticks = self.segments.ticks
+        is_row, measured = np.zeros(ticks, dtype=np.bool_), np.full((ticks, 8), np.nan)
+        for name in (*INPUTS, *SPEEDS, *DUTIES):
+            if name not in self.log:
+                continue
+            channel = self.log[name]
+            segment, at = self.segments.locate(channel.span, channel.t_s)
+            tick = np.rint(at[segment >= 0]).astype(np.int64)
+            if name in INPUTS:
+                is_row[tick] = True
+            else:
+                measured[tick, (*SPEEDS, *DUTIES).index(name)] = channel.values[segment >= 0]
+        dense = self._inputs[self._row]
+        place_inputs(
+            pack(self.robot),
+            initial_state(replace(self.robot, seed=0)),
+            self.segments.first,
+            dense,
+            self._speed_0,
+            is_row,
+            measured,
+            np.zeros(N_Y),
+        )
+        fresh = np.concatenate([[True], (dense[1:] != dense[:-1]).any(axis=1)])
+        fresh[self.segments.first[:-1]] = True
+        return dense[fresh], np.cumsum(fresh) - 1
 
     def _voltage(self, load: Array) -> Array:
         """Return the battery voltage at every tick, without the noise of its sensor.

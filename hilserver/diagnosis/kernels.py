@@ -6,6 +6,8 @@ Segments lie one after the other in all arrays: segment i covers the rows ``firs
 
 from typing import Any
 
+import numpy as np
+
 from hilserver.compiled import kernel
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
@@ -13,8 +15,10 @@ from hilserver.plant.layout import (
     P_DRIVE_TERMS,
     P_DT,
     P_ENCODER_SHARE,
+    P_KP,
     P_NAV_DELAY,
     P_NAV_YAW_DELAY,
+    U_SETPOINT,
     X_ANGLE,
     X_BATTERY_V,
     X_CONTROL_PHASE,
@@ -69,12 +73,7 @@ def run_drive(
     for s in range(first.size - 1):
         x[:] = x0
         x[X_CONTROL_PHASE] = phase_ticks
-        for i in range(4):
-            x[X_SPEED + i] = speed_0[s, i]
-            x[X_MOTOR + i] = speed_0[s, i]
-            x[X_SETPOINT + i] = speed_0[s, i]
-            x[X_INTEGRAL + i] = speed_0[s, 4 + i]
-            x[X_ENCODER + i] = (1.0 - p[P_ENCODER_SHARE]) * speed_0[s, i]
+        _set_start(p, x, speed_0[s])
         for k in range(first[s], first[s + 1]):
             x[X_BATTERY_V] = volts[k]
             for i in range(4):
@@ -87,6 +86,97 @@ def run_drive(
             for i in range(4):
                 seen[k, i] = y[Y_SPEED + i]
                 duty[k, i] = y[Y_DUTY + i]
+
+
+@kernel()
+def _set_start(p: Any, x: Any, speed_0: Any) -> None:
+    """Let the wheels turn in balance: shape (8,), speeds [rpm] and integrals."""
+    for i in range(4):
+        x[X_SPEED + i] = speed_0[i]
+        x[X_MOTOR + i] = speed_0[i]
+        x[X_SETPOINT + i] = speed_0[i]
+        x[X_INTEGRAL + i] = speed_0[4 + i]
+        x[X_ENCODER + i] = (1.0 - p[P_ENCODER_SHARE]) * speed_0[i]
+
+
+@kernel()
+def _drive_to(p: Any, x: Any, y: Any, inputs: Any, first: int, end: int) -> None:
+    for k in range(first, end):
+        command(p, x, inputs[k])
+        drive_terms(p, x, y)
+
+
+@kernel()
+def _miss(p: Any, y: Any, measured: Any, i: int) -> float:
+    """Return by how much a wheel misses what was measured, squared [rpm^2]."""
+    speed = y[Y_SPEED + i] - measured[i]
+    duty = (y[Y_DUTY + i] - measured[4 + i]) / max(p[P_KP], 1e-9)
+    return (0.0 if np.isnan(speed) else speed * speed) + (0.0 if np.isnan(duty) else duty * duty)
+
+
+@kernel()
+def _place(p: Any, x: Any, y: Any, inputs: Any, first: int, at: int, measured: Any) -> None:
+    """Place the change that stands in row `at`, at one of the ticks `first` to `at`.
+
+    Wheels are placed by themselves, as long as nothing but their own set-points changes.
+    """
+    before, after = inputs[first - 1].copy(), inputs[at].copy()
+    alone = True
+    for c in range(after.size):
+        if before[c] != after[c] and not U_SETPOINT <= c < U_SETPOINT + 4:
+            alone = False
+    least, best, miss = np.full(4, np.inf), np.full(4, at), np.empty(4)
+    for change in range(at, first - 1, -1):
+        inputs[change:at] = after
+        trial = x.copy()
+        _drive_to(p, trial, y, inputs, first, at + 1)
+        for i in range(4):
+            miss[i] = _miss(p, y, measured, i)
+        if not alone:
+            miss[:] = miss.sum()
+        for i in range(4):
+            if miss[i] < least[i]:
+                least[i], best[i] = miss[i], change
+    inputs[first:at] = before
+    if not alone:
+        inputs[best[0] : at] = after
+        return
+    for i in range(4):
+        inputs[best[i] : at, U_SETPOINT + i] = after[U_SETPOINT + i]
+
+
+@kernel()
+def place_inputs(
+    p: Any, x0: Any, first: Any, inputs: Any, speed_0: Any, is_row: Any, measured: Any, y: Any
+) -> None:
+    """Move changes of the inputs to the ticks at which they fit the measured wheels best.
+
+    A table tells that an input changed between two rows, not at which tick. The wheels answer
+    within milliseconds, so what they show in the row where the new value stands first tells it.
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (ticks, N_U)
+        Changed in place: a change stands in its row before, at its own tick afterwards.
+    speed_0
+        As for `run_drive`.
+    is_row : ndarray of bool, shape (ticks,)
+        Which ticks the table has a row of.
+    measured : ndarray, shape (ticks, 8)
+        Speeds [rpm] and duties [%] in the rows, NaN where there is none.
+    """
+    for s in range(first.size - 1):
+        x = x0.copy()
+        _set_start(p, x, speed_0[s])
+        k = first[s]
+        while k < first[s + 1]:
+            at = k
+            while at < first[s + 1] - 1 and not is_row[at]:
+                at += 1
+            if first[s] < k < at and (inputs[at] != inputs[k - 1]).any():
+                _place(p, x, y, inputs, k, at, measured[at])
+            _drive_to(p, x, y, inputs, k, at + 1)
+            k = at + 1
 
 
 @kernel()

@@ -9,6 +9,7 @@ from hilserver.signals import MEASURED, Direction, Ranges, Signal, SignalTable, 
 _OF_THE_DAEMON = ("sim.", "internal.")
 
 
+@cache
 def _table() -> SignalTable:
     ranges = RobotParameters().ranges  # names and units are those of every robot
     return robot_table(Ranges(*ranges))
@@ -38,8 +39,8 @@ def known_columns() -> tuple[str, ...]:
 
 def is_input(name: str) -> bool:
     """Return whether a signal is commanded, not measured."""
-    signal = known_signals().get(name.removeprefix(MEASURED))
-    return signal is not None and signal.direction is Direction.IN
+    name = name.removeprefix(MEASURED)
+    return name in _table() and _table()[name].direction is Direction.IN
 
 
 _DIMENSIONS: dict[str, dict[str, float]] = {

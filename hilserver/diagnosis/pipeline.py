@@ -8,6 +8,7 @@ from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.frames import Sampling
 from hilserver.diagnosis.memory import share_arenas
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.reading import read_measured
@@ -67,11 +68,12 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
         If the configuration cannot be used.
     """
     assembly = assemble(task.config)
-    log = read_measured(task.logs, task.mapping)
+    sampling = Sampling.of(assembly.config)
+    log = read_measured(task.logs, task.mapping, sampling)
     if task.against:
-        other = read_measured(task.against, task.mapping)
+        other = read_measured(task.against, task.mapping, sampling)
         return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
-    test = read_measured(task.test, task.mapping) if task.test else None
+    test = read_measured(task.test, task.mapping, sampling) if task.test else None
     return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test)
 
 

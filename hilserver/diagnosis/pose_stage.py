@@ -28,7 +28,10 @@ TAG: Final = (*POSITION, YAW)
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""
 STRIDES: Final = (2, 10)
-"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ..."""
+"""Plant slices per step of the pose: its arc is exact for a constant velocity, so 2 ms do; ...
+
+... except for samples that the plant itself took at its ticks.
+"""
 SLOW_ROWS_S: Final = 0.04
 """... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
 SAME_START_M: Final = 0.01
@@ -68,7 +71,7 @@ class PoseStage:
         log = paired(log)
         self.log, self.robot = log, robot
         self._drive, self._block_s = drive, block_s
-        slices = stride(log) if drive is None else STRIDES[0]
+        slices = stride(log) if drive is None or log.on_ticks else STRIDES[0]
         self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
@@ -260,6 +263,8 @@ class PoseStage:
 
 def stride(log: MeasuredLog) -> int:
     """Return how many plant slices a step of the pose takes."""
+    if log.on_ticks:
+        return 1
     periods = [row_period_s(log[n]) for n in SPEEDS if n in log]
     return STRIDES[bool(periods) and min(periods) > SLOW_ROWS_S]
 

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.bag import is_bag, read_bag
 from hilserver.diagnosis.clock import SHORTEST_S as SEGMENT_S
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
+from hilserver.diagnosis.frames import Sampling
 from hilserver.diagnosis.mapping import LogMapping, builtin_mappings, load_mapping
 from hilserver.diagnosis.pauses import cut_at_pauses
 from hilserver.diagnosis.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
@@ -18,7 +20,11 @@ from hilserver.errors import LogError
 SHORTEST_S = 1.0
 
 
-def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> MeasuredLog:
+def read_measured(
+    paths: Sequence[Path],
+    mapping: Path | str | None = None,
+    sampling: Sampling | None = None,
+) -> MeasuredLog:
     """Read the logs of one machine and pool them.
 
     Parameters
@@ -27,6 +33,9 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
         CSV, MCAP, Parquet, or ROS 2 bags (a file or the folder).
     mapping : Path or str, optional
         A mapping file or the name of a built-in one; without it columns are signal names.
+    sampling : Sampling, optional
+        Of the configuration in use: when the daemon's sensors sample, for those of its frames that
+        do not carry their own configuration.
 
     Raises
     ------
@@ -34,7 +43,7 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
         One sentence that names file, row, column and remedy.
     """
     table = None if mapping is None else load_mapping(mapping)
-    recordings = [_read(path, table) for path in paths]
+    recordings = [_read(path, table, sampling) for path in paths]
     if not recordings:
         raise LogError("there is no log; name at least one")
     sources = tuple(Source(str(path), _sha256(path)) for path in paths)
@@ -46,6 +55,7 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
         has_stamps=all(recording.has_stamps for recording in recordings),
         plant={} if table is None else table.plant_keys,
         notices=tuple(notice for recording in recordings for notice in recording.notices),
+        on_ticks=any(recording.on_ticks for recording in recordings),
     )
     pooled = cut_at_pauses(_pool(log, recordings))
     longest_s = max(span.end_s - span.start_s for span in pooled.spans)
@@ -57,9 +67,9 @@ def read_measured(paths: Sequence[Path], mapping: Path | str | None = None) -> M
     return pooled
 
 
-def _read(path: Path, mapping: LogMapping | None) -> Recording:
+def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
     try:
-        recording = _by_kind(path, mapping)
+        recording = _by_kind(path, mapping, sampling)
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not any(np.isfinite(v).any() for part in recording.parts for v in part.columns.values()):
@@ -72,14 +82,15 @@ def _read(path: Path, mapping: LogMapping | None) -> Recording:
     return recording
 
 
-def _by_kind(path: Path, mapping: LogMapping | None) -> Recording:
+def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
     if mapping is None:
         if path.is_dir() or path.suffix == ".db3":
             raise LogError(
                 f"{path}: a bag needs a mapping of its topics; name a file or one of"
                 f" {', '.join(builtin_mappings())}"
             )
-        return read_own_parquet(path) if path.suffix == ".parquet" else read_own(path)
+        read = read_own_parquet if path.suffix == ".parquet" else read_own
+        return read(path, sampling)
     if mapping.is_for_bags and is_bag(path):
         return read_bag(path, mapping)
     if mapping.is_for_bags:
@@ -129,7 +140,7 @@ def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
                 pieces.setdefault(name, []).append(piece)
         spans += own
     channels = {name: _joined(found) for name, found in pieces.items()}
-    return MeasuredLog(log.sources, channels, tuple(spans), log.has_stamps, log.plant, log.notices)
+    return replace(log, channels=channels, spans=tuple(spans))
 
 
 def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[NDArray[np.int64]]]:
@@ -175,12 +186,16 @@ def _refuse_scattered(path: Path, part: Stamped, starts: NDArray[np.int64]) -> N
 
 def _channels(part: Stamped, span: NDArray[np.int64]) -> Mapping[str, Channel]:
     found = {}
+    begins_s = part.t_s[np.searchsorted(span, span)] if part.age_s else part.t_s
     for name, values in part.columns.items():
-        sampled = np.isfinite(values)
+        t_s, sampled = part.t_s, np.isfinite(values)
+        if name in part.age_s:
+            t_s = t_s - part.age_s[name]
+            sampled &= t_s >= begins_s
         if sampled.all():
-            found[name] = Channel(part.t_s, values, span)
+            found[name] = Channel(t_s, values, span)
         elif sampled.any():
-            found[name] = Channel(part.t_s[sampled], values[sampled], span[sampled])
+            found[name] = Channel(t_s[sampled], values[sampled], span[sampled])
     return found
 
 

@@ -1,7 +1,7 @@
 """Files to tables: CSV, recordings of ours and Parquet, in our names or through a mapping."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +9,14 @@ import yaml
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.data import Array
+from hilserver.diagnosis.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
 from hilserver.diagnosis.mapping import PER_SECOND, ColumnMap, LogMapping
-from hilserver.diagnosis.names import is_input, known_columns, known_signals
+from hilserver.diagnosis.names import known_columns
 from hilserver.diagnosis.parquet import read_parquet
 from hilserver.errors import LogError, meant
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
-from hilserver.signals import MEASURED
 
-_UNUSABLE = 0xC000_0000
-"""Status codes with one of these bits are Uncertain or Bad."""
 _ABSURD = 1e12
 
 
@@ -31,12 +29,15 @@ class Stamped:
     t_s, segment, block : ndarray, shape (n,)
     columns : mapping of str to ndarray of float64, shape (n,)
         By signal name.
+    age_s : mapping of str to ndarray, shape (n,)
+        How long before its row a sample was taken; nothing where the key is absent.
     """
 
     t_s: Array
     segment: NDArray[np.int64]
     columns: Mapping[str, Array]
     block: NDArray[np.int64] | None = None
+    age_s: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class Recording:
     ----------
     machine : str or None
         The plant that a recording of ours was made with, as YAML.
+    on_ticks : bool
+        See `MeasuredLog`.
     """
 
     path: Path
@@ -54,14 +57,21 @@ class Recording:
     has_stamps: bool = True
     notices: Sequence[str] = ()
     machine: str | None = None
+    on_ticks: bool = False
 
 
-def read_own(path: Path) -> Recording:
-    """Read a table whose columns are signal names: CSV, or a recording of ours."""
+def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
+    """Read a table whose columns are signal names: CSV, or a recording of ours.
+
+    Parameters
+    ----------
+    sampling : Sampling, optional
+        Of the daemon's configuration, for frames that do not carry it themselves.
+    """
     log = read_log(path, known_columns())
     for name, values in log.columns.items():
         refuse_absurd(values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'")
-    return Recording(path, [_own_part(log)], notices=list(log.notices), machine=_machine(log))
+    return _own(log, sampling)
 
 
 def _machine(log: Log) -> str | None:
@@ -73,29 +83,20 @@ def _machine(log: Log) -> str | None:
     return yaml.safe_dump(sections)
 
 
-def _own_part(log: Log) -> Stamped:
-    columns = {name: _good(log, name) for name in log.columns}
-    measured = {
-        name.removeprefix(MEASURED): values
-        for name, values in columns.items()
-        if name.startswith(MEASURED) and np.isfinite(values).any()
-    }
-    known = known_signals()
-    own = {name: values for name, values in columns.items() if name in known}
-    if measured:
-        own = {name: values for name, values in own.items() if is_input(name)}
-    return Stamped(log.t_s, log.segment, own | measured, log.block)
+def _own(log: Log, sampling: Sampling | None) -> Recording:
+    frames = frames_of(log, own_sampling(log) or sampling if is_of_the_daemon(log) else None)
+    part = Stamped(log.t_s, frames.segment, frames.columns, log.block, frames.age_s)
+    return Recording(
+        log.path,
+        [part],
+        notices=list(log.notices),
+        machine=_machine(log),
+        on_ticks=frames.on_ticks,
+    )
 
 
-def _good(log: Log, name: str) -> Array:
-    values = log.columns[name]
-    if name not in log.status:
-        return values
-    return np.where(log.status[name] & _UNUSABLE, np.nan, values)
-
-
-def read_own_parquet(path: Path) -> Recording:
-    """Read a Parquet table whose columns are signal names."""
+def read_own_parquet(path: Path, sampling: Sampling | None = None) -> Recording:
+    """Read a Parquet table whose columns are signal names; see `read_own`."""
     table = read_parquet(path)
     if TIME not in table.header:
         raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
@@ -113,7 +114,7 @@ def read_own_parquet(path: Path) -> Recording:
     for name, values in columns.items():
         refuse_absurd(values, name, table.where)
     log = Log(path, table.column(TIME), segment, columns, table.integers(BLOCK))
-    return Recording(path, [_own_part(log)])
+    return _own(log, sampling)
 
 
 def read_mapped(path: Path, mapping: LogMapping) -> Recording:

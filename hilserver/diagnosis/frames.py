@@ -1,0 +1,224 @@
+"""Rows that the daemon wrote: which of them hold a sample of their own, and when it was taken.
+
+A row is the value at that instant. Sensors run in slices of their own, and between two samples
+their output stands: what stands there is one sample, taken at the last tick of its slice.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from hilserver.config.root import Config
+from hilserver.diagnosis.data import Array
+from hilserver.diagnosis.names import is_input, known_signals
+from hilserver.logs import Log
+from hilserver.signals import MEASURED
+
+TICK: Final = "sim.tick"
+COMMAND: Final = "internal.command"
+POSE_REQUEST: Final = "internal.pose_request"
+MODE: Final = "control.mode"
+SECTIONS: Final = ("scheduler", "sensors", "plant")
+FEWEST_RUNS: Final = 20
+"""Fewer different values do not tell how often a new one comes."""
+ENOUGH_ROWS: Final = 20_000
+"""The simulation's wheels show no noise that more rows would average."""
+BAD: Final = 0x8000_0000
+UNCERTAIN: Final = 0x4000_0000
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Which slice of a configuration makes which outputs.
+
+    Attributes
+    ----------
+    base_period_s : float
+    ticks : mapping of str to int
+        Ticks from one sample to the next, by the first part of the signals' names.
+    """
+
+    base_period_s: float
+    ticks: Mapping[str, int]
+
+    @classmethod
+    def of(cls, config: Config) -> "Sampling":
+        """Return the sampling of a configuration."""
+        scheduler, sensors = config.scheduler, config.sensors
+        base_ms = scheduler.base_period_ms
+
+        def every(name: str) -> int:
+            return max(round(scheduler.slices[name] / base_ms), 1)
+
+        robot = every(config.plant.slice)
+        nav = every(sensors.nav.slice)
+        samples = max(round(1e3 / (sensors.nav.rate_hz * nav * base_ms)), 1)
+        ticks = dict.fromkeys(("wheel", "pose", "velocity"), robot) | {"nav": nav * samples}
+        ticks |= {name: every(getattr(sensors, name).slice) for name in ("imu", "battery", "tof")}
+        return cls(base_ms * 1e-3, ticks)
+
+    def period(self, name: str) -> int:
+        """Return the ticks between two samples of an output."""
+        return self.ticks.get(name.partition(".")[0], 1)
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The samples in the rows of a recording.
+
+    Attributes
+    ----------
+    columns : mapping of str to ndarray, shape (n,)
+        NaN where a row holds no sample of its own.
+    age_s : mapping of str to ndarray, shape (n,)
+        How long before its row a sample was taken; nothing where the key is absent.
+    segment : ndarray of int64, shape (n,)
+        A pose that was set begins a segment.
+    on_ticks : bool
+        See `MeasuredLog`.
+    """
+
+    columns: Mapping[str, Array]
+    age_s: Mapping[str, Array]
+    segment: Ints
+    on_ticks: bool
+
+
+def is_of_the_daemon(log: Log) -> bool:
+    """Return whether the daemon wrote the rows: with what it says of its run, or tick by tick."""
+    return log.is_ours or TICK in log.columns
+
+
+def own_sampling(log: Log) -> Sampling | None:
+    """Return the sampling of the configuration that a recording carries; None without one."""
+    try:
+        data = yaml.safe_load((log.run or {}).get("configuration") or "")
+        return Sampling.of(Config.model_validate({key: data[key] for key in SECTIONS}))
+    except (yaml.YAMLError, ValueError, TypeError, KeyError):
+        return None
+
+
+def frames_of(log: Log, sampling: Sampling | None) -> Frames:
+    """Return the samples of a recording of the daemon.
+
+    Parameters
+    ----------
+    sampling : Sampling or None
+        Of the configuration of its run; None: every row counts as a sample.
+    """
+    rows = {name: _usable(log, name) for name in log.columns}
+    tick = _ticks(log, sampling)
+    enough = np.ones(len(log), dtype=np.bool_) if tick is None else _enough(tick)
+    segment = log.segment.copy()
+    if POSE_REQUEST in rows:
+        segment += np.cumsum(np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0)
+    columns: dict[str, Array] = {}
+    age_s: dict[str, Array] = {}
+    for name, values in _chosen(rows).items():
+        columns[name] = values
+        if sampling is None or tick is None or is_input(name):
+            continue
+        period = sampling.period(name)
+        fresh = _fresh(values, tick // period, segment)
+        if fresh is None:
+            continue
+        if name.startswith("wheel."):
+            fresh &= enough
+        columns[name] = np.where(fresh, values, np.nan)
+        if period > 1:
+            age_s[name] = np.multiply(tick % period, sampling.base_period_s, dtype=np.float64)
+    return Frames(columns, age_s, segment, on_ticks=sampling is not None)
+
+
+def _enough(tick: Ints) -> NDArray[np.bool_]:
+    """Return which rows of wheels without noise are enough: every n-th, where none is missing.
+
+    The number is prime: in step with a controller's period they would always show the same part of
+    its answers.
+    """
+    every = max(-(-len(tick) // ENOUGH_ROWS), 1)
+    while any(every % k == 0 for k in range(2, every)):
+        every += 1
+    after_gap = np.diff(tick, prepend=tick[:1]) != 1
+    return np.asarray(after_gap | (np.arange(len(tick)) % every == 0))
+
+
+def _ticks(log: Log, sampling: Sampling | None) -> Ints | None:
+    if TICK in log.columns and np.isfinite(log.columns[TICK]).all():
+        return log.columns[TICK].astype(np.int64)
+    if sampling is None:
+        return None
+    return np.rint(log.t_s / sampling.base_period_s).astype(np.int64)
+
+
+def _usable(log: Log, name: str) -> Array:
+    """Return a column without what is bad, or came from outside and is uncertain.
+
+    The daemon's own outputs are what it computed whatever it thinks of them (in the safe state, or
+    of a range finder that looks further than it can see).
+    """
+    values = log.columns[name]
+    if name not in log.status:
+        return values
+    unusable = BAD | UNCERTAIN if name.startswith(MEASURED) else BAD
+    return np.where(log.status[name] & unusable, np.nan, values)
+
+
+def _chosen(rows: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what was measured, or else the robot's own outputs, and the inputs it acted on."""
+    measured = {
+        name.removeprefix(MEASURED): _first_of_each(values)
+        for name, values in rows.items()
+        if name.startswith(MEASURED) and np.nan_to_num(values).any()
+    }
+    known = known_signals()
+    inputs = {name: values for name, values in rows.items() if name in known and is_input(name)}
+    inputs |= {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
+    outputs = {
+        name: values for name, values in rows.items() if name in known and name not in inputs
+    }
+    return _obeyed(inputs) | (measured or outputs)
+
+
+def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
+    """Return the inputs without set-points of the mode that is not in force."""
+    if MODE not in inputs:
+        return inputs
+    twist = inputs[MODE] == 1.0
+    return {
+        name: np.where(twist == name.startswith("twist."), values, np.nan)
+        if name.startswith(("wheel.", "twist."))
+        else values
+        for name, values in inputs.items()
+    }
+
+
+def _fresh(values: Array, sample: Ints, segment: Ints) -> NDArray[np.bool_] | None:
+    """Return the first row of every sample; None if what stands within one is not the same."""
+    there = np.flatnonzero(np.isfinite(values))
+    new = (np.diff(sample[there], prepend=-1) != 0) | (np.diff(segment[there], prepend=-1) != 0)
+    if (np.diff(values[there])[~new[1:]] != 0.0).any():
+        return None
+    fresh = np.zeros(len(values), dtype=np.bool_)
+    fresh[there[new]] = True
+    return fresh
+
+
+def _first_of_each(values: Array) -> Array:
+    """Return values that come from outside: each once, where it came, and as often as usual."""
+    there = np.flatnonzero(np.isfinite(values))
+    first = np.flatnonzero(np.diff(values[there], prepend=np.nan) != 0.0)
+    if len(first) < FEWEST_RUNS:
+        return values
+    length = np.diff(first, append=len(there))
+    since = np.arange(len(there)) - np.repeat(first, length)
+    again = since % max(int(np.median(length)), 1) == 0
+    result = np.full(len(values), np.nan)
+    result[there[again]] = values[there[again]]
+    return result

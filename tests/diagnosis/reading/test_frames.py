@@ -1,0 +1,126 @@
+"""Frames of the daemon: a row is the value at that instant, a held value is one sample."""
+
+import numpy as np
+import pytest
+
+from hilserver.config.root import Config
+from hilserver.diagnosis.frames import Sampling
+from hilserver.diagnosis.reading import read_measured
+
+SAMPLING = Sampling.of(Config.model_validate({"sensors": {"nav": {"enabled": True}}}))
+SPEED, GYRO, NAV = "wheel.fl.speed_rpm", "imu.gyro_z_rad_s", "nav.x_m"
+SETPOINT, TWIST = "wheel.fl.setpoint_rpm", "twist.linear_m_s"
+
+
+def write_frames(path, columns, first=0, step=1, n=2000):
+    """Write every `step`-th tick from `first` on; a column is a function of the tick."""
+    ticks = range(first, n, step)
+    names = ["t_s", "sim.tick", *columns]
+    rows = [
+        [f"{1e-3 * k!r}", str(k), *(repr(float(f(k))) for f in columns.values())] for k in ticks
+    ]
+    path.write_text("\n".join(",".join(row) for row in [names, *rows]) + "\n")
+    return path
+
+
+def held(period):
+    """An output that shows the tick at which it was sampled."""
+    return lambda tick: tick - tick % period
+
+
+def read(path, **how):
+    return read_measured([path], None, how.get("sampling", SAMPLING))
+
+
+OWN = {SPEED: lambda tick: tick, GYRO: held(10), NAV: held(50)}
+
+
+@pytest.mark.parametrize(("first", "step"), [(0, 1), (7, 1), (0, 10), (0, 20), (7, 20), (13, 33)])
+def test_a_sample_stands_once_and_at_its_own_tick(tmp_path, first, step):
+    log = read(write_frames(tmp_path / "run.csv", OWN, first, step))
+    for name in (SPEED, GYRO, NAV):
+        channel = log[name]
+        assert np.allclose(channel.values, 1e3 * channel.t_s, atol=1e-9)
+        assert (np.diff(channel.t_s) > 0).all()
+        assert channel.t_s[0] >= log.spans[0].start_s
+    rows = len(range(first, 2000, step))
+    assert rows - 1 <= len(log[SPEED]) <= rows
+    assert len(log[NAV]) >= len(set(range(0, 2000, 50))) - 1 - first // 50
+    assert log.on_ticks
+
+
+def test_empty_between_samples_is_read_as_held(tmp_path):
+    empty = {NAV: lambda tick: tick if tick % 50 == 0 else np.nan, SPEED: lambda tick: tick}
+    log = read(write_frames(tmp_path / "run.csv", empty))
+    assert log[NAV].values.tolist() == list(range(0, 2000, 50))
+
+
+def test_what_changes_within_a_sample_is_left_as_it_stands(tmp_path):
+    log = read(write_frames(tmp_path / "run.csv", {GYRO: lambda tick: tick}))
+    assert len(log[GYRO]) == 2000
+
+
+def test_a_table_of_others_has_no_slices(tmp_path):
+    path = write_frames(tmp_path / "log.csv", OWN)
+    path.write_text(path.read_text().replace("sim.tick", "wheel.fl.angle_rad"))
+    log = read(path)
+    assert len(log[GYRO]) == 2000
+    assert not log.on_ticks
+
+
+def test_measured_columns_that_nobody_wrote_are_none(tmp_path):
+    columns = {SPEED: lambda tick: tick, f"measured.{SPEED}": lambda _: 0.0}
+    log = read(write_frames(tmp_path / "run.csv", columns))
+    assert log[SPEED].values.tolist() == list(range(2000))
+
+
+def test_measured_columns_count_once_where_a_value_came(tmp_path):
+    columns = {
+        SPEED: lambda tick: tick,
+        f"measured.{SPEED}": lambda tick: 1.0 + tick // 20 + (tick % 20 < 7) * 0.0,
+        f"measured.{NAV}": lambda _: 0.0,
+    }
+    log = read(write_frames(tmp_path / "run.csv", columns))
+    assert NAV not in log
+    assert log[SPEED].values.tolist() == [1.0 + i for i in range(100)]
+    assert np.allclose(log[SPEED].t_s, 0.02 * np.arange(100))
+
+
+def test_a_real_robot_at_rest_is_still_measured(tmp_path):
+    columns = {f"measured.{SPEED}": lambda tick: min(tick // 20, 50), GYRO: held(10)}
+    log = read(write_frames(tmp_path / "run.csv", columns))
+    assert np.diff(log[SPEED].t_s).max() == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("mode", "there", "absent"), [(0, SETPOINT, TWIST), (1, TWIST, SETPOINT)])
+def test_set_points_of_the_other_mode_are_none(tmp_path, mode, there, absent):
+    columns = {
+        SETPOINT: lambda tick: tick,
+        TWIST: lambda tick: tick,
+        "control.mode": lambda _: mode,
+        SPEED: lambda tick: tick,
+    }
+    log = read(write_frames(tmp_path / "run.csv", columns))
+    assert there in log
+    assert absent not in log
+
+
+def test_a_pose_that_is_set_begins_a_segment(tmp_path):
+    columns = {SPEED: lambda tick: tick, "internal.pose_request": lambda tick: tick // 800}
+    log = read(write_frames(tmp_path / "run.csv", columns))
+    assert [round(span.start_s, 3) for span in log.spans] == [0.0, 0.8, 1.6]
+
+
+def test_the_safe_ramp_is_an_input(tmp_path):
+    columns = {SETPOINT: lambda _: 5.0, "internal.command": lambda tick: 2.0 * (tick > 900)}
+    log = read(write_frames(tmp_path / "run.csv", columns))
+    assert "internal.command" in log
+
+
+def test_long_recordings_of_the_simulation_keep_enough_rows(tmp_path):
+    columns = {SPEED: lambda tick: tick, SETPOINT: lambda tick: tick, GYRO: held(10)}
+    log = read(write_frames(tmp_path / "run.csv", columns, n=50_000))
+    steps = np.rint(1e3 * np.diff(log[SPEED].t_s))
+    assert set(steps) == {3.0}
+    assert len(log[SETPOINT]) == 50_000  # at which tick a set-point came is not lost
+    assert len(log[GYRO]) == 5000
