@@ -146,11 +146,7 @@ def judge(
         _with_gain(f, fitted.get(i), judged, own, after, horizon_s, rng)
         for i, f in enumerate(found)
     ]
-    ceiling: dict[str, float] = {}
-    for stage, j in judged.items():
-        p = j.prepared
-        p.library.rewhiten(j.point)
-        ceiling |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
+    ceiling = _ceilings(judged, before, horizon_s, rng)
     sizes, unseen = _detectable(judged, rng)
     if stood_still(log):
         sizes, unseen = at_rest(sizes, unseen)
@@ -167,7 +163,7 @@ def judge(
         baseline={key: gain.before for key, gain in totals.items()},
         findings=tuple(found),
         total_gain=totals if fitted else {},
-        ceiling={key: float(f"{ratio:.{CEILING_DIGITS}g}") for key, ratio in ceiling.items()},
+        ceiling=ceiling,
         smallest_detectable=tuple(sizes),
         not_judged=(
             *unseen,
@@ -175,20 +171,8 @@ def judge(
         ),
         notices=notices,
     )
+    shown = _shown(judged, before, after)
     terms = extension(found, fitted)
-    shown = {
-        stage: Shown(
-            j.prepared,
-            j.point,
-            before[stage],
-            after[stage],
-            j.scores,
-            unknown=j.unknown,
-            drift=j.drift,
-            selection=tuple(j.selected.rows),
-        )
-        for stage, j in judged.items()
-    }
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
 
 
@@ -207,23 +191,13 @@ def _judge(prepared: dict[str, Prepared], rng: np.random.Generator, jobs: int) -
 def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     """Add the findings of one stage; return which of them is which fitted cause."""
     problem, fitted = j.prepared.problem, {}
-    for f, finding in zip(
-        j.point.model.fitted,
-        named(
-            problem,
-            j.point,
-            j.ties,
-            j.selected.p,
-            j.drift,
-            scrubs=j.scrubs,
-            anchor=j.in_doubt,
+    if j.point.model.fitted:
+        causes = named(
+            problem, j.point, j.ties, j.selected.p, j.drift, scrubs=j.scrubs, anchor=j.in_doubt
         )
-        if j.point.model.fitted
-        else [],
-        strict=True,
-    ):
-        fitted[len(found)] = f
-        found.append(finding)
+        for f, finding in zip(j.point.model.fitted, causes, strict=True):
+            fitted[len(found)] = f
+            found.append(finding)
     if j.prepared.coarse_rpm is not None:
         found.append(coarse(j.prepared.coarse_rpm))
     if stage == "pose" and (thrown := outliers(problem, j.point)) is not None:
@@ -279,6 +253,38 @@ def _with_gain(
     reduced = held_out(problem, crossed(problem, start, without))
     own = gains(problem, reduced, after[stage], horizon_s, rng, fold=reported(problem))
     return finding.model_copy(update={"gain": own})
+
+
+def _ceilings(
+    judged: Mapping[str, Judged],
+    before: Mapping[str, Array],
+    horizon_s: float,
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for stage, j in judged.items():
+        p = j.prepared
+        p.library.rewhiten(j.point)
+        found |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
+    return {key: float(f"{ratio:.{CEILING_DIGITS}g}") for key, ratio in found.items()}
+
+
+def _shown(
+    judged: Mapping[str, Judged], before: Mapping[str, Array], after: Mapping[str, Array]
+) -> dict[str, Shown]:
+    return {
+        stage: Shown(
+            j.prepared,
+            j.point,
+            before[stage],
+            after[stage],
+            j.scores,
+            unknown=j.unknown,
+            drift=j.drift,
+            selection=tuple(j.selected.rows),
+        )
+        for stage, j in judged.items()
+    }
 
 
 def _detectable(

@@ -124,6 +124,18 @@ def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
 
 def _course(log: MeasuredLog) -> tuple[Array, Array, Array] | None:
     """Return course over ground, heading and speed in each window."""
+    moved = _moved(log)
+    if moved is None:
+        return None
+    dx, dy, dt, cosine, sine = moved
+    good = finite(dx, dy, cosine) & (np.hypot(dx, dy) > 0.1)
+    good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
+    course = np.arctan2(dy, dx)[good]
+    return course, np.arctan2(sine, cosine)[good], (np.hypot(dx, dy) / dt)[good]
+
+
+def _moved(log: MeasuredLog) -> tuple[Array, Array, Array, Array, Array] | None:
+    """Return the way along x and y, its time, and mean cosine and sine of the heading by window."""
     if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
         return None
     windows = windows_of(log)
@@ -132,10 +144,7 @@ def _course(log: MeasuredLog) -> tuple[Array, Array, Array] | None:
     yaw = log["nav.yaw_rad"]
     cosine = mean_in(yaw.with_values(np.cos(yaw.values)), windows)
     sine = mean_in(yaw.with_values(np.sin(yaw.values)), windows)
-    good = finite(x0, x1, y0, y1, cosine) & (np.hypot(x1 - x0, y1 - y0) > 0.1)
-    good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
-    course = np.arctan2(y1 - y0, x1 - x0)[good]
-    return course, np.arctan2(sine, cosine)[good], (np.hypot(x1 - x0, y1 - y0) / dt)[good]
+    return x1 - x0, y1 - y0, dt, cosine, sine
 
 
 def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
@@ -227,15 +236,11 @@ def _is_aligned(log: MeasuredLog) -> bool:
 
 def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
     """Return speed along the heading and turn rate in each window, as the tag says."""
-    if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+    moved = _moved(log)
+    if moved is None:
         return None
-    windows = windows_of(log)
-    x0, x1, dt = ends_in(log["nav.x_m"], windows)
-    y0, y1, _ = ends_in(log["nav.y_m"], windows)
-    yaw = log["nav.yaw_rad"]
-    cosine = mean_in(yaw.with_values(np.cos(yaw.values)), windows)
-    sine = mean_in(yaw.with_values(np.sin(yaw.values)), windows)
-    return ((x1 - x0) * cosine + (y1 - y0) * sine) / dt, rate_in(yaw, windows)
+    dx, dy, dt, cosine, sine = moved
+    return (dx * cosine + dy * sine) / dt, rate_in(log["nav.yaw_rad"], windows_of(log))
 
 
 def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:

@@ -115,43 +115,42 @@ def likeness(similarity: Similarity) -> Figure | None:
     if len(kept) < 2:
         return None
     names = [similarity.names[i] for i in kept]
-    size, left, top = 22.0, 170.0, 6.0
-    parts = []
-    for r, i in enumerate(kept):
-        y = top + r * size
-        parts.append(
-            f'<text class="tick" x="{left - 8}" y="{y + 15:.0f}" text-anchor="end">'
-            f"{names[r]}</text>"
-        )
-        for c, j in enumerate(kept):
-            value = float(cosine[i, j])
-            twin = "twin" if i != j and abs(value) > similarity.limit else ""
-            minus = "minus" if value < 0 else ""
-            parts.append(
-                f'<rect class="cell {minus} {twin}" x="{left + c * size + 1:.0f}" y="{y + 1:.0f}"'
-                f' width="{size - 2:.0f}" height="{size - 2:.0f}" rx="3"'
-                f' fill-opacity="{abs(value) ** 2:.2f}"><title>{names[r]} / {names[c]}:'
-                f" {label(round(value, 3))}</title></rect>"
-            )
-    bottom = top + len(kept) * size
-    for c, name in enumerate(names):
-        x = left + (c + 0.65) * size
-        parts.append(
-            f'<text class="tick" transform="translate({x:.0f} {bottom + 10:.0f}) rotate(-60)"'
-            f' text-anchor="end">{name}</text>'
-        )
-    width, height = left + len(kept) * size + 10, bottom + 130
-    svg = (
-        f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
-        f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
-    )
     return Figure(
-        Markup(svg),  # noqa: S704 - names of causes and numbers
+        _heat_map(names, cosine[np.ix_(kept, kept)], similarity.limit),
         "Which causes look alike in these data",
         f"Full colour: the same effect (orange: with the other sign). Framed: above"
         f" {similarity.limit:g}, these data cannot tell the two apart. Causes that look like no"
         " other are left out.",
         wide=True,
+    )
+
+
+def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
+    """Draw a square for each pair, framed where its |cos| is above the limit."""
+    size, left, top = 22.0, 170.0, 6.0
+    bottom = top + len(names) * size
+    parts = []
+    for r, name in enumerate(names):
+        y, x = top + r * size, left + (r + 0.65) * size
+        parts.append(
+            f'<text class="tick" x="{left - 8}" y="{y + 15:.0f}" text-anchor="end">{name}</text>'
+            f'<text class="tick" transform="translate({x:.0f} {bottom + 10:.0f}) rotate(-60)"'
+            f' text-anchor="end">{name}</text>'
+        )
+        for c, other in enumerate(names):
+            value = float(cosine[r, c])
+            twin = "twin" if r != c and abs(value) > limit else ""
+            minus = "minus" if value < 0 else ""
+            parts.append(
+                f'<rect class="cell {minus} {twin}" x="{left + c * size + 1:.0f}" y="{y + 1:.0f}"'
+                f' width="{size - 2:.0f}" height="{size - 2:.0f}" rx="3"'
+                f' fill-opacity="{abs(value) ** 2:.2f}"><title>{name} / {other}:'
+                f" {label(round(value, 3))}</title></rect>"
+            )
+    width, height = left + len(names) * size + 10, bottom + 130
+    return Markup(  # noqa: S704 - names of causes and numbers
+        f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
+        f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
     )
 
 
