@@ -20,16 +20,16 @@ COMMANDS = {
     "run": "run the daemon",
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
-    "wiring": "commissioning: is every wheel wired to the right input?",
-    "certs": "certificates, trusted clients and passwords of the OPC UA server",
+    "wiring": "commissioning: check that every wheel drives the right input",
+    "certs": "manage certificates, trusted clients and passwords",
     "record": "record the signals of a running daemon",
     "replay": "feed a log through the plant, faster than real time",
-    "diagnose": "what the simulation gets wrong in measured data, why, and what would fix it",
-    "plan": "what an experiment can show before it is driven, and a better manoeuvre",
-    "identify": "K_om, step response, update rate, dead zone or noise from a log",
-    "latency-test": "what this computer can do, before the model is blamed",
+    "diagnose": "find what the simulation gets wrong in measured data, and why",
+    "plan": "say what an experiment can show, and propose a better manoeuvre",
+    "identify": "identify K_om, step response, update rate, dead zone or noise",
+    "latency-test": "measure the timing of this computer, without the model",
     "install-service": "install the daemon as a systemd service",
-    "scenarios": "sealed logs of the drives that the thesis says its simulation gets wrong",
+    "scenarios": "logs of the drives that the thesis says its simulation gets wrong",
     "bench": "measure every figure that the README quotes",
 }
 
@@ -110,6 +110,6 @@ def _module(command: str) -> ModuleType:
     except OSError as error:
         reason = (error.strerror or "refused").lower()
         raise FailedError(
-            f"{error.filename}: {reason}; compiled code is kept there: set HILSERVER_CACHE_DIR to"
+            f"{error.filename}: {reason}; compiled code is cached there: set HILSERVER_CACHE_DIR to"
             " a folder that you may write to"
         ) from None

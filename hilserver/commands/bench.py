@@ -11,9 +11,9 @@ EXAMPLE = "hilserver bench plant --json plant.json"
 BENCHES = {
     "plant": "one step of four wheels and pose against the same recurrence in C",
     "jitter": "wake latency under OPC UA load against cyclictest",
-    "attack": "malformed packets and floods against the OPC UA server, beside a healthy client",
+    "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
     "loop": "set-point to pose and back over TCP, two processes",
-    "diagnose": "hidden causes in hundreds of logs: found, missed, taken for others",
+    "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
 }
 
 

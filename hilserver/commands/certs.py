@@ -56,11 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action.add_argument("--host", action="append", default=[], help="name or address of this"
                             " computer as clients call it; may be repeated")  # fmt: skip
         action.add_argument("--days", type=int, default=730, help="validity (default: 730)")
-        action.add_argument("--new-key", action="store_true", help="make another key, too")
+        action.add_argument("--new-key", action="store_true", help="also make a new key")
     listing = _add(actions, "list")
     listing.add_argument(
         "--expiring", type=int, metavar="DAYS", default=None,
-        help="only those that end within so many days; exit code 1 if there are any",
+        help="only those that expire within this many days; exit code 1 if there are any",
     )  # fmt: skip
     for name in ("trust", "reject", "revoke"):
         action = _add(actions, name)
@@ -83,7 +83,7 @@ def _add_folder(action: argparse.ArgumentParser) -> None:
         "--folder",
         type=Path,
         default=None,
-        help="another folder than opcua.certificates, as peers[].security.trust",
+        help="folder instead of opcua.certificates, such as peers[].security.trust",
     )
 
 
@@ -128,7 +128,7 @@ def _make(
         hosts = hosts or host_names(old)
         key = make_key() if args.new_key else key
     if args.days < 1:
-        raise FailedError("--days: a certificate is valid for one day at least")
+        raise FailedError("--days: a certificate must be valid for at least one day")
     uri = config.application_uri or default_application_uri()
     certificate = make_certificate(key, uri, hosts, days=args.days)
     # The key first: a certificate without its key would be refused at the next start.
@@ -223,7 +223,7 @@ def _find(trust: TrustList, name: str, action: str) -> tuple[x509.Certificate, s
         try:
             return load_certificate(Path(name)), name
         except ValueError as error:
-            raise FailedError(f"{name} is no certificate: {error}") from None
+            raise FailedError(f"{name} is not a certificate: {error}") from None
     found = {
         thumbprint(certificate): certificate
         for folder, certificate in _all(trust)
@@ -236,5 +236,7 @@ def _find(trust: TrustList, name: str, action: str) -> tuple[x509.Certificate, s
     if not found:
         raise FailedError(f"no certificate '{name}' to {action}; 'hilserver certs list' shows all")
     if len(found) > 1:
-        raise FailedError(f"'{name}' fits {len(found)} certificates; give more of the thumbprint")
+        raise FailedError(
+            f"'{name}' matches {len(found)} certificates; give more of the thumbprint"
+        )
     return next(iter(found.values())), name

@@ -59,7 +59,7 @@ def describe(assembly: Assembly) -> list[str]:
         for peer in config.peers
     ]
     owner = config.control.source or ("peer" if config.peers else "opcua")
-    lines.append(f"control: '{owner}' commands at the start")
+    lines.append(f"control: '{owner}' has control at start")
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=_count, default=os.cpu_count() or 1, help="processes; default: all cores"
     )
     parser.add_argument(
-        "--each", action="store_true", help="a report for every log, in a folder of its name"
+        "--each", action="store_true", help="a report for every log, in a folder named after it"
     )
     parser.add_argument(
         "--test",
@@ -61,14 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _whole(text: str) -> int:
     value = int(text)
     if not 0 <= value < 2**32:
-        raise argparse.ArgumentTypeError(f"{text} is no seed (0 .. 4294967295)")
+        raise argparse.ArgumentTypeError(f"{text} is not a seed (0 .. 4294967295)")
     return value
 
 
 def _count(text: str) -> int:
     value = int(text)
     if not 1 <= value <= 1024:
-        raise argparse.ArgumentTypeError(f"{text} is no number of processes (1 .. 1024)")
+        raise argparse.ArgumentTypeError(f"{text} is not a number of processes (1 .. 1024)")
     return value
 
 
@@ -90,7 +90,10 @@ def run(args: argparse.Namespace) -> int:
     try:
         outcome = diagnose(task, progress)
     except SystemExit:
-        progress.say("hilserver: stopped before it was done: there is no report", sys.stderr)
+        progress.say(
+            "hilserver: stopped before the diagnosis was finished: no report was written",
+            sys.stderr,
+        )
         raise
     finally:
         progress.end()
@@ -106,11 +109,13 @@ def _check(args: argparse.Namespace) -> None:
     if bool(args.compare) != bool(args.against):
         raise FailedError("--compare and --against go together: logs before, logs after")
     if args.compare and (args.logs or args.each):
-        raise FailedError("--compare A... --against B... takes no other logs and no --each")
+        raise FailedError(
+            "--compare A... --against B... cannot be combined with other logs or --each"
+        )
     if not args.compare and not args.logs:
         raise FailedError("name at least one log, or two sets with --compare and --against")
     if args.test and (args.compare or args.each):
-        raise FailedError("--test goes with the logs of one diagnosis, not --compare or --each")
+        raise FailedError("--test cannot be combined with --compare or --each")
     if args.dask and not args.each:
         raise FailedError("--dask distributes many logs: use it with --each")
     if args.out.exists() and not args.out.is_dir():
@@ -138,7 +143,7 @@ def _each(args: argparse.Namespace) -> int:
                 write(args.out / folders[index], outcome.files)
                 progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
     except SystemExit:
-        told = f"hilserver: stopped after {done} of {len(tasks)} logs: their reports are kept"
+        told = f"hilserver: stopped after {done} of {len(tasks)} logs; their reports are kept"
         progress.say(told, sys.stderr)
         raise
     finally:

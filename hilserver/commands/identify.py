@@ -39,24 +39,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=3.0,
         metavar="RPM",
-        help="steady: this near the set-point; default 3",
+        help="steady: within this distance of the set-point [rpm]; default 3",
     )
     rotation.add_argument(
         "--settle",
         type=_positive,
         default=0.3,
         metavar="S",
-        help="and for this long; default 0.3",
+        help="and for this long [s]; default 0.3",
     )
     step = _kind(kinds, "step", _step, "order, time constants and gain by Strejc's method")
     step.add_argument(
-        "--input", choices=[name.split("_")[0] for name in INPUTS], help="default: what has steps"
+        "--input",
+        choices=[name.split("_")[0] for name in INPUTS],
+        help="default: whichever has steps",
     )
     _kind(kinds, "update-rate", _update_rate, "how often a controller acts; compares several logs")
-    _kind(kinds, "dead-zone", _dead_zone, "duty at which the wheels stand, from a slow sweep")
-    noise = _kind(kinds, "noise", _noise, "noise of every sensor while the robot stands still")
+    _kind(kinds, "dead-zone", _dead_zone, "duty at which the wheels stop, from a slow sweep")
+    noise = _kind(kinds, "noise", _noise, "noise of every sensor while the robot is at rest")
     noise.add_argument(
-        "--everywhere", action="store_true", help="take the whole log: its values are errors"
+        "--everywhere", action="store_true", help="use the whole log: its values are errors"
     )
 
 

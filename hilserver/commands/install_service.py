@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_user_name,
         default="hilserver",
         metavar="NAME",
-        help="user the service runs as; made while it runs if there is none (default: hilserver)",
+        help="user the service runs as; created while it runs if missing (default: hilserver)",
     )
     parser.add_argument(
         "-c",
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _user_name(text: str) -> str:
     if not _USER.fullmatch(text) or text == "root":
-        raise argparse.ArgumentTypeError(f"'{text}' is no name for an unprivileged user")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a name for an unprivileged user")
     return text
 
 
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     files = plan(python, config, args.user_name, protect_home)
     if args.dry_run:
         for file in files:
-            print(f"# --- {file.path}{' (only if there is none)' if file.keep else ''}")
+            print(f"# --- {file.path}{' (only if it does not exist)' if file.keep else ''}")
             print(file.text)
         return EXIT_DONE
     if os.geteuid() != 0:
@@ -105,7 +105,7 @@ def plan(python: Path, config: Path, user: str, protect_home: str = "yes") -> li
         line = f"{key}={value}".replace("\\", r"\\")
         unit, count = re.subn(rf"(?m)^{key}=.*$", line, unit)
         if count != 1:
-            raise FailedError(f"{folder / 'hilserver.service'}: {key}= stands there {count} times")
+            raise FailedError(f"{folder / 'hilserver.service'}: {key}= occurs {count} times")
     rules = (folder / "60-hilserver.rules").read_text(encoding="utf-8")
     group = (folder / "hilserver.sysusers").read_text(encoding="utf-8")
     return [
@@ -132,7 +132,7 @@ def check_reachable(paths: list[Path]) -> str:
             for parent in place.parents:
                 if parent.exists() and not parent.stat().st_mode & 0o001:
                     raise FailedError(
-                        f"{parent}, on the way to {place}, is closed to other users; install"
+                        f"{parent}, above {place}, is not accessible to other users; install"
                         " hilserver (and its Python) into /opt/hilserver"
                     )
             if any(place.is_relative_to(home) for home in ("/home", "/root", "/run/user")):
@@ -186,7 +186,7 @@ def _tell_system() -> None:
     ):
         program = shutil.which(command[0])
         if program is None:
-            print(f"left out '{' '.join(command)}': there is no {command[0]} here")
+            print(f"skipped '{' '.join(command)}': {command[0]} is not installed")
             continue
         result = subprocess.run(  # noqa: S603 (fixed words)
             [program, *command[1:]], capture_output=True, text=True, timeout=60, check=False

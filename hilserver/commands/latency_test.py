@@ -26,10 +26,10 @@ _BAR = 50
 _EDGES_US = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, _BINS)
 _READING = """\
 How to read this: the latency is the actual minus the planned start of a tick, with nothing to
-compute. A plant of 1 ms period needs the worst latency plus its own execution below 1000 us; where
-p99.9 is far below that and the maximum is not, a tick is late now and then and is counted, not
-hidden. Short runs flatter: rare delays need minutes (--duration) and the load of the real use
-beside it. In a virtual machine the tail is the hypervisor's."""
+compute. A plant with a period of 1 ms needs the worst latency plus its own execution time below
+1000 us. If p99.9 is far below that but the maximum is not, single ticks are late, and are counted.
+Short runs look too good: rare delays need minutes (--duration) and the load of real use. In a
+virtual machine the hypervisor causes the tail."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

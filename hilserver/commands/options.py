@@ -60,5 +60,5 @@ def number_within(low: float, high: float, text: str, what: str) -> float:
     except ValueError:
         value = low - 1.0
     if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is no {what}")
+        raise argparse.ArgumentTypeError(f"{text} is not a {what}")
     return value

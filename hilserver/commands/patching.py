@@ -14,7 +14,7 @@ def add_patch(parser: argparse.ArgumentParser) -> None:
         "--patch",
         type=Path,
         metavar="FILE",
-        help="extend the plant by a model_patch.yaml that 'hilserver diagnose' has written",
+        help="extend the plant with a model_patch.yaml written by 'hilserver diagnose'",
     )
 
 

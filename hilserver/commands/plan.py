@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_room,
         default=ROOM_M,
         metavar="AxB",
-        help="sides of the free floor in m, the robot in its middle; default 5x5",
+        help="sides of the free floor in m, the robot starting in the middle; default 5x5",
     )
     parser.add_argument(
         "--seed",
@@ -105,13 +105,15 @@ def _channels(text: str) -> tuple[str, ...]:
             wanted.add(word)
         else:
             known = ", ".join(GROUPS)
-            raise argparse.ArgumentTypeError(f"{word!r} is none of {known} and no measured signal")
+            raise argparse.ArgumentTypeError(
+                f"{word!r} is neither one of {known} nor a measured signal"
+            )
     return tuple(name for name in ALL if name in wanted)
 
 
 def _room(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([\d.]+)[x\u00d7]([\d.]+)", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no room; write its sides in m as 5x5")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a room; write its sides in m, as 5x5")
     sides = [number_within(*SIDES_M, side, "side (1 .. 1000 m)") for side in match.groups()]
     return sides[0], sides[1]

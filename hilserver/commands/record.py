@@ -32,19 +32,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--image", metavar="NAME", help="process image of the daemon; default: that of the -c file"
     )
     parser.add_argument(
-        "--duration", type=_positive, metavar="S", help="stop after so many seconds"
+        "--duration", type=_positive, metavar="S", help="stop after this many seconds"
     )
     parser.add_argument(
         "--signals",
         action="append",
         metavar="PATTERN",
-        help="signals to record, with * and ?; may be given again; default: all",
+        help="signals to record, with * and ?; may be repeated; default: all",
     )
     parser.add_argument(
         "--rotate-mb",
         type=_megabytes,
         metavar="N",
-        help="begin a new file OUT_0001, OUT_0002 ... after N megabytes",
+        help="start a new file OUT_0001, OUT_0002 ... after N megabytes",
     )
     parser.add_argument(
         "--keep", type=_count, metavar="N", help="keep the newest N files of a rotation"
@@ -54,28 +54,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=64.0,
         metavar="N",
-        help="memory for what a slow disk has not taken yet; default: 64",
+        help="buffer for a slow disk in MB; default: 64",
     )
 
 
 def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is no positive number")
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
     return value
 
 
 def _megabytes(text: str) -> float:
     value = _positive(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} MB are too few, a state takes a tenth of one")
+        raise argparse.ArgumentTypeError(f"{text} MB is too small; a state takes 0.1 MB")
     return value
 
 
 def _count(text: str) -> int:
     value = int(text)
     if not 1 <= value <= 999_999:
-        raise argparse.ArgumentTypeError(f"{text} is no count from 1 on")
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
     return value
 
 
@@ -97,7 +97,11 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(number, lambda *_: recorder.stop.set())
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
     if recorder.lacks_inputs:
-        print("hilserver: without all inputs it cannot be replayed", file=sys.stderr, flush=True)
+        print(
+            "hilserver: without all inputs this recording cannot be replayed",
+            file=sys.stderr,
+            flush=True,
+        )
     print(recorder.run(args.duration), file=sys.stderr, flush=True)
     return EXIT_DONE
 

@@ -43,17 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="start",
         type=Path,
         metavar="SNAPSHOT",
-        help="begin with this snapshot (.npz) of the recorded run",
+        help="start from this snapshot (.npz) of the recorded run",
     )
     parser.add_argument(
         "--as-inputs",
         action="store_true",
-        help="take a recording of ours for a log of others: its set-points, from a fresh start",
+        help="treat our recording as a foreign log: only its set-points, from a fresh start",
     )
     parser.add_argument(
         "--check",
         action="store_true",
-        help="exit code 1 if the outputs differ from those in the log by a single bit",
+        help="exit with code 1 if the outputs differ from those in the log by a single bit",
     )
 
 
@@ -89,7 +89,7 @@ class _Replay:
         self._args, self._log, self._assembly = args, log, assembly
         self._exact = log.is_ours and not args.as_inputs
         if args.start is not None and not self._exact:
-            raise LogError(f"{log.path}: a snapshot fits only to a recording of its own run")
+            raise LogError(f"{log.path}: a snapshot only fits a recording of the same run")
 
     async def run(self) -> int:
         async with Engine(self._assembly) as engine:
@@ -155,7 +155,7 @@ class _Replay:
                 " equal, bit for bit"
             )
         elif self._args.check:
-            raise LogError(f"{self._log.path}: holds no outputs of ours to compare with")
+            raise LogError(f"{self._log.path}: contains no outputs of hilserver to compare with")
         return EXIT_DONE
 
 

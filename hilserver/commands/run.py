@@ -33,18 +33,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_patch(parser)
     parser.add_argument(
-        "--duration", type=_positive, metavar="S", help="stop after so many seconds"
+        "--duration", type=_positive, metavar="S", help="stop after this many seconds"
     )
     parser.add_argument(
         "--demo",
         action="store_true",
-        help="start an embedded controller beside it that drives a figure of eight",
+        help="also start an embedded controller that drives a figure of eight",
     )
     parser.add_argument(
         "--scenario",
         type=Path,
         metavar="FILE",
-        help="play a timed scenario: values and faults from t to t, from the first tick on",
+        help="play a timed scenario of values and faults from the first tick on",
     )
     parser.add_argument(
         "--scenario-schema",

@@ -24,17 +24,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     making = actions.add_parser(
         "make", help="write the logs of one", epilog="example: hilserver scenarios make radio -o r"
     )
-    making.add_argument("name", metavar="NAME", help="as 'hilserver scenarios list' has it")
+    making.add_argument("name", metavar="NAME", help="as listed by 'hilserver scenarios list'")
     making.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
-    making.add_argument("--seed", type=int, default=0, help="another drawing; default 0")
+    making.add_argument("--seed", type=int, default=0, help="seed of the random sizes; default 0")
     making.set_defaults(action=_make)
     page = actions.add_parser(
         "page",
-        help="diagnose them and write the page of the documents, with a plot of each",
+        help="diagnose them and write docs/explanation/scenarios.md with a plot of each",
         epilog="example: hilserver scenarios page -o docs/explanation",
     )
     page.add_argument(
-        "names", nargs="*", metavar="NAME", help="only these; the others keep their section"
+        "names", nargs="*", metavar="NAME", help="only these; the others keep their sections"
     )
     page.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
     page.set_defaults(action=_page)

@@ -38,7 +38,7 @@ FACTORS = {
     100.0: "0.01 rpm instead of rpm",
     0.01: "rpm divided by 100",
     89.0: "the motor's speed, before the gear",
-    1 / 89: "divided by the gear once too often",
+    1 / 89: "divided by the gear ratio once too often",
 }
 """What a wrong size of a speed usually means."""
 
@@ -70,10 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="speed at which each wheel is to be turned (%(default)s rpm)",
     )
     parser.add_argument(
-        "--timeout", type=float, default=60.0, metavar="S", help="wait so long for each wheel"
+        "--timeout", type=float, default=60.0, metavar="S", help="wait this long for each wheel"
     )
     parser.add_argument(
-        "--demo", action="store_true", help="against an embedded controller that turns the wheels"
+        "--demo", action="store_true", help="use an embedded controller that turns the wheels"
     )
 
 
@@ -95,7 +95,7 @@ async def _demo(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
 async def _run(assembly: Assembly, args: argparse.Namespace) -> list[Finding]:
     peers = {peer.name: peer for peer in assembly.config.peers}
     if not peers:
-        raise ConfigError("there is no peer to be wired: add one to 'peers:', or use --demo")
+        raise ConfigError("there is no peer to check: add one to 'peers:', or use --demo")
     if args.peer is None and len(peers) > 1:
         raise ConfigError(f"which peer? name one with --peer: {', '.join(peers)}")
     name = args.peer or next(iter(peers))
@@ -194,7 +194,9 @@ class Wiring:
         took_ms = (time.monotonic() - start_s) * 1e3
         self._daemon.faults.clear()
         if not found:
-            return Finding("stale", "never", wanted, "the inputs stay Good after the link is cut")
+            return Finding(
+                "stale", "never", wanted, "the inputs stay Good after the link is disconnected"
+            )
         # The last value came up to one publishing interval before the cut.
         early_ms = self._peer.config.publishing_ms + STALE_TOLERANCE_MS
         is_right = limit_ms - early_ms <= took_ms <= limit_ms + STALE_TOLERANCE_MS
@@ -204,7 +206,7 @@ class Wiring:
 def complaint(wheel: str, wanted_rpm: float, moving: dict[str, float]) -> str:
     """Return in words what is wrong with what moved; empty if nothing is."""
     if not moving:
-        return "it moved for less than the time to look at it"
+        return "it moved too briefly to be measured"
     if len(moving) > 1:
         return f"not alone: {', '.join(moving)} move"
     (moved, rpm) = next(iter(moving.items()))
@@ -224,8 +226,8 @@ def complaint(wheel: str, wanted_rpm: float, moving: dict[str, float]) -> str:
 def _unit(factor: float) -> str:
     for known, text in FACTORS.items():
         if abs(factor / known - 1.0) <= UNIT_TOLERANCE:
-            return f"{factor:.4g} times too much, {text}"
-    return f"{factor:.4g} times too much"
+            return f"{factor:.4g} times too large, {text}"
+    return f"{factor:.4g} times too large"
 
 
 def as_table(findings: list[Finding]) -> str:

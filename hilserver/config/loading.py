@@ -49,7 +49,7 @@ def load(path: Path, model: type[Model]) -> Model:
     try:
         result = model.model_validate(data)
         complaints = [
-            (location, f"{_key(location)}: {value} does not fit; it should be a number")
+            (location, f"{_key(location)}: {value} is not valid; it should be a number")
             for location, value in _booleans(data, result)
         ]
     except ValidationError as error:
@@ -88,7 +88,7 @@ def _parse(path: Path) -> yaml.Node | None:
 def _read(path: Path) -> bytes:
     mode = path.stat().st_mode
     if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
-        raise ConfigError(f"{path}: no regular file; it is read more than once")
+        raise ConfigError(f"{path}: is not a regular file; it is read more than once")
     with path.open("rb") as file:
         content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
@@ -116,7 +116,7 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
                 if name in seen:
                     first = seen[name]
                     raise ConfigError(
-                        f"{path}:{line}: key '{name}' stands in line {first} already;"
+                        f"{path}:{line}: key '{name}' is already in line {first};"
                         " remove one of them"
                     )
                 seen[name] = line
@@ -192,7 +192,7 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
         return f"key '{key}' is missing"
     if kind == "invalid_key" or (location and location[-1] == "[key]" and kind == "string_type"):
         name = ".".join(str(part) for part in location if part != "[key]")
-        return f"key '{name}' is no text; keys are words"
+        return f"key '{name}' is not text; keys are words"
     if kind in _SECTIONS and error["input"] is None:
         below = "entries" if _WANTED[kind] == "a list" else "keys"
         return f"{key}: there is nothing below it; remove it or write its {below}"
@@ -205,7 +205,7 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     if kind == "string_pattern_mismatch":
         message = f"text that matches {error['ctx']['pattern']}"
     wanted = _WANTED.get(kind, message)
-    return f"{key}: {error['input']!r:.60} does not fit; it should be {wanted}"
+    return f"{key}: {error['input']!r:.60} is not valid; it should be {wanted}"
 
 
 def _keys_at(model: type[BaseModel], location: Path_) -> list[str]:

@@ -58,5 +58,5 @@ class LoggingConfig(Section):
         LogFormat.AUTO, description="console, json, or auto: console on a terminal, else json"
     )
     repeat_window_s: float = Field(
-        10.0, ge=0, le=3600, description="a line that repeats is printed once in so many seconds"
+        10.0, ge=0, le=3600, description="a repeated line is printed once in this many seconds"
     )

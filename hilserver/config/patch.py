@@ -30,7 +30,7 @@ class _Model(BaseModel):
 class MadeFrom(_Model):
     """Where a patch comes from."""
 
-    findings_sha256: str = Field(description="hash of the findings.json beside it")
+    findings_sha256: str = Field(description="hash of the findings.json next to it")
     config_sha256: str = Field(description="hash of the configuration that was diagnosed")
     version: str = Field(description="version of hilserver that made it")
 
@@ -48,7 +48,7 @@ class FittedIn(_Model):
     @classmethod
     def _rises(cls, value: Interval | None) -> Interval | None:
         if value is not None and value[0] > value[1]:
-            raise ValueError(f"{value[0]:g} .. {value[1]:g} does not rise; swap the two numbers")
+            raise ValueError(f"{value[0]:g} .. {value[1]:g} falls; swap the two numbers")
         return value
 
 
@@ -118,7 +118,7 @@ class Patch:
             if main_part(name) in set_there:
                 raise self.refusal(
                     name,
-                    "the configuration sets this term too (plant.terms); remove it from one of"
+                    "the configuration sets this term as well (plant.terms); remove it from one of"
                     " them",
                 )
             added[main_part(name)] = term.value

@@ -24,16 +24,16 @@ class PeerSecurity(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     policy: Annotated[Policy, BeforeValidator(_none_is_a_policy)] = Field(
-        "None", description="security policy; the peer must offer this one, there is no other way"
+        "None", description="security policy; the peer must offer exactly this one"
     )
     mode: Mode | None = Field(
-        None, description="sign or sign_and_encrypt; when left out sign_and_encrypt"
+        None, description="sign or sign_and_encrypt; default: sign_and_encrypt"
     )
     certificate: Path | None = Field(
-        None, description="our certificate; when left out own/certificate.der of opcua.certificates"
+        None, description="our certificate; default: own/certificate.der in opcua.certificates"
     )
     private_key: Path | None = Field(
-        None, description="its key; when left out that of the server (opcua.private_key)"
+        None, description="its key; default: that of the server (opcua.private_key)"
     )
     trust: Path | None = Field(
         None,
@@ -47,18 +47,19 @@ class PeerSecurity(BaseModel):
     )
     peer_host: Annotated[str, Field(min_length=1, max_length=253)] | None = Field(
         None,
-        description="name or address that the peer's certificate must name; when left out the host"
-        " of endpoint",
+        description="name or address that the peer's certificate must name; default: the host of"
+        " endpoint",
     )
     user: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
-        None, description="name to log in with; when left out anonymous"
+        None, description="name to log in with; default: anonymous"
     )
     password_file: Path | None = Field(
         None, description="file with the password, readable by its owner only"
     )
     allow_clear_password: bool = Field(
         default=False,
-        description="Log in over policy None although others on the network can read the password",
+        description="Log in over policy None even though others on the network can read the"
+        " password",
     )
 
     @property
@@ -85,12 +86,12 @@ class PeerSecurity(BaseModel):
             given, missing = ("certificate", "private_key")
             if self.certificate is None:
                 given, missing = missing, given
-            raise ValueError(f"{given} needs {missing}, too: name both, or neither")
+            raise ValueError(f"{given} needs {missing} as well: give both, or neither")
         if (self.user is None) != (self.password_file is None):
             given, missing = ("user", "password_file")
             if self.user is None:
                 given, missing = missing, given
-            raise ValueError(f"{given} needs {missing}, too: name both, or neither")
+            raise ValueError(f"{given} needs {missing} as well: give both, or neither")
         if self.allow_clear_password and (self.is_secure or self.user is None):
             raise ValueError(
                 "allow_clear_password is without effect unless a user logs in over policy None:"

@@ -64,14 +64,15 @@ class NodeAddress:
         match = _NODE.match(text)
         if match is None:
             raise ValueError(
-                f"'{text}' is no node id: write nsu=<namespace URI>;s=<name> or ns=<index>;s=<name>"
+                f"'{text}' is not a node id: write nsu=<namespace URI>;s=<name>"
+                " or ns=<index>;s=<name>"
             )
         identifier = match["identifier"]
         wrong = _wrong_identifier(identifier)
         if int(match["index"] or 0) > _NAMESPACE_MAX:
             wrong = f"ns= needs a number up to {_NAMESPACE_MAX}"
         if wrong:
-            raise ValueError(f"'{text}' is no node id: {wrong}")
+            raise ValueError(f"'{text}' is not a node id: {wrong}")
         uri = match["uri"]
         return cls(
             namespace_uri=uri.replace("%3B", ";").replace("%25", "%") if uri else None,
@@ -92,9 +93,9 @@ def _check_endpoint(text: str) -> str:
     except ValueError:
         complete = False
     if not complete:
-        raise ValueError(f"'{text}' is no endpoint: write opc.tcp://<host>:<port>/<path>")
+        raise ValueError(f"'{text}' is not an endpoint: write opc.tcp://<host>:<port>/<path>")
     if "@" in parts.netloc:
-        raise ValueError("an endpoint carries no user name or password")
+        raise ValueError("an endpoint must not contain a user name or password")
     return text
 
 
@@ -142,22 +143,22 @@ class PeerConfig(_Section):
     mode: Literal["auto", "subscribe", "poll"] = Field(
         "auto", description="subscribe, poll, or auto: poll when the peer grants too slow a rate"
     )
-    publishing_ms: Milliseconds = Field(50, description="publishing interval that is asked for")
+    publishing_ms: Milliseconds = Field(50, description="publishing interval to request")
     sampling_ms: Annotated[float, Field(ge=0, le=3_600_000)] = Field(
-        0, description="sampling interval that is asked for; what was granted is shown"
+        0, description="sampling interval to request; the granted one is shown"
     )
     poll_ms: Annotated[float, Field(ge=1, le=3_600_000)] = Field(
         10, description="period of the multi-read when polling"
     )
     stale_after_ms: Milliseconds = Field(500, description="inputs older than this are stale")
     on_stale: Literal["hold", "zero", "ramp"] = Field(
-        "ramp", description="set-points then: hold them, zero, or ramp (safe state)"
+        "ramp", description="what happens to set-points then: hold, zero, or ramp (safe state)"
     )
     read: Annotated[dict[NodeId, str | Inputs], Field(max_length=1000)] = Field(
         {}, description="their node: our input signal, or a list of them that get the same value"
     )
     sequence_node: NodeId | None = Field(
-        None, description="their counter: tells a living controller from a server that answers"
+        None, description="their counter: shows whether the controller runs, not only its server"
     )
     write: Annotated[dict[str, NodeId], Field(max_length=1000)] = Field(
         {}, description="our output signal: their node"
@@ -167,14 +168,16 @@ class PeerConfig(_Section):
     )
     write_status: Literal["honest", "good"] = Field(
         "honest",
-        description="status of what is written: as it is, or always Good (stock clients raise on"
+        description="status that is written: the real one, or always Good (stock clients raise on"
         " Uncertain); values that are Bad are then not written",
     )
 
     @model_validator(mode="after")
     def _consistent(self) -> "PeerConfig":
         if not self.read and not self.write:
-            raise ValueError(f"peer '{self.name}' reads and writes nothing: fill read or write")
+            raise ValueError(
+                f"peer '{self.name}' reads and writes nothing: add nodes to read or write"
+            )
         for what, names in (("read", self.inputs), ("write", self.write.values())):
             twice = _first_duplicate(names)
             if twice is not None:
@@ -271,7 +274,7 @@ def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
             others = {reader.setdefault(slot, signal) for slot in slots} - {signal}
             if others:
                 part, whole = sorted((signal, min(others)), key=lambda n: len(table[n].slots))
-                message = f"'{part}' is part of '{whole}', which is read, too: keep one of them"
+                message = f"'{part}' is part of '{whole}', which is also read: keep one of them"
         if message:
             problems.append(SignalProblem(("read", node), message))
     for signal in peer.write:
@@ -281,7 +284,7 @@ def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
         elif table[signal].writable:
             message = f"'{signal}' is an input: write sends outputs"
         elif len(table[signal].slots) > 1:
-            message = f"'{signal}' is an array: write its parts, each to a node of its own"
+            message = f"'{signal}' is an array: write each of its parts to a separate node"
         if message:
             problems.append(SignalProblem(("write", signal), message))
     return problems

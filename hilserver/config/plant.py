@@ -63,14 +63,14 @@ class PlantConfig(_Section):
         "exact", description="exact joint solution, or forward differences"
     )
     safe_ramp_s: float = Field(
-        0.5, ge=0, le=60, description="time in which the safe state takes the set-points to zero"
+        0.5, ge=0, le=60, description="time in which the safe state ramps the set-points to zero"
     )
     exclusive_twist: bool = Field(
         default=False, description="a twist with both parts drives only the larger one (5.4)"
     )
     seed: int = Field(0, ge=0, lt=2**53, description="seed of all noise")
     terms: dict[str, float | None] = Field(
-        default_factory=dict, description="deviations by cause or cause.part; null: none"
+        default_factory=dict, description="values by cause or cause.part; null: none"
     )
 
     @field_validator("terms")
@@ -93,7 +93,7 @@ class KinematicsConfig(_Section):
     @classmethod
     def _number_or_name(cls, value: object) -> object:
         if not isinstance(value, str | int | float) or value != value:  # noqa: PLR0124 (NaN)
-            raise ValueError(f"{value!r:.60} does not fit; it should be a number or a name")
+            raise ValueError(f"{value!r:.60} is not valid; it should be a number or a name")
         return value
 
     @field_validator("rotation_gain")
@@ -109,7 +109,9 @@ Slice = Annotated[str, Field(description="slice in which it runs")]
 class ImuConfig(_Section):
     """Inertial unit."""
 
-    enabled: bool = Field(default=True, description="false: its outputs are BadOutOfService")
+    enabled: bool = Field(
+        default=True, description="false: its outputs have the status BadOutOfService"
+    )
     slice: Slice = "sensors"
     gyro_noise_rad_s: float = Field(0.0, ge=0, le=10, description="white noise, sd")
     accel_noise_m_s2: float = Field(0.0, ge=0, le=100, description="white noise, sd")
@@ -118,11 +120,13 @@ class ImuConfig(_Section):
 class BatteryConfig(_Section):
     """NiMH battery 19.2 V."""
 
-    enabled: bool = Field(default=True, description="false: its output is BadOutOfService")
+    enabled: bool = Field(
+        default=True, description="false: its output has the status BadOutOfService"
+    )
     slice: Slice = "sensors"
     capacity_ah: float = Field(3.0, gt=0, le=1000, description="charge of the full pack")
     initial_charge: float = Field(0.9, ge=0, le=1, description="1 full, 0 empty")
-    resistance_ohm: float = Field(0.15, ge=0, le=10, description="inner resistance")
+    resistance_ohm: float = Field(0.15, ge=0, le=10, description="internal resistance")
     idle_current_a: float = Field(0.8, ge=0, le=100, description="current of the electronics")
     full_duty_current_a: float = Field(
         1.5, ge=0, le=100, description="current of one wheel at full duty"
@@ -132,7 +136,9 @@ class BatteryConfig(_Section):
 class TofConfig(_Section):
     """Range finders at the corners."""
 
-    enabled: bool = Field(default=True, description="false: their outputs are BadOutOfService")
+    enabled: bool = Field(
+        default=True, description="false: their outputs have the status BadOutOfService"
+    )
     slice: Slice = "sensors"
     hall: str = Field(
         "default", description="default, or a YAML file with walls: [[x1, y1, x2, y2], ...] in m"
@@ -145,10 +151,17 @@ class TofConfig(_Section):
 class NavConfig(_Section):
     """Navigation tag."""
 
-    enabled: bool = Field(default=False, description="false: its outputs are BadOutOfService")
+    enabled: bool = Field(
+        default=False, description="false: its outputs have the status BadOutOfService"
+    )
     slice: Slice = "sensors"
-    rate_hz: float = Field(20.0, gt=0, le=10000, description="samples; its slice must fit")
-    lever_arm_x_m: float = Field(0.0, ge=-5, le=5, description="tag before the centre of mass")
+    rate_hz: float = Field(
+        20.0,
+        gt=0,
+        le=10000,
+        description="sampling rate; its period must be a multiple of the slice",
+    )
+    lever_arm_x_m: float = Field(0.0, ge=-5, le=5, description="tag in front of the centre of mass")
     lever_arm_y_m: float = Field(0.0, ge=-5, le=5, description="tag left of the centre of mass")
     latency_s: float = Field(0.0, ge=0, le=100, description="age of the position")
     yaw_latency_s: float = Field(0.0, ge=0, le=100, description="age of the yaw")

@@ -17,11 +17,9 @@ class RecordingConfig(Section):
         ("*",), min_length=1, description="Signals to record, as patterns with * and ?"
     )
     rotate_mb: float | None = Field(
-        None, ge=1, description="Begin a new file after so many megabytes; null: never"
+        None, ge=1, description="Start a new file after this many megabytes; null: never"
     )
     keep: int | None = Field(
-        None, ge=1, description="Keep so many files of a rotation, the newest; null: all"
+        None, ge=1, description="Keep this many files of a rotation, the newest; null: all"
     )
-    buffer_mb: float = Field(
-        64.0, ge=1, le=4096, description="Memory for what a slow disk has not taken yet [MB]"
-    )
+    buffer_mb: float = Field(64.0, ge=1, le=4096, description="Buffer for a slow disk [MB]")

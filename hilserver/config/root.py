@@ -46,7 +46,7 @@ class Config(Section):
     def _whole(self) -> Self:
         source = self.control.source or ("peer" if self.peers else "opcua")
         if source not in self.control.priority:
-            raise ValueError(f"control: source '{source}' does not stand in priority")
+            raise ValueError(f"control: source '{source}' is not in priority")
         names = [block.name for block in self.blocks]
         twice = [name for name in names if names.count(name) > 1]
         if twice:

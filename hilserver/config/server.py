@@ -40,7 +40,7 @@ def _none_is_a_policy(value: object) -> object:
 
 def _check_hash(text: str) -> str:
     if _PASSWORD_HASH.fullmatch(text) is None:
-        raise ValueError("is no scrypt hash; make one with 'hilserver certs password'")
+        raise ValueError("is not a scrypt hash; make one with 'hilserver certs password'")
     return text
 
 
@@ -51,7 +51,7 @@ def _check_endpoint(text: str) -> str:
     except ValueError:
         port = None
     if url.scheme != "opc.tcp" or not url.hostname or port is None:
-        raise ValueError(f"'{text}' is no endpoint; write opc.tcp://<address>:<port>/<path>")
+        raise ValueError(f"'{text}' is not an endpoint; write opc.tcp://<address>:<port>/<path>")
     return text
 
 
@@ -120,13 +120,13 @@ class OpcUaConfig(BaseModel):
         default=None,
         min_length=1,
         max_length=256,
-        description="Application URI; urn:<host name>:hilserver when left out",
+        description="Application URI; default: urn:<host name>:hilserver",
     )
     policies: Annotated[tuple[Policy, ...], BeforeValidator(_none_is_a_policy)] | None = Field(
         default=None,
         min_length=1,
         description="Security policies that clients may choose, all but None with SignAndEncrypt;"
-        " when left out None on loopback, elsewhere the three secure ones",
+        " default: None on loopback, elsewhere the three secure ones",
     )
     certificates: Path = Field(
         default=Path("certificates"),
@@ -134,24 +134,24 @@ class OpcUaConfig(BaseModel):
         " relative to this file",
     )
     private_key: Path | None = Field(
-        default=None, description="Key file elsewhere than own/key.pem of that folder"
+        default=None, description="Key file, if not own/key.pem in that folder"
     )
     users: tuple[OpcUaUser, ...] = Field(default=(), description="Who may log in")
     anonymous: RoleName | Literal["nobody"] | None = Field(
         default=None,
-        description="Role of a client without a name; when left out engineer on loopback and"
-        " nobody elsewhere, and nobody as soon as there are users",
+        description="Role of a client without a name; default: engineer on loopback without"
+        " users, otherwise nobody",
     )
     permissions: OpcUaPermissions = Field(
         default_factory=OpcUaPermissions, description="Who may write and call what"
     )
     allow_insecure_network: bool = Field(
         default=False,
-        description="Listen on other addresses than loopback although everyone there may then"
+        description="Listen on other addresses than loopback even though everyone there may then"
         " read, write and command without a password",
     )
     max_failed_logins: int = Field(
-        default=5, ge=1, le=1000, description="Failed log-ins of an address or a name in a minute"
+        default=5, ge=1, le=1000, description="Failed log-ins per address or name in a minute"
     )
     max_message_bytes: int = Field(
         default=262_144,
@@ -180,7 +180,10 @@ class OpcUaConfig(BaseModel):
         default=1000, ge=1, le=10_000, description="Longest queue of a monitored item"
     )
     max_events_per_s: int = Field(
-        default=10, ge=1, le=1000, description="Events sent per kind; the rest is counted"
+        default=10,
+        ge=1,
+        le=1000,
+        description="Events sent per kind and second; the rest are counted",
     )
 
     @property

@@ -12,8 +12,6 @@ class ShadowConfig(Section):
 
     limits: dict[str, Annotated[float, Field(gt=0)]] = Field(
         default_factory=dict,
-        description="largest gap by signal, in its unit, as pose.x_m: 0.3; none: no alarm",
+        description="largest gap by signal, in its unit, such as pose.x_m: 0.3; empty: no alarm",
     )
-    after_s: float = Field(
-        1.0, ge=0, le=3600, description="a gap that lasts so long is an alarm; shorter ones are not"
-    )
+    after_s: float = Field(1.0, ge=0, le=3600, description="a gap that lasts this long is an alarm")

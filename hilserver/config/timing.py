@@ -31,10 +31,10 @@ class LimitsConfig(Section):
     """When overruns end in the safe state; null: never."""
 
     single_overrun_ms: float | None = Field(
-        100.0, gt=0, description="An overrun longer than this is unsafe [ms]"
+        100.0, gt=0, description="A longer overrun causes the safe state [ms]; null: never"
     )
     consecutive_overruns: int | None = Field(
-        100, ge=1, description="More overruns in a row than this are unsafe"
+        100, ge=1, description="More consecutive overruns cause the safe state; null: never"
     )
 
 
@@ -45,7 +45,7 @@ class RealtimeConfig(Section):
     cpu: int | None = Field(
         None,
         ge=0,
-        description="Give this core to the pacing thread; the rest of the daemon leaves it",
+        description="Core for the pacing thread alone; the rest of the daemon avoids it",
     )
     lock_memory: bool = Field(True, description="Lock and prefault memory")
     hold_latency_target: bool = Field(True, description="Hold /dev/cpu_dma_latency at 0")
@@ -65,11 +65,15 @@ class SchedulerConfig(Section):
     policy: Literal["catch_up", "skip", "stretch", "fail"] = Field(
         "catch_up", description="What happens to ticks whose time has passed"
     )
-    catch_up_limit: int = Field(50, ge=1, le=10_000, description="Ticks caught up at most")
+    catch_up_limit: int = Field(
+        50, ge=1, le=10_000, description="Largest number of ticks to catch up"
+    )
     limits: LimitsConfig = LimitsConfig()
     realtime: RealtimeConfig = RealtimeConfig()
     communication_timeout_ms: float = Field(
-        2000.0, ge=0, description="Safe state when asyncio is silent for this long; 0: not watched"
+        2000.0,
+        ge=0,
+        description="Safe state if the event loop does not respond for this long; 0: not watched",
     )
 
     @field_validator("slices", mode="before")
@@ -81,7 +85,7 @@ class SchedulerConfig(Section):
     @classmethod
     def _limit_slices(cls, value: dict[str, float]) -> dict[str, float]:
         if len(value) > MAX_SLICES:
-            raise ValueError(f"{len(value)} slices are too many, at most {MAX_SLICES} are possible")
+            raise ValueError(f"{len(value)} slices are too many; the limit is {MAX_SLICES}")
         return value
 
     @model_validator(mode="after")
@@ -99,7 +103,7 @@ class ControlConfig(Section):
     """Who commands."""
 
     source: Source | None = Field(
-        None, description="Who commands at the start; null: peer if there are peers, else opcua"
+        None, description="Who has control at start; null: peer if there are peers, else opcua"
     )
     priority: tuple[Source, ...] = Field(
         SOURCES, description="Who may take control from whom, highest first"
@@ -107,15 +111,16 @@ class ControlConfig(Section):
     opcua_stale_after_ms: float | None = Field(
         None,
         gt=0,
-        description="Safe state when the OPC UA client in control is silent so long; null: never",
+        description="Safe state if the OPC UA client in control writes nothing for this long;"
+        " null: never",
     )
 
     command_timeout_ms: float | None = Field(
         None,
         gt=0,
         le=1e6,
-        description="Set-points become zero when none has come for so long, as the shield of the"
-        " real robot does after 500 ms; null: never",
+        description="Set-points become zero if none arrives for this long (500 ms in the shield of"
+        " the real robot); null: never",
     )
 
     @model_validator(mode="after")
@@ -126,7 +131,7 @@ class ControlConfig(Section):
         if twice:
             raise ValueError(f"priority names '{twice[0]}' twice")
         if self.source is not None and self.source not in self.priority:
-            raise ValueError(f"source '{self.source}' does not stand in priority")
+            raise ValueError(f"source '{self.source}' is not in priority")
         return self
 
 
@@ -136,16 +141,20 @@ class ImageConfig(Section):
     name: str = Field(
         "robot",
         pattern=r"^[A-Za-z0-9_.-]{1,60}$",
-        description="Name in shared memory; 'auto' adds the process number",
+        description="Name in shared memory; 'auto' adds the process id",
     )
-    ring_frames: int = Field(2048, ge=16, le=65536, description="Frames kept, a power of two")
+    ring_frames: int = Field(
+        2048, ge=16, le=65536, description="Frames in the ring, a power of two"
+    )
 
     @field_validator("ring_frames")
     @classmethod
     def _power_of_two(cls, value: int) -> int:
         below = 1 << (value.bit_length() - 1)
         if value != below:
-            raise ValueError(f"{value} is no power of two; the nearest are {below} and {2 * below}")
+            raise ValueError(
+                f"{value} is not a power of two; the nearest are {below} and {2 * below}"
+            )
         return value
 
 
@@ -173,5 +182,5 @@ class BlockConfig(Section):
     @classmethod
     def _name_is_free(cls, value: str) -> str:
         if value in _TAKEN:
-            raise ValueError(f"'{value}' is a name of the robot or of the address space")
+            raise ValueError(f"'{value}' is reserved for the robot or the address space")
         return value

@@ -112,7 +112,7 @@ class Similarity:
     names : tuple of str
         Causes (or ``cause.part``), n of them.
     cosine : ndarray of float64, shape (n, n)
-        Signed; NaN where a sensitivity is nought.
+        Signed; NaN where a sensitivity is zero.
     limit : float
         Above it two causes are one group.
     """

@@ -16,7 +16,7 @@ from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import EXIT_DONE, UserError
 
 Progress = Callable[[str, float], None]
-"""Told the stage and the share of the whole that is done."""
+"""Called with the stage and the share of the whole that is done."""
 
 
 @dataclass(frozen=True)

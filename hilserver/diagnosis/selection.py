@@ -238,11 +238,11 @@ def _accepted(
         if trial.gain <= least:
             why = f"{saved}, too little"
         elif z <= limit:
-            why = f"{saved}, but lies only {z:.1f} deviations from nought; {limit:.1f} are asked"
+            why = f"{saved}, but only {z:.1f} standard errors from zero; {limit:.1f} are needed"
         elif not holds(problem, point, fitted.model, fitted):
-            why = f"{saved}, but not on the blocks that it was not fitted to"
+            why = f"{saved}, but not on held-out blocks"
         if why is None:
-            why = f"{saved}, {z:.1f} deviations from nought"
+            why = f"{saved}, {z:.1f} standard errors from zero"
             selected.rows.append(SelectionRow(cause, "taken", None, why))
             return replace(trial, point=fitted)
         selected.rows.append(SelectionRow(cause, "refused", None, why))

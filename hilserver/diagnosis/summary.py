@@ -34,7 +34,7 @@ def summary(findings: Findings) -> str:
             f" ({number(gain.ratio, digits=2)} times smaller{sure})"
         )
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
-        lines.append("  How large an effect would have had to be stands in the report.")
+        lines.append("  The report says how large an effect must be to be found.")
     lines += [f"  Note: {notice}" for notice in findings.notices]
     return "\n".join(
         textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines

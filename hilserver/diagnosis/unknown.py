@@ -168,7 +168,7 @@ def _periodic_pose(m: Motion, found: Sequence[float]) -> Family:
 
 
 def _side(values: Array, knee: float) -> Array:
-    """Return the sign of a signal, soft at nought: there a sharp one would follow the noise."""
+    """Return the sign of a signal, smooth at zero, where a sharp one would follow the noise."""
     return np.asarray(np.tanh(values / knee))
 
 

@@ -37,7 +37,7 @@ def words() -> Mapping[str, Words]:
 
 def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) -> str:
     """Return the section of a scenario in Markdown; `picture` is the file of its plot."""
-    told = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
+    reported = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
     better = {k: g for k, g in findings.total_gain.items() if g.ratio > 1.0}
     best = max(better, key=lambda key: better[key].ratio) if better else None
     text = _template().render(
@@ -47,8 +47,8 @@ def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) 
         picture=picture,
         hidden=_hidden(drive),
         findings=findings,
-        told=told,
-        rows=[row for f in told for row in _rows(f, drive)],
+        reported=reported,
+        rows=[row for f in reported for row in _rows(f, drive)],
         gain=better.get(best) if best else None,
         quantity=QUANTITIES.get(best, (best, "1")) if best else None,
         judgement=judge(drive.expectation, findings),

@@ -16,7 +16,7 @@ from hilserver.scheduler.machine import Machine
 
 PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
-"""A loop silent for so long is told of while it lasts: its own record may never come."""
+"""A loop that does not respond for this long is reported at once: its own record may never come."""
 _SETTLE_NS = 20_000_000
 """A record is explained no sooner than this after its tick: a SIGCONT needs time to arrive."""
 

@@ -110,7 +110,7 @@ def test_trust_a_file(config: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert TrustList(tmp_path / "certificates").judge(to_der(certificate)) is Verdict.GOOD
     path.write_bytes(b"0123")
     assert certs(config, "trust", str(path)) == 1
-    assert "is no certificate" in capsys.readouterr().err
+    assert "is not a certificate" in capsys.readouterr().err
 
 
 def test_password(

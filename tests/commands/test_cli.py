@@ -235,7 +235,7 @@ def test_output_that_nobody_takes_is_no_traceback(tmp_path, where, code):
 def test_a_wrong_duration_is_named(tmp_path, duration):
     run = hilserver("run", "--duration", duration, cwd=tmp_path)
     assert run.returncode == 2
-    assert f"argument --duration: {duration} is no duration in seconds" in run.stderr
+    assert f"argument --duration: {duration} is not a duration in seconds" in run.stderr
 
 
 def test_a_port_in_use_is_one_sentence_and_exit_1(tmp_path):

@@ -68,7 +68,7 @@ def test_a_signal_ends_it_at_once_with_a_sentence_and_no_file(
     monkeypatch.setattr(pipeline, "diagnose", lambda *_, **__: os.kill(os.getpid(), number))
     assert main(["diagnose", "a.csv", "-o", "out"]) == 0
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == "hilserver: stopped before it was done: there is no report"
+    assert line == "hilserver: stopped before the diagnosis was finished: no report was written"
     assert not (tmp_path / "out").exists()
 
 

@@ -21,16 +21,16 @@ QUIET = "opcua: {enabled: false}\nmetrics: {enabled: false}\nimage: {name: auto}
         ("fl", 20, {"rl": 20.0}, "order: rear left instead of front left"),
         ("fl", 20, {"fr": -20.0}, "side: front right instead of front left"),
         ("fl", 20, {"fl": -20.0}, "sign: forward is positive on the left, negative on the right"),
-        ("fl", 20, {"fl": 2.094}, "unit: 0.1047 times too much, rad/s instead of rpm"),
-        ("fl", 20, {"fl": 26.0}, "unit: 1.3 times too much"),
+        ("fl", 20, {"fl": 2.094}, "unit: 0.1047 times too large, rad/s instead of rpm"),
+        ("fl", 20, {"fl": 26.0}, "unit: 1.3 times too large"),
         ("fl", 20, {"fl": 20.0, "rr": 1.0}, "not alone: fl, rr move"),
-        ("fl", 20, {}, "it moved for less than the time to look at it"),
+        ("fl", 20, {}, "it moved too briefly to be measured"),
         (
             "fl",
             20,
             {"fr": 2.094},
             "side: front right instead of front left; sign: forward is positive on the left,"
-            " negative on the right; unit: 0.1047 times too much, rad/s instead of rpm",
+            " negative on the right; unit: 0.1047 times too large, rad/s instead of rpm",
         ),
     ],
 )
@@ -83,4 +83,4 @@ def test_without_a_peer_it_says_what_to_do(tmp_path, capsys):
     config = tmp_path / "config.yaml"
     config.write_text(QUIET)
     assert main(["wiring", "-c", str(config)]) == 78
-    assert "there is no peer to be wired" in capsys.readouterr().err
+    assert "there is no peer to check" in capsys.readouterr().err

@@ -38,13 +38,13 @@ def complaint(tmp_path, text):
         ("peers:\n  - publishing_ms: 5\n", "config.yaml:2: key 'peers[0].name' is missing"),
         (
             "peers:\n  - name: a\n    publishing_ms: 50 ms\n",
-            "config.yaml:3: peers[0].publishing_ms: '50 ms' does not fit; it should be a number",
+            "config.yaml:3: peers[0].publishing_ms: '50 ms' is not valid; it should be a number",
         ),
         (
             "peers:\n  - name: a\n    publishing_ms: -1\n",
-            "config.yaml:3: peers[0].publishing_ms: -1 does not fit; it should be greater than 0",
+            "config.yaml:3: peers[0].publishing_ms: -1 is not valid; it should be greater than 0",
         ),
-        ("backend: a\nbackend: b\n", "config.yaml:2: key 'backend' stands in line 1 already;"),
+        ("backend: a\nbackend: b\n", "config.yaml:2: key 'backend' is already in line 1;"),
         ("peers: [\n", "config.yaml:2: not YAML"),
         ("a: b: c\n", "config.yaml:1: not YAML"),
         (b"backend: \xff\n", "config.yaml: byte 9 is not UTF-8"),

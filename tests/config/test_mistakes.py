@@ -38,11 +38,11 @@ def complaint(tmp_path, text):
         ("plant:\n  terms:\n", ":2: plant.terms: there is nothing below it"),
         ("- a\n", ":1: a configuration consists of 'key: value' lines, not of a list"),
         ("hello\n", ":1: a configuration consists of 'key: value' lines, not of 'hello'"),
-        ("plant: [1]\n", ":1: plant: [1] does not fit; it should be keys and values"),
-        ("peers: {name: a}\n", ":1: peers: {'name': 'a'} does not fit; it should be a list"),
-        ("1: 2\n", ":1: key '1' is no text; keys are words"),
-        ("plant: {null: 2}\n", ":1: key 'plant.None' is no text"),
-        ("plant: {max_rpm: yes}\n", ":1: plant.max_rpm: True does not fit; it should be a number"),
+        ("plant: [1]\n", ":1: plant: [1] is not valid; it should be keys and values"),
+        ("peers: {name: a}\n", ":1: peers: {'name': 'a'} is not valid; it should be a list"),
+        ("1: 2\n", ":1: key '1' is not text; keys are words"),
+        ("plant: {null: 2}\n", ":1: key 'plant.None' is not text"),
+        ("plant: {max_rpm: yes}\n", ":1: plant.max_rpm: True is not valid; it should be a number"),
         ("kinematics: {rotation_gain: true}\n", ":1: kinematics.rotation_gain: True does not"),
         ("kinematics: {rotation_gain: tiles}\n", ":1: kinematics.rotation_gain: 'tiles' is no"),
         ("kinematics: {rotation_gain: null}\n", ":1: kinematics.rotation_gain: None does not"),
@@ -50,9 +50,12 @@ def complaint(tmp_path, text):
             "plant: {terms: {rotation_gian: 1}}\n",
             ":1: plant.terms.rotation_gian: there is no such term: did you mean 'rotation_gain'?",
         ),
-        ("image: {name: '../x'}\n", ":1: image.name: '../x' does not fit; it should be text"),
+        ("image: {name: '../x'}\n", ":1: image.name: '../x' is not valid; it should be text"),
         # numbers
-        ("image: {ring_frames: 1000}\n", ":1: image.ring_frames: 1000 is no power of two; the n"),
+        (
+            "image: {ring_frames: 1000}\n",
+            ":1: image.ring_frames: 1000 is not a power of two; the n",
+        ),
         ("scheduler: {base_period_ms: 0.001}\n", ":1: scheduler.base_period_ms: 0.001 does not"),
         ("scheduler: {slices: {plant: 1e300}}\n", ":1: scheduler.slices.plant: '1e300' does not"),
         (
@@ -69,7 +72,7 @@ def complaint(tmp_path, text):
         (peer("read: {'ns=1;s=x': internal.command}"), "there is no signal 'internal.command'"),
         (
             peer("read: {'ns=1;s=x': wheels.setpoints_rpm, 'ns=1;s=y': wheel.fl.setpoint_rpm}"),
-            "'wheel.fl.setpoint_rpm' is part of 'wheels.setpoints_rpm', which is read, too",
+            "'wheel.fl.setpoint_rpm' is part of 'wheels.setpoints_rpm', which is also read",
         ),
         (peer("write: {wheels.speeds_rpm: 'ns=1;s=x'}"), "'wheels.speeds_rpm' is an array"),
         (peer("read: {'ns=1;g=zz': wheel.fl.setpoint_rpm}"), "g= needs a GUID"),
@@ -122,7 +125,7 @@ def test_what_is_no_file_is_named(tmp_path):
         assemble(tmp_path)
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
-    with pytest.raises(ConfigError, match="no regular file"):
+    with pytest.raises(ConfigError, match="not a regular file"):
         assemble(fifo)
 
 

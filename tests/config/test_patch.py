@@ -68,7 +68,7 @@ def test_its_hash_is_that_of_what_it_says(tmp_path):
         (changed(value=20), "terms.rotation_gain: 20 1 is outside"),
         (changed(value=float("nan")), "terms.rotation_gain.value"),
         (changed(unit="m"), "terms.rotation_gain.unit: the term has the unit '1'"),
-        (changed(fitted_in={"speed_m_s": [1, 0]}), "does not rise"),
+        (changed(fitted_in={"speed_m_s": [1, 0]}), "falls"),
         (PATCH | {"made_from": {}}, "made_from.config_sha256"),
     ],
 )

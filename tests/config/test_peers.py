@@ -67,7 +67,7 @@ def test_node_ids(text, address):
 
 @pytest.mark.parametrize("text", ["", "rpm", "s=rpm", "ns=x;s=rpm", "nsu=;s=rpm", "ns=1;i=rpm"])
 def test_what_is_no_node_id(text):
-    with pytest.raises(ValueError, match="is no node id"):
+    with pytest.raises(ValueError, match="is not a node id"):
         NodeAddress.parse(text)
 
 
@@ -76,9 +76,9 @@ def test_what_is_no_node_id(text):
     [
         ({"mode": "push"}, "'auto', 'subscribe' or 'poll'"),
         ({"publishin_ms": 5}, "Extra inputs are not permitted"),
-        ({"endpoint": "192.0.2.10:53880"}, "is no endpoint"),
+        ({"endpoint": "192.0.2.10:53880"}, "is not an endpoint"),
         ({"endpoint": "opc.tcp://me:secret@192.0.2.10:53880/"}, "no user name"),
-        ({"endpoint": "opc.tcp://192.0.2.10:port/"}, "is no endpoint"),
+        ({"endpoint": "opc.tcp://192.0.2.10:port/"}, "is not an endpoint"),
         ({"stale_after_ms": 60}, "at least twice the interval"),
         ({"poll_ms": 0}, "greater than or equal to 1"),
         ({"publishing_ms": -1}, "greater than 0"),
@@ -89,11 +89,11 @@ def test_what_is_no_node_id(text):
         ({"security": {"trust": "x"}}, "trust is without effect while policy is None"),
         (
             {"security": SECURE | {"certificate": "a.der"}},
-            "certificate needs private_key, too: name both, or neither",
+            "certificate needs private_key as well: give both, or neither",
         ),
-        ({"security": SECURE | {"private_key": "a.pem"}}, "private_key needs certificate, too"),
-        ({"security": SECURE | {"user": "otto"}}, "user needs password_file, too"),
-        ({"security": SECURE | {"password_file": "x"}}, "password_file needs user, too"),
+        ({"security": SECURE | {"private_key": "a.pem"}}, "private_key needs certificate as well"),
+        ({"security": SECURE | {"user": "otto"}}, "user needs password_file as well"),
+        ({"security": SECURE | {"password_file": "x"}}, "password_file needs user as well"),
         ({"security": SECURE | {"password": "x"}}, "Extra inputs are not permitted"),
         ({"security": LOG_IN}, "could read the password of 'otto' with policy None"),
         (
@@ -101,7 +101,7 @@ def test_what_is_no_node_id(text):
             "allow_clear_password is without effect",
         ),
         ({"security": {"allow_clear_password": True}}, "allow_clear_password is without effect"),
-        ({"sequence_node": "seq"}, "is no node id"),
+        ({"sequence_node": "seq"}, "is not a node id"),
         ({"name": "a b"}, "String should match pattern"),
         (
             {"read": {"ns=1;s=a": "control.mode", "ns=1;s=b": "control.mode"}},

@@ -66,7 +66,7 @@ def test_what_cannot_be_written_is_a_sentence_and_leaves_no_half_file(tmp_path):
 
 def test_the_summary_is_made_of_words():
     text = summary(findings())
-    assert text.startswith("Three things are not as the simulation has it")
+    assert text.startswith("Three things differ from the simulation")
     assert "The robot turns 47\u00a0% less" in text
     assert "tell them apart" in text
     assert "7.8 times smaller, 95 % 6.1 to 9" in " ".join(text.split())
@@ -85,7 +85,7 @@ def test_one_line_per_log():
 def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict):
     found = nothing_found().model_copy(update={"verdict": verdict, "smallest_detectable": ()})
     assert found.not_judged
-    assert summary(found).startswith("Nothing could be judged: these data lack channels")
+    assert summary(found).startswith("Nothing could be judged: channels are missing")
 
 
 def test_a_term_of_several_parts_keeps_them_all():

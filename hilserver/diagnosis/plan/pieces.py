@@ -105,7 +105,7 @@ def _spins(robot: RobotParameters) -> Iterator[tuple[str, list[Move]]]:
     yield "on the spot with changing speed, both ways", there_and_back(changing)
     rpm = 0.5 * top
     quick = [(0.4, -rpm, rpm), (0.8, rpm, -rpm), (0.4, -rpm, rpm)]
-    yield "quick turns to and fro", [*quick, *quick, PAUSE]
+    yield "quick turns back and forth", [*quick, *quick, PAUSE]
 
 
 def _arcs(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Move]]]:

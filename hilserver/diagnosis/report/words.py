@@ -13,7 +13,7 @@ BADGES = {
     Verdict.STRUCTURE_NOT_IN_LIBRARY: "No known cause",
     Verdict.DRIFT: "Changes over time",
     Verdict.INSUFFICIENT_EXCITATION: "Too little motion to say",
-    Verdict.DATA_FAULT: "Fault of the data",
+    Verdict.DATA_FAULT: "Data fault",
     Verdict.DIFFERS: "Differs",
     Verdict.NO_DIFFERENCE: "No difference",
 }
@@ -25,7 +25,7 @@ COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", 
 def headline(findings: Findings) -> str:
     """Return what the page says first, one sentence."""
     if not findings.findings and not findings.smallest_detectable and findings.not_judged:
-        return "Nothing could be judged: these data lack channels, see what was not judged and why."
+        return "Nothing could be judged: channels are missing. See what was not judged, and why."
     silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
     if silent and findings.verdict in {Overall.NOTHING_FOUND, Overall.NO_DIFFERENCE}:
         return explain_finding(silent[0])
@@ -42,8 +42,8 @@ def headline(findings: Findings) -> str:
     if len(faults) == len(told):
         return f"{_count(faults)} faults of the recording, none of the robot."
     others = len(told) - len(faults)
-    what = "thing is" if others == 1 else "things are"
-    text = f"{_count(told[:others])} {what} not as the simulation has it"
+    what = "thing differs" if others == 1 else "things differ"
+    text = f"{_count(told[:others])} {what} from the simulation"
     if faults:
         text += f", and the recording has {_count(faults).lower()} fault" + "s" * (len(faults) > 1)
     return f"{text}."
@@ -91,7 +91,7 @@ def where(cuts: Sequence[CutRow]) -> str:
         told.append("in the motors, the gears or their load")
     elif ("setpoints", True) in large and "duty" in judged:
         told.append(
-            "in the controller, on the way of the set-points or in how fast the motors follow"
+            "in the controller, the transmission of the set-points or the response of the motors"
         )
     elif ("setpoints", True) in large:
         told.append("in the drive")
@@ -127,7 +127,7 @@ def steps(findings: Findings) -> list[Step]:
         if item.separating_experiment:
             items.append(Step(_label(item, "Find out which"), item.separating_experiment))
         elif item.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
-            items.append(Step(_label(item, "Look for the rest"), signals=tuple(item.regressors)))
+            items.append(Step(_label(item, "Find the rest"), signals=tuple(item.regressors)))
         elif item.verdict is not Verdict.NO_DIFFERENCE:
             items += [Step(_label(item, cause), remedy(cause)) for cause in item.causes[:1]]
     return list(dict.fromkeys(items))

@@ -68,7 +68,7 @@ def test_all_sections_are_there_in_their_order(page):
 
 def test_words_come_first_and_say_how_much_better(page):
     text = Reader(page).text
-    assert "Three things are not as the simulation has it, and the recording has one fault." in text
+    assert "Three things differ from the simulation, and the recording has one fault." in text
     assert "turns 47\u00a0% less" in text
     assert "0.31\u00a0rad to 0.04\u00a0rad" in text
     assert "tape" in text
