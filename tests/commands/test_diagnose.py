@@ -81,7 +81,7 @@ def test_a_signal_among_many_logs_keeps_the_reports_so_far(stages, tmp_path, mon
     monkeypatch.setattr("hilserver.commands.diagnose._outcomes", outcomes)
     assert main(["diagnose", "--each", "a.csv", "b.csv", "-o", "out"]) == 0
     told = capsys.readouterr().err.splitlines()[-1]
-    assert told == "hilserver: stopped after 1 of 2 logs: their reports are kept"
+    assert told == "hilserver: stopped after 1 of 2 logs; their reports are kept"
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["a"]
 
 
@@ -117,7 +117,10 @@ def test_two_sets_are_compared(stages, capsys):
     [
         (["-o", "out"], "name at least one log"),
         (["--compare", "a.csv", "-o", "out"], "go together"),
-        (["a.csv", "--compare", "a.csv", "--against", "b.csv", "-o", "o"], "no other logs"),
+        (
+            ["a.csv", "--compare", "a.csv", "--against", "b.csv", "-o", "o"],
+            "cannot be combined with other logs",
+        ),
         (["a.csv", "--dask", "tcp://h:1", "-o", "out"], "use it with --each"),
         (["a.csv", "-o", "file"], "file: is a file"),
     ],

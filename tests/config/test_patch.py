@@ -47,7 +47,7 @@ def test_a_bare_cause_is_its_first_part(tmp_path):
     term = {"value": 0.08, "unit": "m"}
     patch = load_patch(write(tmp_path, PATCH | {"terms": {"nav_lever_arm": term}}))
     assert patch.applied(PlantConfig()).terms == {"nav_lever_arm.x": 0.08}
-    with pytest.raises(ConfigError, match="sets this term too"):
+    with pytest.raises(ConfigError, match="sets this term as well"):
         patch.applied(PlantConfig(terms={"nav_lever_arm.x": 0.1}))
 
 
@@ -90,7 +90,7 @@ def test_a_term_set_in_both_is_one_sentence_that_says_where(tmp_path, monkeypatc
     write(tmp_path, PATCH)
     assert main(["run", "--patch", "patch.yaml", "--duration", "1"]) == 78
     (line,) = capsys.readouterr().err.splitlines()
-    assert "terms.rotation_gain: the configuration sets this term too" in line
+    assert "terms.rotation_gain: the configuration sets this term as well" in line
     assert "patch.yaml:" in line
 
 

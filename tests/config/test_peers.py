@@ -77,7 +77,7 @@ def test_what_is_no_node_id(text):
         ({"mode": "push"}, "'auto', 'subscribe' or 'poll'"),
         ({"publishin_ms": 5}, "Extra inputs are not permitted"),
         ({"endpoint": "192.0.2.10:53880"}, "is not an endpoint"),
-        ({"endpoint": "opc.tcp://me:secret@192.0.2.10:53880/"}, "no user name"),
+        ({"endpoint": "opc.tcp://me:secret@192.0.2.10:53880/"}, "must not contain a user name"),
         ({"endpoint": "opc.tcp://192.0.2.10:port/"}, "is not an endpoint"),
         ({"stale_after_ms": 60}, "at least twice the interval"),
         ({"poll_ms": 0}, "greater than or equal to 1"),

@@ -78,7 +78,7 @@ def test_a_choice_of_signals_cannot_be_replayed_and_says_so(daemon, tmp_path):
     process = recorder(daemon, path, "--signals", "pose.*", "--signals", "sim.tick", "--duration=1")
     code, text = finish(process)
     assert code == 0
-    assert "without all inputs it cannot be replayed" in text
+    assert "without all inputs this recording cannot be replayed" in text
     assert list(read_log(path).columns) == ["pose.x_m", "pose.y_m", "pose.yaw_rad", "sim.tick"]
 
 
