@@ -8,59 +8,36 @@ import sys
 from pathlib import Path
 
 from hilserver.config.root import Config
-from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import assemble_config
-from hilserver.image import ProcessImage, Row
-from hilserver.kernel import compose
-from hilserver.scheduler import RealtimeSettings, Scheduler
-from tests.fakes import image_name
+from hilserver.daemon.builder import Pace, build
+from hilserver.image import Row
 
 N_TICKS = 10_000
 N_WRITES = 1_000
 WRITTEN = ("wheel.fl.setpoint_rpm", "wheel.rl.setpoint_rpm", "wheel.fr.setpoint_rpm")
 CONFIG = {
     "sensors": {"nav": {"enabled": True}},
-    "image": {"ring_frames": 16384},
 }
 
 
 class Bench:
     """Plant, image and scheduler, without a daemon around them."""
 
-    def __init__(self, backend):
-        self.assembly = assemble_config(Config.model_validate(CONFIG))
-        self.table = self.assembly.table
-        composition = self.assembly.composition
-        self.image = ProcessImage(
-            image_name(),
-            self.table,
-            live=composition.live_regions,
-            fixed=composition.fixed_regions,
-            base_period_ns=self.assembly.base_period_ns,
-            ring_length=16384,
-        )
-        step = compose(composition, self.image)
-        self.scheduler = Scheduler(
-            base_period_ns=self.assembly.base_period_ns,
-            slices=self.assembly.slices,
-            step=step,
-            values=self.image.values,
-            words=self.image.words,
-            backend=backend,
-            realtime=RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False),
-            paused=True,
-            freeze_gc=False,
-        )
+    def __init__(self, backend, snapshots="snapshots"):
+        settings = CONFIG | {"snapshots": {"folder": str(snapshots)}}
+        self.assembly = assemble_config(Config.model_validate(settings))
+        self.core = build(self.assembly, Pace(backend=backend))
+        self.table, self.image = self.assembly.table, self.core.image
+        self.scheduler = self.core.scheduler
         if backend != "virtual":
             self.scheduler.set_speed(10)
 
     async def __aenter__(self):
-        await self.scheduler.start()
+        await self.core.__aenter__()
         return self
 
     async def __aexit__(self, *_):
-        await self.scheduler.stop()
-        self.image.close()
+        await self.core.__aexit__()
 
     def push(self, writes):
         rows = [Row(self.table.slot(name), value, tick=tick) for tick, name, value in writes]
@@ -102,9 +79,8 @@ async def test_three_back_ends_give_the_same_bits_and_a_moved_write_gives_others
 
 async def continue_from(folder, first_tick):
     """Run on from the snapshot; called in a process of its own."""
-    async with Bench("virtual") as bench:
-        store = SnapshotStore(bench.image, Path(folder), dict(bench.assembly.identity))
-        assert await store.load("middle") == first_tick
+    async with Bench("virtual", folder) as bench:
+        assert await bench.core.snapshots.load("middle") == first_tick
         bench.push([w for w in recorded_writes() if w[0] >= first_tick])
         await bench.scheduler.advance(N_TICKS - first_tick)
         return bench.hash_from(first_tick)
@@ -112,11 +88,10 @@ async def continue_from(folder, first_tick):
 
 async def test_a_snapshot_continues_bit_exactly_in_a_new_process(tmp_path):
     first_tick = 4_321
-    async with Bench("virtual") as bench:
-        store = SnapshotStore(bench.image, tmp_path, dict(bench.assembly.identity))
+    async with Bench("virtual", tmp_path) as bench:
         bench.push(recorded_writes())
         await bench.scheduler.advance(first_tick)
-        await store.save("middle")
+        await bench.core.snapshots.save("middle")
         await bench.scheduler.advance(N_TICKS - first_tick)
         expected = bench.hash_from(first_tick)
     code = (

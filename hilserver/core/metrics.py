@@ -30,7 +30,7 @@ def inputs(gate: InputGate) -> Inputs:
 
 def _states(now: State) -> Iterator[Row]:
     for state in State:
-        yield (state.name.lower(),), float(state is now)
+        yield (state.word,), float(state is now)
 
 
 STATE_METRICS: Final[tuple[Metric[State], ...]] = (

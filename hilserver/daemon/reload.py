@@ -14,7 +14,7 @@ import structlog
 
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble
-from hilserver.daemon.construction import overrun_limits
+from hilserver.daemon.builder import overrun_limits
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
 from hilserver.monitoring.logging_setup import notice, report_repeats, setup_logging

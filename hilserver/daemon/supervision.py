@@ -4,16 +4,12 @@ Peers that fall silent are acted on while peers have control, also when they get
 client in control may be given a limit as well; overruns become events.
 """
 
-from collections.abc import Callable
-
-from hilserver.config.root import Config
 from hilserver.core.control import Control
-from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.core.inputs import InputGate
-from hilserver.image import ProcessImage
+from hilserver.core.events import Event, EventKind
+from hilserver.daemon.builder import Core
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
-from hilserver.scheduler import OverrunReport, Scheduler
+from hilserver.scheduler import OverrunReport
 from hilserver.signals import State
 
 NOTICES = {
@@ -26,11 +22,6 @@ NOTICES = {
 class Supervision:
     """Judges the parts of one daemon; `run` is called by the supervise slice.
 
-    Parameters
-    ----------
-    timeout_is_dead : callable
-        Whether an injected fault lets silence go unnoticed.
-
     Attributes
     ----------
     first_ticks_met : bool
@@ -39,27 +30,16 @@ class Supervision:
         Limit for an OPC UA client in control; a reload may change it.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        gate: InputGate,
-        control: Control,
-        events: EventBus,
-        scheduler: Scheduler,
-        image: ProcessImage,
-        *,
-        timeout_is_dead: Callable[[], bool] = lambda: False,
-    ) -> None:
+    def __init__(self, core: Core, control: Control) -> None:
+        config = core.assembly.config
         self.first_ticks_met = False
         self.opcua_stale_after_ms = config.control.opcua_stale_after_ms
-        self._plant_state, _ = image.region("x")
+        self._plant_state, _ = core.image.region("x")
         self._noticed: set[int] = set()
-        self._timeout_is_dead = timeout_is_dead
-        self._config = config
-        self._gate = gate
+        self._plant_slice = config.plant.slice
+        self._gate, self._events = core.gate, core.events
+        self._scheduler, self._faults = core.scheduler, core.faults
         self._control = control
-        self._events = events
-        self._scheduler = scheduler
         self._overruns_seen = 0
         self._silent: dict[str, str] = {}
         self._acted: set[str] = set()
@@ -84,7 +64,7 @@ class Supervision:
     def _watch_first_ticks(self) -> None:
         if self.first_ticks_met:
             return
-        plant = self._scheduler.statistics.slice(self._config.plant.slice)
+        plant = self._scheduler.statistics.slice(self._plant_slice)
         overruns = plant.late_wakes + plant.long_runs
         self.first_ticks_met = plant.count > 0 and overruns == self._overruns_seen
         self._overruns_seen = overruns
@@ -94,7 +74,7 @@ class Supervision:
         age_s = self._gate.age_s("opcua")
         if limit_ms is None or age_s is None or self._gate.owner != "opcua":
             return
-        if self._timeout_is_dead():
+        if self._faults.timeout_is_dead:
             return
         if age_s * 1e3 > limit_ms and self._control.state is State.RUNNING:
             self._gate.mark_stale("opcua")
@@ -119,7 +99,7 @@ class Supervision:
 
     def act_on_silence(self) -> None:
         """Act on silent peers while peers have control; called whenever control may have moved."""
-        if not self._silent or self._timeout_is_dead():
+        if not self._silent or self._faults.timeout_is_dead:
             return
         for peer, action in self._silent.items():
             if self._gate.owner != "peer":

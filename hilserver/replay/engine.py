@@ -1,21 +1,17 @@
 """The plant alone, in virtual time, fed with rows."""
 
-import os
-import time
 from collections.abc import AsyncIterator, Mapping
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.builder import Pace, build
 from hilserver.errors import ConfigError, LogError
-from hilserver.image import ProcessImage, read_frames
-from hilserver.kernel import compose
+from hilserver.image import read_frames
 from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
-from hilserver.scheduler import RealtimeSettings, Scheduler
 from hilserver.signals import State
 
 QUEUE_ROWS = 1 << 17
@@ -29,40 +25,16 @@ class Engine:
     """Plays stretches through the plant of a configuration; an asynchronous context manager."""
 
     def __init__(self, assembly: Assembly) -> None:
-        composition = assembly.composition
-        self.assembly, self.table = assembly, assembly.table
-        self.image = ProcessImage(
-            f"replay-{os.getpid()}-{time.monotonic_ns()}",
-            assembly.table,
-            live=composition.live_regions,
-            fixed=composition.fixed_regions,
-            base_period_ns=assembly.base_period_ns,
-            ring_length=RING_FRAMES,
-            queue_rows=QUEUE_ROWS,
-            run=assembly.provenance,
-        )
-        self._scheduler = Scheduler(
-            base_period_ns=assembly.base_period_ns,
-            slices=assembly.slices,
-            step=compose(composition, self.image),
-            values=self.image.values,
-            words=self.image.words,
-            backend="virtual",
-            realtime=RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False),
-            paused=True,
-            freeze_gc=False,
-        )
-        self._store = SnapshotStore(self.image, assembly.folder, dict(assembly.identity))
-        self._fresh = self._store.initial
-        self.image.tell(identity=self._store.identity)
+        self._core = build(assembly, Pace(ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS))
+        self.assembly, self.table, self.image = assembly, assembly.table, self._core.image
+        self._store, self._fresh = self._core.snapshots, self._core.snapshots.initial
 
     async def __aenter__(self) -> Self:
-        await self._scheduler.start()
+        await self._core.__aenter__()
         return self
 
-    async def __aexit__(self, *_: object) -> None:
-        await self._scheduler.stop()
-        self.image.close()
+    async def __aexit__(self, *exception: object) -> None:
+        await self._core.__aexit__(*exception)
 
     def check(self, what: str, identity: Mapping[str, Any], state: NDArray[np.int64]) -> None:
         """Refuse what was made by kernels or a configuration that would give other bits.
@@ -108,7 +80,7 @@ class Engine:
             if not self.image.push_timed_table(np.ascontiguousarray(rows[:end])):
                 raise LogError(f"tick {stretch.first_tick + done} has too many rows")
             rows = rows[end:]
-            await self._scheduler.advance(n)
+            await self._core.scheduler.advance(n)
             frames = read_frames(self.image, number, n)
             frames.words[:, 1] = frames.ticks * period_ns  # simulated, not planned, time
             yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64))

@@ -3,72 +3,33 @@
 import numpy as np
 
 from hilserver.config.root import Config
-from hilserver.core.events import EventBus
-from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import assemble_config
-from hilserver.faults import Faults
+from hilserver.daemon.builder import Pace, build
 from hilserver.faults.mail import Mailbox
-from hilserver.faults.plan import Planner, ShieldFigures
-from hilserver.image import ProcessImage, Row
-from hilserver.kernel import compose, limit_silence
-from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
-from hilserver.scheduler import RealtimeSettings, Scheduler
-from tests.fakes import image_name
+from hilserver.image import Row
 
 
 class Rig:
     """One robot in lockstep; tick by tick, in any pacing back end."""
 
-    def __init__(self, backend="virtual", *, silence_ticks=0, config=None):
-        settings = {"image": {"ring_frames": 16384}} | (config or {})
-        self.assembly = assemble_config(Config.model_validate(settings))
-        self.table = self.assembly.table
-        composition = self.assembly.composition
-        self.image = ProcessImage(
-            image_name(),
-            self.table,
-            live=composition.live_regions,
-            fixed=composition.fixed_regions,
-            base_period_ns=self.assembly.base_period_ns,
-            ring_length=16384,
+    def __init__(self, backend="virtual", *, silence_ticks=0, folder=None, config=None):
+        snapshots = {} if folder is None else {"snapshots": {"folder": str(folder)}}
+        self.assembly = assemble_config(Config.model_validate(snapshots | (config or {})))
+        core = self.core = build(
+            self.assembly, Pace(backend=backend, command_limit_ticks=silence_ticks)
         )
-        self.scheduler = Scheduler(
-            base_period_ns=self.assembly.base_period_ns,
-            slices=self.assembly.slices,
-            step=compose(composition, self.image),
-            values=self.image.values,
-            words=self.image.words,
-            backend=backend,
-            realtime=RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False),
-            paused=True,
-            freeze_gc=False,
-        )
+        self.table, self.image, self.snapshots = core.table, core.image, core.snapshots
+        self.scheduler, self.faults, self.events = core.scheduler, core.faults, core.events
+        self.mailbox = Mailbox(self.image)
         if backend != "virtual":
             self.scheduler.set_speed(10)
-        limit_silence(self.image, silence_ticks)
-        p = composition.parameters
-        shield = ShieldFigures(p[P_RPM_PER_M_S], p[P_RPM_PER_RAD_S], p[P_MAX_RPM])
-        self.events = EventBus()
-        self.mailbox = Mailbox(self.image)
-        self.faults = Faults(
-            self.table,
-            self.mailbox,
-            Planner(self.table, self.assembly.base_period_ns, shield),
-            self.events,
-            tick=lambda: self.scheduler.tick,
-            lines={},
-        )
 
     async def __aenter__(self):
-        await self.scheduler.start()
+        await self.core.__aenter__()
         return self
 
     async def __aexit__(self, *_):
-        await self.scheduler.stop()
-        self.image.close()
-
-    def store(self, folder):
-        return SnapshotStore(self.image, folder, dict(self.assembly.identity))
+        await self.core.__aexit__()
 
     def write(self, **values):
         rows = []

@@ -59,8 +59,8 @@ async def test_three_back_ends_give_the_same_bits_and_another_seed_gives_others(
 
 async def continue_from(folder, first_tick):
     """Run on from the snapshot; called in a process of its own."""
-    async with Rig() as rig:
-        assert await rig.store(Path(folder)).load("middle") == first_tick
+    async with Rig(folder=folder) as rig:
+        assert await rig.snapshots.load("middle") == first_tick
         prepare(rig, first_tick)
         await rig.advance(N - first_tick)
         return digest(rig, first_tick)
@@ -68,12 +68,11 @@ async def continue_from(folder, first_tick):
 
 @pytest.mark.parametrize("first_tick", [1_234])
 async def test_a_snapshot_carries_active_and_waiting_faults(tmp_path, first_tick):
-    async with Rig() as rig:
-        store = rig.store(tmp_path)
+    async with Rig(folder=tmp_path) as rig:
         prepare(rig)
         rig.faults.inject(*FAULTS, start_tick=0)
         await rig.advance(first_tick)
-        await store.save("middle")
+        await rig.snapshots.save("middle")
         await rig.advance(N - first_tick)
         expected = digest(rig, first_tick)
     code = (
@@ -93,16 +92,15 @@ async def test_a_snapshot_carries_active_and_waiting_faults(tmp_path, first_tick
     assert run.stdout.strip() == expected
 
 
-async def test_without_faults_the_bits_are_those_of_a_run_that_had_one_before_the_reset(tmp_path):
+async def test_without_faults_the_bits_are_those_of_a_run_that_had_one_before_the_reset():
     async with Rig() as clean:
         await clean.advance(50)
         expected = [frame.values.tobytes() for frame in clean.frames()]
     async with Rig() as rig:
-        store = rig.store(tmp_path)
         rig.faults.inject(*FAULTS)
         rig.faults.force("drive.enable", 0)
         await rig.advance(100)
-        store.reset()
+        rig.snapshots.reset()
         rig.faults.reset()
         assert rig.faults.active() == []
         await rig.advance(50)

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from hilserver.daemon.assembly import assemble
-from hilserver.image import ProcessImage
+from hilserver.daemon.builder import build
 from hilserver.image.status import GOOD, UNCERTAIN
-from hilserver.kernel import compose
 from hilserver.scheduler.step import LATCH, PUBLISH
-from tests.fakes import image_name
 
 BLOCKS = """
 from hilserver.plant.blocks import Output, block
@@ -68,18 +66,10 @@ class Plant:
         path = folder / "config.yaml"
         path.write_text(f"blocks: [{', '.join(entries)}]\n")
         assembly = assemble(path)
-        self.table, composition = assembly.table, assembly.composition
-        self.image = ProcessImage(
-            image_name(),
-            self.table,
-            live=composition.live_regions,
-            fixed=composition.fixed_regions,
-            base_period_ns=assembly.base_period_ns,
-            ring_length=16,
-        )
+        core = build(assembly)
+        self.table, self.image, self.step = assembly.table, core.image, core.step
         self.close = self.image.close
-        self.step = compose(composition, self.image)
-        self._index = list(composition.slices).index("plant")
+        self._index = list(assembly.composition.slices).index("plant")
 
     def tick(self, number=0):
         """Run one tick; return the answer of the slice."""

@@ -7,11 +7,10 @@ import pytest
 from hilserver.config.patch import ModelPatch, Patch
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
-from hilserver.image import ProcessImage, Row
+from hilserver.daemon.builder import build
+from hilserver.image import Row
 from hilserver.image.status import GOOD, UNCERTAIN
-from hilserver.kernel import compose
 from hilserver.scheduler.step import LATCH, PUBLISH
-from tests.fakes import image_name
 
 CONFIG = Config.model_validate({"sensors": {"nav": {"enabled": True}}})
 MADE = {"findings_sha256": "", "config_sha256": CONFIG.sha256, "version": "1"}
@@ -29,18 +28,10 @@ class Plant:
 
     def __init__(self, laid_over=None):
         assembly = assemble_config(CONFIG, patch=laid_over)
-        self.table, composition = assembly.table, assembly.composition
-        self.image = ProcessImage(
-            image_name(),
-            self.table,
-            live=composition.live_regions,
-            fixed=composition.fixed_regions,
-            base_period_ns=assembly.base_period_ns,
-            ring_length=2048,
-        )
+        core = build(assembly)
+        self.table, self.image, self.step = assembly.table, core.image, core.step
         self.close = self.image.close
-        self.step = compose(composition, self.image)
-        self._n_slices = len(composition.slices)
+        self._n_slices = len(assembly.composition.slices)
 
     def drive(self, rpm, n_ticks=300):
         """Straight on, from rest; return the last frame."""

@@ -1,0 +1,227 @@
+"""The one builder: from an assembly to a robot that can be paced. Nobody assembles these by hand.
+
+The daemon, a replay and the tests run the same parts; they differ in how they are paced and in
+what surrounds them. `Pace` says the former::
+
+    async with build(assembly) as core:            # stands still, in virtual time
+        await core.scheduler.advance(1000)
+"""
+
+import math
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Self
+
+from hilserver.config.timing import LimitsConfig
+from hilserver.core.events import EventBus
+from hilserver.core.inputs import InputGate
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon.assembly import Assembly
+from hilserver.faults import Faults, Line
+from hilserver.faults.mail import Mailbox
+from hilserver.faults.plan import Planner, ShieldFigures
+from hilserver.image import ProcessImage
+from hilserver.image.shared_file import MADE_UP
+from hilserver.kernel import compose, limit_silence, watch_communication
+from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
+from hilserver.scheduler import (
+    OverrunLimits,
+    OverrunPolicy,
+    RealtimeSettings,
+    Scheduler,
+    StepFunction,
+    words_needed,
+)
+from hilserver.signals import SignalTable
+
+LINEAR_BINS = 10_000
+UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
+"""Asks nothing of the operating system."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How the parts are paced and how much they hold; by default virtual, from a standstill.
+
+    Attributes
+    ----------
+    image : str
+        Name of the process image; `MADE_UP`: one that nobody else has.
+    ring_frames, queue_rows : int
+        Frames kept and rows that fit into each input queue; powers of two.
+    command_limit_ticks : int
+        Ticks without a set-point until they become zero; 0: never.
+    """
+
+    backend: str = "virtual"
+    image: str = MADE_UP
+    ring_frames: int = 1 << 14
+    queue_rows: int = 1 << 13
+    policy: OverrunPolicy = field(default_factory=OverrunPolicy)
+    limits: OverrunLimits = field(default_factory=OverrunLimits)
+    realtime: RealtimeSettings = UNDEMANDING
+    command_limit_ticks: int = 0
+    paused: bool = True
+    freeze_gc: bool = False
+
+    @classmethod
+    def configured(cls, assembly: Assembly, *, paused: bool = False) -> Self:
+        """Return what the configuration asks for."""
+        config, scheduler = assembly.config, assembly.config.scheduler
+        realtime, timeout_ms = scheduler.realtime, config.control.command_timeout_ms
+        return cls(
+            backend=scheduler.backend,
+            image=config.image.name,
+            ring_frames=config.image.ring_frames,
+            policy=OverrunPolicy(scheduler.policy, scheduler.catch_up_limit),
+            limits=overrun_limits(scheduler.limits),
+            realtime=RealtimeSettings(
+                priority=realtime.priority,
+                cpu=realtime.cpu,
+                lock_memory=realtime.lock_memory,
+                hold_latency_target=realtime.hold_latency_target,
+            ),
+            command_limit_ticks=0
+            if timeout_ms is None
+            else max(1, round(timeout_ms * 1e6 / assembly.base_period_ns)),
+            paused=paused,
+            freeze_gc=True,
+        )
+
+
+def overrun_limits(limits: LimitsConfig) -> OverrunLimits:
+    """Return the limits as the scheduler takes them: null switches one off."""
+    return OverrunLimits(
+        single_ns=round((limits.single_overrun_ms or 0) * 1e6),
+        consecutive=limits.consecutive_overruns or 0,
+    )
+
+
+@dataclass(frozen=True)
+class Core:
+    """The parts that every robot has, whatever surrounds it.
+
+    As an asynchronous context manager it runs the scheduler and frees the memory at the end.
+
+    Attributes
+    ----------
+    step : StepFunction
+        What the scheduler calls; for tests that call the phases themselves.
+    lines : mapping of Line
+        Where faults of peer links act, by the peer's name.
+    """
+
+    assembly: Assembly
+    image: ProcessImage
+    step: StepFunction
+    scheduler: Scheduler
+    events: EventBus
+    gate: InputGate
+    snapshots: SnapshotStore
+    lines: Mapping[str, Line]
+    faults: Faults
+
+    @property
+    def table(self) -> SignalTable:
+        """Every signal of the robot."""
+        return self.assembly.table
+
+    def watch_communication(self, timeout_ms: float, speed: float = 1.0) -> None:
+        """Let the plant go to the safe state when nothing beats for `timeout_ms` at this speed."""
+        ticks = math.ceil(timeout_ms * 1e6 * speed / self.assembly.base_period_ns)
+        watch_communication(self.image, ticks)
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self.scheduler.start()
+        except BaseException:
+            self.image.close()
+            raise
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.scheduler.stop()
+        self.image.close()
+
+
+def build(assembly: Assembly, pace: Pace | None = None) -> Core:
+    """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
+    pace = Pace() if pace is None else pace
+    image = _image(assembly, pace)
+    try:
+        return _core(assembly, pace, image)
+    except BaseException:
+        image.close()
+        raise
+
+
+def _image(assembly: Assembly, pace: Pace) -> ProcessImage:
+    is_made_up, composition = pace.image == MADE_UP, assembly.composition
+    statistics = words_needed(len(assembly.slices), LINEAR_BINS)
+    return ProcessImage(
+        f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}" if is_made_up else pace.image,
+        assembly.table,
+        live=composition.live_regions,
+        fixed=composition.fixed_regions | {"statistics": statistics},
+        base_period_ns=assembly.base_period_ns,
+        ring_length=pace.ring_frames,
+        queue_rows=pace.queue_rows,
+        run=assembly.provenance,
+    )
+
+
+def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
+    config, table = assembly.config, assembly.table
+    image.warm_up()
+    step = compose(assembly.composition, image)
+    limit_silence(image, pace.command_limit_ticks)
+    scheduler = _scheduler(assembly, pace, image, step)
+    events = EventBus()
+    gate = InputGate(
+        table,
+        image,
+        events,
+        owner=config.control.source or ("peer" if config.peers else "opcua"),
+        priority=config.control.priority,
+    )
+    folder = assembly.folder / config.snapshots.folder
+    snapshots = SnapshotStore(image, folder, dict(assembly.identity))
+    image.tell(identity=snapshots.identity)
+    lines = {peer.name: Line(peer.name) for peer in config.peers}
+    faults = Faults(
+        table,
+        Mailbox(image),
+        Planner(table, assembly.base_period_ns, _shield(assembly)),
+        events,
+        tick=lambda: scheduler.tick,
+        lines=lines,
+    )
+    return Core(assembly, image, step, scheduler, events, gate, snapshots, lines, faults)
+
+
+def _scheduler(
+    assembly: Assembly, pace: Pace, image: ProcessImage, step: StepFunction
+) -> Scheduler:
+    _, statistics = image.region("statistics")
+    return Scheduler(
+        base_period_ns=assembly.base_period_ns,
+        slices=assembly.slices,
+        step=step,
+        values=image.values,
+        words=image.words,
+        backend=pace.backend,
+        policy=pace.policy,
+        limits=pace.limits,
+        realtime=pace.realtime,
+        statistics_array=statistics,
+        linear_bins=LINEAR_BINS,
+        paused=pace.paused,
+        freeze_gc=pace.freeze_gc,
+    )
+
+
+def _shield(assembly: Assembly) -> ShieldFigures:
+    p = assembly.composition.parameters
+    return ShieldFigures(p[P_RPM_PER_M_S], p[P_RPM_PER_RAD_S], p[P_MAX_RPM])

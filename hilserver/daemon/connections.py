@@ -1,0 +1,122 @@
+"""What connects a robot with the world: peers, OPC UA server, metrics, health."""
+
+import asyncio
+from collections.abc import Callable, Sequence
+
+from hilserver.config.root import Config
+from hilserver.core import metrics as core_metrics
+from hilserver.core.clock import UtcClock
+from hilserver.core.control import Control
+from hilserver.daemon import figures, metrics
+from hilserver.daemon.builder import Core
+from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.shadow import GapWatch
+from hilserver.daemon.supervision import Supervision
+from hilserver.faults import metrics as fault_metrics
+from hilserver.io import peer_metrics
+from hilserver.io.opcua_client import LinkSecurity, PeerLink
+from hilserver.io.opcua_server import OpcUaServer
+from hilserver.metrics import Source
+from hilserver.monitoring.audit import METRICS as audit_metrics
+from hilserver.monitoring.audit import AuditItem
+from hilserver.monitoring.health import HealthSources
+from hilserver.monitoring.health_http import HttpServer
+from hilserver.monitoring.metrics import Metrics
+from hilserver.scheduler import metrics as scheduler_metrics
+
+
+def make_peers(
+    core: Core, clock: UtcClock, outputs: Outputs, supervision: Supervision
+) -> list[PeerLink]:
+    """Return a link for every configured peer."""
+    config, folder = core.assembly.config, core.assembly.folder
+    return [
+        PeerLink(
+            peer,
+            gate=core.gate,
+            on_stale=supervision.on_stale,
+            on_restored=supervision.on_restored,
+            events=core.events,
+            read_output=outputs.read,
+            clock=clock,
+            line=core.lines[peer.name],
+            security=LinkSecurity(peer, config.opcua, folder),
+        )
+        for peer in config.peers
+    ]
+
+
+def make_server(
+    core: Core,
+    clock: UtcClock,
+    control: Control,
+    peers: Sequence[PeerLink],
+    audit: Sequence[AuditItem],
+) -> OpcUaServer | None:
+    """Return the OPC UA server, None where the configuration has none."""
+    config = core.assembly.config.opcua
+    if not config.enabled:
+        return None
+    return OpcUaServer(
+        config,
+        core.table,
+        core.image,
+        core.gate,
+        control,
+        core.events,
+        clock,
+        statistics=lambda: figures.slice_table(core.scheduler),
+        peers=lambda: figures.peer_table(peer.status for peer in peers),
+        audit=lambda: figures.audit_table(audit),
+        faults=core.faults,
+        folder=core.assembly.folder,
+    )
+
+
+def make_metrics(
+    core: Core,
+    control: Control,
+    outputs: Outputs,
+    peers: Sequence[PeerLink],
+    gaps: GapWatch,
+    audit: Sequence[AuditItem],
+    config: Callable[[], Config],
+) -> Metrics:
+    """Return the metrics; `config` is asked anew each time, as a reload changes it."""
+    scheduler = core.scheduler
+    return Metrics(
+        Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)),
+        Source(core_metrics.STATE_METRICS, lambda: control.state),
+        Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
+        Source(peer_metrics.METRICS, lambda: [peer.status for peer in peers]),
+        Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
+        Source(metrics.GAP_METRICS, outputs.model_gap),
+        Source(metrics.ALARM_METRICS, lambda: gaps.alarms),
+        Source(fault_metrics.METRICS, core.faults.counts),
+        Source(audit_metrics, lambda: {item.name: item.ok for item in audit}),
+        Source(
+            metrics.PROGRAM_METRICS,
+            lambda: metrics.Program(config().sha256, len(asyncio.all_tasks())),
+        ),
+    )
+
+
+def make_http(
+    core: Core, control: Control, supervision: Supervision, exported: Metrics
+) -> HttpServer | None:
+    """Return the HTTP server of metrics and health, None where the configuration has none."""
+    config = core.assembly.config.metrics
+    if not config.enabled:
+        return None
+    health = HealthSources(
+        state=lambda: control.state.word,
+        heartbeat_ns=lambda: core.scheduler.heartbeat_ns,
+        first_ticks_met=lambda: supervision.first_ticks_met,
+    )
+    return HttpServer(
+        host=config.host,
+        port=config.port,
+        render=exported.render,
+        health=health,
+        host_names=config.host_names,
+    )

@@ -1,0 +1,68 @@
+"""The newest frame on its way out: to the OPC UA server, to the peers, into the figures."""
+
+import time
+from collections.abc import Mapping
+
+from hilserver.compiled.histogram import Histogram125
+from hilserver.core.control import Control
+from hilserver.daemon import figures
+from hilserver.daemon.builder import Core
+from hilserver.daemon.shadow import Pose, measured_pose
+from hilserver.image import Frame
+from hilserver.io.opcua_server import OpcUaServer
+
+
+class Outputs:
+    """What the publish slice shows.
+
+    Attributes
+    ----------
+    frame : Frame or None
+        The newest one that was published; None before the first.
+    end_to_end : Histogram125
+        Set-point change to the first published output that contains it.
+    """
+
+    def __init__(self, core: Core) -> None:
+        self.frame: Frame | None = None
+        self.end_to_end = Histogram125()
+        self._core = core
+
+    def publish(self, control: Control, server: OpcUaServer | None) -> None:
+        """Beat for the plant's watch, take the newest frame and hand it on."""
+        image, gate = self._core.image, self._core.gate
+        image.control.heartbeat += 1
+        frame = image.latest()
+        if frame is None:
+            return
+        frame.values[self._core.table.slot("sim.state")] = control.state
+        self.frame = frame
+        if server is not None:
+            server.publish(frame)
+        received_ns = gate.take_change(frame.latched_rows)
+        if received_ns is not None:
+            self.end_to_end.observe(time.monotonic_ns() - received_ns)
+
+    def read(self, name: str) -> tuple[float | list[float], int, int]:
+        """Return value, status and planned start [ns] of a signal.
+
+        Raises
+        ------
+        LookupError
+            Before the first frame.
+        """
+        frame, slots = self.frame, list(self._core.table[name].slots)
+        if frame is None:
+            raise LookupError("no frame yet")
+        values, status = frame.values[slots].tolist(), int(frame.status[slots].max())
+        return values if len(slots) > 1 else values[0], status, frame.planned_ns
+
+    def model_gap(self) -> Mapping[str, float]:
+        """Return measured minus simulated of every channel for which measured values come in."""
+        return figures.model_gap(self._core.gate, self._core.table, self.frame)
+
+    def measured_pose(self) -> Pose | None:
+        """Return where the real robot is, None while nothing measures it."""
+        core = self._core
+        parameters = core.assembly.composition.parameters
+        return measured_pose(core.gate.newest, core.table, core.image.latest(), parameters)
