@@ -7,10 +7,9 @@ import os
 import re
 import socket
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -21,6 +20,7 @@ from asyncua import ua
 from hilserver.bench.wire import Wire
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
+from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics
 
 START_WITHIN_S = 120.0
@@ -94,7 +94,7 @@ async def running_target(cpu: int | None) -> AsyncIterator[Target]:
     settings = {"scheduler": {"policy": "skip", "realtime": {"cpu": cpu}}}
     image = f"bench-attack-{os.getpid()}"
     async with _daemon(settings, image) as (url, daemon):
-        with _process(["-m", "hilserver.bench.attack_probe", url]) as probe:
+        with piped(python("-m", "hilserver.bench.attack_probe", url), name="the probe") as probe:
             _, words = ImageReader.attach(image).region("statistics")
             subject = Target(url, daemon, probe, Statistics.attach(words))
             await asyncio.sleep(1.0)
@@ -125,7 +125,8 @@ async def _daemon(
         }
         path = Path(folder) / "config.yaml"
         path.write_text(yaml.safe_dump({**ours, **settings}), encoding="utf-8")
-        with _process(["-c", _DAEMON, "run", "-c", str(path)]) as daemon:
+        command = python("-c", _DAEMON, "run", "-c", str(path))
+        with piped(command, name="hilserver run") as daemon:
             await _wait_for_server(url, daemon)
             yield url, daemon
 
@@ -142,23 +143,6 @@ def core_for_the_plant() -> int | None:
     cpu = max(cores)
     os.sched_setaffinity(0, cores - {cpu})
     return cpu
-
-
-@contextlib.contextmanager
-def _process(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
-    process = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.terminate()
-        try:
-            process.communicate(timeout=20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
 
 
 async def _wait_for_server(url: str, daemon: "subprocess.Popen[str]") -> None:

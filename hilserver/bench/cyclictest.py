@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import FailedError
+from hilserver.program.children import piped
 
 _SETTLE_S = 0.5
 
@@ -47,13 +48,10 @@ def companion(*, period_us: int, duration_s: int) -> Iterator[None]:
     makes the subject's blocks equal.
     """
     command_line = command(period_us=period_us, priority=0, duration_s=duration_s + 2, bins=1)
-    process = subprocess.Popen(command_line, stdout=subprocess.DEVNULL)  # noqa: S603
-    try:
+    options = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    with piped(command_line, name="cyclictest", stop_limit_s=10.0, **options):
         time.sleep(_SETTLE_S)
         yield
-    finally:
-        process.terminate()
-        process.wait(10)
 
 
 def parse(text: str, bins: int) -> NDArray[np.int64]:

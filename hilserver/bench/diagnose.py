@@ -23,8 +23,8 @@ from hilserver import __version__
 from hilserver.bench.diagnose_table import Record, markdown, rows
 from hilserver.bench.diagnose_worker import Staged, changed, work
 from hilserver.bench.report import Result
-from hilserver.diagnosis.many import in_processes
 from hilserver.errors import FailedError
+from hilserver.program.workers import in_processes
 from hilserver.scenarios import SCENARIOS
 
 GROUPS = (*CLASSES, "scenario", "size")

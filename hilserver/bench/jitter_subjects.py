@@ -8,7 +8,6 @@ import contextlib
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
+from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics, map_statistics
 
 START_WITHIN_S = 120.0
@@ -88,7 +88,7 @@ def bare_pacing(backend: str, *, period_us: int, priority: int) -> Iterator[Subj
         path = Path(folder) / "statistics"
         module = "hilserver.bench.pacing_subject"
         arguments = ["-m", module, backend, str(path), str(period_us), str(priority)]
-        with _process(arguments, "the pacing process") as process:
+        with piped(python(*arguments), name="the pacing process") as process:
             statistics = _wait_for(lambda: Statistics.attach(map_statistics(path)), process)
             yield Subject(statistics, ["an event loop that packs and parses JSON"])
 
@@ -103,12 +103,12 @@ def loaded_daemon(backend: str, *, period_us: int, priority: int) -> Iterator[Su
         settings = _settings(backend, period_us, priority, image, url)
         path.write_text(yaml.safe_dump(settings), encoding="utf-8")
         arguments = ["-c", _DAEMON, "run", "-c", str(path)]
-        with _process(arguments, "hilserver run") as daemon:
+        with piped(python(*arguments), name="hilserver run") as daemon:
             statistics = _wait_for(lambda: _statistics_of(image), daemon)
             load = ["-m", "hilserver.bench.opcua_load", url]
             load += [str(N_CLIENTS), str(N_NODES), str(RATE_HZ)]
             text = f"{N_CLIENTS} OPC UA clients, {N_NODES} nodes at {RATE_HZ} Hz each"
-            with _process(load, "the OPC UA clients") as clients:
+            with piped(python(*load), name="the OPC UA clients") as clients:
                 subject = Subject(statistics, [text])
                 time.sleep(SETTLE_S)
                 began = time.monotonic()
@@ -156,28 +156,6 @@ def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
     if reads < 0.8 * wanted:
         raise FailedError(f"only {reads} of about {wanted:.0f} reads took place: too slow a load")
     return f"{reads} reads in {duration_s:.0f} s, {late} began a period too late"
-
-
-@contextlib.contextmanager
-def _process(arguments: list[str], name: str) -> "Iterator[subprocess.Popen[str]]":
-    """Run Python with a pipe to its standard input; close the pipe or terminate it at the end."""
-    process = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, *arguments],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.terminate()
-        try:
-            process.communicate(timeout=20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            print(f"{name} did not end and was killed", file=sys.stderr)
 
 
 def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]") -> Statistics:

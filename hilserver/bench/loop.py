@@ -12,7 +12,6 @@ import asyncio
 import contextlib
 import math
 import random
-import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
@@ -22,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import uvloop
 import yaml
 
 from hilserver.bench.report import Result
@@ -31,11 +29,13 @@ from hilserver.config.timing import SchedulerConfig
 from hilserver.controller.nodes import SEQUENCE, demo_peer, node_id
 from hilserver.controller.server import ControllerServer
 from hilserver.errors import FailedError
+from hilserver.program import children, event_loop
 
 DUTY = "duty_FL"
 PERIOD_S = 0.02
 SPEED_RPM = 20.0
 START_LIMIT_S = 120.0
+STOP_LIMIT_S = 20.0
 ANSWER_LIMIT_S = 2.0
 SETTLE_S = (0.15, 0.25)
 
@@ -150,23 +150,18 @@ async def daemon(config: PeerConfig) -> AsyncIterator[Callable[[], str | None]]:
         path, log = Path(folder) / "config.yaml", Path(folder) / "log"
         path.write_text(yaml.safe_dump(document), encoding="utf-8")
         with log.open("wb") as stderr:
-            process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "hilserver", "run", "-c", str(path)),
-                stdin=asyncio.subprocess.DEVNULL,
-                stderr=stderr,
-            )
+            command = children.python("-m", "hilserver", "run", "-c", str(path))
+            async with children.started(
+                command, name="hilserver run", stop_limit_s=STOP_LIMIT_S, stderr=stderr
+            ) as process:
 
-        def ended() -> str | None:
-            if process.returncode is None:
-                return None
-            return log.read_text(encoding="utf-8").strip() or f"exit code {process.returncode}"
+                def ended() -> str | None:
+                    if process.returncode is None:
+                        return None
+                    text = log.read_text(encoding="utf-8").strip()
+                    return text or f"exit code {process.returncode}"
 
-        try:
-            yield ended
-        finally:
-            if process.returncode is None:
-                process.terminate()
-            await process.wait()
+                yield ended
 
 
 async def measure(mode: str, changes: int, seed: int) -> list[float]:
@@ -207,8 +202,7 @@ def run(args: argparse.Namespace) -> list[Result]:
     """Measure with a subscription, then polled."""
     results = []
     for mode, suffix in (("subscribe", ""), ("poll", "_poll")):
-        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            latencies = np.array(runner.run(measure(mode, args.changes, args.seed)))
+        latencies = np.array(event_loop.run(measure(mode, args.changes, args.seed)))
         waits = intervals(mode)
         raw: dict[str, Any] = {
             "mode": mode,

@@ -5,16 +5,14 @@ the module of the command that was asked for is imported, so that ``--help`` ans
 """
 
 import argparse
-import contextlib
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from types import ModuleType
 
 from hilserver import __version__
-from hilserver.commands.ending import end_was_asked, ended_by_signals
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, UserError
+from hilserver.errors import FailedError
+from hilserver.program import harness
 
 COMMANDS = {
     "run": "run the daemon",
@@ -35,47 +33,15 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return its exit code.
-
-    Errors that a user can fix are printed as sentences, never as tracebacks.
-    """
+    """Run one command; return its exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with ended_by_signals():
-        try:
-            return _run(words)
-        except (Exception, SystemExit):
-            # What is interrupted in the middle (a compiler, above all) may fail in its own way.
-            if end_was_asked():
-                return EXIT_DONE
-            raise
+    return harness.run(lambda: _run(words))
 
 
 def _run(words: Sequence[str]) -> int:
-    try:
-        args = _parse(words)
-        code: int = args.run(args)
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except UserError as error:
-        for line in str(error).splitlines():
-            print(f"hilserver: {line}", file=sys.stderr)
-        return error.exit_code
-    except BrokenPipeError:
-        _drop_output()
-        return EXIT_FAILED
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        print(f"hilserver: {place}{(error.strerror or str(error)).lower()}", file=sys.stderr)
-        _drop_output()
-        return EXIT_FAILED
+    args = _parse(words)
+    code: int = args.run(args)
     return code
-
-
-def _drop_output() -> None:
-    """Keep the interpreter from flushing at its end what nobody takes."""
-    if sys.stdout is not None:
-        with contextlib.suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parse(words: Sequence[str]) -> argparse.Namespace:

@@ -8,14 +8,13 @@ import asyncio
 import contextlib
 import dataclasses
 import re
-import signal
-import sys
 from collections.abc import AsyncIterator
 
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
+from hilserver.program import children
 
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
 START_LIMIT_S = 30.0
@@ -38,8 +37,7 @@ async def running_controller(
     FailedError
         If it does not come up.
     """
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
+    command = children.python(
         "-m",
         "hilserver.controller",
         "--endpoint",
@@ -49,39 +47,14 @@ async def running_controller(
         f"--yaw-sign={robot.yaw_sign}",
         f"--max-rpm={robot.max_rpm}",
         f"--pattern={pattern}",
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the controller
     )
-    try:
-        yield await _endpoint_of(process)
-    finally:
-        await _stop(process)
-
-
-async def _endpoint_of(process: asyncio.subprocess.Process) -> str:
-    stdout = process.stdout
-    if stdout is None:
-        raise FailedError("the embedded controller has no output")
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(START_LIMIT_S):
-            while line := await stdout.readline():
-                if match := READY.search(line):
-                    return match.group(1).decode()
-    raise FailedError("the embedded controller did not start; see its messages above")
-
-
-async def _stop(process: asyncio.subprocess.Process) -> None:
-    if process.returncode is not None:
-        return
-    with contextlib.suppress(ProcessLookupError):
-        process.send_signal(signal.SIGTERM)
-    try:
-        async with asyncio.timeout(STOP_LIMIT_S):
-            await process.wait()
-    except TimeoutError:
-        process.kill()
-        await process.wait()
+    async with children.started(
+        command, name="controller", stop_limit_s=STOP_LIMIT_S, stdout=asyncio.subprocess.PIPE
+    ) as process:
+        ready = await children.line_of(process, READY, START_LIMIT_S)
+        if ready is None:
+            raise FailedError("the embedded controller did not start; see its messages above")
+        yield ready.group(1).decode()
 
 
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:

@@ -12,12 +12,13 @@ from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import add_config, config_path
-from hilserver.commands.progress import Progress
-from hilserver.diagnosis.many import in_processes, on_cluster
+from hilserver.diagnosis.many import on_cluster
 from hilserver.diagnosis.output import REPORT, write
 from hilserver.diagnosis.pipeline import Outcome, Task
 from hilserver.diagnosis.pipeline import run as diagnose
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
+from hilserver.program.progress import Progress
+from hilserver.program.workers import in_processes
 
 EXAMPLE = "hilserver diagnose run1.csv run2.csv -c config.yaml -o diagnosis"
 _ERRORS = {2: LogError, 78: ConfigError}

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 
 from hilserver.commands.options import add_config, config_path, number_within
-from hilserver.commands.progress import Progress
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.output import write_files
 from hilserver.diagnosis.plan.manoeuvre import LONGEST_S, SHORTEST_S
@@ -20,6 +19,7 @@ from hilserver.diagnosis.plan.null_log import ALL, GROUPS
 from hilserver.diagnosis.plan.planning import ROOM_M, SCENARIO, Wish, plan
 from hilserver.diagnosis.plan.text import lines
 from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.program.progress import Progress
 
 EXAMPLE = "hilserver plan drive.yaml -c config.yaml --duration 120 --room 5x5 -o plan"
 SIDES_M = (1.0, 1000.0)

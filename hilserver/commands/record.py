@@ -5,7 +5,6 @@ seed, audit and a state, so that `hilserver replay` reproduces it bit for bit.
 """
 
 import argparse
-import signal
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from hilserver.commands.options import add_config, config_path
 from hilserver.config.root import load_config
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.recorder import Recorder, Settings
+from hilserver.program.ending import on_end
 
 EXAMPLE = "hilserver record -o run.mcap --duration 60"
 
@@ -93,8 +93,7 @@ def run(args: argparse.Namespace) -> int:
             buffer_bytes=round(args.buffer_mb * 1e6),
         ),
     )
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: recorder.stop.set())
+    on_end(recorder.stop.set)
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
     if recorder.lacks_inputs:
         print(

@@ -19,10 +19,10 @@ from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, User
 from hilserver.logs import Log, State, open_writer, read_log
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
+from hilserver.program.progress import Progress
 from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
 
 EXAMPLE = "hilserver replay run.mcap -o again.csv"
-PROGRESS_AFTER_S = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,7 +130,7 @@ class _Replay:
     async def _play(self, engine: Engine, plan: Plan, comparison: Comparison | None) -> float:
         run = make_run(engine.image.description) | {"replay_of": str(self._log.path)}
         writer = open_writer(self._args.out, run, range(engine.table.n_slots))
-        progress = _Progress(plan.n_ticks)
+        progress, done, began_s = Progress(), 0, time.monotonic()
         engine.feed_state(in_rows=plan.feeds_state)
         try:
             for stretch in plan.stretches:
@@ -140,10 +140,12 @@ class _Replay:
                     writer.write(batch)
                     if comparison is not None:
                         comparison.add(batch)
-                    progress.add(len(batch.frames))
+                    done += len(batch.frames)
+                    progress("replaying", done / plan.n_ticks)
         finally:
+            progress.end()
             writer.close()
-        return progress.end()
+        return time.monotonic() - began_s
 
     def _tell(self, comparison: Comparison) -> int:
         if comparison.difference is not None:
@@ -157,26 +159,3 @@ class _Replay:
         elif self._args.check:
             raise LogError(f"{self._log.path}: contains no outputs of hilserver to compare with")
         return EXIT_DONE
-
-
-class _Progress:
-    """Says how far it is, on a terminal, if it takes longer than two seconds."""
-
-    def __init__(self, n_ticks: int) -> None:
-        self._n_ticks, self._done = n_ticks, 0
-        self._start_s = self._told_s = time.monotonic()
-        self._shown = False
-
-    def add(self, n_ticks: int) -> None:
-        self._done += n_ticks
-        now_s = time.monotonic()
-        if sys.stderr.isatty() and now_s - max(self._told_s, self._start_s + 1.5) > 0.5:
-            self._told_s, self._shown = now_s, True
-            share = self._done / self._n_ticks
-            bar = "#" * int(40 * share)
-            print(f"\rreplaying [{bar:<40}] {share:4.0%}", end="", file=sys.stderr, flush=True)
-
-    def end(self) -> float:
-        if self._shown:
-            print(file=sys.stderr)
-        return time.monotonic() - self._start_s

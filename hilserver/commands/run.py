@@ -5,15 +5,11 @@ import asyncio
 import contextlib
 import dataclasses
 import json
-import signal
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-import uvloop
-
 from hilserver.commands.demo import demo_assembly, running_controller
-from hilserver.commands.ending import end_was_asked
 from hilserver.commands.options import add_config, number_within
 from hilserver.commands.patching import add_patch, assembled
 from hilserver.daemon.assembly import Assembly
@@ -24,6 +20,7 @@ from hilserver.faults.scenario import Play, json_schema, load_scenario
 from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
+from hilserver.program import event_loop
 
 EXAMPLE = "hilserver run --demo"
 
@@ -74,13 +71,8 @@ def run(args: argparse.Namespace) -> int:
     assembly = _recorded(assembled(args), args.record)
     logging = assembly.config.logging
     limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
-    main = (
-        _demo(assembly, limiter, args.duration, play)
-        if args.demo
-        else _run(assembly, limiter, args.duration, play)
-    )
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        return runner.run(main)
+    main = _demo if args.demo else _run
+    return event_loop.run(main(assembly, limiter, args.duration, play))
 
 
 def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
@@ -103,11 +95,8 @@ async def _run(
     assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
 ) -> int:
     starting = Daemon(assembly, limiter, play=play)  # compiles: a signal ends that at once
-    asked = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, asked.set)
-    if end_was_asked():
+    asked = event_loop.end_event()
+    if asked.is_set():
         return EXIT_DONE
     async with starting as daemon:
         watchdog = _make_watchdog(daemon)
@@ -134,23 +123,20 @@ async def _reload_on_hangup(daemon: Daemon, watchdog: Watchdog) -> AsyncIterator
         yield
         return
     reloader = Reloader(daemon)
-    asked = asyncio.Event()
 
-    async def answer() -> None:
+    async def answer(asked: asyncio.Event) -> None:
         while True:
             await asked.wait()
             asked.clear()
             with watchdog.reloading():
                 await reloader.reload()
 
-    loop = asyncio.get_running_loop()
-    loop.add_signal_handler(signal.SIGHUP, asked.set)
-    task = asyncio.create_task(answer(), name="reload")
-    try:
-        yield
-    finally:
-        loop.remove_signal_handler(signal.SIGHUP)
-        task.cancel()
+    with event_loop.hang_ups() as asked:
+        task = asyncio.create_task(answer(asked), name="reload")
+        try:
+            yield
+        finally:
+            task.cancel()
 
 
 def _print_addresses(daemon: Daemon) -> None:

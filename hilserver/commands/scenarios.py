@@ -7,8 +7,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from hilserver.commands.progress import Progress
 from hilserver.errors import EXIT_DONE
+from hilserver.program.progress import Progress
 from hilserver.scenarios import SCENARIOS, scenario
 from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, SEALED, write
 from hilserver.scenarios.page import PAGE, make_entry, write_page

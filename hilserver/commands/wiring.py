@@ -13,8 +13,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import uvloop
-
 from hilserver.commands.demo import demo_assembly, running_controller
 from hilserver.commands.options import add_config, config_path
 from hilserver.daemon.assembly import Assembly, assemble
@@ -23,6 +21,7 @@ from hilserver.errors import EXIT_DONE, EXIT_FAILED, ConfigError
 from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.plant.layout import WHEEL_WORDS, WHEELS
+from hilserver.program import event_loop
 
 EXAMPLE = "hilserver wiring --demo"
 MOVES_RPM = 0.05
@@ -81,8 +80,7 @@ def run(args: argparse.Namespace) -> int:
     """Check the wiring; return 0 if it is right."""
     assembly = assemble(config_path(args))
     setup_logging("ERROR", assembly.config.logging.format, assembly.config.logging.repeat_window_s)
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        findings = runner.run(_demo(assembly, args) if args.demo else _run(assembly, args))
+    findings = event_loop.run(_demo(assembly, args) if args.demo else _run(assembly, args))
     print(as_table(findings))
     return EXIT_FAILED if any(finding.complaint for finding in findings) else EXIT_DONE
 

@@ -3,16 +3,13 @@
 import argparse
 import asyncio
 import contextlib
-import os
-import signal
 import sys
-
-import uvloop
 
 from hilserver.controller.loop import Controller
 from hilserver.controller.path import Eight, Robot
 from hilserver.controller.server import ControllerServer
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, UserError
+from hilserver.errors import EXIT_DONE
+from hilserver.program import event_loop, harness
 
 ENDPOINT = "opc.tcp://127.0.0.1:53880/UA/NodeRedAgv"
 
@@ -48,9 +45,11 @@ async def serve(args: argparse.Namespace) -> int:
             server, Eight(speed_m_s=args.speed_m_s), robot, pattern=args.pattern
         )
         cycle = asyncio.create_task(controller.run())
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, cycle.cancel)
+        asked = asyncio.create_task(event_loop.end_event().wait())
         print(f"controller listening on {server.endpoint}", flush=True)
+        await asyncio.wait((cycle, asked), return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+        cycle.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await cycle
     return EXIT_DONE
@@ -58,17 +57,8 @@ async def serve(args: argparse.Namespace) -> int:
 
 def main() -> int:
     """Run and return the exit code."""
-    args = arguments()
-    try:
-        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(serve(args))
-    except UserError as error:
-        print(f"hilserver: {error}", file=sys.stderr)
-        return error.exit_code
-    except BrokenPipeError:  # who started us has ended meanwhile
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_FAILED
+    return event_loop.run(serve(arguments()))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.run(main))

@@ -17,7 +17,7 @@ from hilserver.io import peer_metrics
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
 from hilserver.metrics import Source
-from hilserver.monitoring.audit import METRICS as audit_metrics
+from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
 from hilserver.monitoring.audit import AuditItem
 from hilserver.monitoring.health import HealthSources
 from hilserver.monitoring.health_http import HttpServer
@@ -93,7 +93,7 @@ def make_metrics(
         Source(metrics.GAP_METRICS, outputs.model_gap),
         Source(metrics.ALARM_METRICS, lambda: gaps.alarms),
         Source(fault_metrics.METRICS, core.faults.counts),
-        Source(audit_metrics, lambda: {item.name: item.ok for item in audit}),
+        Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in audit}),
         Source(
             metrics.PROGRAM_METRICS,
             lambda: metrics.Program(config().sha256, len(asyncio.all_tasks())),

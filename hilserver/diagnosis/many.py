@@ -1,12 +1,6 @@
-"""Hundreds of logs: each a diagnosis of its own, in worker processes or on a Dask cluster."""
+"""Hundreds of logs on a Dask cluster: each a diagnosis of its own."""
 
-import ctypes
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
 from hilserver.errors import FailedError
@@ -14,63 +8,6 @@ from hilserver.errors import FailedError
 T = TypeVar("T")
 R = TypeVar("R")
 CONNECT_WITHIN_S = 10
-PR_SET_PDEATHSIG = 1
-
-
-def end_with_parent(parent: int) -> None:
-    """Ask the kernel to end this worker when the process that started it ends, however it does.
-
-    Otherwise the workers of a campaign that was killed go on with what is queued. Linux; elsewhere
-    nothing happens.
-    """
-    prctl = getattr(ctypes.CDLL(None), "prctl", None)
-    if prctl is None:
-        return
-    prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent:  # it ended before we asked
-        os.kill(os.getpid(), signal.SIGTERM)
-
-
-def in_processes(
-    function: Callable[[T], R], tasks: Sequence[T], workers: int
-) -> Generator[tuple[int, R], None, None]:
-    """Yield the index and result of every task, as they come.
-
-    Who stops before the end closes the generator (`contextlib.closing`), and the workers end at
-    once; otherwise the interpreter would wait at its end for all that is queued.
-
-    Parameters
-    ----------
-    function : callable
-        A function of a module, as it travels by its name.
-    workers : int
-        Processes; 1: this one.
-
-    Raises
-    ------
-    FailedError
-        If a worker process is ended from outside.
-    """
-    if workers <= 1 or len(tasks) <= 1:
-        yield from ((index, function(task)) for index, task in enumerate(tasks))
-        return
-    context = multiprocessing.get_context("spawn")
-    count, others = min(workers, len(tasks)), set(multiprocessing.active_children())
-    with ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool:
-        waiting = {pool.submit(function, task): index for index, task in enumerate(tasks)}
-        try:
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-        except BrokenProcessPool:
-            raise FailedError(
-                "a worker process was ended, perhaps for want of memory; try fewer --jobs"
-            ) from None
-        except BaseException:
-            for worker in set(multiprocessing.active_children()) - others:
-                worker.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def on_cluster(

@@ -6,10 +6,10 @@ import signal
 import pytest
 
 from hilserver.commands import main
-from hilserver.commands.progress import Progress
 from hilserver.diagnosis import pipeline
 from hilserver.diagnosis.evidence import Diagnosis
 from hilserver.errors import LogError
+from hilserver.program.progress import Progress
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
 
@@ -87,7 +87,7 @@ def test_a_signal_among_many_logs_keeps_the_reports_so_far(stages, tmp_path, mon
 
 def test_where_there_is_no_terminal_progress_is_plain_lines(monkeypatch, capsys):
     now = [0.0]
-    monkeypatch.setattr("hilserver.commands.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("hilserver.program.progress.time.monotonic", lambda: now[0])
     progress = Progress()
     for second in range(12):
         now[0] = float(second)

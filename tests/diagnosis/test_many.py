@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.many import in_processes, on_cluster
+from hilserver.diagnosis.many import on_cluster
 from hilserver.errors import FailedError
+from hilserver.program.workers import in_processes
 
 TASKS = [3, 1, 4, 1, 5]
 
@@ -61,8 +62,8 @@ def campaign(folder, lines):
     """Start a program with two workers that wait; return it and their process ids."""
     file, script = folder / "pids", folder / "campaign.py"
     head = [
-        "from hilserver.commands.ending import ended_by_signals",
-        "from hilserver.diagnosis.many import in_processes",
+        "from hilserver.program.ending import ended_by_signals",
+        "from hilserver.program.workers import in_processes",
         "from tests.diagnosis.test_many import wait_forever",
         f"tasks = [{str(file)!r}] * 40",
     ]

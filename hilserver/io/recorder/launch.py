@@ -2,8 +2,7 @@
 
 import asyncio
 import contextlib
-import signal
-import sys
+import re
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -11,8 +10,9 @@ import structlog
 
 from hilserver.config.recording import RecordingConfig
 from hilserver.errors import FailedError
+from hilserver.program import children
 
-READY = b"recording "
+READY = re.compile(rb"^recording ")
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 30.0
 
@@ -30,25 +30,23 @@ async def running_recorder(
     FailedError
         If it does not come up.
     """
-    process = await asyncio.create_subprocess_exec(
-        *_command(config, image, folder),
-        stdin=asyncio.subprocess.DEVNULL,
+    async with children.started(
+        _command(config, image, folder),
+        name="recorder",
+        stop_limit_s=STOP_LIMIT_S,
         stdout=asyncio.subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the recorder
-    )
-    watch: asyncio.Task[None] | None = None
-    try:
-        await _attached(process)
+    ) as process:
+        if await children.line_of(process, READY, START_LIMIT_S) is None:
+            raise FailedError("the recorder did not start; see its message above")
         watch = asyncio.create_task(_watch(process), name="watch recorder")
-        yield
-    finally:
-        if watch is not None:
+        try:
+            yield
+        finally:
             watch.cancel()
-        await _stop(process)
 
 
 def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
-    words = [sys.executable, "-m", "hilserver", "record", "--image", image]
+    words = children.python("-m", "hilserver", "record", "--image", image)
     words += ["--out", str(folder / str(config.file)), "--buffer-mb", str(config.buffer_mb)]
     for pattern in config.signals:
         words += ["--signals", pattern]
@@ -59,30 +57,6 @@ def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
     return words
 
 
-async def _attached(process: asyncio.subprocess.Process) -> None:
-    if process.stdout is not None:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(START_LIMIT_S):
-                while line := await process.stdout.readline():
-                    if line.startswith(READY):
-                        return
-    raise FailedError("the recorder did not start; see its message above")
-
-
 async def _watch(process: asyncio.subprocess.Process) -> None:
     code = await process.wait()
     _log.error("the recording has ended, the daemon runs on", exit_code=code)
-
-
-async def _stop(process: asyncio.subprocess.Process) -> None:
-    if process.returncode is not None:
-        return
-    with contextlib.suppress(ProcessLookupError):
-        process.send_signal(signal.SIGTERM)
-    try:
-        async with asyncio.timeout(STOP_LIMIT_S):
-            await process.wait()
-    except TimeoutError:
-        _log.error("the recorder did not end in time")
-        process.kill()
-        await process.wait()

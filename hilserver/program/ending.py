@@ -1,14 +1,14 @@
-"""SIGINT and SIGTERM end a command at any time, from its first import on."""
+"""SIGINT and SIGTERM end a program at any time, from its first import on."""
 
 import contextlib
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from hilserver.errors import EXIT_DONE
 
-_ENDING = (signal.SIGINT, signal.SIGTERM)
+ENDING = (signal.SIGINT, signal.SIGTERM)
 _caught: list[int] = []
 
 
@@ -17,15 +17,15 @@ def ended_by_signals() -> Iterator[None]:
     """Let the signals raise SystemExit within the block.
 
     A KeyboardInterrupt would not do: even one that is caught makes the interpreter end itself by
-    SIGINT when it passed through a module that runs Python code from C. ``run`` replaces the
-    handlers as soon as the daemon can be stopped in order.
+    SIGINT when it passed through a module that runs Python code from C. A program that can be
+    stopped in order replaces the handlers: `on_end`, or `event_loop.end_event`.
     """
     _caught.clear()
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     hook = sys.unraisablehook
-    before = {number: signal.signal(number, _end) for number in _ENDING}
+    before = {number: signal.signal(number, _end) for number in ENDING}
     try:
         yield
     finally:
@@ -43,3 +43,11 @@ def _end(number: int, _frame: object) -> None:
 def end_was_asked() -> bool:
     """Return True when a signal has come, even one whose exception the compiler swallowed."""
     return bool(_caught)
+
+
+def on_end(stop: Callable[[], object]) -> None:
+    """Let the signals call `stop` from now on, at once if one has come already."""
+    for number in ENDING:
+        signal.signal(number, lambda *_: stop())
+    if end_was_asked():
+        stop()

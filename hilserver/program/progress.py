@@ -13,7 +13,7 @@ class Progress:
 
     def __init__(self) -> None:
         self._start_s = time.monotonic()
-        self._shown = 0
+        self._shown, self._line = 0, ""
         self._next_line_s = self._start_s + PROGRESS_AFTER_S
 
     def __call__(self, stage: str, share: float) -> None:
@@ -30,6 +30,9 @@ class Progress:
         self._show(f"[{bar:<30}] {share:4.0%} {stage}")
 
     def _show(self, line: str) -> None:
+        if line == self._line:
+            return
+        self._line = line
         print(f"\r{line:<{self._shown}}", end="", file=sys.stderr, flush=True)
         self._shown = len(line)
 

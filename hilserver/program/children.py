@@ -1,0 +1,92 @@
+"""Child processes: started for a context, asked to end at its end, killed if they do not."""
+
+import asyncio
+import contextlib
+import re
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator, Sequence
+from typing import Any
+
+import structlog
+
+_log = structlog.get_logger(__name__)
+
+
+def python(*arguments: str) -> list[str]:
+    """Return the command line of a Python process like this one."""
+    return [sys.executable, *arguments]
+
+
+@contextlib.asynccontextmanager
+async def started(
+    command: Sequence[str], *, name: str, stop_limit_s: float, **options: Any
+) -> AsyncIterator[asyncio.subprocess.Process]:
+    """Run a child of an event loop while the context lasts.
+
+    Ctrl-C does not reach it: it ends us first, and we end the child.
+
+    Parameters
+    ----------
+    name : str
+        What the log calls it if it has to be killed.
+    stop_limit_s : float
+        How long it may take to end after SIGTERM.
+    **options
+        For `asyncio.create_subprocess_exec`.
+    """
+    process = await asyncio.create_subprocess_exec(
+        *command, stdin=asyncio.subprocess.DEVNULL, start_new_session=True, **options
+    )
+    try:
+        yield process
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.terminate()
+            try:
+                async with asyncio.timeout(stop_limit_s):
+                    await process.wait()
+            except TimeoutError:
+                _log.error("did not end in time and was killed", process=name)
+                process.kill()
+                await process.wait()
+
+
+async def line_of(
+    process: asyncio.subprocess.Process, pattern: re.Pattern[bytes], within_s: float
+) -> re.Match[bytes] | None:
+    """Return the first line on standard output that `pattern` is found in.
+
+    None if the child ends, or does not print one in time.
+    """
+    if process.stdout is not None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(within_s):
+                while line := await process.stdout.readline():
+                    if match := pattern.search(line):
+                        return match
+    return None
+
+
+@contextlib.contextmanager
+def piped(
+    command: Sequence[str], *, name: str, stop_limit_s: float = 20.0, **options: Any
+) -> "Iterator[subprocess.Popen[str]]":
+    """Run a child without an event loop, its standard input and output as text pipes by default.
+
+    At the end its pipes are closed and it is terminated; parameters as for `started`.
+    """
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, **(pipes | options))  # noqa: S603 - our own command lines
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        try:
+            process.communicate(timeout=stop_limit_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            print(f"hilserver: {name} did not end and was killed", file=sys.stderr)

@@ -1,0 +1,43 @@
+"""Programs that run an event loop: uvloop, and the signals that come while it runs."""
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import Coroutine, Iterator
+from typing import Any, TypeVar
+
+import uvloop
+
+from hilserver.program.ending import ENDING, end_was_asked
+
+T = TypeVar("T")
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Run `main` in an event loop of its own; return what it returns."""
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        return runner.run(main)
+
+
+def end_event() -> asyncio.Event:
+    """Return an event that SIGINT and SIGTERM set from now on; it is set if one has come already.
+
+    Call it when the program can be stopped in order; until then a signal ends it at once.
+    """
+    asked, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in ENDING:
+        loop.add_signal_handler(number, asked.set)
+    if end_was_asked():
+        asked.set()
+    return asked
+
+
+@contextlib.contextmanager
+def hang_ups() -> Iterator[asyncio.Event]:
+    """Give an event that SIGHUP sets while the context lasts."""
+    asked, loop = asyncio.Event(), asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGHUP, asked.set)
+    try:
+        yield asked
+    finally:
+        loop.remove_signal_handler(signal.SIGHUP)

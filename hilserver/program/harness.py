@@ -1,0 +1,52 @@
+"""From a program's first line to its exit code."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable
+
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, UserError
+from hilserver.program.ending import end_was_asked, ended_by_signals
+
+
+def run(main: Callable[[], int]) -> int:
+    """Run `main`; return its exit code.
+
+    Errors that a user can fix are printed as sentences, never as tracebacks. SIGINT and SIGTERM are
+    a clean end.
+    """
+    with ended_by_signals():
+        try:
+            return _run(main)
+        except (Exception, SystemExit):
+            # What is interrupted in the middle (a compiler, above all) may fail in its own way.
+            if end_was_asked():
+                return EXIT_DONE
+            raise
+
+
+def _run(main: Callable[[], int]) -> int:
+    try:
+        code = main()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except UserError as error:
+        for line in str(error).splitlines():
+            print(f"hilserver: {line}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:  # nobody reads what we print: a pager, or who started us, has ended
+        _drop_output()
+        return EXIT_FAILED
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"hilserver: {place}{(error.strerror or str(error)).lower()}", file=sys.stderr)
+        _drop_output()
+        return EXIT_FAILED
+    return code
+
+
+def _drop_output() -> None:
+    """Keep the interpreter from flushing at its end what nobody takes."""
+    if sys.stdout is not None:
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
