@@ -2,6 +2,7 @@
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import pytest
 import structlog
@@ -48,6 +49,11 @@ def logging_as_before():
     logging.basicConfig(handlers=[], force=True)
 
 
+def about_reload(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Without what a busy computer makes the daemon say."""
+    return [line for line in lines if line["event"].startswith("reload")]
+
+
 async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -> None:
     path = write_config(tmp_path)
     good = path.read_text(encoding="utf-8")
@@ -59,7 +65,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
         path.write_text(good + "plant: {max_rmp: 80}\n", encoding="utf-8")
         with structlog.testing.capture_logs() as said:
             assert not await reloader.reload()
-        [line] = said
+        [line] = about_reload(said)
         assert "config.yaml:4: unknown key 'plant.max_rmp'" in line["reason"]
         assert reloader.from_file == daemon.config
 
@@ -72,7 +78,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
         )
         with structlog.testing.capture_logs() as said:
             assert await reloader.reload()
-        events = {line["key"]: line["event"] for line in said}
+        events = {line["key"]: line["event"] for line in about_reload(said)}
         assert events == {
             "control.opcua_stale_after_ms": "reload: changed",
             "plant.max_rpm": "reload: needs a restart, the old value stays",
