@@ -24,15 +24,21 @@ help: ## Show this list
 run: $(VENV)/.run ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60")
 	@$(BIN)/python .ci/foreground.py $(BIN)/hilserver run --demo $(ARGS)
 
-# Tests that only compute share the cores; the others keep time and have the machine for themselves.
-COMPUTING := tests/diagnosis tests/identify tests/injector_checks tests/plant tests/scenarios
-SHARED := --numprocesses $(shell env -u OMP_NUM_THREADS nproc) --maxprocesses 8 --dist loadfile
+# Two runs. In the first, tests that compute and tests that wait share the cores, one process more
+# than there are cores. The second keeps time: two files at once, which mostly wait.
+TIMED := tests/io/recorder/test_process.py tests/node_red tests/prometheus tests/scheduler \
+    tests/security/test_attack.py tests/soak tests/systemd
+CORES := $(shell env -u OMP_NUM_THREADS nproc)
+SHARED := --numprocesses $(shell expr $(CORES) + 1) --maxprocesses 8 --dist worksteal
+APART := --numprocesses 2 --dist loadfile
+# Threads of the linear algebra would wait for each other on cores that all processes share.
+test test-long: export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: test
 test: test-tools lint ## Install what the tests need, lint, run all tests but the long ones
 ifeq ($(strip $(ARGS)),)
-	@computing=0; $(BIN)/python -m pytest $(SHARED) $(COMPUTING) || computing=$$?; \
-	    $(BIN)/python -m pytest $(addprefix --ignore=,$(COMPUTING)) && exit $$computing
+	@shared=0; $(BIN)/python -m pytest $(SHARED) $(addprefix --ignore=,$(TIMED)) || shared=$$?; \
+	    $(BIN)/python -m pytest $(APART) $(TIMED) && exit $$shared
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif

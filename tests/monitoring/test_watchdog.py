@@ -38,7 +38,7 @@ def test_without_a_manager_nothing_is_sent(monkeypatch, tmp_path: Path) -> None:
     ("usec", "pid", "period_s"),
     [
         ("3000000", "", 3.0),
-        ("3000000", str(os.getpid()), 3.0),
+        pytest.param("3000000", str(os.getpid()), 3.0, id="own"),
         ("3000000", "1", None),
         ("", "", None),
         ("0", "", None),

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.commands.wiring import NAMES, Wiring, as_table
+from hilserver.commands.wiring import Wiring, as_table
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
+from hilserver.plant.layout import WHEEL_WORDS
 from tests.node_red.node_red import shipped_flow
 
 pytestmark = [pytest.mark.node_red, pytest.mark.timeout(120)]
@@ -68,7 +69,9 @@ class Operator:
         temporary.replace(self._path)
 
     def told(self, text: str) -> None:
-        (wheel,) = (name.replace(" ", "_") for name in NAMES.values() if f"the {name} " in text)
+        (wheel,) = (
+            name.replace(" ", "_") for name in WHEEL_WORDS.values() if f"the {name} " in text
+        )
         self._task = asyncio.create_task(self._obey(self._wheel_of(wheel)))
 
     async def _obey(self, wheel: str) -> None:
