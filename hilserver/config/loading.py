@@ -71,9 +71,14 @@ def place(path: Path | None, location: Path_) -> str:
 
 def _parse(path: Path) -> yaml.Node | None:
     try:
-        return yaml.compose(_read(path).decode("utf-8"), Loader=yaml.SafeLoader)
-    except RecursionError:
-        raise _too_deep(path) from None
+        text, depth = _read(path).decode("utf-8"), 0
+        # Events come one by one; composing recurses, so it is not left to find the depth out.
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > MAX_DEPTH:
+                raise _too_deep(path)
+        return yaml.compose(text, Loader=yaml.SafeLoader)
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save it as UTF-8") from None
     except OSError as error:
