@@ -59,6 +59,8 @@ class DriveStage:
         The spans of the log, uncut: the drive's state goes on.
     stack : Stack
         Measured speeds and duties.
+    settled_s : ndarray, shape (segments,)
+        From when on the loops have forgotten what nobody knows of their start.
     """
 
     name: Final = "drive"
@@ -67,13 +69,9 @@ class DriveStage:
         self.log, self.robot = log, robot
         self.segments = cut(log, robot.period_s, None)
         names = [n for n in (*SPEEDS, *DUTIES) if n in log]
-        self.stack = make_stack(
-            log,
-            names,
-            self.segments,
-            block_s=block_s,
-            skip_s=self._unknown_s(),
-        )
+        skips_s = self._unknown_s()
+        self.settled_s = self.segments.start_s + np.minimum(skips_s, SETTLING_S)
+        self.stack = make_stack(log, names, self.segments, block_s=block_s, skip_s=skips_s)
         self._inputs, self._row = self._latched()
         self._speed_0 = self._start()
         self._volts = np.full(self.segments.ticks, NOMINAL_V)

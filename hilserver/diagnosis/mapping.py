@@ -11,6 +11,7 @@ from hilserver.config.loading import load, place
 from hilserver.config.plant import PlantConfig
 from hilserver.diagnosis.names import conversion, known_signals, units_of
 from hilserver.errors import ConfigError, LogError, meant
+from hilserver.logs.reading import refuse_endless
 
 PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANY_NUMBER = "1"
@@ -136,6 +137,7 @@ def load_mapping(mapping: Path | str) -> LogMapping:
     if not path.exists():
         known = ", ".join(builtin_mappings())
         raise LogError(f"{path}: no such mapping file; built in are {known}")
+    refuse_endless(path)
     return _load(path)
 
 

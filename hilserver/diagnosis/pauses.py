@@ -14,7 +14,33 @@ PAUSE_S: Final = 3.0
 USUAL_STEPS: Final = 20.0
 """... and in slow recordings so many usual steps between two samples."""
 
+JUMP_S: Final = 1e5
+"""No pause but a clock that was set: what follows is counted on from there."""
+
 Edges = list[tuple[float, float]]
+
+
+def without_jumps(log: MeasuredLog) -> MeasuredLog:
+    """Return the log with spans that follow each other within `JUMP_S`, if time rises at all."""
+    moved_s = np.zeros(len(log.spans))
+    for i, (before, after) in enumerate(pairwise(log.spans)):
+        gap_s = after.start_s - before.end_s
+        moved_s[i + 1] = moved_s[i] + (gap_s - PAUSE_S if gap_s > JUMP_S else 0.0)
+    if not moved_s.any():
+        return log
+    spans = tuple(
+        replace(span, start_s=span.start_s - by_s, end_s=span.end_s - by_s)
+        for span, by_s in zip(log.spans, moved_s.tolist(), strict=True)
+    )
+    channels = {
+        name: replace(channel, t_s=channel.t_s - moved_s[channel.span])
+        for name, channel in log.channels.items()
+    }
+    note = (
+        f"the clock jumps by {moved_s[-1]:.4g} s in all: stamps behind a jump are counted on from"
+        " the last one before it"
+    )
+    return replace(log, channels=channels, spans=spans, notices=(*log.notices, note))
 
 
 def cut_at_pauses(log: MeasuredLog) -> MeasuredLog:

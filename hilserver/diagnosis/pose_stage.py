@@ -79,7 +79,14 @@ class PoseStage:
         self.angle_0 = angles_at_starts(self.left, self.segments)
         names = [n for n in (*TAG, GYRO) if n in log]
         usable = np.array([self._is_driven(int(s)) for s in self.segments.span], dtype=bool)
-        self.stack = make_stack(log, names, self.segments, block_s=block_s, usable=usable)
+        self.stack = make_stack(
+            log,
+            names,
+            self.segments,
+            block_s=block_s,
+            skip_s=self._settling_s() if log.on_ticks else 0.0,
+            usable=usable,
+        )
         self.has_position = log.has(*POSITION)
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
@@ -88,6 +95,20 @@ class PoseStage:
         self._pool = ThreadPoolExecutor(jobs) if len(self._shares) > 1 else None
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
         self._tag_rows()
+
+    def _settling_s(self) -> Array:
+        """Return how long in each segment the wheels between their samples hang on a guess.
+
+        What the wheels' loops remember at the start of a recording is not in it. Beside noise that
+        does not matter, but a simulation without any shows it.
+        """
+        wait_s = np.zeros(len(self.segments))
+        if self._drive is not None:
+            begins, ends = self._drive[0].segments, self._drive[0].settled_s
+            for i, span in enumerate(self.segments.span):
+                own = int(np.flatnonzero(begins.span == span)[0])
+                wait_s[i] = max(float(ends[own] - self.segments.start_s[i]), 0.0)
+        return wait_s
 
     def _is_driven(self, span: int) -> bool:
         """Return whether it is known in a span how the wheels of both sides turned."""

@@ -13,11 +13,14 @@ from hilserver.diagnosis.clock import SHORTEST_S as SEGMENT_S
 from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
 from hilserver.diagnosis.frames import Sampling
 from hilserver.diagnosis.mapping import LogMapping, builtin_mappings, load_mapping
-from hilserver.diagnosis.pauses import cut_at_pauses
+from hilserver.diagnosis.pauses import cut_at_pauses, without_jumps
 from hilserver.diagnosis.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
 from hilserver.errors import LogError
+from hilserver.logs.reading import refuse_endless
 
-SHORTEST_S = 1.0
+SHORTEST_S, LONGEST_S = 1.0, 28_800.0
+LATEST_S = 1e11
+"""Later stamps are none, and too coarse: seconds since 1970 are 1.8e9."""
 
 
 def read_measured(
@@ -57,8 +60,14 @@ def read_measured(
         notices=tuple(notice for recording in recordings for notice in recording.notices),
         on_ticks=any(recording.on_ticks for recording in recordings),
     )
-    pooled = cut_at_pauses(_pool(log, recordings))
+    pooled = without_jumps(cut_at_pauses(_pool(log, recordings)))
     longest_s = max(span.end_s - span.start_s for span in pooled.spans)
+    total_s = sum(span.end_s - span.start_s for span in pooled.spans)
+    if total_s > LONGEST_S:
+        raise LogError(
+            f"{paths[0]}: lasts {total_s:.6g} s; a diagnosis takes {LONGEST_S:g} s at most: cut a"
+            " part out, or correct the unit of its time"
+        )
     if longest_s < SEGMENT_S:
         raise LogError(
             f"{paths[0]}: the longest of {len(pooled.spans)} segments lasts {longest_s:.3g} s; a"
@@ -69,11 +78,18 @@ def read_measured(
 
 def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
     try:
+        refuse_endless(path)
         recording = _by_kind(path, mapping, sampling)
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not any(np.isfinite(v).any() for part in recording.parts for v in part.columns.values()):
         raise LogError(f"{path}: holds no sample of any signal; record some, or map its columns")
+    usual_s = max(float(np.median(np.abs(part.t_s))) for part in recording.parts)
+    if usual_s > LATEST_S:
+        raise LogError(
+            f"{path}: its times are about {usual_s:.3g} s, which is no time of a recording; write"
+            " seconds, or name the unit in a mapping, as time: {unit: ns}"
+        )
     seconds = sum(span.end_s - span.start_s for span in _spans(recording, 0)[0])
     if seconds < SHORTEST_S:
         raise LogError(

@@ -22,6 +22,7 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     LogError
         One sentence that names file, row, column and remedy.
     """
+    refuse_endless(path)
     try:
         if path.suffix == ".mcap":
             return read_mcap(path)
@@ -30,3 +31,14 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     raise LogError(f"{path}: is no log that can be read; known are .csv and .mcap")
+
+
+def refuse_endless(path: Path) -> None:
+    """Refuse devices and pipes, which may never end.
+
+    Raises
+    ------
+    LogError
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise LogError(f"{path}: is a device or a pipe, not a file; save the log as a file first")

@@ -2,8 +2,10 @@
 
 import gzip
 import json
+import os
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,6 +60,11 @@ def cut(share):
 def folder_without_a_bag(folder):
     (folder / "empty").mkdir()
     return folder / "empty"
+
+
+def pipe(folder):
+    os.mkfifo(folder / "log.csv")
+    return folder / "log.csv"
 
 
 def parquet(table):
@@ -126,6 +133,14 @@ KINDS = {
     ),
     "tabs": (csv(header=f"t_s\t{SPEED}", row="{t}\t{i}"), None, "row 1: .* separated by tabs; "),
     "decimal commas": (row_of("0,06,3"), None, "row 5 has 3 columns, the header has 2; remove"),
+    "device": (lambda _folder: Path("/dev/zero"), None, "is a device or a pipe, not a file; save"),
+    "pipe": (pipe, None, "log.csv: is a device or a pipe, not a file; save the log as a file"),
+    "time of no clock": (
+        csv(row="{i}e30,1"),
+        None,
+        r"its times are about 5.95e\+31 s, which is no time of a recording; write seconds, or",
+    ),
+    "years": (csv(row="{i}e6,1"), None, "lasts 1.19e[+]08 s; a diagnosis takes 28800 s at most"),
     "text": (row_of("0.06,fast"), None, f"row 5, column 2 '{SPEED}': 'fast' is no number; write"),
     "infinite": (row_of("0.06,inf"), None, f"row 5, column .*'{SPEED}': inf is no value"),
     "absurd": (row_of("0.06,1e300"), None, "row 5, .* 1e[+]300 is no value of a robot; write"),

@@ -48,6 +48,17 @@ def test_a_pause_ends_a_segment_and_what_was_sent_holds_on():
     assert "pauses once, for 20.02 s behind t_s = 9.98" in note
 
 
+@pytest.mark.parametrize("jump_s", [1e6, 1e9])
+def test_a_clock_that_jumps_is_counted_on(tmp_path, jump_s):
+    path = tmp_path / "log.csv"
+    lines = "".join(f"{0.02 * i + jump_s * (i >= 100)},{i}\n" for i in range(200))
+    path.write_text(f"t_s,{SPEED}\n{lines}")
+    log = read_measured([path])
+    assert [round(s.start_s, 6) for s in log.spans] == [0.0, 4.98]
+    assert log[SPEED].of(1)[0][0] == pytest.approx(4.98)
+    assert "the clock jumps by 1e+0" in log.notices[-1]
+
+
 @pytest.mark.parametrize("far", ["1e9", "1e300"])
 def test_a_row_with_a_wild_stamp_takes_no_time_of_its_own(tmp_path, far):
     path = tmp_path / "log.csv"
