@@ -89,7 +89,7 @@ class Loop:
             await asyncio.sleep(PERIOD_S)
 
     async def ready(self, ended: Callable[[], str | None]) -> None:
-        """Wait until the wheels turn as told.
+        """Wait until the wheels turn as commanded.
 
         Parameters
         ----------

@@ -79,7 +79,7 @@ async def main(url: str, n_clients: int, n_nodes: int, rate_hz: float) -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
     print(load.reads, load.late, flush=True)
     for task in done - {asked}:
-        task.result()  # a client that failed is told, not hidden
+        task.result()  # a failed client is reported, not hidden
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Measured data in, findings out: what the simulation gets wrong, why, and what would fix it.
+"""Measured data in, findings out: what the simulation gets wrong, why, and the remedy.
 
 Writes findings.json, report.html and, where the model can be extended, model_patch.yaml. Several
 logs are taken for one machine and pooled, unless --each gives every log a report of its own.

@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan; print what can be told and write both files."""
+    """Plan; print what the manoeuvre shows and write both files."""
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the plan")
     assembly = assemble(config_path(args))

@@ -49,7 +49,7 @@ class Control:
     reset_statistics : callable
         Starts every timing figure anew.
     speed_changed : callable
-        Told the new speed factor.
+        Called with the new speed factor.
     measured_pose : callable
         Where the real robot is, None while nothing measures it.
     """

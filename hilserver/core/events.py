@@ -1,4 +1,4 @@
-"""Events: what happened, told once to everyone who listens (log, OPC UA, tests)."""
+"""Events: what happened, published once to all subscribers (log, OPC UA, tests)."""
 
 import time
 from collections import deque

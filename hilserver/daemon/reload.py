@@ -32,7 +32,7 @@ class Change:
 
 
 def changes(before: Config, after: Config) -> list[Change]:
-    """Return every key that differs; the elements of a list are not told apart."""
+    """Return every key that differs; a list counts as one value."""
     old, new = (dict(_leaves(config.model_dump(mode="json"))) for config in (before, after))
     keys = sorted(old.keys() | new.keys())
     return [Change(k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]

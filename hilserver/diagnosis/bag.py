@@ -27,7 +27,7 @@ from hilserver.logs.mcap_reader import records_of
 
 SUFFIXES = (".db3", ".mcap")
 _BROKEN = (ValueError, KeyError, struct.error, zlib.error, EndOfFile, McapError)
-_TORN = "the recorder did not close the file; what stands in it was read"
+_TORN = "the recorder did not close the file; its contents were read"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ def _read_sqlite(path: Path, wanted: set[str]) -> Bag:
             raise LogError(
                 f"{path}: is no readable bag ({error}); copy it again, or run 'ros2 bag reindex'"
             ) from None
-        bag.notices.append(f"{path}: is damaged ({error}); what stands before that was read")
+        bag.notices.append(f"{path}: is damaged ({error}); everything before that was read")
     finally:
         connection.close()
     return bag
@@ -161,7 +161,7 @@ def _read_mcap(path: Path, wanted: set[str]) -> Bag:
     ended = False
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise LogError(f"{path}: is no MCAP file; was it cut off at its start?")
+            raise LogError(f"{path}: is not an MCAP file; is its beginning missing?")
         for offset, opcode, body in records_of(file):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 ended = True
@@ -172,7 +172,7 @@ def _read_mcap(path: Path, wanted: set[str]) -> Bag:
             except (*_BROKEN, zstandard.ZstdError) as error:
                 bag.notices.append(
                     f"{path}: the record at byte {offset} is damaged"
-                    f" ({type(error).__name__}); what stands before it was read"
+                    f" ({type(error).__name__}); everything before it was read"
                 )
                 return bag
     if not ended:
@@ -235,9 +235,7 @@ def _part(
     order = np.argsort(stamps, kind="stable")
     fresh = np.diff(stamps[order], prepend=stamps[order][:1] - 1) > 0
     if not fresh.all():
-        notices.append(
-            f"{where}: {int((~fresh).sum())} messages with the stamp of another left out"
-        )
+        notices.append(f"{where}: {int((~fresh).sum())} messages with a repeated stamp dropped")
     kept = order[fresh]
     columns: dict[str, Array] = {}
     for (signal, at), column in zip(channels.items(), values.T, strict=True):

@@ -81,7 +81,7 @@ class MeasuredLog:
     plant : mapping
         Keys of the plant configuration that the mapping file sets.
     notices : tuple of str
-        What a reader should be told: rows dropped, the file ends early.
+        What a reader should know: rows dropped, the file ends early.
     on_ticks : bool
         True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that
         stands first in a row came at one of the ticks after the row before it.

@@ -98,7 +98,7 @@ def _critical(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> flo
 def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
     """Return the remaining error of what a structure explains most of.
 
-    The error of a pose adds up along the way: what is told is how fast it grows.
+    The error of a pose adds up along the way: what is reported is how fast it grows.
     """
     edges = problem.stack.edges
     residual, used = problem.residual(point.predicted), problem.weights > 0.0

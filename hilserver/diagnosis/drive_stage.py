@@ -168,9 +168,9 @@ class DriveStage:
         return SETPOINTS if self.log.has(*SETPOINTS) else TWIST
 
     def _unknown_s(self) -> Array:
-        """Return how long at the start of each segment nobody knows what the drive was told.
+        """Return how long at the start of each segment the commands to the drive are unknown.
 
-        Without any set-point that is all of it. A machine at rest was told to stand still.
+        Without any set-point that is all of it. A machine at rest was commanded to stand still.
         """
         skips_s = np.full(len(self.segments), 0.0 if self._at_rest() else SETTLING_S)
         for i, span in enumerate(self.segments.span.tolist()):

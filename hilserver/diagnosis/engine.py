@@ -105,7 +105,7 @@ def judge(
     jobs : int
         Threads; the findings do not depend on it.
     horizon_s : float
-        Length of the free runs that the gain is told for.
+        Length of the free runs for which the gain is reported.
     progress : callable, optional
         Called with what is being done and its share.
     test : MeasuredLog, optional

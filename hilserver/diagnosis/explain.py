@@ -118,7 +118,7 @@ def remedy(cause: str) -> str:
 def separating_experiment(causes: Iterable[str]) -> str:
     """Return what would tell the causes of a group apart: the fewest sentences that name them all.
 
-    A pair without a sentence of its own is told what makes the first cause visible.
+    A pair without its own sentence gets what makes the first cause visible.
     """
     left = {cause_of(name).name for name in causes}
     group, texts = frozenset(left), []

@@ -61,5 +61,5 @@ def on_a_frame(log: MeasuredLog) -> MeasuredLog:
     """Return the log of a machine that stood on a frame without what does not hold there."""
     moved = {*POSITION, YAW, GYRO}
     kept = {name: c for name, c in log.channels.items() if name not in moved}
-    note = "the machine did not turn although its wheels did: its kinematics are not judged"
+    note = "the machine did not turn although its wheels did: the kinematics are not judged"
     return replace(log, channels=kept, notices=(*log.notices, note))

@@ -60,7 +60,7 @@ def held_out(problem: Problem, predictions: Sequence[Array]) -> Array:
 
 
 def reported(problem: Problem) -> int | None:
-    """Return the fold that gains are told of: the odd blocks, where the log has its own."""
+    """Return the fold on which gains are reported: the odd blocks, where the log has its own."""
     spans = problem.stage.log.spans
     return 1 if len({s.block for s in spans} - {None}) > 1 else None
 

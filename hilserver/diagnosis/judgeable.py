@@ -35,7 +35,7 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 NOT_OF_ITS_OWN = {
     "friction_anisotropy": "in steady turns it is the same as rotation_gain and icr_offset",
-    "backlash": "the play between motor and wheel is not looked for",
+    "backlash": "the play between motor and wheel is not tested",
     "missed_ticks": "the log has no tick counter",
 }
 

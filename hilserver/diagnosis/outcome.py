@@ -212,7 +212,7 @@ def _field(anchor: Anchor) -> dict[str, Parameter]:
 
 
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
-    """Return the finding of positions thrown aside, if there are more than noise explains."""
+    """Return the finding of outliers in the position, if there are more than noise explains."""
     stack = problem.stack
     if not all(n in stack.edges for n in ("nav.x_m", "nav.y_m")):
         return None
@@ -260,7 +260,7 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
         if index in fitted:
             names = tuple(fitted[index].terms)
         elif finding.causes == ("encoder_quantization",):
-            names = finding.causes  # told by the values alone
+            names = finding.causes  # known from the values alone
         else:
             continue
         for name in names:

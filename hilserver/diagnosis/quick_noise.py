@@ -24,7 +24,7 @@ WITHIN_3_SD = 0.97334
 
 
 def lonely(white: Array) -> NDArray[np.bool_]:
-    """Return which samples are thrown aside: far off, and only few in a row."""
+    """Return which samples are outliers: far off, and only few in a row."""
     bad = np.abs(white) > OUTLIER
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
     out = np.zeros(len(bad), dtype=bool)
@@ -35,7 +35,7 @@ def lonely(white: Array) -> NDArray[np.bool_]:
 
 
 def thrown(t_s: Array, residual: Array) -> NDArray[np.bool_]:
-    """Return which samples are thrown far from their neighbours, alone or in a burst.
+    """Return which samples are far from their neighbours, alone or in a burst.
 
     A burst of up to half of `AROUND_S` does not move the median about it.
     """
@@ -53,7 +53,7 @@ def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
         return None
     far = FAR * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
     if np.mean(np.abs(np.concatenate(pieces)) > far) > FEW:
-        return None  # what is thrown aside would pass for noise, and hide the memory of the rest
+        return None  # outliers would count as noise, and hide the correlation of the rest
     power = sum(float(r @ r) for r in pieces)
     if power <= 0.0:
         return None

@@ -6,7 +6,7 @@ more. Under "no effect" the sign of what a block leaves is a coin's, so all dire
 together by flipping signs of whole blocks, fitting each flip anew for the same statistic, and
 taking its maximum over the directions (Westfall and Young 1993; wild bootstrap of clusters): the
 family-wise error holds whatever the correlation between directions, and between samples of a block.
-What a block leaves is flipped, not its score, lest a strong effect hide a weaker one.
+What a block leaves is flipped, not its score: otherwise a strong effect would hide a weaker one.
 
 A direction that shows in three or four blocks alone has a scatter that is hardly known, and its t
 the long tails of Student's law. One such direction would set the critical value for all others, so

@@ -1,4 +1,4 @@
-"""From selected causes to what is told: rivals, superfluous causes, unknown structure, drift."""
+"""From selected causes to findings: rivals, superfluous causes, unknown structure, drift."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

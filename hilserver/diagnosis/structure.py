@@ -72,7 +72,7 @@ def remaining(
     Notes
     -----
     A model without any cause that misses grossly is never left without a word: where no family is
-    significant, because all that was missed lies in few blocks, the one that explains most is told.
+    significant, because all that was missed is in few blocks, the one that explains most is given.
     """
     stack = problem.stack
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))

@@ -72,7 +72,7 @@ def step_lines(found: StepResponse) -> list[str]:
 
 
 def rate_lines(rates: Sequence[UpdateRate], comparisons: Sequence[Comparison]) -> list[str]:
-    """Return periods in their order, rises, and which logs can be told apart."""
+    """Return periods in order, rises, and which logs can be distinguished."""
     lines = []
     for rate in sorted(rates, key=lambda rate: rate.period_s.value):
         rises = "; ".join(

@@ -64,7 +64,7 @@ METRICS: Final[tuple[Metric[Peers], ...]] = (
     Metric(
         "hil_peer_faults_total",
         Kind.COUNTER,
-        "Lies and refusals of the peer by kind, such as NaN with status Good or dead time stamps.",
+        "Wrong data and refusals of a peer by kind, such as NaN with status Good or frozen stamps.",
         ("peer", "kind"),
         _faults,
     ),

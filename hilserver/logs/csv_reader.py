@@ -167,7 +167,7 @@ def _parse(
         return table
     torn = not lines.ended and (drop_unended or len(held[1]) < width)
     if torn:
-        table.notices.append(f"{path}: row {held[0]}: the last line is torn and was left out")
+        table.notices.append(f"{path}: row {held[0]}: the last line is incomplete and was dropped")
     else:
         _append(table, *held)
     return table

@@ -48,7 +48,7 @@ class Log:
         Version, configuration, kernels ... of the run; None for a log that is not ours.
     states : sequence of State
     notices : sequence of str
-        What a reader should be told: rows dropped, frames lost.
+        What a reader should know: rows dropped, frames lost.
     """
 
     path: Path

@@ -90,7 +90,7 @@ def read_mcap(path: Path) -> Log:
     contents = _Contents()
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise LogError(f"{path}: is no MCAP file; was it cut off at its start?")
+            raise LogError(f"{path}: is not an MCAP file; is its beginning missing?")
         for offset, opcode, body in records_of(file):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 contents.ended = True

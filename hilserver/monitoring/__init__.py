@@ -1,1 +1,1 @@
-"""What the outside is told: metrics, health, logs, and the audit of the system underneath."""
+"""What the outside sees: metrics, health, logs, and the audit of the system underneath."""

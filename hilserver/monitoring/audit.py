@@ -175,7 +175,8 @@ def virtualised(root: Path) -> AuditItem:
         if line.startswith("flags")
     )
     found = "a virtual machine" if in_vm else "no hypervisor seen"
-    return _item("virtualised", not in_vm, found, "bare metal", "run on bare metal: it may steal")
+    remedy = "run on bare metal: a hypervisor takes time away"
+    return _item("virtualised", not in_vm, found, "bare metal", remedy)
 
 
 def swap(root: Path) -> AuditItem:

@@ -53,7 +53,7 @@ def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Reque
     request_line, *header_lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     match = _REQUEST_LINE.fullmatch(request_line)
     if match is None:
-        raise RefusedRequestError(HTTPStatus.BAD_REQUEST, "this is no HTTP/1.1 request line")
+        raise RefusedRequestError(HTTPStatus.BAD_REQUEST, "this is not an HTTP/1.1 request line")
     method, target, minor_version = match.groups()
     headers = _parse_headers(header_lines)
     if minor_version == b"1" and len(headers.get("host", [])) != 1:
@@ -76,7 +76,7 @@ def _parse_headers(lines: list[bytes]) -> dict[str, list[str]]:
     for number, line in enumerate(lines, start=2):
         match = _HEADER.fullmatch(line)
         if match is None:
-            reason = f"line {number} is no header of the form 'Name: value'"
+            reason = f"line {number} is not a header of the form 'Name: value'"
             raise RefusedRequestError(HTTPStatus.BAD_REQUEST, reason)
         name, value = match.groups()
         headers.setdefault(name.decode("ascii").lower(), []).append(value.decode("latin-1"))

@@ -153,7 +153,7 @@ def setup_logging(
     stream : TextIO
         Where lines go; stderr by default.
     expected_errors : tuple of exception types
-        Told in one line, besides `EXPECTED_ERRORS`.
+        Reported in one line, besides `EXPECTED_ERRORS`.
 
     Returns
     -------

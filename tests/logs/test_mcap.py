@@ -69,7 +69,7 @@ def test_a_cut_anywhere_leaves_the_whole_chunks_before_it(tmp_path_factory, shar
     cut = round(share * len(whole))
     path.write_bytes(whole[:cut])
     if cut < whole.index(CONFIG) - ATTACHMENT_HEAD:
-        with pytest.raises(LogError, match=r"(no MCAP file|holds no recording)"):
+        with pytest.raises(LogError, match=r"(not an MCAP file|holds no recording)"):
             read_log(path)
         return
     log = read_log(path)
@@ -105,7 +105,7 @@ def test_lost_frames_are_said_and_bad_values_are_no_samples(tmp_path):
 def test_what_is_no_recording_is_said(tmp_path, data):
     path = tmp_path / "a.mcap"
     path.write_bytes(data)
-    with pytest.raises(LogError, match=r"a\.mcap: (is no MCAP file|holds no recording)"):
+    with pytest.raises(LogError, match=r"a\.mcap: (is not an MCAP file|holds no recording)"):
         read_log(path)
 
 

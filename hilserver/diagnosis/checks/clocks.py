@@ -119,7 +119,7 @@ def _finding(cause: str, source: str, names: list[str], lag: Lag) -> Finding:
     else:
         value, sd, unit = lag.offset_s, lag.offset_sd_s, "s"
         text = f"The stamps of the {source} are {value:+.3f} s beside those of the wheels"
-    explanation = f"{text}: let both take their time from one clock; the stamps were moved."
+    explanation = f"{text}: let both take their time from one clock; the stamps were shifted."
     interval = (value - 1.96 * sd, value + 1.96 * sd)
     return data_fault(cause, names, value, interval, unit, explanation)
 

@@ -38,7 +38,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         None,
         "s",
         f"The wheel speed in {listed(list(copies))} is no measurement but {how}: record the"
-        " measured speeds; these columns were left out.",
+        " measured speeds; these columns were dropped.",
     )
     return log.without(copies), [finding]
 

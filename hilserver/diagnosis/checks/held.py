@@ -144,5 +144,5 @@ def _finding(group: list[str], rates: dict[str, tuple[float, float]]) -> Finding
         (rate_hz - half, rate_hz + half),
         "Hz",
         f"{listed(group)}: a new value comes only {rate_hz:.3g} times a second and is repeated in"
-        " the rows between: leave these empty; the repetitions were left out.",
+        " the rows between: leave these empty; the repetitions were dropped.",
     )

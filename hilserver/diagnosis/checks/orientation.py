@@ -46,7 +46,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> Found:
 def _flipped(log: MeasuredLog, names: Sequence[str], sure: float, text: str) -> Found:
     """Return the log with channels turned around, and the finding."""
     log = log.with_channels({name: log[name].with_values(-log[name].values) for name in names})
-    explanation = f"{listed(names)}: {text}; the sign was turned around."
+    explanation = f"{listed(names)}: {text}; the sign was reversed."
     interval = (-1.0 - (1.0 - sure), -1.0 + (1.0 - sure))
     return log, [data_fault("sign_flip", names, -1.0, interval, "1", explanation)]
 
@@ -65,8 +65,7 @@ def _swapped(log: MeasuredLog, kinds: Sequence[str], signs: dict[str, float], te
         1.0,
         None,
         "1",
-        f"The columns of the left wheels hold the right ones and the other way round: {text};"
-        " they were exchanged.",
+        f"The columns of the left and right wheels are swapped: {text}; they were swapped back.",
     )
     return log.with_channels(changed), [finding]
 

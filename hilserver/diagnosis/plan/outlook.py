@@ -48,13 +48,13 @@ class Outlook:
     sizes : mapping of str to Detectable
         Smallest detectable size of each cause.
     groups : list of tuple of str
-        Causes that cannot be told apart: each is alike to another of its group.
+        Causes that cannot be separated: each resembles another of its group.
     pairs : mapping of pair of str to float
         |cos| of the pairs above the limit.
     not_judged : mapping of str to str
         Reasons.
     score : float
-        How much can be told in all, `information.score`.
+        Total information, `information.score`.
     """
 
     sizes: dict[str, Detectable]
@@ -78,7 +78,7 @@ class Outlook:
 
     @property
     def named(self) -> list[str]:
-        """Causes that show and can be told from all others."""
+        """Causes that show and can be separated from all others."""
         together = {c for group in self.groups for c in group}
         return [c for c in self.shown if c not in together]
 

@@ -1,4 +1,4 @@
-"""What is wrong with a peer: told when it begins, kept while it lasts, told when it ends."""
+"""What is wrong with a peer: reported when it begins and ends, kept while it lasts."""
 
 from collections.abc import Callable
 

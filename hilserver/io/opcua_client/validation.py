@@ -70,7 +70,7 @@ def judge(sample: ua.DataValue) -> Verdict:
             detail = f"{type(part).__name__} '{str(part)[:40]}' with status Good"
             return Verdict(fault=FaultKind.TEXT_IN_NUMBER, detail=detail)
         if not math.isfinite(part):
-            detail = f"{part} with status Good (text written into a number looks so)"
+            detail = f"{part} with status Good (often text written into a number)"
             return Verdict(fault=FaultKind.NOT_FINITE, detail=detail)
     return Verdict(value=list(parts) if isinstance(value, list | tuple) else value)
 

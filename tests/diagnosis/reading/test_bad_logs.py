@@ -282,7 +282,7 @@ KINDS = {
     "bag without messages": (bag(n=0), TOPICS, "the mapped topics hold no message; record"),
     "db3 truncated": (bag(cut(0.02)), TOPICS, "is no readable bag .*; copy it again, or run"),
     "db3 that is none": (raw("hello " * 99, "bag.db3"), TOPICS, "is no readable bag"),
-    "MCAP that is none": (raw("hello", "run.mcap"), None, "run.mcap: is no MCAP file; was it"),
+    "MCAP that is none": (raw("hello", "run.mcap"), None, "run.mcap: is not an MCAP file; is its"),
     "MCAP bag, cut early": (bag(cut(0.001), storage=MCAP), TOPICS, "no topic|no MCAP"),
     "foreign MCAP unmapped": (
         lambda folder: bag_file(write_bag(folder / "bag", storage=MCAP)),

@@ -58,7 +58,7 @@ def test_a_torn_last_line_is_left_out_and_told(tmp_path):
     path.write_text(f"t_s,{SPEED},nav.x_m\n{rows}2.0,1")
     log = read_measured([path])
     assert len(log[SPEED]) == 100
-    assert "row 102: the last line is torn and was left out" in log.notices[0]
+    assert "row 102: the last line is incomplete and was dropped" in log.notices[0]
 
 
 def write_recording(path, measured):
@@ -183,7 +183,7 @@ def test_an_mcap_bag_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path):
     file.write_bytes(data[: int(len(data) * 0.6)])
     log = read_measured([file], "iotbot")
     assert 60 < len(log["wheel.fl.setpoint_rpm"]) <= 400
-    assert "what stands in it was read" in log.notices[0]
+    assert "its contents were read" in log.notices[0]
 
 
 def test_of_a_damaged_sqlite_bag_the_readable_part_is_taken(tmp_path):
@@ -194,7 +194,7 @@ def test_of_a_damaged_sqlite_bag_the_readable_part_is_taken(tmp_path):
     file.write_bytes(bytes(data))
     log = read_measured([file], "iotbot")
     assert 100 < len(log["wheel.fl.setpoint_rpm"]) <= 4000
-    assert "what stands before that was read" in log.notices[0]
+    assert "everything before that was read" in log.notices[0]
 
 
 def test_older_sqlite_bags_hold_no_definitions(tmp_path):
