@@ -1,6 +1,7 @@
 """The real daemon in this process, seen through its sockets, and a peer it can be given."""
 
 import asyncio
+import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import asynccontextmanager, suppress
@@ -147,6 +148,7 @@ class Peer(ControllerServer):
         self.values = {node: (True if node == "enable" else 0.0) for node in nodes}
         self.is_silent = False
         self.sequence = 0
+        self.offered_ns = 0
         self._task = None
 
     async def __aenter__(self):
@@ -164,6 +166,7 @@ class Peer(ControllerServer):
         while True:
             if not self.is_silent:
                 self.sequence += 1
+                self.offered_ns = time.monotonic_ns()
                 await self.offer(self.values | {SEQUENCE: self.sequence}, datetime.now(UTC))
             await asyncio.sleep(0.02)
 

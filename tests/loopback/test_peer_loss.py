@@ -6,6 +6,7 @@ import pytest
 import pytest_asyncio
 from asyncua import ua
 
+from hilserver.core.events import EventKind
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ControlRefused
@@ -29,8 +30,8 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 STALE_AFTER_S = 0.2
 SAFE_RAMP_S = 0.2
-PATIENCE_S = 2.0
-"""How much later than configured things may happen on a busy computer."""
+SETTLING_TICKS = 150
+"""By how much the wheels stand later than the ramp has ended."""
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
@@ -84,12 +85,13 @@ async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called
         history = list(frames(daemon, first))
         slot = daemon.table.slot
         speeds = [abs(f.values[slot("wheel.fl.speed_rpm")]) for f in history]
-        moving = [f.planned_ns for f, v in zip(history, speeds, strict=True) if v > 1.0]
-        within_s = STALE_AFTER_S + SAFE_RAMP_S + PATIENCE_S
-        assert (moving[-1] - history[0].planned_ns) * 1e-9 < within_s
-        assert speeds[-1] < 1.0
-        commands = [f.values[slot("internal.command")] for f in history]
-        assert speeds[commands.index(2.0)] > 45.0, "a ramp, not a stop"
+        begin = [f.values[slot("internal.command")] for f in history].index(2.0)
+        ramp = round(SAFE_RAMP_S * 1e3)  # in ticks: what the wheels do hangs on no clock
+        assert speeds[begin] > 45.0
+        assert speeds[begin + ramp // 2] > 15.0, "a ramp, not a stop"
+        assert max(speeds[begin + ramp + SETTLING_TICKS :]) < 1.0
+        told = [e.monotonic_ns for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
+        assert told[-1] - peer.offered_ns > STALE_AFTER_S * 1e9, "called silent too soon"
         assert status(daemon, "wheel.fl.setpoint_rpm") == UNCERTAIN_LAST_USABLE_VALUE
         await wait_until(lambda: box.has("peer_lost") and box.has("safe_state", "silent"))
         await wait_until(lambda: column(daemon, "drive.enable", daemon.image.head - 1) == [0.0])

@@ -28,7 +28,7 @@ class Endpoint:
         self.first_ticks_met = True
         self.daemon = FakeDaemon()
         self.daemon.state = "running"
-        metrics = Metrics(self.daemon.sources())
+        metrics = Metrics(*self.daemon.sources())
         self.server = HttpServer(
             port=0,
             render=metrics.render,
