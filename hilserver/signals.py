@@ -8,7 +8,7 @@ later one wins whatever form it had.
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Literal
 
@@ -87,6 +87,8 @@ class Signal:
         Engineering range; writes outside are refused.
     slots : tuple of int
         Places in the frame; one for a scalar, the scalars' places for an array.
+    labels : tuple of str
+        Names of the values 0, 1, ... (a Boolean: false, true), where they have names.
     hidden : bool
         Part of frame, log and snapshot, but of no user interface.
     """
@@ -100,6 +102,7 @@ class Signal:
     description: str
     slots: tuple[int, ...]
     initial: float = 0.0
+    labels: tuple[str, ...] = ()
     hidden: bool = False
 
     @property
@@ -201,32 +204,21 @@ class _Builder:
         *,
         type_: ValueType = ValueType.DOUBLE,
         initial: float = 0.0,
+        labels: tuple[str, ...] = (),
         hidden: bool = False,
     ) -> None:
         slots = (self.next_slot,)
         self.next_slot += 1
         self.signals.append(
             Signal(
-                name, unit, type_, direction, low, high, description, slots, initial, hidden=hidden
+                name, unit, type_, direction, low, high, description, slots, initial, labels, hidden
             )
         )
 
     def alias(self, name: str, scalars: Iterable[str], description: str) -> None:
         parts = [next(s for s in self.signals if s.name == scalar) for scalar in scalars]
-        first = parts[0]
         slots = tuple(part.slots[0] for part in parts)
-        self.signals.append(
-            Signal(
-                name,
-                first.unit,
-                first.type,
-                first.direction,
-                first.low,
-                first.high,
-                description,
-                slots,
-            )
-        )
+        self.signals.append(replace(parts[0], name=name, description=description, slots=slots))
 
 
 def _add_inputs(b: _Builder, ranges: Ranges) -> None:
@@ -244,10 +236,13 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     b.add("twist.linear_m_s", "m/s", in_, -linear, linear, "Commanded forward speed")
     b.add("twist.angular_rad_s", "rad/s", in_, -angular, angular, "Commanded turn rate, left +")
     byte, boolean = ValueType.BYTE, ValueType.BOOLEAN
-    b.add("control.mode", "1", in_, 0, 1, "0 wheel set-points, 1 twist", type_=byte)
-    b.add("drive.enable", "1", in_, 0, 1, "Drive enabled", type_=boolean, initial=1.0)
-    lights = ", ".join(f"{i} {name}" for i, name in enumerate(LIGHTS))
-    b.add("lights.command", "1", in_, 0, 8, f"Light pattern: {lights}", type_=byte)
+    modes, enabled = ("wheels", "twist"), ("disabled", "enabled")
+    text = "0 wheel set-points, 1 twist"
+    b.add("control.mode", "1", in_, 0, 1, text, type_=byte, labels=modes)
+    text = "Drive enabled"
+    b.add("drive.enable", "1", in_, 0, 1, text, type_=boolean, initial=1.0, labels=enabled)
+    text = f"Light pattern: {', '.join(f'{i} {name}' for i, name in enumerate(LIGHTS))}"
+    b.add("lights.command", "1", in_, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
     for colour in ("red", "green", "blue"):
         b.add(f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte)
     b.add(
@@ -314,9 +309,9 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     out = Direction.OUT
     b.add("sim.tick", "1", out, 0, 2**53, "Tick that made these values", type_=ValueType.INT64)
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
-    states = ", ".join(f"{state} {state.word}" for state in State)
-    text, last = f"State of the daemon: {states}", max(State)
-    b.add("sim.state", "1", out, 0, last, text, type_=ValueType.BYTE)
+    words, last = tuple(state.word for state in State), max(State)
+    text = f"State of the daemon: {', '.join(f'{state} {state.word}' for state in State)}"
+    b.add("sim.state", "1", out, 0, last, text, type_=ValueType.BYTE, labels=words)
     b.add("internal.state", "1", Direction.IN, 0, last, "What sim.state shows", hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")

@@ -114,7 +114,7 @@ class AddressSpaceBuilder:
         if row.enum_strings:
             texts = [ua.LocalizedText(text) for text in row.enum_strings]
             self.property(row.path, "EnumStrings", texts, kinds.LocalizedText)
-        if row.two_states is not None:
+        if row.two_states:
             for name, text in zip(("FalseState", "TrueState"), row.two_states, strict=True):
                 self.property(row.path, name, ua.LocalizedText(text), kinds.LocalizedText)
 

@@ -1,11 +1,21 @@
-"""The methods of the server, as a table: what the address space, the checks and the docs need."""
+"""The methods of the server, as a table: names, arguments, and what each of them does.
 
+A new method is a row here, and a line in ``docs/reference/opcua-address-space.md``.
+"""
+
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
+from hilserver.core.control import Control
+from hilserver.faults import Faults
+from hilserver.faults.model import parse_faults
 from hilserver.signals import ValueType
 
 STRING = "String"
 """OPC UA's String, which no signal has."""
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,12 +27,41 @@ class Argument:
     description: str
 
 
+class Parts:
+    """What the methods act on."""
+
+    def __init__(self, control: Control, faults: Faults | None) -> None:
+        self.control = control
+        self._faults = faults
+
+    @property
+    def faults(self) -> Faults:
+        """The faults.
+
+        Raises
+        ------
+        NotImplementedError
+            If the server has none.
+        """
+        if self._faults is None:
+            raise NotImplementedError("this server has no faults and cannot force")
+        return self._faults
+
+
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One method, node id ``s=methods.<name>``."""
+    """One method, node id ``s=methods.<name>``.
+
+    Attributes
+    ----------
+    act : callable
+        Takes the parts and the arguments, which are of their types; may be awaitable. Raises
+        ValueError for one out of range and UserError for what is not possible now.
+    """
 
     name: str
     description: str
+    act: Callable[..., Any]
     arguments: tuple[Argument, ...] = ()
 
     @property
@@ -31,42 +70,79 @@ class Method:
         return f"methods.{self.name}"
 
 
+def _plain(name: str) -> str:
+    if not _PLAIN_NAME.fullmatch(name):
+        raise ValueError(f"{name!r:.120} is no plain file name (letters, digits, _ . -)")
+    return name
+
+
 _SIGNAL = Argument("signal", STRING, "Name of the signal")
 _SNAPSHOT = Argument("name", STRING, "Plain file name in the snapshot directory, no path")
 
 METHODS = (
-    Method("Start", "Run on from a pause"),
-    Method("Stop", "Emergency stop: go to the safe state"),
-    Method("Pause", "Stop the simulation at the next tick"),
+    Method("Start", "Run on from a pause", lambda on: on.control.start()),
+    Method("Stop", "Emergency stop: go to the safe state", lambda on: on.control.stop()),
+    Method("Pause", "Stop the simulation at the next tick", lambda on: on.control.pause()),
     Method(
         "Step",
         "Run exactly n ticks while paused",
+        lambda on, n: on.control.step(n),
         (Argument("n", ValueType.UINT32, "Number of ticks"),),
     ),
-    Method("Reset", "Acknowledge the safe state; otherwise put the simulation back to its start"),
-    Method("SaveSnapshot", "Save the whole state", (_SNAPSHOT,)),
-    Method("LoadSnapshot", "Continue from a saved state", (_SNAPSHOT,)),
+    Method(
+        "Reset",
+        "Acknowledge the safe state; otherwise put the simulation back to its start",
+        lambda on: on.control.reset(),
+    ),
+    Method(
+        "SaveSnapshot",
+        "Save the whole state",
+        lambda on, name: on.control.save_snapshot(_plain(name)),
+        (_SNAPSHOT,),
+    ),
+    Method(
+        "LoadSnapshot",
+        "Continue from a saved state",
+        lambda on, name: on.control.load_snapshot(_plain(name)),
+        (_SNAPSHOT,),
+    ),
     Method(
         "Force",
         "Hold a signal at a value",
+        lambda on, signal, value: on.faults.force(signal, value),
         (_SIGNAL, Argument("value", ValueType.DOUBLE, "Value in the signal's unit")),
     ),
-    Method("Unforce", "Let a forced signal go", (_SIGNAL,)),
+    Method(
+        "Unforce",
+        "Let a forced signal go",
+        lambda on, signal: on.faults.unforce(signal),
+        (_SIGNAL,),
+    ),
     Method(
         "InjectFault",
         "Inject a fault",
+        lambda on, text: on.faults.inject(*parse_faults(text)),
         (Argument("fault", STRING, "Description of the fault, JSON"),),
     ),
-    Method("ClearFaults", "End all injected faults"),
-    Method("ResetStatistics", "Start the timing figures anew"),
+    Method("ClearFaults", "End all injected faults", lambda on: on.faults.clear()),
+    Method(
+        "ResetStatistics",
+        "Start the timing figures anew",
+        lambda on: on.control.reset_statistics(),
+    ),
     Method(
         "SetPose",
         "Put the robot at a pose",
+        lambda on, x, y, yaw: on.control.set_pose(x, y, yaw),
         (
             Argument("x", ValueType.DOUBLE, "Position in the world frame [m]"),
             Argument("y", ValueType.DOUBLE, "Position in the world frame [m]"),
             Argument("yaw", ValueType.DOUBLE, "Heading, counter-clockwise positive [rad]"),
         ),
     ),
-    Method("AlignPose", "Put the robot where the measured one is"),
+    Method(
+        "AlignPose",
+        "Put the robot where the measured one is",
+        lambda on: on.control.align_pose(),
+    ),
 )

@@ -1,4 +1,4 @@
-"""What the methods do, and the status code of every answer.
+"""Calls of methods: their arguments are checked, and every answer has its status code.
 
 ==================  ==========================================================================
 BadArgumentsMissing  fewer arguments than described
@@ -11,8 +11,7 @@ BadUserAccessDenied  the user's role does not allow it
 """
 
 import inspect
-import re
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from asyncua import ua
@@ -21,16 +20,12 @@ from asyncua.crypto.permission_rules import User
 from hilserver.core.control import Control
 from hilserver.errors import UserError
 from hilserver.faults import Faults
-from hilserver.faults.model import parse_faults
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.method_table import METHODS, Method
+from hilserver.io.opcua_server.method_table import METHODS, Method, Parts
 from hilserver.io.opcua_server.model import DATA_TYPES
 
 _Codes = ua.StatusCodes
-_PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
-
-Handler = Callable[..., Awaitable[Any] | None]
 
 
 class CallAnswer(NamedTuple):
@@ -38,25 +33,6 @@ class CallAnswer(NamedTuple):
 
     result: ua.CallMethodResult
     text: str = ""
-
-
-def _not_implemented(*_arguments: object) -> None:
-    raise NotImplementedError("this server has no faults and cannot force")
-
-
-def _fault_handlers(faults: Faults | None) -> dict[str, Handler]:
-    if faults is None:
-        return dict.fromkeys(("Force", "Unforce", "InjectFault", "ClearFaults"), _not_implemented)
-
-    def inject(text: str) -> None:
-        faults.inject(*parse_faults(text))
-
-    return {
-        "Force": faults.force,
-        "Unforce": faults.unforce,
-        "InjectFault": inject,
-        "ClearFaults": faults.clear,
-    }
 
 
 class Methods:
@@ -80,29 +56,7 @@ class Methods:
         self._access = access
         self._object = node_id("methods")
         self._by_id = {node_id(method.node_id): method for method in METHODS}
-
-        def save(name: str) -> Awaitable[None]:
-            return control.save_snapshot(_plain_name(name))
-
-        def load(name: str) -> Awaitable[None]:
-            return control.load_snapshot(_plain_name(name))
-
-        def reset_statistics() -> None:
-            control.reset_statistics()  # looked up late: the daemon may set it after us
-
-        self._handlers: dict[str, Handler] = {
-            "Start": control.start,
-            "Stop": control.stop,
-            "Pause": control.pause,
-            "Step": control.step,
-            "Reset": control.reset,
-            "SaveSnapshot": save,
-            "LoadSnapshot": load,
-            **_fault_handlers(faults),
-            "ResetStatistics": reset_statistics,
-            "SetPose": control.set_pose,
-            "AlignPose": control.align_pose,
-        }
+        self._parts = Parts(control, faults)
 
     def __contains__(self, method_id: object) -> bool:
         return method_id in self._by_id
@@ -124,7 +78,7 @@ class Methods:
 
     async def _run(self, method: Method, values: list[Any]) -> CallAnswer:
         try:
-            outcome = self._handlers[method.name](*values)
+            outcome = method.act(self._parts, *values)
             if inspect.isawaitable(outcome):
                 await outcome
         except NotImplementedError as error:
@@ -165,9 +119,3 @@ def _check_arguments(method: Method, arguments: list[ua.Variant]) -> CallAnswer 
 def _fits(type_name: str, given: ua.Variant) -> bool:
     is_type = given.VariantType.value == DATA_TYPES[type_name]
     return is_type and not given.is_array and given.Value is not None
-
-
-def _plain_name(name: str) -> str:
-    if not _PLAIN_NAME.fullmatch(name):
-        raise ValueError(f"{name!r:.120} is no plain file name (letters, digits, _ . -)")
-    return name

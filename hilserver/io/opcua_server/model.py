@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import STRING
 from hilserver.io.opcua_server.units import Unit, find_unit
-from hilserver.signals import LIGHTS, Direction, Signal, SignalTable, State, ValueType
+from hilserver.signals import Direction, Signal, SignalTable, ValueType
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
@@ -42,15 +42,6 @@ DATA_TYPES = {
     STRING: 12,
 }
 """OPC UA built-in types by name (OPC 10000-6, table 1)."""
-
-ENUMERATIONS: dict[str, tuple[str, ...]] = {
-    "control.mode": ("wheels", "twist"),
-    "lights.command": LIGHTS,
-    "sim.state": tuple(state.word for state in State),
-}
-"""Signals whose numbers have names: MultiStateDiscrete with EnumStrings."""
-TWO_STATES = {"drive.enable": ("disabled", "enabled")}
-"""Booleans whose values have names, for false and true."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +81,7 @@ class Variable:
     eu_range: tuple[float, float] | None = None
     unit: Unit | None = None
     enum_strings: tuple[str, ...] = ()
-    two_states: tuple[str, str] | None = None
+    two_states: tuple[str, ...] = ()
 
 
 def split(path: str) -> tuple[str, str]:
@@ -117,11 +108,12 @@ def variable_of(signal: Signal) -> Variable:
     parent, name = split(signal.name)
     has_unit = signal.unit != "1"
     is_ranged = math.isfinite(signal.low) and math.isfinite(signal.high)
+    is_boolean = signal.type is ValueType.BOOLEAN
     type_definition = BASE_DATA_VARIABLE
-    if signal.name in ENUMERATIONS:
-        type_definition = MULTI_STATE
-    elif signal.type is ValueType.BOOLEAN:
-        type_definition = TWO_STATE if signal.name in TWO_STATES else BASE_DATA_VARIABLE
+    if signal.labels:
+        type_definition = TWO_STATE if is_boolean else MULTI_STATE
+    elif is_boolean:
+        pass
     elif has_unit:
         type_definition = ANALOG_UNIT_RANGE if is_ranged else ANALOG_UNIT
     elif is_ranged:
@@ -138,8 +130,8 @@ def variable_of(signal: Signal) -> Variable:
         length=len(signal.slots) if signal.is_array else None,
         eu_range=(signal.low, signal.high) if is_analog and is_ranged else None,
         unit=find_unit(signal.unit) if has_unit else None,
-        enum_strings=ENUMERATIONS.get(signal.name, ()),
-        two_states=TWO_STATES.get(signal.name),
+        enum_strings=() if is_boolean else signal.labels,
+        two_states=signal.labels if is_boolean else (),
     )
 
 

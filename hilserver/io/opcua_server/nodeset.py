@@ -112,7 +112,7 @@ def _variable(root: ET.Element, variable: model.Variable) -> None:
     if variable.enum_strings:
         value = _property(root, variable.path, "EnumStrings", _LOCALIZED_TEXT, is_array=True)
         _texts(value, variable.enum_strings)
-    if variable.two_states is not None:
+    if variable.two_states:
         for name, text in zip(("FalseState", "TrueState"), variable.two_states, strict=True):
             value = _property(root, variable.path, name, _LOCALIZED_TEXT)
             _child(_child(value, "uax:LocalizedText"), "uax:Text", text)
