@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from hilserver import commands
 from hilserver.commands import COMMANDS, main
 
 
@@ -52,6 +53,12 @@ def write_config(folder, text=""):
     path = folder / "config.yaml"
     path.write_text(f"image: {{name: auto}}\n{ports}{text}", encoding="utf-8")
     return path
+
+
+def test_every_module_with_a_command_is_listed():
+    files = Path(commands.__file__).parent.glob("*.py")
+    modules = [f.stem for f in files if "\ndef add_arguments(" in f.read_text(encoding="utf-8")]
+    assert {name.replace("_", "-") for name in modules} == set(COMMANDS)
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, ""])
