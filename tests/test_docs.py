@@ -1,13 +1,18 @@
 """The documents: every link leads somewhere, and the first screen shows the two commands."""
 
 import re
+import shlex
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from hilserver import commands
+
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+COMMAND_LINE = re.compile(r" *(?:\$ )?(?:sudo )?(?:\.venv/bin/)?hilserver (?!is )(\w.*)")
 WORD = re.compile(r"\w+")
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 
@@ -61,3 +66,24 @@ def test_root_modules_are_those_of_the_map() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     drawn = set(re.findall(r"(\w+\.py)  ", text.split("```")[3]))
     assert drawn == {path.name for path in ROOT.glob("hilserver/*.py")} - {"__init__.py"}
+
+
+def command_lines() -> Iterator[tuple[str, str]]:
+    """Give page and words of every `hilserver ...` line in a block of code."""
+    for page in PAGES:
+        for block in re.findall(r"^ *```\w*\n(.*?)^ *```", page.read_text("utf-8"), re.S | re.M):
+            for line in block.splitlines():
+                if match := COMMAND_LINE.match(line):
+                    yield str(page.relative_to(ROOT)), match[1]
+
+
+@pytest.mark.parametrize(("page", "line"), command_lines())
+def test_every_command_line_is_one_that_the_program_takes(page: str, line: str) -> None:
+    words = [word for word in shlex.split(line, comments=True) if word != "..."]
+    assert commands._parse(words), page
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_module_and_test_that_is_named_exists(page: Path) -> None:
+    named = re.findall(r"\b(?:hilserver|tests)/[\w/]+\.py\b", page.read_text(encoding="utf-8"))
+    assert not [name for name in named if not (ROOT / name).exists()]
