@@ -77,7 +77,7 @@ def command_lines() -> Iterator[tuple[str, str]]:
                     yield str(page.relative_to(ROOT)), match[1]
 
 
-@pytest.mark.parametrize(("page", "line"), command_lines())
+@pytest.mark.parametrize(("page", "line"), list(command_lines()))
 def test_every_command_line_is_one_that_the_program_takes(page: str, line: str) -> None:
     words = [word for word in shlex.split(line, comments=True) if word != "..."]
     assert commands._parse(words), page
