@@ -144,8 +144,8 @@ def _each(args: argparse.Namespace) -> int:
                 write(args.out / folders[index], outcome.files)
                 progress.say(f"{folders[index]}: {outcome.line}", sys.stdout)
     except SystemExit:
-        told = f"hilserver: stopped after {done} of {len(tasks)} logs; their reports are kept"
-        progress.say(told, sys.stderr)
+        text = f"hilserver: stopped after {done} of {len(tasks)} logs; their reports are kept"
+        progress.say(text, sys.stderr)
         raise
     finally:
         progress.end()

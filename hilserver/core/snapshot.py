@@ -79,7 +79,7 @@ class SnapshotStore:
         Raises
         ------
         ControlRefused
-            If the name is no plain file name, or the plant does not answer.
+            If the name is not a plain file name, or the plant does not answer.
         """
         path = self._path(name)
         async with self._lock:
@@ -106,7 +106,7 @@ class SnapshotStore:
                 f" run has {_short(self.identity[key])}; use the configuration it was made with"
             )
         if state.shape != self._image.shadow.shape:
-            raise ControlRefused(f"snapshot '{name}' holds a state of another size")
+            raise ControlRefused(f"snapshot '{name}' holds a state of a different size")
         await self.restore(state, int(meta["tick"]))
         return int(meta["tick"])
 
@@ -133,7 +133,7 @@ class SnapshotStore:
 
     def _path(self, name: str) -> Path:
         if not _NAME.fullmatch(name):
-            raise ControlRefused(f"{name!r:.120} is no plain file name (letters, digits, _ . -)")
+            raise ControlRefused(f"{name!r:.120} is not a plain file name (letters, digits, _ . -)")
         return self._folder / f"{name.removesuffix('.npz')}.npz"
 
     async def _serve(self, kind: int, tick: int) -> None:
@@ -177,5 +177,5 @@ def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         raise ControlRefused(f"snapshot '{path.stem}' is damaged") from None
     if meta.get("schema") != SCHEMA or state.dtype != np.int64:
-        raise ControlRefused(f"snapshot '{path.stem}' is not of schema {SCHEMA}")
+        raise ControlRefused(f"snapshot '{path.stem}' does not follow schema {SCHEMA}")
     return state, meta

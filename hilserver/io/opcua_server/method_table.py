@@ -72,7 +72,7 @@ class Method:
 
 def _plain(name: str) -> str:
     if not _PLAIN_NAME.fullmatch(name):
-        raise ValueError(f"{name!r:.120} is no plain file name (letters, digits, _ . -)")
+        raise ValueError(f"{name!r:.120} is not a plain file name (letters, digits, _ . -)")
     return name
 
 
