@@ -60,7 +60,9 @@ class Engine:
                 " set-points with --as-inputs"
             )
         if len(state) != self._store.state_words:
-            raise LogError(f"{what}: holds a state of a different size; the file is probably incomplete")
+            raise LogError(
+                f"{what}: holds a state of a different size; the file is probably incomplete"
+            )
 
     def feed_state(self, *, in_rows: bool) -> None:
         """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
