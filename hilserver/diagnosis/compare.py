@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.differences import Difference, differences_of
 from hilserver.diagnosis.differing import difference_findings, smallest_differences
 from hilserver.diagnosis.engine import Tell, silent
@@ -30,6 +29,7 @@ from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.stages import machine, prepare_all
 from hilserver.diagnosis.standstill import stood_still, too_little_motion
+from hilserver.measured.data import Channel, MeasuredLog
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
 from hilserver.diagnosis.evidence import CutRow
 from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.names import signal_unit
 from hilserver.diagnosis.problem import Problem
 from hilserver.diagnosis.stages import Prepared, pose_stage
+from hilserver.measured.names import signal_unit
 
 Array = NDArray[np.float64]
 

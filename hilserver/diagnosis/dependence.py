@@ -10,12 +10,12 @@ from scipy import stats
 
 from hilserver.diagnosis.drive_stage import DUTIES, SETPOINTS, SPEEDS, DriveStage
 from hilserver.diagnosis.evidence import Dependence
-from hilserver.diagnosis.names import signal_unit
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.screen import Blocks, critical, null_maxima, score
 from hilserver.diagnosis.structure import LEVEL, Unknown
 from hilserver.diagnosis.unknown import peaks
+from hilserver.measured.names import signal_unit
 from hilserver.plant.layout import WHEELS
 
 Array = NDArray[np.float64]

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.clock import cut
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.model import robot_with
 from hilserver.diagnosis.stack import make_stack
+from hilserver.measured.clock import cut
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import (
     N_U,
     N_Y,

@@ -10,7 +10,6 @@ from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.detectable import smallest
 from hilserver.diagnosis.drive_stage import DriveStage
 from hilserver.diagnosis.evidence import Diagnosis
@@ -44,6 +43,7 @@ from hilserver.diagnosis.settling import Judged, settled
 from hilserver.diagnosis.showing import Shown, evidence
 from hilserver.diagnosis.stages import Prepared, machine, prepare_all
 from hilserver.diagnosis.standstill import at_rest, stood_still, too_little_motion
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import along
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters

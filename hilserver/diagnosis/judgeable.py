@@ -3,11 +3,11 @@
 import numpy as np
 
 from hilserver.diagnosis.candidate import Candidate
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
 from hilserver.diagnosis.library import drive_candidates, pose_candidates
 from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.measured.data import MeasuredLog
 
 NEEDS_DUTY = {"dead_zone", "stribeck_friction"}
 """Other loads still show without duty where they keep wheels from their set-points."""

@@ -8,12 +8,12 @@ from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.evidence import Diagnosis
-from hilserver.diagnosis.frames import Sampling
 from hilserver.diagnosis.memory import share_arenas
 from hilserver.diagnosis.output import documents
-from hilserver.diagnosis.reading import read_measured
 from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import EXIT_DONE, UserError
+from hilserver.measured.frames import Sampling
+from hilserver.measured.reading import read_measured
 
 Progress = Callable[[str, float], None]
 """Called with the stage and the share of the whole that is done."""

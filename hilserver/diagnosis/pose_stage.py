@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import row_period_s
-from hilserver.diagnosis.clock import LONGEST_S, cut
-from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
 from hilserver.diagnosis.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.model import robot_with
 from hilserver.diagnosis.stack import make_stack
 from hilserver.diagnosis.wheel_speeds import WheelSpeeds, angles_at_starts
+from hilserver.measured.clock import LONGEST_S, cut
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import N_Y, P_DT, P_SEED
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters

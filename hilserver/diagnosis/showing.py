@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis import cuts
 from hilserver.diagnosis.course import courses
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.dependence import dependences
 from hilserver.diagnosis.drive_stage import SPEEDS
@@ -25,13 +24,14 @@ from hilserver.diagnosis.evidence import (
     Similarity,
 )
 from hilserver.diagnosis.gain import HORIZONS_S, compare, free_run_errors, windows
-from hilserver.diagnosis.names import signal_unit
 from hilserver.diagnosis.pose_stage import POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point
 from hilserver.diagnosis.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import Unknown
 from hilserver.diagnosis.vocabulary import part_of
+from hilserver.measured.data import MeasuredLog
+from hilserver.measured.names import signal_unit
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.clock import Segments
-from hilserver.diagnosis.data import MeasuredLog
+from hilserver.measured.clock import Segments
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

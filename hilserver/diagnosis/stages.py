@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.comb import coarse_step
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
 from hilserver.diagnosis.judgeable import judged_candidates, splits
 from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.pose_stage import PoseStage
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.screen import GROSS
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

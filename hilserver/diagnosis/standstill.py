@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import SETPOINTS, SPEEDS, TWIST
 from hilserver.diagnosis.findings import Detectable, Finding, NotJudged, Verdict
+from hilserver.measured.data import MeasuredLog
 
 STILL_RPM: Final = 1.0
 """A wheel below is at rest but for its noise."""

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
-from hilserver.diagnosis.clock import Segments
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
+from hilserver.measured.clock import Segments
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 

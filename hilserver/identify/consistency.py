@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.rotation import RotationGain
 from hilserver.identify.wheels import at, per_span
+from hilserver.measured.data import MeasuredLog
 
 TOLERANCE = 0.01
 _SAMPLES_MIN = 20

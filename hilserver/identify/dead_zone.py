@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
+from hilserver.measured.data import Channel, MeasuredLog
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.noise import NoiseModel, fit_noise
 from hilserver.errors import LogError
 from hilserver.identify.wheels import at, files, present
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 

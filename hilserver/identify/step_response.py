@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.steps import Step, averaged, find_steps
@@ -24,6 +23,7 @@ from hilserver.identify.strejc import (
     two_lags,
 )
 from hilserver.identify.wheels import files, present
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 Response = Callable[[Array, Array], Array]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import MeasuredLog
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.errors import LogError
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ from typing import Final
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.pipeline import Task
 from hilserver.diagnosis.pipeline import judge as diagnose
-from hilserver.diagnosis.reading import read_measured
 from hilserver.diagnosis.report.standalone import document
 from hilserver.errors import FailedError
+from hilserver.measured.reading import read_measured
 from hilserver.scenarios.drives import SCENARIOS
 from hilserver.scenarios.expectation import Scenario
 from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, write

@@ -19,8 +19,8 @@ from hilserver.diagnosis.plan.outlook import grouped, look
 from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
 from hilserver.diagnosis.plan.search import choose
-from hilserver.diagnosis.reading import read_measured
 from hilserver.faults.scenario import as_yaml
+from hilserver.measured.reading import read_measured
 from hilserver.testing.opening import open_hil
 
 ROBOT = assemble(None).robot

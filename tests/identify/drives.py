@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.layout import WHEELS
 
 STEP_S = 1e-4

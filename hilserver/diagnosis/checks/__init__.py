@@ -23,9 +23,9 @@ from hilserver.diagnosis.checks import (
     units,
     wrapped,
 )
-from hilserver.diagnosis.data import Array, MeasuredLog
 from hilserver.diagnosis.findings import Finding
-from hilserver.diagnosis.names import is_input
+from hilserver.measured.data import Array, MeasuredLog
+from hilserver.measured.names import is_input
 from hilserver.plant.parameters import RobotParameters
 
 FAR_S = 1e5

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import SPAN_S, along
-from hilserver.diagnosis.data import Array, Channel, MeasuredLog
+from hilserver.measured.data import Array, Channel, MeasuredLog
 
 WINDOW_S = 1.0
 RAD_S_PER_RPM = np.pi / 30.0

@@ -13,8 +13,8 @@ from hilserver.diagnosis.checks.support import (
     runs_of,
     subset,
 )
-from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 SHORTEST_BURST = 4

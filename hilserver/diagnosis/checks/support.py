@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import Array, Channel
 from hilserver.diagnosis.findings import Finding, Interval, Parameter, Verdict
-from hilserver.diagnosis.names import is_input
+from hilserver.measured.data import Array, Channel
+from hilserver.measured.names import is_input
 
 ALTERNATING = 0.35
 """Share of steps against the one before, in a channel with noise of its own."""

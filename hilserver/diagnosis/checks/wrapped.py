@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hilserver.diagnosis.data import Channel, MeasuredLog
 from hilserver.diagnosis.findings import Finding
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 

@@ -8,17 +8,17 @@ import numpy as np
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.plan.document import Missing, PlanDocument, Proposed, prospect
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, path_of
 from hilserver.diagnosis.plan.outlook import Outlook, Tell, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
 from hilserver.diagnosis.plan.search import choose, told_by
-from hilserver.diagnosis.reading import read_measured
 from hilserver.diagnosis.stages import machine
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import as_yaml
+from hilserver.measured.data import MeasuredLog
+from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 
 PLAN, SCENARIO = "plan.json", "manoeuvre.yaml"

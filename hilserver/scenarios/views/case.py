@@ -7,9 +7,9 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import MeasuredLog
 from hilserver.diagnosis.evidence import Diagnosis, Series
 from hilserver.diagnosis.report.svg import Plot, span_of
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

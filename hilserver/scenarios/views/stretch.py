@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.clock import LONGEST_S, cut
+from hilserver.measured.clock import LONGEST_S, cut
 from hilserver.scenarios.views.case import Array, Case
 
 NEARLY: Final = 0.98

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hilserver.diagnosis.data import Channel, MeasuredLog, Span
+from hilserver.measured.data import Channel, MeasuredLog, Span
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.mapping import builtin_mappings, load_mapping
-from hilserver.diagnosis.reading import read_measured
+from hilserver.measured.mapping import builtin_mappings, load_mapping
+from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 from tests.helpers.recordings import recording
 

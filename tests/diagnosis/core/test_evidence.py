@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
 from hilserver.diagnosis.dependence import binned
 from hilserver.diagnosis.drive_stage import DUTIES, SETPOINTS, SPEEDS, DriveStage
+from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters
 
 DURATION_S = 6.0

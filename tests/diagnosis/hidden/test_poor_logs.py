@@ -12,13 +12,13 @@ from hilserver_injector import make
 
 from hilserver.bench.diagnose_worker import measured
 from hilserver.diagnosis.compare import compare
-from hilserver.diagnosis.data import Channel
 from hilserver.diagnosis.engine import diagnose, silent
 from hilserver.diagnosis.findings import Overall, Verdict
 from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.stages import prepare_all
 from hilserver.diagnosis.summary import summary
+from hilserver.measured.data import Channel
 from tests.diagnosis.assertions import nothing_is_found, said
 from tests.diagnosis.hidden.logs import assembly, recipe
 

@@ -8,10 +8,10 @@ import pytest
 
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare import compare
-from hilserver.diagnosis.data import Channel
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.findings import Overall
-from hilserver.diagnosis.reading import read_measured
+from hilserver.measured.data import Channel
+from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 from tests.helpers.recordings import recording
 

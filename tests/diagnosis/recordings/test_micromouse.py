@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hilserver.commands import main
-from hilserver.diagnosis.reading import read_measured
 from hilserver.identify.dead_zone import identify_dead_zone
 from hilserver.identify.estimates import blocks_of, regress
 from hilserver.identify.update_rate import compare, identify_update_rate
+from hilserver.measured.reading import read_measured
 from tests.helpers.recordings import recording
 
 PWM_FULL = 255

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.bag import is_bag, read_bag
-from hilserver.diagnosis.clock import SHORTEST_S as SEGMENT_S
-from hilserver.diagnosis.data import Channel, MeasuredLog, Source, Span
-from hilserver.diagnosis.frames import Sampling
-from hilserver.diagnosis.mapping import LogMapping, builtin_mappings, load_mapping
-from hilserver.diagnosis.pauses import cut_at_pauses, without_jumps
-from hilserver.diagnosis.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
 from hilserver.errors import LogError
 from hilserver.logs.reading import refuse_endless
+from hilserver.measured.bag import is_bag, read_bag
+from hilserver.measured.clock import SHORTEST_S as SEGMENT_S
+from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.frames import Sampling
+from hilserver.measured.mapping import LogMapping, builtin_mappings, load_mapping
+from hilserver.measured.pauses import cut_at_pauses, without_jumps
+from hilserver.measured.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
 
 SHORTEST_S, LONGEST_S = 1.0, 28_800.0
 LATEST_S = 1e11

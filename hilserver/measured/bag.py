@@ -18,12 +18,12 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import Array
-from hilserver.diagnosis.mapping import LogMapping
-from hilserver.diagnosis.messages import Decoder
-from hilserver.diagnosis.tables import Recording, Stamped, refuse_absurd
 from hilserver.errors import LogError, meant
 from hilserver.logs.mcap_reader import records_of
+from hilserver.measured.data import Array
+from hilserver.measured.mapping import LogMapping
+from hilserver.measured.messages import Decoder
+from hilserver.measured.tables import Recording, Stamped, refuse_absurd
 
 SUFFIXES = (".db3", ".mcap")
 _BROKEN = (ValueError, KeyError, struct.error, zlib.error, EndOfFile, McapError)

@@ -13,9 +13,9 @@ import yaml
 from numpy.typing import NDArray
 
 from hilserver.config.root import Config
-from hilserver.diagnosis.data import Array
-from hilserver.diagnosis.names import is_input, known_signals
 from hilserver.logs import Log
+from hilserver.measured.data import Array
+from hilserver.measured.names import is_input, known_signals
 from hilserver.signals import MEASURED
 
 TICK: Final = "sim.tick"

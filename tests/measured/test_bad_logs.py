@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from hilserver.commands import main
-from hilserver.diagnosis.reading import read_measured
 from hilserver.errors import LogError
-from tests.diagnosis.reading.samples import MCAP, bag_file, write_bag, write_csv
+from hilserver.measured.reading import read_measured
 from tests.logs.samples import run_of
+from tests.measured.samples import MCAP, bag_file, write_bag, write_csv
 
 SPEED = "wheel.fl.speed_rpm"
 COLUMNS = "channels:\n  wheel.fl.speed_rpm: {column: left}\n"

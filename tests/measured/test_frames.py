@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hilserver.config.root import Config
-from hilserver.diagnosis.frames import Sampling
-from hilserver.diagnosis.reading import read_measured
+from hilserver.measured.frames import Sampling
+from hilserver.measured.reading import read_measured
 
 SAMPLING = Sampling.of(Config.model_validate({"sensors": {"nav": {"enabled": True}}}))
 SPEED, GYRO, NAV = "wheel.fl.speed_rpm", "imu.gyro_z_rad_s", "nav.x_m"

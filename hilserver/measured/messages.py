@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import Array
 from hilserver.errors import LogError, meant
+from hilserver.measured.data import Array
 
 _EDUART = {
     "iotbot_interface/msg/RotationSpeed": (

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.data import Array, Channel, MeasuredLog, Span
-from hilserver.diagnosis.names import is_input
+from hilserver.measured.data import Array, Channel, MeasuredLog, Span
+from hilserver.measured.names import is_input
 
 PAUSE_S: Final = 3.0
 """Shorter gaps are bridged: the wheels' loops are replayed from the set-points, ..."""

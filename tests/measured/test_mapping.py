@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from hilserver.diagnosis.mapping import LogMapping
-from hilserver.diagnosis.mapping_reference import as_markdown
-from hilserver.diagnosis.names import conversion, known_signals, units_of
+from hilserver.measured.mapping import LogMapping
+from hilserver.measured.mapping_reference import as_markdown
+from hilserver.measured.names import conversion, known_signals, units_of
 
-PAGE = Path(__file__).parents[3] / "docs" / "reference" / "mapping.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "mapping.md"
 
 
 def test_the_reference_is_up_to_date():

@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hilserver.config.loading import load, place
 from hilserver.config.plant import PlantConfig
-from hilserver.diagnosis.names import conversion, known_signals, units_of
 from hilserver.errors import ConfigError, LogError, meant
 from hilserver.logs.reading import refuse_endless
+from hilserver.measured.names import conversion, known_signals, units_of
 
 PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANY_NUMBER = "1"
@@ -114,7 +114,7 @@ def builtin_mappings() -> tuple[str, ...]:
 
 
 def _folder() -> Traversable:
-    return resources.files("hilserver.diagnosis") / "mappings"
+    return resources.files("hilserver.measured") / "mappings"
 
 
 def load_mapping(mapping: Path | str) -> LogMapping:

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.clock import SHORTEST_S, cut
 from hilserver.diagnosis.stack import make_stack
+from hilserver.measured.clock import SHORTEST_S, cut
 from tests.diagnosis.toy import PERIOD_S, SIGNAL, measured_log
 
 SPANS = st.lists(st.integers(2, 2500), min_size=1, max_size=8)

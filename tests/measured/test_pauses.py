@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.data import Channel, MeasuredLog, Span
-from hilserver.diagnosis.pauses import cut_at_pauses
-from hilserver.diagnosis.reading import read_measured
+from hilserver.measured.data import Channel, MeasuredLog, Span
+from hilserver.measured.pauses import cut_at_pauses
+from hilserver.measured.reading import read_measured
 
 SPEED, SETPOINT = "wheel.fl.speed_rpm", "wheel.fl.setpoint_rpm"
 

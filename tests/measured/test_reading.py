@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.reading import read_measured
 from hilserver.logs.csv_fast import parse_clean
 from hilserver.logs.csv_reader import read_table
 from hilserver.logs.writing import open_writer
-from tests.diagnosis.reading.samples import (
+from hilserver.measured.reading import read_measured
+from tests.logs.samples import batch_of, run_of
+from tests.measured.samples import (
     MCAP,
     SQLITE,
     bag_file,
@@ -20,7 +21,6 @@ from tests.diagnosis.reading.samples import (
     write_chunks,
     write_csv,
 )
-from tests.logs.samples import batch_of, run_of
 
 SPEED = "wheel.fl.speed_rpm"
 

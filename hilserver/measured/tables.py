@@ -8,14 +8,14 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import Array
-from hilserver.diagnosis.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
-from hilserver.diagnosis.mapping import PER_SECOND, ColumnMap, LogMapping
-from hilserver.diagnosis.names import known_columns
-from hilserver.diagnosis.parquet import read_parquet
 from hilserver.errors import LogError, meant
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
+from hilserver.measured.data import Array
+from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
+from hilserver.measured.mapping import PER_SECOND, ColumnMap, LogMapping
+from hilserver.measured.names import known_columns
+from hilserver.measured.parquet import read_parquet
 
 _ABSURD = 1e12
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.data import MeasuredLog
+from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
