@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from hilserver_injector.cases import Answer, Case
 
-from hilserver.diagnosis.findings import Finding, Findings, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Findings, Verdict
 from hilserver.plant.terms import TERMS, main_part
 
 LARGEST_GROUP: Final = 5

@@ -13,8 +13,8 @@ from hilserver_injector.cases import Case
 
 from hilserver.bench.diagnose_scoring import Score, score
 from hilserver.daemon.assembly import Assembly, assemble
-from hilserver.diagnosis.evidence import Diagnosis
-from hilserver.diagnosis.findings import Findings
+from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import Findings
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.scenarios import judge, scenario
 from hilserver.scenarios.expectation import causes_of

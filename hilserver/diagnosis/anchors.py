@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hilserver.diagnosis import screen
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.disturbance import Motion
-from hilserver.diagnosis.pose_stage import POSITION, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.structure import (
     INEXACT,
@@ -27,6 +27,7 @@ from hilserver.diagnosis.structure import (
 )
 from hilserver.diagnosis.trial import LEAST_SAVED, TIE, cost
 from hilserver.diagnosis.unknown import RANGING, anchor_fields
+from hilserver.measured.channels import POSITION
 
 Array = NDArray[np.float64]
 

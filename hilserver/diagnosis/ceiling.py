@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.findings import Gain
 from hilserver.diagnosis.gain import gains
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.schema.findings import Gain
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.problem import Point, Problem
 from hilserver.diagnosis.screen import SQUARE, Blocks, Scores, directions, score
 

@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.checks.frame import on_a_frame, standing, without_motion
+from hilserver.diagnosis.checks.standstill import stood_still, too_little_motion
 from hilserver.diagnosis.differences import Difference, differences_of
 from hilserver.diagnosis.differing import difference_findings, smallest_differences
 from hilserver.diagnosis.engine import Tell, silent
-from hilserver.diagnosis.evidence import Diagnosis, Evidence
-from hilserver.diagnosis.findings import (
+from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
+from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence
+from hilserver.diagnosis.schema.findings import (
     Findings,
     LogFile,
     NotJudged,
     Overall,
 )
-from hilserver.diagnosis.frame import on_a_frame, standing, without_motion
-from hilserver.diagnosis.judgeable import vocabulary_reasons
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.stages import machine, prepare_all
-from hilserver.diagnosis.standstill import stood_still, too_little_motion
 from hilserver.measured.data import Channel, MeasuredLog
 
 Array = NDArray[np.float64]

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.diagnosis.evidence import Course
-from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.outcome import PUBLIC, unit_of
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.evidence import Course
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -11,11 +11,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
-from hilserver.diagnosis.evidence import CutRow
-from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Problem
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.diagnosis.stages import Prepared, pose_stage
+from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.names import signal_unit
 
 Array = NDArray[np.float64]

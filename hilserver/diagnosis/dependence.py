@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.diagnosis.drive_stage import DUTIES, SETPOINTS, SPEEDS, DriveStage
-from hilserver.diagnosis.evidence import Dependence
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.evidence import Dependence
 from hilserver.diagnosis.screen import Blocks, critical, null_maxima, score
 from hilserver.diagnosis.structure import LEVEL, Unknown
 from hilserver.diagnosis.unknown import peaks
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 from hilserver.plant.layout import WHEELS
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.findings import Detectable, NotJudged
+from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.screen import Scores, student
-from hilserver.diagnosis.vocabulary import CAUSES
 
 POWER = 0.95
 """Standard deviations above the critical value: about 83 % exceed it."""

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.differences import Difference
 from hilserver.diagnosis.explain import separating_experiment
-from hilserver.diagnosis.findings import Detectable, Finding, Parameter, Verdict
 from hilserver.diagnosis.identifiability import GROUP_COSINE, rivals
 from hilserver.diagnosis.outcome import unit_of
 from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.schema.findings import Detectable, Finding, Parameter, Verdict
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.trial import TIE
-from hilserver.diagnosis.vocabulary import CAUSES
 
 LEVEL = 0.01
 

@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.channels import GYRO, POSITION, YAW
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.screen import Blocks, adjusted, null_maxima, orthogonal, score
 
 Array = NDArray[np.float64]

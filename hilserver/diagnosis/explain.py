@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import yaml
 
-from hilserver.diagnosis.findings import Finding, Parameter, Verdict
-from hilserver.diagnosis.vocabulary import CAUSES, Part, cause_of, part_of
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, Part, cause_of, part_of
+from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 
 MINUS: Final = "\N{MINUS SIGN}"

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.findings import Gain
-from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, TAG, YAW
 from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.findings import Gain
+from hilserver.measured.channels import GYRO, POSITION, TAG, YAW
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.problem import Point, Problem, fit
 from hilserver.diagnosis.trial import TIE, Trial, cost, possible

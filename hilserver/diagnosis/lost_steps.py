@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.diagnosis.drive_stage import SETPOINTS, SPEEDS, DriveStage
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.measured.channels import SETPOINTS, SPEEDS
 
 LARGE_STEP_RPM = 4.0
 RESPONSE_S = 0.15

@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.findings import Gain
 from hilserver.diagnosis.gain import gains
-from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.pose_stage import PoseStage
 from hilserver.diagnosis.problem import Problem
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.findings import Gain
 from hilserver.diagnosis.stages import stages_of
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters

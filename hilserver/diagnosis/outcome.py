@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.anchors import Anchor
-from hilserver.diagnosis.drive_stage import SETPOINTS
-from hilserver.diagnosis.evidence import FittedTerm
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, part_of
 from hilserver.diagnosis.explain import explain_finding, number, separating_experiment
-from hilserver.diagnosis.findings import Finding, Parameter, Verdict
 from hilserver.diagnosis.identifiability import Rival
 from hilserver.diagnosis.intervals import intervals
 from hilserver.diagnosis.lost_steps import LostSteps
-from hilserver.diagnosis.model import Fitted
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.evidence import FittedTerm
+from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.diagnosis.scrubbing import as_friction
 from hilserver.diagnosis.structure import Unknown
-from hilserver.diagnosis.vocabulary import CAUSES, part_of
+from hilserver.measured.channels import SETPOINTS
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hilserver.diagnosis.evidence import Diagnosis
-from hilserver.diagnosis.findings import Findings
 from hilserver.diagnosis.patch import as_yaml, make_patch
 from hilserver.diagnosis.report import render
+from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import Findings
 from hilserver.errors import FailedError
 
 FINDINGS: Final = "findings.json"

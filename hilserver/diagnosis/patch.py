@@ -3,7 +3,7 @@
 import yaml
 
 from hilserver.config.patch import SCHEMA, FittedIn, MadeFrom, ModelPatch, PatchTerm
-from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.schema.evidence import Diagnosis
 
 _HEAD = """\
 # Terms that 'hilserver diagnose' has fitted. Run the extended model with

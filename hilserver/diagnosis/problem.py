@@ -11,13 +11,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
-from hilserver.diagnosis.drive_stage import DriveStage
-from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights, short_noise
-from hilserver.diagnosis.pose_stage import PoseStage
-from hilserver.diagnosis.quick_noise import lonely, noise_of_neighbours, plain_noise, thrown
-from hilserver.diagnosis.stack import Stack
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.noise.fitting import (
+    NoiseModel,
+    Whitener,
+    fit_noise,
+    robust_weights,
+    short_noise,
+)
+from hilserver.diagnosis.noise.quick_noise import lonely, noise_of_neighbours, plain_noise, thrown
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.stack import Stack
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")

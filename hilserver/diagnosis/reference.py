@@ -1,7 +1,7 @@
 """The reference of findings: ``python -m hilserver.diagnosis.reference``."""
 
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, Cause
 from hilserver.diagnosis.explain import experiments, sentences
-from hilserver.diagnosis.vocabulary import CAUSES, Cause
 
 HEAD = """# Findings: what a diagnosis writes
 
@@ -12,9 +12,10 @@ Made from the code by `python -m hilserver.diagnosis.reference`; a test keeps it
 | file | for | schema |
 |---|---|---|
 | `report.html` | people; opens without a network | |
-| `findings.json` | programs | `hilserver.diagnosis/1`, `hilserver/diagnosis/findings.schema.json` |
+| `findings.json` | programs | `hilserver.diagnosis/1`, \
+`hilserver/diagnosis/schema/findings.schema.json` |
 | `model_patch.yaml` | `hilserver run --patch`; only where the model can be extended | \
-`hilserver.model_patch/1`, `hilserver/diagnosis/model_patch.schema.json` |
+`hilserver.model_patch/1`, `hilserver/diagnosis/schema/model_patch.schema.json` |
 
 Each file appears whole or not at all; `findings.json` comes last, so that the others are there when
 it is.

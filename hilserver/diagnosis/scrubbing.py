@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 from scipy.optimize import brentq
 
-from hilserver.diagnosis.findings import Parameter
-from hilserver.diagnosis.model import Fitted
-from hilserver.diagnosis.pose_stage import POSITION, YAW
 from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.findings import Parameter
 from hilserver.diagnosis.structure import INEXACT, Unknown
+from hilserver.measured.channels import POSITION, YAW
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 

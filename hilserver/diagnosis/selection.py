@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.intervals import ABRUPT_SHARE
 from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.screen import (
     GROSS,
     LEVEL,

@@ -7,11 +7,11 @@ from functools import partial
 import numpy as np
 
 from hilserver.diagnosis.anchors import Anchor, anchor_off, scale_or_anchor
-from hilserver.diagnosis.decisions import SelectionRow
 from hilserver.diagnosis.drift import with_drift
 from hilserver.diagnosis.identifiability import Rival, prune, settle
-from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.screen import GROSS, Scores
 from hilserver.diagnosis.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.selection import Selected, with_noise_anew

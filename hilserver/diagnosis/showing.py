@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis import cuts
+from hilserver.diagnosis.catalogue.vocabulary import part_of
 from hilserver.diagnosis.course import courses
-from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.dependence import dependences
-from hilserver.diagnosis.drive_stage import SPEEDS
-from hilserver.diagnosis.evidence import (
+from hilserver.diagnosis.gain import HORIZONS_S, compare, free_run_errors, windows
+from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.evidence import (
     Course,
     Dependence,
     Evidence,
@@ -23,13 +26,10 @@ from hilserver.diagnosis.evidence import (
     Series,
     Similarity,
 )
-from hilserver.diagnosis.gain import HORIZONS_S, compare, free_run_errors, windows
-from hilserver.diagnosis.pose_stage import POSITION, YAW, PoseStage
-from hilserver.diagnosis.problem import Point
 from hilserver.diagnosis.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.stages import Prepared
 from hilserver.diagnosis.structure import Unknown
-from hilserver.diagnosis.vocabulary import part_of
+from hilserver.measured.channels import POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
 from hilserver.plant.parameters import RobotParameters

@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.comb import coarse_step
-from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
-from hilserver.diagnosis.judgeable import judged_candidates, splits
-from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.pose_stage import PoseStage
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.screen import GROSS
+from hilserver.measured.channels import SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 

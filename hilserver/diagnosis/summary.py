@@ -3,8 +3,8 @@
 import textwrap
 
 from hilserver.diagnosis.explain import QUANTITIES, explain_finding, number
-from hilserver.diagnosis.findings import Findings, Overall
 from hilserver.diagnosis.report.words import headline, is_unchanged
+from hilserver.diagnosis.schema.findings import Findings, Overall
 
 WIDTH = 96
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.intervals import covariance
-from hilserver.diagnosis.model import Fitted, Model
 from hilserver.diagnosis.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.screen import freedom_of, normal, orthogonal
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.disturbance import Motion
-from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
 from hilserver.diagnosis.problem import Point, Problem
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 
 Array = NDArray[np.float64]

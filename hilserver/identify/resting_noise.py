@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.noise import NoiseModel, fit_noise
+from hilserver.diagnosis.noise.fitting import NoiseModel, fit_noise
 from hilserver.errors import LogError
 from hilserver.identify.wheels import at, files, present
 from hilserver.measured.data import MeasuredLog

@@ -6,7 +6,7 @@ from typing import Final
 
 from hilserver_injector import Recipe
 
-from hilserver.diagnosis.findings import Finding, Findings, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Findings, Verdict
 
 _CONFIDENT: Final = frozenset(
     {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}

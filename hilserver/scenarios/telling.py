@@ -12,7 +12,7 @@ from hilserver_injector import Recipe
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from hilserver.diagnosis.explain import QUANTITIES, number
-from hilserver.diagnosis.findings import Finding, Findings, Parameter, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Findings, Parameter, Verdict
 from hilserver.scenarios.expectation import Drive, Scenario, judge
 
 COLUMNS: Final = 100

@@ -14,8 +14,8 @@ from hilserver.bench import diagnose
 from hilserver.bench.binomial import clopper_pearson
 from hilserver.bench.diagnose_scoring import score
 from hilserver.bench.diagnose_table import Row
-from hilserver.diagnosis.findings import Detectable, Finding, Findings, Parameter
-from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.schema.findings import Detectable, Finding, Findings, Parameter
 from hilserver.errors import FailedError
 
 

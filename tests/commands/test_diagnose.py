@@ -7,7 +7,7 @@ import pytest
 
 from hilserver.commands import main
 from hilserver.diagnosis import pipeline
-from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.errors import LogError
 from hilserver.program.progress import Progress
 from tests.diagnosis.sample import evidence, findings, nothing_found

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hilserver.diagnosis.findings import Overall, Verdict
 from hilserver.diagnosis.gain import crossed, held_out
+from hilserver.diagnosis.schema.findings import Overall, Verdict
 from hilserver.diagnosis.screen import Blocks, critical, null_maxima, score
 
 LARGEST_GROUP = 5

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
-from hilserver.diagnosis.evidence import (
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.explain import separating_experiment
+from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.evidence import (
     Course,
     CutRow,
     Dependence,
@@ -16,8 +18,7 @@ from hilserver.diagnosis.evidence import (
     Series,
     Similarity,
 )
-from hilserver.diagnosis.explain import separating_experiment
-from hilserver.diagnosis.findings import (
+from hilserver.diagnosis.schema.findings import (
     Detectable,
     Finding,
     Findings,
@@ -26,7 +27,6 @@ from hilserver.diagnosis.findings import (
     NotJudged,
     Parameter,
 )
-from hilserver.diagnosis.vocabulary import CAUSES
 
 GROUP = ("icr_offset", "nav_lever_arm")
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from hilserver.config.patch import load_patch
-from hilserver.diagnosis.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
-from hilserver.diagnosis.findings import Findings
 from hilserver.diagnosis.output import documents, findings_text, write
+from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
+from hilserver.diagnosis.schema.findings import Findings
 from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import FailedError
 from tests.diagnosis.sample import evidence, findings, nothing_found

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from hilserver.commands import main
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.plan.document import PlanDocument
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
@@ -20,6 +19,7 @@ from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
 from hilserver.diagnosis.plan.search import choose
 from hilserver.faults.scenario import as_yaml
+from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.reading import read_measured
 from hilserver.testing.opening import open_hil
 

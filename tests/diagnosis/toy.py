@@ -4,13 +4,13 @@ import itertools
 
 import numpy as np
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.columns import Library
-from hilserver.diagnosis.drive_stage import DriveStage
-from hilserver.diagnosis.model import Model
-from hilserver.diagnosis.noise import NoiseModel
+from hilserver.diagnosis.noise.fitting import NoiseModel
 from hilserver.diagnosis.problem import Problem
-from hilserver.diagnosis.stack import make_stack
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.measured.clock import cut
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters

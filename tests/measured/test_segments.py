@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.stack import make_stack
+from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.measured.clock import SHORTEST_S, cut
 from tests.diagnosis.toy import PERIOD_S, SIGNAL, measured_log
 

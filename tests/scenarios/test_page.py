@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hilserver.commands import main
-from hilserver.diagnosis.findings import Finding, Findings, Parameter
+from hilserver.diagnosis.schema.findings import Finding, Findings, Parameter
 from hilserver.scenarios import SCENARIOS
 from hilserver.scenarios.page import PAGE, PLOTS, sections
 from hilserver.scenarios.telling import COLUMNS, hidden_value, section, words

@@ -7,8 +7,8 @@ import pytest
 from hilserver_injector import make
 
 from hilserver.commands import main
-from hilserver.diagnosis.findings import Finding, Findings
-from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.schema.findings import Finding, Findings
 from hilserver.scenarios import SCENARIOS, Expectation, judge
 
 NAMES = """friction_load k_omega_low surface_null surface_real unsteady_bias pulls_aside

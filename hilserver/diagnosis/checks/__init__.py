@@ -23,7 +23,7 @@ from hilserver.diagnosis.checks import (
     units,
     wrapped,
 )
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Array, MeasuredLog
 from hilserver.measured.names import is_input
 from hilserver.plant.parameters import RobotParameters

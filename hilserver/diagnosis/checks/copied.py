@@ -3,7 +3,7 @@
 import numpy as np
 
 from hilserver.diagnosis.checks.support import along, data_fault, listed, row_period_s
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters

@@ -18,7 +18,7 @@ from hilserver.diagnosis.checks.support import (
     runs_of,
     subset,
 )
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters

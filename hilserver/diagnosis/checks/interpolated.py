@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import data_fault, row_period_s, subset
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters

@@ -20,7 +20,7 @@ from hilserver.diagnosis.checks.motion import (
     windows_of,
 )
 from hilserver.diagnosis.checks.support import data_fault, listed
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters

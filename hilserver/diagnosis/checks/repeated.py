@@ -13,7 +13,7 @@ from hilserver.diagnosis.checks.support import (
     runs_of,
     subset,
 )
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.findings import Finding, Interval, Parameter, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Interval, Parameter, Verdict
 from hilserver.measured.data import Array, Channel
 from hilserver.measured.names import is_input
 

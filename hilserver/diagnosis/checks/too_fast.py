@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.trial import TIE
-from hilserver.diagnosis.vocabulary import CAUSES
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.config.loading import place
-from hilserver.diagnosis.drive_stage import SETPOINTS
 from hilserver.errors import ConfigError, LogError
 from hilserver.faults.scenario import Scenario, load_scenario
+from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_HALF_TRACK, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.plant.packing import pack

@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.drive_stage import DUTIES, NOMINAL_V, SETPOINTS, SPEEDS, DriveStage
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
+from hilserver.diagnosis.replay.drive_stage import NOMINAL_V, DriveStage
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.data import Array, Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters
 

@@ -6,17 +6,8 @@ from itertools import groupby
 import numpy as np
 from markupsafe import Markup
 
-from hilserver.diagnosis.evidence import (
-    Array,
-    Course,
-    Dependence,
-    HorizonRow,
-    NoiseRow,
-    Path,
-    Similarity,
-)
+from hilserver.diagnosis.catalogue.vocabulary import part_of
 from hilserver.diagnosis.explain import QUANTITIES, number
-from hilserver.diagnosis.findings import Parameter
 from hilserver.diagnosis.report.svg import (
     MARGIN_BOTTOM,
     MARGIN_LEFT,
@@ -29,7 +20,16 @@ from hilserver.diagnosis.report.svg import (
     picture,
     span_of,
 )
-from hilserver.diagnosis.vocabulary import part_of
+from hilserver.diagnosis.schema.evidence import (
+    Array,
+    Course,
+    Dependence,
+    HorizonRow,
+    NoiseRow,
+    Path,
+    Similarity,
+)
+from hilserver.diagnosis.schema.findings import Parameter
 
 MAX_PATHS = 4
 SMALLEST_LIKENESS = 0.5

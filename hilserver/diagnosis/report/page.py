@@ -9,12 +9,12 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from hilserver.diagnosis.evidence import Evidence, Path, Series
 from hilserver.diagnosis.explain import explain_finding, number
-from hilserver.diagnosis.findings import Findings, Verdict
 from hilserver.diagnosis.report import figures, tables, words
 from hilserver.diagnosis.report.svg import Figure
 from hilserver.diagnosis.report.time_series import improvement, series
+from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
+from hilserver.diagnosis.schema.findings import Findings, Verdict
 
 LEAST_CHANGE: Final = 0.03
 """Share of a residual below which a channel counts as not changed."""

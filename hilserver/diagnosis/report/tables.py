@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Final
 
-from hilserver.diagnosis.decisions import ScreenRow
-from hilserver.diagnosis.evidence import Similarity
-from hilserver.diagnosis.findings import Findings
+from hilserver.diagnosis.schema.decisions import ScreenRow
+from hilserver.diagnosis.schema.evidence import Similarity
+from hilserver.diagnosis.schema.findings import Findings
 
 CUT_POINTS: Final = {
     "setpoints": "From the set-points: the whole chain",

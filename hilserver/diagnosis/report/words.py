@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hilserver.diagnosis.evidence import CutRow
 from hilserver.diagnosis.explain import QUANTITIES, explain_finding, number, remedy
-from hilserver.diagnosis.findings import Finding, Findings, Gain, Overall, Verdict
+from hilserver.diagnosis.schema.evidence import CutRow
+from hilserver.diagnosis.schema.findings import Finding, Findings, Gain, Overall, Verdict
 
 BADGES = {
     Verdict.NAMED: "Cause found",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-from hilserver.diagnosis.drive_stage import SPEEDS
+from hilserver.measured.channels import SPEEDS
 from hilserver.scenarios.views.case import Case, View
 from hilserver.scenarios.views.over_time import AsRecorded, OverTime
 from hilserver.scenarios.views.summaries import (

@@ -7,8 +7,8 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.evidence import Diagnosis, Series
 from hilserver.diagnosis.report.svg import Plot, span_of
+from hilserver.diagnosis.schema.evidence import Diagnosis, Series
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 

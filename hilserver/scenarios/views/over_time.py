@@ -5,9 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.drive_stage import SETPOINTS, SPEEDS, DriveStage
+from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot
+from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.scenarios.views.case import HEIGHT, POINTS, Array, Case, Legend, axes
 from hilserver.scenarios.views.stretch import stretch

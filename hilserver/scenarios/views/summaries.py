@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
+from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.identify.rotation import identify_rotation
+from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.scenarios.views.case import HEIGHT, WIDTH, Array, Case, Legend, axes
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.diagnosis.evidence import Path
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
+from hilserver.diagnosis.schema.evidence import Path
 from hilserver.measured.clock import LONGEST_S
 from hilserver.scenarios.views.case import POINTS, WIDTH, Array, Case, Legend
 from hilserver.scenarios.views.stretch import stretch

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.findings import Verdict
+from hilserver.diagnosis.schema.findings import Verdict
 from hilserver.plant.layout import WHEELS
 from tests.diagnosis.checks.samples import ROBOT, drive, log_of
 

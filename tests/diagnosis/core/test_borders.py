@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.library import drive_candidates, pose_candidates
-from hilserver.diagnosis.model import Model
+from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
+from hilserver.diagnosis.replay.model import Model
 from hilserver.plant.terms import complete
 from tests.diagnosis import toy
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
 from hilserver.diagnosis.differences import Difference
-from hilserver.diagnosis.library import drive_candidates, pose_candidates
 
 CANDIDATES = {c.label: c for c in (*drive_candidates(100.0), *pose_candidates(None))}
 

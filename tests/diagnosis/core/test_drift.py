@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.drift import course, drifting, parts, with_drift
-from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
+from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
 
 N = 3000

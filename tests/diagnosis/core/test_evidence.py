@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.dependence import binned
-from hilserver.diagnosis.drive_stage import DUTIES, SETPOINTS, SPEEDS, DriveStage
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.measured.channels import DUTIES, SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.gain import Errors, compare, crossed, held_out
 from hilserver.diagnosis.intervals import covariance, intervals
-from hilserver.diagnosis.library import drive_candidates
-from hilserver.diagnosis.model import Fitted, Model, robot_with
+from hilserver.diagnosis.noise.quick_noise import lonely
 from hilserver.diagnosis.problem import fit
-from hilserver.diagnosis.quick_noise import lonely
+from hilserver.diagnosis.replay.model import Fitted, Model, robot_with
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 from tests.diagnosis import toy

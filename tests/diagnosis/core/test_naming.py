@@ -5,8 +5,8 @@ import pytest
 
 from hilserver.diagnosis.detectable import POWER
 from hilserver.diagnosis.identifiability import GROUP_COSINE, Rival, cosines, prune, settle
-from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
+from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.screen import critical, null_maxima
 from hilserver.diagnosis.selection import select
 from hilserver.diagnosis.settling import with_fewer

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.findings import Parameter
-from hilserver.diagnosis.library import pose_candidates
-from hilserver.diagnosis.model import Fitted, Model
+from hilserver.diagnosis.catalogue.library import pose_candidates
 from hilserver.diagnosis.problem import Point
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.schema.findings import Parameter
 from hilserver.diagnosis.scrubbing import as_friction, late_turn
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters

@@ -8,7 +8,7 @@ from hilserver_injector import Recipe, make, nothing, single
 from hilserver.bench.diagnose_worker import measured
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.engine import diagnose
-from hilserver.diagnosis.evidence import Diagnosis
+from hilserver.diagnosis.schema.evidence import Diagnosis
 
 
 @cache

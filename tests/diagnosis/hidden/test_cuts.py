@@ -14,8 +14,8 @@ from hilserver.bench.diagnose_worker import measured
 from hilserver.diagnosis.course import courses
 from hilserver.diagnosis.cuts import cuts, remarks
 from hilserver.diagnosis.dependence import dependences
-from hilserver.diagnosis.model import Model
 from hilserver.diagnosis.problem import fit
+from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.report.words import where
 from hilserver.diagnosis.stages import prepare, stages_of
 from hilserver.diagnosis.structure import families_of, remaining

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hilserver_injector.cases import cases, twins
 
-from hilserver.diagnosis.findings import Verdict
+from hilserver.diagnosis.schema.findings import Verdict
 from hilserver.plant.terms import TERMS, main_part
 from hilserver.scenarios import SCENARIOS
 from tests.diagnosis.assertions import (

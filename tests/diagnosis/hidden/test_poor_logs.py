@@ -13,9 +13,9 @@ from hilserver_injector import make
 from hilserver.bench.diagnose_worker import measured
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.engine import diagnose, silent
-from hilserver.diagnosis.findings import Overall, Verdict
 from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.schema.findings import Overall, Verdict
 from hilserver.diagnosis.stages import prepare_all
 from hilserver.diagnosis.summary import summary
 from hilserver.measured.data import Channel

@@ -9,7 +9,7 @@ import pytest
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare import compare
 from hilserver.diagnosis.engine import judge
-from hilserver.diagnosis.findings import Overall
+from hilserver.diagnosis.schema.findings import Overall
 from hilserver.measured.data import Channel
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters

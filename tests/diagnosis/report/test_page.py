@@ -7,10 +7,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.evidence import Evidence
 from hilserver.diagnosis.explain import MINUS
-from hilserver.diagnosis.findings import Finding
 from hilserver.diagnosis.report import render
+from hilserver.diagnosis.schema.evidence import Evidence
+from hilserver.diagnosis.schema.findings import Finding
 from tests.diagnosis.sample import evidence, findings, gain, nothing_found
 
 VOID = {"meta", "br"}

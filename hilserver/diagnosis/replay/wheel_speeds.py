@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
-from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 

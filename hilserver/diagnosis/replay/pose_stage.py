@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import row_period_s
-from hilserver.diagnosis.drive_stage import SPEEDS, DriveStage
-from hilserver.diagnosis.kernels import run_pose, sample, sample_tag
-from hilserver.diagnosis.model import robot_with
-from hilserver.diagnosis.stack import make_stack
-from hilserver.diagnosis.wheel_speeds import WheelSpeeds, angles_at_starts
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
+from hilserver.diagnosis.replay.model import robot_with
+from hilserver.diagnosis.replay.stack import make_stack
+from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
+from hilserver.measured.channels import GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import LONGEST_S, cut
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import N_Y, P_DT, P_SEED
@@ -21,10 +22,6 @@ from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
-POSITION: Final = ("nav.x_m", "nav.y_m")
-YAW: Final = "nav.yaw_rad"
-GYRO: Final = "imu.gyro_z_rad_s"
-TAG: Final = (*POSITION, YAW)
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""
 STRIDES: Final = (2, 10)

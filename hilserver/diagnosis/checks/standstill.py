@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.drive_stage import SETPOINTS, SPEEDS, TWIST
-from hilserver.diagnosis.findings import Detectable, Finding, NotJudged, Verdict
+from hilserver.diagnosis.schema.findings import Detectable, Finding, NotJudged, Verdict
+from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import MeasuredLog
 
 STILL_RPM: Final = 1.0

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.decisions import ScreenRow, SelectionRow
-from hilserver.diagnosis.findings import Findings
+from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.findings import Findings
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import along
-from hilserver.diagnosis.drive_stage import SPEEDS
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW
+from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.packing import pack

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.comb import coarse_step, lattice
+from hilserver.diagnosis.checks.comb import coarse_step, lattice
 
 
 def speeds(seed, n=20_000):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.diagnosis.noise import NoiseModel, Whitener, fit_noise, robust_weights
+from hilserver.diagnosis.noise.fitting import NoiseModel, Whitener, fit_noise, robust_weights
 from tests.diagnosis.uwb_trolley import range_errors
 
 NAVIGATION = NoiseModel(0.01, 0.05, 0.6)

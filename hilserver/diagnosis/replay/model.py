@@ -7,7 +7,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.candidate import Candidate
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

@@ -1,11 +1,14 @@
-"""JSON Schemas of findings.json and model_patch.yaml: ``python -m hilserver.diagnosis.schema``."""
+"""JSON Schemas of findings.json and model_patch.yaml.
+
+``python -m hilserver.diagnosis.schema.json_schema findings`` (or ``patch``) prints one.
+"""
 
 import json
 import sys
 from typing import Any
 
 from hilserver.config import patch
-from hilserver.diagnosis.findings import Findings
+from hilserver.diagnosis.schema.findings import Findings
 
 
 def findings_schema() -> dict[str, Any]:

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-from hilserver.diagnosis.whitening import (
+from hilserver.diagnosis.noise.whitening import (
     SMALLEST_DOF,
     Array,
     NoiseModel,
     Whitener,
     robust_weights,
 )
-from hilserver.diagnosis.windows import Windows
+from hilserver.diagnosis.noise.windows import Windows
 
 __all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
 

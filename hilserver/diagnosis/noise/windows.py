@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
-from hilserver.diagnosis.whitening import Array, NoiseModel
+from hilserver.diagnosis.noise.whitening import Array, NoiseModel
 
 _SAMPLES_MIN = 4  # in a window: level and slope are free
 _TRIMMED = 0.75

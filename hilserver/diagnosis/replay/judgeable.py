@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from hilserver.diagnosis.candidate import Candidate
-from hilserver.diagnosis.drive_stage import DUTIES, SPEEDS, DriveStage
-from hilserver.diagnosis.library import drive_candidates, pose_candidates
-from hilserver.diagnosis.pose_stage import GYRO, POSITION, YAW, PoseStage
-from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 
 NEEDS_DUTY = {"dead_zone", "stribeck_friction"}

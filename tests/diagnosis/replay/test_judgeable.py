@@ -5,8 +5,8 @@ import random
 import hypothesis
 import hypothesis.strategies as st
 
-from hilserver.diagnosis.judgeable import vocabulary_reasons
-from hilserver.diagnosis.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 
 
 @hypothesis.given(st.integers(0, 10**6), st.sets(st.sampled_from(sorted(CAUSES))))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from hilserver.diagnosis.whitening import NoiseModel
+from hilserver.diagnosis.noise.whitening import NoiseModel
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.kernels import place_inputs, run_drive, run_process, sample
-from hilserver.diagnosis.model import robot_with
-from hilserver.diagnosis.stack import make_stack
+from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
+from hilserver.diagnosis.replay.model import robot_with
+from hilserver.diagnosis.replay.stack import make_stack
+from hilserver.measured.channels import DUTIES, SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import (
@@ -21,17 +22,12 @@ from hilserver.plant.layout import (
     U_SETPOINT,
     U_TWIST_ANGULAR,
     U_TWIST_LINEAR,
-    WHEELS,
 )
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
-SPEEDS: Final = tuple(f"wheel.{w}.speed_rpm" for w in WHEELS)
-DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
-TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
-SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
 INPUTS: Final[Mapping[str, int]] = {
     **{name: U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
     "twist.linear_m_s": U_TWIST_LINEAR,

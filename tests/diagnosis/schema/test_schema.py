@@ -8,14 +8,14 @@ import pytest
 import yaml
 
 from hilserver.config.patch import json_schema as patch_schema
-from hilserver.diagnosis.evidence import Diagnosis
-from hilserver.diagnosis.findings import Findings
 from hilserver.diagnosis.output import documents, findings_text
 from hilserver.diagnosis.reference import as_markdown
-from hilserver.diagnosis.schema import findings_schema
+from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import Findings
+from hilserver.diagnosis.schema.json_schema import findings_schema
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EXAMPLE = json.loads("""
 {"schema": "hilserver.diagnosis/1", "verdict": "findings",
  "logs": [{"file": "run1.csv", "sha256": "..."}], "seed": 0, "version": "...",
@@ -42,7 +42,7 @@ EXAMPLE = json.loads("""
     [("findings.schema.json", findings_schema), ("model_patch.schema.json", patch_schema)],
 )
 def test_the_shipped_schemas_are_up_to_date(name, made):
-    shipped = ROOT / "hilserver" / "diagnosis" / name
+    shipped = ROOT / "hilserver" / "diagnosis" / "schema" / name
     assert json.loads(shipped.read_text(encoding="utf-8")) == made(), "run: make reference"
     jsonschema.Draft202012Validator.check_schema(made())
 

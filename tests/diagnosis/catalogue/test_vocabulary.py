@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, cause_of, part_of
 from hilserver.diagnosis.explain import (
     experiments,
     explain,
@@ -13,8 +14,7 @@ from hilserver.diagnosis.explain import (
     sentences,
     separating_experiment,
 )
-from hilserver.diagnosis.findings import Finding, Parameter
-from hilserver.diagnosis.vocabulary import CAUSES, cause_of, part_of
+from hilserver.diagnosis.schema.findings import Finding, Parameter
 from hilserver.plant.terms import TERMS
 
 DATA = {

@@ -8,7 +8,7 @@ screen takes the best of them.
 import math
 from dataclasses import replace
 
-from hilserver.diagnosis.candidate import (
+from hilserver.diagnosis.catalogue.candidate import (
     Candidate,
     StageName,
     several,

@@ -1,0 +1,1 @@
+"""What can be wrong: causes, their parameters and bounds, as data."""

@@ -1,0 +1,1 @@
+"""The noise of each channel: model, fit, whitening."""

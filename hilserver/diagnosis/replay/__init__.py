@@ -1,0 +1,1 @@
+"""The plant driven by a recording: what the sensors would have shown."""

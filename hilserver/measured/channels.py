@@ -1,0 +1,14 @@
+"""Names of the channels that are judged, in the order of the wheels."""
+
+from typing import Final
+
+from hilserver.plant.layout import WHEELS
+
+SPEEDS: Final = tuple(f"wheel.{w}.speed_rpm" for w in WHEELS)
+DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
+SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
+TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
+POSITION: Final = ("nav.x_m", "nav.y_m")
+YAW: Final = "nav.yaw_rad"
+GYRO: Final = "imu.gyro_z_rad_s"
+TAG: Final = (*POSITION, YAW)
