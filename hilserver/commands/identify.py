@@ -13,7 +13,7 @@ from typing import Any
 
 from hilserver.commands.options import add_config, config_path
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.stages import machine
+from hilserver.diagnosis.regression.stages import machine
 from hilserver.errors import EXIT_DONE
 from hilserver.identify import text
 from hilserver.identify.consistency import check_sides, check_sign

@@ -1,7 +1,28 @@
 """Given measured data: what the simulation gets wrong, why, and what the extended model gains.
 
-One file per stage, in the order of a diagnosis: `reading`, `tables`, `mapping` (files to channels),
-`checks` (faults of the data), `replay` (the daemon's plant under the measured inputs), `noise`,
-`screen`, `selection`, `identifiability`, `unknown`, `gain`, `patch`, `report`. The daemon imports
-nothing from here.
+A room for each part of the way, the lowest first; none knows those that follow. `pipeline` runs
+files through all of them, `engine` one log. The daemon imports nothing from here.
+
+`catalogue`
+    Causes as data: parameters, bounds, what can stand for what.
+`schema`
+    What a diagnosis says, and the evidence behind it.
+`checks`
+    Faults of the recording, corrected before anything else is judged.
+`replay`
+    The daemon's plant under the measured inputs: drive and pose.
+`noise`
+    Of each channel: model, fit, whitening.
+`regression`
+    The residual as a whitened problem: columns, scores, fits, intervals.
+`decide`
+    Which causes: selection, rivals, drift, structure that has no name.
+`findings`
+    Values, words, gain, smallest sizes, the patch.
+`plan`
+    What a manoeuvre would show, before it is driven.
+`report`
+    The page.
+`compare`
+    Whether one set of recordings differs from another.
 """

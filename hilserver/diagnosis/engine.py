@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
-from hilserver.diagnosis.ceiling import ceilings
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.frame import on_a_frame, standing
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
-from hilserver.diagnosis.detectable import smallest
-from hilserver.diagnosis.gain import crossed, gains, held_out, reported
-from hilserver.diagnosis.lost_steps import lost_steps
-from hilserver.diagnosis.other_logs import gain_on
-from hilserver.diagnosis.outcome import (
+from hilserver.diagnosis.decide.lost_steps import lost_steps
+from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.decide.settling import Judged, settled
+from hilserver.diagnosis.findings.ceiling import ceilings
+from hilserver.diagnosis.findings.detectable import smallest
+from hilserver.diagnosis.findings.gain import crossed, gains, held_out, reported
+from hilserver.diagnosis.findings.other_logs import gain_on
+from hilserver.diagnosis.findings.outcome import (
     coarse,
     extension,
     lost,
@@ -25,9 +27,12 @@ from hilserver.diagnosis.outcome import (
     outliers,
     structure,
 )
+from hilserver.diagnosis.regression.screen import critical, null_maxima
+from hilserver.diagnosis.regression.stages import Prepared, machine, prepare_all
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.report.showing import Shown, evidence
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import (
     Detectable,
@@ -38,11 +43,6 @@ from hilserver.diagnosis.schema.findings import (
     NotJudged,
     overall,
 )
-from hilserver.diagnosis.screen import critical, null_maxima
-from hilserver.diagnosis.selection import select
-from hilserver.diagnosis.settling import Judged, settled
-from hilserver.diagnosis.showing import Shown, evidence
-from hilserver.diagnosis.stages import Prepared, machine, prepare_all
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 

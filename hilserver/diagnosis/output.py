@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hilserver.diagnosis.patch import as_yaml, make_patch
+from hilserver.diagnosis.findings.patch import as_yaml, make_patch
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.compare import compare
+from hilserver.diagnosis.compare.comparison import compare
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.memory import share_arenas
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
-from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import EXIT_DONE, UserError
 from hilserver.measured.frames import Sampling
 from hilserver.measured.reading import read_measured

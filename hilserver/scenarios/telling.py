@@ -11,7 +11,7 @@ import yaml
 from hilserver_injector import Recipe
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from hilserver.diagnosis.explain import QUANTITIES, number
+from hilserver.diagnosis.findings.explain import QUANTITIES, number
 from hilserver.diagnosis.schema.findings import Finding, Findings, Parameter, Verdict
 from hilserver.scenarios.expectation import Drive, Scenario, judge
 

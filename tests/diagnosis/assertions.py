@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from hilserver.diagnosis.gain import crossed, held_out
+from hilserver.diagnosis.findings.gain import crossed, held_out
+from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
 from hilserver.diagnosis.schema.findings import Overall, Verdict
-from hilserver.diagnosis.screen import Blocks, critical, null_maxima, score
 
 LARGEST_GROUP = 5
 WITHIN = 0.2

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.explain import separating_experiment
+from hilserver.diagnosis.findings.explain import separating_experiment
 from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.schema.evidence import (
     Course,

@@ -8,9 +8,9 @@ import pytest
 
 from hilserver.config.patch import load_patch
 from hilserver.diagnosis.output import documents, findings_text, write
+from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
 from hilserver.diagnosis.schema.findings import Findings
-from hilserver.diagnosis.summary import one_line, summary
 from hilserver.errors import FailedError
 from tests.diagnosis.sample import evidence, findings, nothing_found
 

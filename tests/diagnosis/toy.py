@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.columns import Library
 from hilserver.diagnosis.noise.fitting import NoiseModel
-from hilserver.diagnosis.problem import Problem
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import make_stack

@@ -4,7 +4,7 @@ from typing import Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hilserver.diagnosis.explain import separating_experiment
+from hilserver.diagnosis.findings.explain import separating_experiment
 from hilserver.diagnosis.plan.information import is_limit, reference
 from hilserver.diagnosis.plan.outlook import Outlook
 from hilserver.diagnosis.schema.findings import NotJudged

@@ -7,8 +7,8 @@ import numpy as np
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.checks.standstill import at_rest
-from hilserver.diagnosis.detectable import HOPELESS, smallest
-from hilserver.diagnosis.identifiability import GROUP_COSINE
+from hilserver.diagnosis.decide.identifiability import GROUP_COSINE
+from hilserver.diagnosis.findings.detectable import HOPELESS, smallest
 from hilserver.diagnosis.plan.information import (
     Z_APART,
     Array,
@@ -25,10 +25,10 @@ from hilserver.diagnosis.plan.information import (
 )
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.plan.null_log import Recording, null_log
+from hilserver.diagnosis.regression.screen import critical, null_maxima
+from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
-from hilserver.diagnosis.screen import critical, null_maxima
-from hilserver.diagnosis.stages import Prepared, prepare_all
 from hilserver.plant.parameters import RobotParameters
 
 Tell = Callable[[str, float], None]

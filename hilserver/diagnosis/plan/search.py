@@ -15,7 +15,7 @@ from hilserver.diagnosis.plan.information import (
 from hilserver.diagnosis.plan.null_log import Recording, null_log
 from hilserver.diagnosis.plan.outlook import Tell
 from hilserver.diagnosis.plan.pieces import Piece
-from hilserver.diagnosis.stages import prepare, stages_of
+from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.plant.parameters import RobotParameters
 
 MOST_PIECES = 200

@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Iterable
 
-from hilserver.diagnosis.explain import number
+from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.plan.document import PlanDocument, Prospect, Visible
 from hilserver.diagnosis.plan.null_log import GROUPS
 

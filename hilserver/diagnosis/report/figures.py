@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from hilserver.diagnosis.catalogue.vocabulary import part_of
-from hilserver.diagnosis.explain import QUANTITIES, number
+from hilserver.diagnosis.findings.explain import QUANTITIES, number
 from hilserver.diagnosis.report.svg import (
     MARGIN_BOTTOM,
     MARGIN_LEFT,

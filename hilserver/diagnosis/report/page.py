@@ -9,7 +9,7 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from hilserver.diagnosis.explain import explain_finding, number
+from hilserver.diagnosis.findings.explain import explain_finding, number
 from hilserver.diagnosis.report import figures, tables, words
 from hilserver.diagnosis.report.svg import Figure
 from hilserver.diagnosis.report.time_series import improvement, series

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.explain import MINUS, power_of_ten
+from hilserver.diagnosis.findings.explain import MINUS, power_of_ten
 
 Array = NDArray[np.float64]
 MARGIN_LEFT: Final = 68.0

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.explain import number
+from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.svg import MAX_POINTS, Figure, Plot, picture, span_of
 from hilserver.diagnosis.schema.evidence import Array, Series
 

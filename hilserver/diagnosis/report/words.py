@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hilserver.diagnosis.explain import QUANTITIES, explain_finding, number, remedy
+from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
 from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.diagnosis.schema.findings import Finding, Findings, Gain, Overall, Verdict
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES, cause_of, part_of
-from hilserver.diagnosis.explain import (
+from hilserver.diagnosis.findings.explain import (
     experiments,
     explain,
     explain_finding,

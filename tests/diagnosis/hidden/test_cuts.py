@@ -11,14 +11,14 @@ import pytest
 from hilserver_injector import make, nothing
 
 from hilserver.bench.diagnose_worker import measured
-from hilserver.diagnosis.course import courses
-from hilserver.diagnosis.cuts import cuts, remarks
-from hilserver.diagnosis.dependence import dependences
-from hilserver.diagnosis.problem import fit
+from hilserver.diagnosis.decide.structure import families_of, remaining
+from hilserver.diagnosis.regression.problem import fit
+from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.report.course import courses
+from hilserver.diagnosis.report.cuts import cuts, remarks
+from hilserver.diagnosis.report.dependence import dependences
 from hilserver.diagnosis.report.words import where
-from hilserver.diagnosis.stages import prepare, stages_of
-from hilserver.diagnosis.structure import families_of, remaining
 from tests.diagnosis.hidden import test_white as white
 from tests.diagnosis.hidden.logs import assembly
 

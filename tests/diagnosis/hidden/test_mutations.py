@@ -5,7 +5,9 @@ A mutated engine that crashes proves nothing: whatever is no `AssertionError` is
 
 import pytest
 
-from hilserver.diagnosis import gain, identifiability, screen
+from hilserver.diagnosis.decide import identifiability
+from hilserver.diagnosis.findings import gain
+from hilserver.diagnosis.regression import screen
 from hilserver.plant import packing
 from tests.diagnosis import toy
 from tests.diagnosis.assertions import (
@@ -14,10 +16,10 @@ from tests.diagnosis.assertions import (
     nothing_is_found,
     the_twins_are_one_group,
 )
-from tests.diagnosis.core.test_fits import drawn, spoil
-from tests.diagnosis.core.test_screen import null_draws
 from tests.diagnosis.hidden.logs import diagnosis, judged, recipe
 from tests.diagnosis.mutation import mutated
+from tests.diagnosis.regression.test_fits import drawn, spoil
+from tests.diagnosis.regression.test_screen import null_draws
 
 TWINS = ("wheel_misalignment", 1, 120.0)
 NULL = ("nothing drive", 103, 60.0)

@@ -11,13 +11,13 @@ import pytest
 from hilserver_injector import make
 
 from hilserver.bench.diagnose_worker import measured
-from hilserver.diagnosis.compare import compare
+from hilserver.diagnosis.compare.comparison import compare
+from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.engine import diagnose, silent
-from hilserver.diagnosis.lost_steps import lost_steps
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.regression.stages import prepare_all
+from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.schema.findings import Overall, Verdict
-from hilserver.diagnosis.stages import prepare_all
-from hilserver.diagnosis.summary import summary
 from hilserver.measured.data import Channel
 from tests.diagnosis.assertions import nothing_is_found, said
 from tests.diagnosis.hidden.logs import assembly, recipe

@@ -9,7 +9,7 @@ from hilserver_injector import Noise, make, nothing
 from scipy import stats
 
 from hilserver.bench.diagnose_worker import measured
-from hilserver.diagnosis.stages import prepare, stages_of
+from hilserver.diagnosis.regression.stages import prepare, stages_of
 from tests.diagnosis.hidden.logs import assembly
 
 LAGS = (1, 2, 3, 5, 10, 20)

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.explain import MINUS
+from hilserver.diagnosis.findings.explain import MINUS
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.schema.evidence import Evidence
 from hilserver.diagnosis.schema.findings import Finding

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from hilserver.config.patch import json_schema as patch_schema
+from hilserver.diagnosis.findings.reference import as_markdown
 from hilserver.diagnosis.output import documents, findings_text
-from hilserver.diagnosis.reference import as_markdown
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
 from hilserver.diagnosis.schema.json_schema import findings_schema

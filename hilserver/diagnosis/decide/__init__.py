@@ -1,0 +1,1 @@
+"""Which causes the data name: selection, rivals, drift, unknown structure."""

@@ -1,0 +1,202 @@
+"""A ranging anchor that stands elsewhere than configured: a smooth bias field of known form.
+
+All ranges to it are too long or too short by about the same, and the position moves with the place.
+Of all smooth fields this is the one that ranging makes, so it is tested for itself: among the
+hundred columns of unknown structure four would hardly be heard.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.decide.structure import (
+    INEXACT,
+    LEAST_SHARE,
+    Unknown,
+    alone,
+    holds_out,
+    joint_gain,
+)
+from hilserver.diagnosis.decide.trial import LEAST_SAVED, TIE, cost
+from hilserver.diagnosis.decide.unknown import RANGING, anchor_fields
+from hilserver.diagnosis.regression import screen
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.disturbance import Motion
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.channels import POSITION
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.0005
+"""Family-wise over the anchors, beside the levels of the screen and of unknown structure."""
+LEAST_T = 3.4
+"""Below it no p is as small as `LEVEL`."""
+LEAST_GAIN = 20.0
+"""Deviance that an anchor must save."""
+SIDES = ("low x and low y", "high x and low y", "high x and high y", "low x and high y")
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """One of four ranging anchors measures too long a way.
+
+    Attributes
+    ----------
+    side : str
+        Where it stands about the driven place, in words.
+    error_m, half_m : float
+        What is added to its ranges, and half the width of its 95 % interval.
+    largest : float
+        How far the position moves where it moves most, per metre of the range.
+    """
+
+    side: str
+    error_m: float
+    half_m: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class _Fields:
+    """The fields of four anchors on the positions of a log.
+
+    Attributes
+    ----------
+    moved : ndarray, shape (4, m, 2)
+        See `unknown.anchor_fields`.
+    white : ndarray, shape (n, 4)
+        Their columns, whitened, initial poses projected out.
+    """
+
+    moved: Array
+    white: Array
+
+    def anchor(self, best: int, error_m: float, half_m: float) -> Anchor:
+        """Return one of the four."""
+        return Anchor(SIDES[best], error_m, half_m, float(np.hypot(*self.moved[best].T).max()))
+
+
+def _fields(problem: Problem, point: Point) -> _Fields | None:
+    """Return the fields of four anchors, or None where no position is judged in one frame."""
+    if not isinstance(problem.stage, PoseStage) or problem.stage.begins_anew:
+        return None
+    if POSITION[0] not in problem.stack.edges:
+        return None
+    motion = Motion(problem, point)
+    moved = anchor_fields(motion)
+    columns = np.stack([motion.placed(*field.T) for field in moved], axis=1)
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    return _Fields(moved, problem.project(problem.whiten(columns), bases))
+
+
+def anchor_off(
+    library: Library,
+    point: Point,
+    unknown: Sequence[Unknown],
+    rng: np.random.Generator,
+    explained: float,
+) -> tuple[Anchor, float] | None:
+    """Return the anchor that what a model leaves speaks for with its p, or None.
+
+    It must hold on blocks that it was not fitted to, and beat every cause of the library and every
+    unknown structure that was found: where another explains as much, nothing is said.
+
+    Parameters
+    ----------
+    explained : float
+        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+
+    Returns
+    -------
+    Anchor
+    float
+        Family-wise over the anchors, weighted so that it compares with the level of the screen.
+    """
+    problem = library.problem
+    fields = _fields(problem, point)
+    if fields is None:
+        return None
+    stack = problem.stack
+    white = orthogonal(fields.white, problem.accepted(point))
+    blocks = Blocks.of(stack.block, stack.n_blocks)
+    scores = score(white[blocks.order], point.left[blocks.order], blocks)
+    best = int(np.argmax(scores.gain))
+    t, gain = abs(float(scores.t[best])), float(scores.gain[best])
+    positions = sum(e.stop - e.start for n, e in stack.edges.items() if n in POSITION)
+    if t < LEAST_T or gain < max(LEAST_GAIN, LEAST_SHARE * positions, INEXACT * explained):
+        return None
+    others = [u.gain for u in unknown if u.family.name != RANGING]
+    if gain - TIE < max(_rival(library, point), *others, 0.0):
+        return None
+    p = float(adjusted(np.array([t]), null_maxima([scores], rng))[0])
+    if p >= LEVEL or not holds_out(problem, white[:, [best]], point.left, LEAST_SAVED):
+        return None
+    half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
+    return fields.anchor(best, float(scores.size[best]), half_m), p * screen.LEVEL / LEVEL
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A scale of the navigation among the accepted causes against misplaced anchors.
+
+    A scale is the simplest of the fields of error that one misplaced anchor makes, and the first to
+    be found.
+
+    Attributes
+    ----------
+    index : int
+        Of the scale among the accepted causes.
+    more : float
+        Deviance that one anchor, or all four less one for each, saves more than the scale.
+    anchor : Anchor
+        The one that explains most in its place.
+    """
+
+    index: int
+    more: float
+    anchor: Anchor
+
+    @property
+    def lost(self) -> bool:
+        """Whether the scale is none."""
+        return self.more > TIE
+
+    @property
+    def open(self) -> bool:
+        """Whether the data cannot tell."""
+        return abs(self.more) <= TIE
+
+
+def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
+    """Hold an accepted scale of the navigation against misplaced anchors; None without one."""
+    accepted = problem.accepted(point)
+    if accepted is None or "nav_scale" not in point.model.causes:
+        return None
+    fields = _fields(problem, point)
+    if fields is None:
+        return None
+    index = point.model.causes.index("nav_scale")
+    others, own = alone(point, accepted, index)
+    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    white = orthogonal(fields.white, others)
+    explained = float(target @ target - point.left @ point.left)
+    squares, along = (white**2).sum(axis=0) + 1e-300, white.T @ target
+    best = int(np.argmax(along**2 / squares))
+    most = max(float(along[best] ** 2 / squares[best]), joint_gain(white, target))
+    error_m, half_m = float(along[best] / squares[best]), 1.96 / float(np.sqrt(squares[best]))
+    return Contest(index, most - explained, fields.anchor(best, error_m, half_m))
+
+
+def _rival(library: Library, point: Point) -> float:
+    """Return the most that any cause of the library would save, less what it costs."""
+    gain = library.scores(point).gain
+    saved = (
+        float(gain[library.owner == i].max()) - cost(c, 0.0)
+        for i, c in enumerate(library.candidates)
+        if c.cause != "nav_position_bias"
+    )
+    return max(saved, default=0.0)

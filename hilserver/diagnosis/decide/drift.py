@@ -1,0 +1,285 @@
+"""Causes whose size changes along the log: their sensitivity times the course of time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.replay.model import Model
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.001
+LEAST_GAIN = 40.0
+LEAST_BETTER = 20.0
+"""Deviance by which a cause that drifts must beat one that does not, to stand in its place."""
+LEAST_BESIDE = 0.1
+"""Share of what a cause explains that must be left of it beside the change of another."""
+OF_A_PLACE = {"surface_change"}
+"""What changes along the log may look like these: early and late the robot is at other places."""
+RIVALS = 3
+PARTS = 4
+"""Parts of the log in which a cause may have a size and a trend of its own, when causes are
+compared."""
+FEWEST_BLOCKS = 2 * PARTS
+"""In shorter recordings nobody can tell a change from noise."""
+
+
+@dataclass(frozen=True)
+class Drifting:
+    """A model and those of its causes that drift.
+
+    Attributes
+    ----------
+    p : mapping of str to float
+        Of no change, by cause.
+    gain : float
+        Deviance that sizes and trends of their own in each part of the log save against the model
+        before.
+    """
+
+    point: Point
+    p: dict[str, float]
+    gain: float
+
+
+def course(problem: Problem) -> Array:
+    """Return the time of every sample, from -1 at the start to 1 at the end, shape (n, 1)."""
+    clock = problem.stack.t_s
+    middle, half = 0.5 * (clock.min() + clock.max()), 0.5 * max(float(np.ptp(clock)), 1e-9)
+    return np.asarray((clock - middle) / half)[:, None]
+
+
+def parts(problem: Problem) -> list[NDArray[np.bool_]]:
+    """Return the blocks of each of `PARTS` equal parts of the log."""
+    stack, time = problem.stack, course(problem)[:, 0]
+    middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
+    number = np.clip((0.5 * PARTS * (middle + 1.0)).astype(int), 0, PARTS - 1)
+    return [number == k for k in range(PARTS)]
+
+
+def inside(point: Point) -> bool:
+    """Return whether all parameters are physically possible."""
+    return all(
+        low <= value <= high
+        for f in point.model.fitted
+        for value, low, high in zip(f.theta, f.candidate.low, f.candidate.high, strict=True)
+    )
+
+
+def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
+    """Return accepted causes whose value changes along the log, with their p."""
+    accepted = problem.accepted(point)
+    if accepted is None:
+        return {}
+    blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
+    order = blocks.order
+    s = score((accepted * course(problem))[order], point.left[order], blocks, accepted[order])
+    maxima = null_maxima([s], rng)
+    p = adjusted(s.t, maxima)
+    return {
+        cause: float(p[mine].min())
+        for cause, mine in zip(point.model.causes, point.model.slices, strict=True)
+        if p[mine].min() < LEVEL and s.gain[mine].max() > LEAST_GAIN
+    }
+
+
+def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drifting:
+    """Return the model in which a cause that drifts stands where it explains more.
+
+    One that drifts about its configured value has no mean effect, so that a selection does not see
+    it; and one that drifts otherwise can look like part of the floor or a weaker battery.
+    """
+    first = point
+    if library.problem.stack.n_blocks < FEWEST_BLOCKS:
+        return Drifting(point, {}, 0.0)
+    point = _taken_up(library, point, rng)
+    p = drifting(library.problem, point, rng)
+    suspects = set(p) or OF_A_PLACE & set(first.model.causes)
+    if not suspects:
+        return Drifting(point, {}, 0.0)
+    other, least = _rearranged(library, first, point if p else first, suspects)
+    if not p and suspects & set(other.model.causes):
+        return Drifting(point, {}, 0.0)
+    return Drifting(other, drifting(library.problem, other, rng), first.deviance - least)
+
+
+def _singles(library: Library) -> tuple[list[int], Array]:
+    """Return the linear candidates of one parameter and their columns, in the log's order."""
+    chosen = [i for i, c in enumerate(library.candidates) if c.linear and c.n == 1]
+    columns = np.empty((len(library.problem.stack), len(chosen)))
+    columns[library.blocks.order] = library.columns[:, np.isin(library.owner, chosen)]
+    return chosen, columns
+
+
+def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point:
+    """Add the cause whose change alone explains most of what is left, if it is significant."""
+    problem = library.problem
+    chosen, columns = _singles(library)
+    free = [k for k, i in enumerate(chosen)
+            if library.candidates[i].cause not in point.model.causes]  # fmt: skip
+    if not free:
+        return point
+    blocks, accepted = library.blocks, problem.accepted(point)
+    order, time = blocks.order, course(problem)
+    base = np.empty((len(columns), 0)) if accepted is None else accepted
+    found = []
+    for k in free:  # beside a size of its own: without, only the end that differs would count
+        mean = np.column_stack([base, columns[:, [k]]])
+        change = orthogonal(columns[:, [k]] * time, mean)
+        left = orthogonal(point.left[:, None], mean)[:, 0]
+        found.append(score(change[order], left[order], blocks))
+    t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
+    p = adjusted(t, null_maxima(found, rng))
+    best = int(np.argmax(gain))
+    if p[best] >= LEVEL or gain[best] <= LEAST_GAIN:
+        return point
+    c = library.candidates[chosen[free[best]]]
+    trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
+    return trial if inside(trial) else point
+
+
+def _rearranged(
+    library: Library, first: Point, point: Point, drift: set[str]
+) -> tuple[Point, float]:
+    """Exchange and drop causes, all compared with sizes and trends of their own in each part.
+
+    Parameters
+    ----------
+    first : Point
+        What was selected, before a cause was taken up for its change alone.
+
+    Returns
+    -------
+    Point
+        With one size each.
+    float
+        Deviance with sizes and trends of their own.
+    """
+    problem = library.problem
+    masks = parts(problem)
+
+    def cost(model: Model) -> float:
+        return sum(_left_in(problem, model, point, mask) for mask in masks)
+
+    model, least = point.model, cost(point.model)
+    for index, f in enumerate(point.model.fitted):
+        if f.candidate.cause not in drift:
+            continue
+        for c in _rivals(library, point, index):
+            if c.cause in model.causes:  # taken in the place of another
+                continue
+            other = model.swapped(index, c, c.beginning)
+            found = cost(other)
+            if found < least - LEAST_BETTER:
+                model, least = other, found
+    drift = {
+        new.candidate.cause
+        for new, old in zip(model.fitted, point.model.fitted, strict=True)
+        if old.candidate.cause in drift
+    }
+    model, least = _without_stand_ins(problem, model, first, drift, cost, least)
+    model, least = _one_for_all(library, model, first, cost, least)
+    if model is not point.model:
+        trial = fit(problem, model, point, iterations=5)
+        point = trial if inside(trial) else point
+    return point, least
+
+
+def _left_in(problem: Problem, model: Model, start: Point, mask: NDArray[np.bool_]) -> float:
+    """Return the deviance of some blocks, with sizes and straight trends of their own there."""
+    point = fit(problem, model, start, rows=mask, iterations=3)
+    left = float(point.loss[mask].sum())
+    columns, rows = problem.accepted(point), mask[problem.stack.block]
+    if columns is None or not rows.any():
+        return left
+    trend = columns[rows] * course(problem)[rows]
+    return left - _saved(orthogonal(trend, columns[rows]), point.left[rows])
+
+
+def _without_stand_ins(
+    problem: Problem,
+    model: Model,
+    first: Point,
+    drift: set[str],
+    cost: Callable[[Model], float],
+    least: float,
+) -> tuple[Model, float]:
+    """Drop causes that explained the change of another: beside it they explain next to nothing.
+
+    Of a selected cause a share of what it explains alone must be left; of one that was taken up for
+    its change, a share of what all changes explain.
+    """
+    while len(model.fitted) > 1:
+        whole = fit(problem, model, first, iterations=4)
+        shares = []
+        for index, f in enumerate(model.fitted):
+            less = model.without(index)
+            alone = fit(problem, less, whole, iterations=3).deviance - whole.deviance
+            beside = cost(less) - least
+            if f.candidate.cause not in first.model.causes:
+                alone = max(alone, first.deviance - least)
+            share = beside / max(alone, 1e-9)
+            shares.append(share if drift - {f.candidate.cause} else np.inf)
+        weakest = int(np.argmin(shares))
+        if shares[weakest] > LEAST_BESIDE:
+            break
+        model = model.without(weakest)
+        least = cost(model)
+    return model, least
+
+
+def _one_for_all(
+    library: Library, model: Model, first: Point, cost: Callable[[Model], float], least: float
+) -> tuple[Model, float]:
+    """Return one cause in the place of several where it explains as much as they do together."""
+    if len(model.fitted) < 2:
+        return model, least
+    problem = library.problem
+    target, time = problem.point(Model(), first.poses).left, course(problem)
+    chosen, columns = _singles(library)
+    saved = [
+        (_saved(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), target), i)
+        for k, i in enumerate(chosen)
+    ]
+    for _, i in sorted(saved, reverse=True)[:RIVALS]:
+        c = library.candidates[i]
+        other = Model().plus(c, c.beginning)
+        found = cost(other)
+        if found < least + LEAST_BETTER:
+            return other, found
+    return model, least
+
+
+def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
+    """Return the linear causes that could best stand in the place of another."""
+    problem, f = library.problem, point.model.fitted[index]
+    accepted = problem.accepted(point)
+    assert accepted is not None
+    mine = point.model.slices[index]
+    others = np.delete(accepted, mine, axis=1)
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    target = orthogonal((point.left + accepted[:, mine] @ away)[:, None], others)[:, 0]
+    chosen, columns = _singles(library)
+    time = course(problem)
+    saved = [
+        (_saved(orthogonal(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), others),
+                target), i)
+        for k, i in enumerate(chosen)
+        if library.candidates[i].cause not in point.model.causes
+    ]  # fmt: skip
+    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:RIVALS]]
+
+
+def _saved(columns: Array, target: Array) -> float:
+    """Return the deviance that some columns save together."""
+    norm = np.sqrt((columns**2).sum(axis=0)) + 1e-300
+    unit = columns / norm
+    gram = unit.T @ unit + 1e-6 * np.eye(unit.shape[1])
+    along = unit.T @ target
+    return float(along @ np.linalg.solve(gram, along))

@@ -1,0 +1,227 @@
+"""What the data cannot tell apart: accepted causes against rivals that could imitate them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.decide.trial import TIE, Trial, cost, possible
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+
+Array = NDArray[np.float64]
+
+RIVAL_COSINE = 0.6
+GROUP_COSINE = 0.95
+CLEAR_Z = 2.33
+"""Deviations of a difference over the blocks from which one cause is clearly better (1 %)."""
+ENOUGH = 10.0
+"""What a single block says about two models counts up to this deviance: where one is far off, few
+blocks hold nearly all of the difference, and would pass for a doubt."""
+MOST_SWAPS = 4
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A cause in the place of another.
+
+    Attributes
+    ----------
+    cosine : float
+        Of the sensitivities, what the other accepted causes explain taken out; of the effects
+        themselves at their fitted sizes where these are more alike, see `likeness`.
+    worse : float
+        Deviance that it leaves more, a penalty per parameter included; negative: it is better.
+    z : float
+        Deviations of the difference over the blocks, see `deviations`.
+    """
+
+    candidate: Candidate
+    point: Point
+    cosine: float
+    worse: float
+    z: float
+
+    @property
+    def close(self) -> bool:
+        """Whether it explains the data about as well."""
+        return self.worse < TIE or self.z < CLEAR_Z
+
+    @property
+    def ties(self) -> bool:
+        """Whether the data cannot tell it from the accepted cause."""
+        return self.close and self.cosine > GROUP_COSINE
+
+    @property
+    def wins(self) -> bool:
+        """Whether it explains the data better."""
+        return self.worse < -0.5
+
+
+def cosines(library: Library, point: Point, index: int) -> Array:
+    """Return the |cos| between an accepted cause and what every candidate can imitate of it.
+
+    What the other accepted causes explain is taken out of both.
+    """
+    problem, f = library.problem, point.model.fitted[index]
+    columns = problem.accepted(point)
+    assert columns is not None
+    columns = columns[library.blocks.order]
+    part = point.model.slices[index]
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    mine = columns[:, part] @ away if f.candidate.linear else columns[:, part.start]
+    base = orthonormal(np.delete(columns, part, axis=1))
+    mine = mine - base @ (base.T @ mine)
+    theirs = library.columns.astype(np.float64).T
+    along, with_base = theirs @ mine, theirs @ base
+    out = np.zeros(len(library.candidates))
+    norm = float(mine @ mine) + 1e-300
+    for i in range(len(library.candidates)):
+        rows = np.flatnonzero(library.owner == i)[:2]
+        block = theirs[rows]
+        gram = block @ block.T - with_base[rows] @ with_base[rows].T
+        scale = np.sqrt(np.maximum(np.diag(block @ block.T), 1e-300))
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-6)
+        cross = along[rows] / scale
+        out[i] = np.sqrt(max(float(cross @ inverse @ cross), 0.0) / norm)
+    return np.minimum(out, 1.0)
+
+
+def explained(problem: Problem, point: Point, index: int) -> float:
+    """Return the deviance that an accepted cause saves, about, beside the others."""
+    f, part, columns = point.model.fitted[index], point.model.slices[index], problem.accepted(point)
+    assert columns is not None
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    if not f.candidate.linear:
+        return 0.0
+    own = columns[:, part] @ away
+    base = orthonormal(np.delete(columns, part, axis=1))
+    own = own - base @ (base.T @ own)
+    return float(own @ own)
+
+
+def orthonormal(columns: Array) -> Array:
+    """Return an orthonormal base of some columns; of none, an empty one."""
+    if columns.shape[1] == 0:
+        return columns
+    return np.asarray(np.linalg.qr(columns / (np.sqrt((columns**2).sum(axis=0)) + 1e-300))[0])
+
+
+def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = ()) -> list[Rival]:
+    """Fit every confusable rival in the place of an accepted cause; the best start of each.
+
+    Parameters
+    ----------
+    near : sequence of Trial
+        Others that explained nearly as much when the cause was accepted. A large effect need not
+        look like the slope of its cause: a limit does nothing until it is reached.
+    """
+    cosine = cosines(library, point, index)
+    best: dict[str, int] = {}
+    taken = set(point.model.causes)
+    for i, c in enumerate(library.candidates):
+        if c.cause in taken or cosine[i] < RIVAL_COSINE:
+            continue
+        if c.cause not in best or cosine[i] > cosine[best[c.cause]]:
+            best[c.cause] = i
+    starts = [(library.candidates[i], library.candidates[i].beginning) for i in best.values()]
+    found = _fitted(library.problem, point, index, starts)
+    found = [replace(r, cosine=float(cosine[best[r.candidate.cause]])) for r in found]
+    starts = [(t.candidate, t.theta) for t in near if t.candidate.cause not in {*best, *taken}]
+    others = _fitted(library.problem, point, index, starts)
+    if any(r.close and r.cosine <= GROUP_COSINE for r in found + others):
+        without = fit(library.problem, point.model.without(index), point, iterations=3)
+        found = [_compared(r, without, point) for r in found]
+        others = [_compared(r, without, point) for r in others]
+    found += [r for r in others if r.ties]
+    return sorted(found, key=lambda r: r.worse)
+
+
+def _fitted(
+    problem: Problem,
+    point: Point,
+    index: int,
+    starts: Sequence[tuple[Candidate, tuple[float, ...]]],
+) -> list[Rival]:
+    """Return the possible ones of some candidates, fitted in the place of an accepted cause."""
+    accepted, found = point.model.fitted[index].candidate, []
+    saved = explained(problem, point, index) if starts else 0.0
+    for c, theta in starts:
+        trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
+        if not possible(trial):
+            continue
+        difference = trial.loss - point.loss
+        penalty = cost(c, saved) - cost(accepted, saved)
+        worse = float(difference.sum()) + penalty
+        found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty)))
+    return found
+
+
+def _compared(rival: Rival, without: Point, point: Point) -> Rival:
+    """Return a rival with the likeness of the effects where that of the slopes is less."""
+    if not rival.close or rival.cosine > GROUP_COSINE:
+        return rival
+    return replace(rival, cosine=max(rival.cosine, likeness(without, point, rival.point)))
+
+
+def likeness(without: Point, one: Point, other: Point) -> float:
+    """Return the |cos| between what two models change of a third that has neither cause."""
+    a, b = without.left - one.left, without.left - other.left
+    norm = float(np.sqrt((a @ a) * (b @ b)))
+    return abs(float(a @ b)) / norm if norm > 0.0 else 0.0
+
+
+def deviations(difference: Array, more: float = 0.0) -> float:
+    """Return how clearly differences of deviance, by block, lie on one side: sum by its error.
+
+    As they are, or bounded, whichever is clearer: of a cause that changes along the log, the half
+    of the blocks that its mean fits worse would outvote the others.
+    """
+    bounded = np.clip(difference, -ENOUGH, ENOUGH)
+    return max(
+        float((d.sum() + more) / (np.sqrt((d**2).sum()) + 1e-9)) for d in (difference, bounded)
+    )
+
+
+def settle(
+    library: Library, point: Point, near: Mapping[str, Sequence[Trial]] | None = None
+) -> tuple[Point, dict[str, list[Rival]]]:
+    """Swap causes for better rivals until none is left; return the rivals that tie.
+
+    Parameters
+    ----------
+    near : mapping of str to sequence of Trial, optional
+        By accepted cause, see `rivals`.
+    """
+    near = near or {}
+    for _ in range(MOST_SWAPS):
+        ties: dict[str, list[Rival]] = {}
+        swapped = None
+        for index, f in enumerate(point.model.fitted):
+            found = rivals(library, point, index, near.get(f.candidate.cause, ()))
+            if found and found[0].wins and not found[0].ties:
+                swapped = found[0].point
+                break
+            ties[f.candidate.cause] = [r for r in found if r.ties]
+        if swapped is None:
+            return point, ties
+        point = swapped
+    return point, ties
+
+
+def prune(problem: Problem, point: Point, least: float) -> Point:
+    """Drop causes that the others have made superfluous."""
+    while point.model.fitted:
+        losses = []
+        for index in range(len(point.model.fitted)):
+            without = fit(problem, point.model.without(index), point, iterations=3)
+            saved = without.loss - point.loss
+            losses.append((float(saved.sum()), deviations(saved), without))
+        weakest = min(range(len(losses)), key=lambda i: losses[i][0])
+        gain, t, without = losses[weakest]
+        if gain > least and t > 2.0:
+            break
+        point = without
+    return point

@@ -1,0 +1,64 @@
+"""Set-points that came late or never: what a link that loses messages leaves in the residual."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.measured.channels import SETPOINTS, SPEEDS
+
+LARGE_STEP_RPM = 4.0
+RESPONSE_S = 0.15
+LATE_S, SHARP_S = 0.008, 0.002
+"""A step counts as late from here on; and only if its delay is known so well."""
+
+
+@dataclass(frozen=True)
+class LostSteps:
+    """Set-point steps that the log shows as sent and that reached the wheels late or never.
+
+    Attributes
+    ----------
+    share : float
+        Of the steps that can be judged.
+    events, judged : int
+    """
+
+    share: float
+    events: int
+    judged: int
+
+
+def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
+    """Return how many steps of the set-points were lost on the way; None if few can be judged.
+
+    A step that waits for the next message is late by one message, others are not at all: after
+    every step the residual is compared with the slope of the simulated response.
+    """
+    assert isinstance(problem.stage, DriveStage)
+    log, stack, stage = problem.stage.log, problem.stack, problem.stage
+    residual = problem.residual(point.predicted)
+    _, seen, _ = stage.simulate(point.model.terms)
+    slope = np.gradient(seen, axis=0) / stage.segments.period_s
+    late: list[bool] = []
+    for wheel, (setpoint, speed) in enumerate(zip(SETPOINTS, SPEEDS, strict=True)):
+        if setpoint not in log or speed not in stack.edges:
+            continue
+        edge = stack.edges[speed]
+        t, r = stack.t_s[edge], residual[edge]
+        g = slope[np.rint(stack.at[edge]).astype(np.int64), wheel]
+        noise = problem.noise[speed].white_sd
+        spans = stage.segments.span[stack.segment[edge]]
+        for span in range(len(log.spans)):
+            ts, s = log[setpoint].of(span)
+            first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
+            for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
+                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
+                power = float(g[low:high] @ g[low:high])
+                if power <= 0.0 or noise / np.sqrt(power) > SHARP_S:
+                    continue
+                late.append(-float(r[low:high] @ g[low:high]) / power > LATE_S)
+    if len(late) < 12:
+        return None
+    return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))

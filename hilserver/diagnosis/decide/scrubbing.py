@@ -1,0 +1,88 @@
+"""Tyres that scrub: when a smaller rotation gain may be friction across the wheels.
+
+In steady turns the two are exact twins (`hilserver.plant.friction`). What a gain alone cannot make
+is a turn that also comes late: tyres give before they pull, so the body follows the wheels by some
+milliseconds. Real skid-steered robots turn at about half of 1/track.
+"""
+
+from collections.abc import Sequence
+
+from scipy.optimize import brentq
+
+from hilserver.diagnosis.decide.structure import INEXACT, Unknown
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.measured.channels import POSITION, YAW
+from hilserver.plant.friction import anisotropy
+from hilserver.plant.parameters import RobotParameters
+
+MUCH = -0.15
+"""Smaller differences of the rotation gain are dimensions rather than tyres."""
+LATE_S = 0.03
+LATENCIES = ("imu_latency", "yaw_latency", "clock_offset")
+BENT = ("rotation_gain_speed", "rotation_gain_radius")
+TURNING = "velocity.angular_rad_s"
+SMALLEST_RATIO, LARGEST_RATIO = 0.2, 20.0
+
+
+def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
+    """Return whether the turn is much smaller than the wheels say, and late or irregular."""
+    log, robot = problem.stage.log, problem.stage.robot
+    if robot.wheelbase_m is None or not log.has(*POSITION, YAW):
+        return False
+    gain = next((f for f in point.model.fitted if f.candidate.cause == "rotation_gain"), None)
+    if gain is None or gain.theta[0] > MUCH:
+        return False
+    irregular = bool(unknown) and unknown[0].family.regressors[0] == TURNING
+    return irregular or late_turn(point) is not None
+
+
+def late_turn(point: Point) -> int | None:
+    """Return the index of a latency of the turn that is no longer than tyres can make it."""
+    for index, f in enumerate(point.model.fitted):
+        if f.candidate.cause in LATENCIES and 0.0 < f.theta[0] < LATE_S:
+            return index
+    return None
+
+
+def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
+    """Return the index of a cause that only bends what tyres make a little nearer to a gain.
+
+    Parameters
+    ----------
+    explained : float
+        Deviance that all causes save together.
+    """
+    for index, cause in enumerate(point.model.causes):
+        if cause in BENT:
+            less = fit(problem, point.model.without(index), point, iterations=3)
+            if less.deviance - point.deviance < INEXACT * explained:
+                return index
+    return None
+
+
+def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Parameter | None:
+    """Return the ratio of friction across to friction along that turns as the rotation gain does.
+
+    None where no ratio does.
+    """
+    assert robot.wheelbase_m is not None
+    even = robot.track_m / (robot.wheelbase_m**2 + robot.track_m**2)
+
+    def ratio(a: float) -> float:
+        wanted = (1.0 + a) * robot.k_om / even
+        return float(
+            brentq(
+                lambda r: anisotropy(robot.wheelbase_m or 0.0, robot.track_m, r, 0.0)[0] - wanted,
+                SMALLEST_RATIO,
+                LARGEST_RATIO,
+                xtol=1e-4,
+            )
+        )
+
+    try:
+        ends = sorted(ratio(a) for a in own.ci95 or (gain.theta[0],) * 2)
+        return Parameter(value=ratio(gain.theta[0]), ci95=(ends[0], ends[1]), unit="1")
+    except ValueError:
+        return None

@@ -1,0 +1,264 @@
+"""Forward selection with held-out blocks, joint refit, and a swap check against every rival."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.decide.shape_search import refined, searched
+from hilserver.diagnosis.decide.trial import (
+    LEAST_SAVED,
+    TIE,
+    Trial,
+    holds,
+    physical,
+    possible,
+    wald,
+)
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.screen import (
+    GROSS,
+    LEVEL,
+    Scores,
+    adjusted,
+    critical,
+    null_maxima,
+)
+from hilserver.diagnosis.schema.decisions import SelectionRow
+
+Array = NDArray[np.float64]
+
+MOST_CAUSES = 6
+TRIALS = 8
+"""Candidates of a round that are fitted: those with the largest linear gain, ..."""
+MOST_FITTED = 3
+"""... and so many causes in full, each with all its shapes."""
+MOST_SHAPES = 4
+"""Shapes of a cause that are fitted where much is left to explain."""
+NEARLY_ALL = 0.9
+"""Share of a deviance that an effect saves which another effect with a cosine of 0.95 saves."""
+LEAST_LINEAR, LEAST_GAIN = 9.0, 10.0
+"""Deviance that a cause must save: linearly, and in its fit."""
+
+
+@dataclass
+class Selected:
+    """The outcome of one stage.
+
+    Attributes
+    ----------
+    p : mapping of str to float
+        Family-wise p of each accepted cause when it was accepted.
+    rows : list of SelectionRow
+        What was taken and what was refused, in order.
+    near : mapping of str to list of Trial
+        Of each accepted cause the others that explained nearly as much in its round.
+    """
+
+    point: Point
+    p: dict[str, float] = field(default_factory=dict)
+    rows: list[SelectionRow] = field(default_factory=list)
+    near: dict[str, list[Trial]] = field(default_factory=dict)
+
+
+def best_starts(
+    scores: Scores, library: Library, *, gross: bool = False
+) -> list[tuple[int, float]]:
+    """Return the candidates that could explain most, with their linear gain; one of each cause.
+
+    Where much is left to explain no cause is linear any more, so significance is asked of the fit
+    and not of the screen; and of a cause with a shape several are tried.
+    """
+    found: dict[str, tuple[int, float]] = {}
+    shapes: dict[int, float] = {}
+    for j, owner in enumerate(library.owner):
+        c, gain = library.candidates[owner], float(scores.gain[j])
+        if gain < LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
+            continue
+        if gross and c.moved is not None:
+            shapes[int(owner)] = max(gain, shapes.get(int(owner), 0.0))
+        if c.cause not in found or gain > found[c.cause][1]:
+            found[c.cause] = (int(owner), gain)
+    out = sorted(found.values(), key=lambda item: -item[1])[:TRIALS]
+    more = sorted(shapes.items(), key=lambda item: -item[1])[:MOST_SHAPES]
+    return out + [item for item in more if item[0] not in {index for index, _ in out}]
+
+
+def attempt(
+    problem: Problem,
+    point: Point,
+    library: Library,
+    index: int,
+    t: float,
+    p: float,
+    *,
+    gross: bool = False,
+) -> Trial | None:
+    """Fit a candidate together with the accepted causes.
+
+    One that is too small for a name competes as well: were it refused, a rival would get the name
+    of what it explains.
+
+    Parameters
+    ----------
+    gross : bool
+        So much is left that the screen, which is linear, knows little of where to begin.
+    """
+    c = library.candidates[index]
+    begin = c.beginning
+    if gross and not c.linear:
+        c, begin = searched(problem, point, [o for o in library.candidates if o.cause == c.cause])
+    trial = fit(problem, point.model.plus(c, begin), point, iterations=3)
+    if not possible(trial):
+        return None
+    return Trial(c, trial, point.deviance - trial.deviance, t, p)
+
+
+LATE, TOGETHER = "nav_latency", ("clock_offset", "side_slip")
+"""In a bend a late position lies where side slip would put it. Where the whole source is late and
+the robot slips, the latency of the position alone explains part of both; from there no exchange of
+one cause for another leads on."""
+
+
+def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
+    """Return a late source and side slip in the place of a late position, or beside it.
+
+    As it is, unless one of these is clearly better.
+    """
+    causes = point.model.causes
+    missing = [c for c in library.candidates if c.cause in TOGETHER and c.cause not in causes]
+    if LATE not in causes or not missing:
+        return point
+    beginnings = [(point.model.without(causes.index(LATE)), len(missing) - 1)]
+    beginnings.append((point.model, len(missing) + 1))
+    for beginning, added in beginnings:
+        model = beginning
+        for c in missing:
+            model = model.plus(c, c.beginning)
+        trial = fit(problem, model, point, iterations=12)
+        gain = point.deviance - trial.deviance
+        if gain < LEAST_SAVED + TIE * added or not physical(trial):
+            continue
+        if holds(problem, point, trial.model, trial):
+            return trial
+    return point
+
+
+def select(
+    problems: Mapping[str, Problem],
+    libraries: Mapping[str, Library],
+    points: Mapping[str, Point],
+    rng: np.random.Generator,
+    jobs: int = 1,
+) -> dict[str, Selected]:
+    """Select causes, stage by stage, at one family-wise level; in so many threads."""
+    scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
+    maxima = null_maxima(list(scores.values()), rng)
+    out = {}
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        for name, library in libraries.items():
+            other = [s for n, s in scores.items() if n != name]
+            out[name] = _forward(problems[name], library, points[name], other, rng, maxima, pool)
+    return out
+
+
+def _forward(
+    problem: Problem,
+    library: Library,
+    point: Point,
+    other: Sequence[Scores],
+    rng: np.random.Generator,
+    maxima: Array,
+    pool: ThreadPoolExecutor,
+) -> Selected:
+    selected, start = Selected(point), point
+    for round_ in range(MOST_CAUSES):
+        scores = library.scores(point)
+        if round_:
+            maxima = null_maxima([scores, *other], rng)
+        limit = critical(maxima)
+        gross = point.deviance > GROSS * len(point.left)
+        if np.abs(scores.t).max(initial=0.0) < limit and not gross:
+            break
+        starts = best_starts(scores, library, gross=gross)
+        ts = [float(np.abs(scores.t[library.owner == index]).max()) for index, _ in starts]
+        ps = adjusted(np.array(ts), maxima).tolist()
+        tried = pool.map(
+            partial(attempt, problem, point, library, gross=gross),
+            [index for index, _ in starts],
+            ts,
+            ps,
+        )
+        trials = [trial for trial in tried if trial is not None]
+        least = max(LEAST_GAIN, own_error(point, start.deviance))
+        best = refined(problem, point, trials, pool)
+        accepted = _accepted(problem, point, best, least, limit, selected)
+        if accepted is None:
+            break
+        near = [t for t in best if t.gain > NEARLY_ALL * accepted.gain]
+        selected.near[accepted.candidate.cause] = near
+        point = both_at_once(problem, accepted.point, library)
+        for cause in point.model.causes:
+            selected.p.setdefault(cause, min(accepted.p, LEVEL))
+        point = with_noise_anew(problem, library, point)
+    selected.point = point
+    return selected
+
+
+def own_error(point: Point, before: float) -> float:
+    """Return the deviance that the accepted causes may leave by their own form.
+
+    An effect that is off by a share of itself leaves the square of that share; twice the share is
+    asked, as in an interval.
+
+    Parameters
+    ----------
+    before : float
+        Deviance without any cause.
+    """
+    share = max((ABRUPT_SHARE.get(cause, 0.0) for cause in point.model.causes), default=0.0)
+    return (2.0 * share) ** 2 * max(before - point.deviance, 0.0)
+
+
+def _accepted(
+    problem: Problem,
+    point: Point,
+    trials: Sequence[Trial],
+    least: float,
+    limit: float,
+    selected: Selected,
+) -> Trial | None:
+    """Return the best trial that is significant and holds on blocks it was not fitted to."""
+    causes: set[str] = set()
+    for trial in trials:
+        causes.add(trial.candidate.cause)
+        if len(causes) > MOST_FITTED:
+            break
+        fitted = fit(problem, trial.point.model, trial.point, iterations=4)
+        z = wald(problem, fitted, len(fitted.model.fitted) - 1)
+        saved = f"saves {trial.gain:.0f} of a deviance of {point.deviance:.0f}"
+        cause, why = trial.candidate.cause, None
+        if trial.gain <= least:
+            why = f"{saved}, too little"
+        elif z <= limit:
+            why = f"{saved}, but only {z:.1f} standard errors from zero; {limit:.1f} are needed"
+        elif not holds(problem, point, fitted.model, fitted):
+            why = f"{saved}, but not on held-out blocks"
+        if why is None:
+            why = f"{saved}, {z:.1f} standard errors from zero"
+            selected.rows.append(SelectionRow(cause, "taken", None, why))
+            return replace(trial, point=fitted)
+        selected.rows.append(SelectionRow(cause, "refused", None, why))
+    return None
+
+
+def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:
+    """Learn the noise anew from what the extended model leaves, and fit once more."""
+    problem.learn_noise(problem.residual(point.predicted))
+    library.rewhiten(point)
+    return fit(problem, point.model, point, iterations=3)

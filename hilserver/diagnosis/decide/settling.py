@@ -1,0 +1,160 @@
+"""From selected causes to findings: rivals, superfluous causes, unknown structure, drift."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
+from hilserver.diagnosis.decide.drift import with_drift
+from hilserver.diagnosis.decide.identifiability import Rival, prune, settle
+from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
+from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
+from hilserver.diagnosis.decide.structure import (
+    Unknown,
+    families_of,
+    imitated,
+    remaining,
+    without_unknown,
+)
+from hilserver.diagnosis.decide.trial import worth_a_name
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.screen import GROSS, Scores
+from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.decisions import SelectionRow
+
+LEAST_GAIN = 10.0
+LEFT_SHARE = 0.1
+
+
+@dataclass
+class Judged:
+    """One stage after selection."""
+
+    prepared: Prepared
+    selected: Selected
+    point: Point
+    ties: Mapping[str, list[Rival]]
+    unknown: list[Unknown]
+    drift: dict[str, float]
+    scores: Scores
+    scrubs: bool
+    anchor: tuple[Anchor, float] | None = None
+    """An anchor that is off, and its p."""
+    in_doubt: Anchor | None = None
+    """An anchor that could stand in the place of an accepted scale of the navigation."""
+
+
+def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
+    """Weigh the selected causes against rivals, each other and unknown structure."""
+    problem, rows = p.problem, selected.rows
+    point, ties = _weighed(p, selected)
+    explained = max(p.base.deviance - point.deviance, 0.0)
+    unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+    doubtful = set(without_unknown(problem, point, unknown))
+    if point.model.fitted:
+        doubtful |= set(imitated(problem, point, families_of(problem, point)))
+        contest = scale_or_anchor(problem, point)
+        doubtful |= {contest.index} if contest is not None and contest.lost else set()
+    for index in sorted(doubtful, reverse=True):
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        rows += _left_out(point, less, "dropped", "unknown structure explains as much")
+        point = less
+    if unknown or doubtful:
+        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
+    drift: dict[str, float] = {}
+    changing = with_drift(p.library, point, rng)
+    left = point.deviance - changing.gain
+    clear = problem.stage.name != "drive" or left < GROSS * len(point.left)
+    if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
+        why = "another cause changes along the log"
+        rows += _left_out(point, changing.point, "dropped", why)
+        point, drift, unknown = changing.point, changing.p, []
+    for index in reversed(range(len(point.model.fitted))):
+        if not worth_a_name(point.model.fitted[index]):
+            less = fit(problem, point.model.without(index), point, iterations=3)
+            rows += _left_out(point, less, "dropped", "too small to be worth a name")
+            point = less
+    if not drift and fails(p, point):
+        rows += _left_out(point, p.base, "dropped", "far more remains than it explains")
+        point, unknown = problem.point(Model(), p.base.poses), []
+    if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
+        unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
+    scrubbed = scrubs(problem, point, unknown)
+    if scrubbed:
+        point = _without_what_tyres_do(problem, point, explained, rows)
+    anchor = None if drift or scrubbed else anchor_off(p.library, point, unknown, rng, explained)
+    if anchor is not None:
+        unknown = []
+    last = None if drift else scale_or_anchor(problem, point)
+    in_doubt = last.anchor if last is not None and last.open else None
+    kept = {c: t for c, t in ties.items() if c in point.model.causes}
+    scores = p.library.scores(p.base)
+    return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor, in_doubt)
+
+
+def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Rival]]]:
+    """Return the selected causes or better ones in their place, and the rivals that tie."""
+    problem, point, rows = p.problem, selected.point, selected.rows
+    if not point.model.fitted:
+        return point, {}
+    exchanged, ties = settle(p.library, point, selected.near)
+    rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
+    point = prune(problem, exchanged, LEAST_GAIN)
+    rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
+    simpler = with_fewer(problem, point, ties)
+    if simpler is None:
+        return point, ties
+    rows += _left_out(point, simpler, "swapped", "a rival needs no other cause beside it")
+    return settle(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
+
+
+def _without_what_tyres_do(
+    problem: Problem, point: Point, explained: float, rows: list[SelectionRow]
+) -> Point:
+    """Return a model without causes that imitate the scrubbing of tyres."""
+    for found, does in (
+        (late_turn, "make the turn late as well"),
+        (partial(bent_turn, problem, explained=explained), "bend the turn as well"),
+    ):
+        while (index := found(point)) is not None:
+            less = fit(problem, point.model.without(index), point, iterations=3)
+            rows += _left_out(point, less, "dropped", f"tyres that scrub {does}")
+            point = less
+    return point
+
+
+def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) -> Point | None:
+    """Return a model with fewer causes in which a rival that ties stands for two; or None.
+
+    A wheel radius and a scale of the navigation turn and drive as a rotation gain alone does.
+    """
+    if len(point.model.fitted) < 2:
+        return None
+    for rival in (r for found in ties.values() for r in found):
+        less = prune(problem, rival.point, LEAST_GAIN)
+        fewer = len(less.model.fitted) < len(point.model.fitted)
+        stands = rival.candidate.cause in less.model.causes
+        if fewer and stands and less.deviance < point.deviance + LEAST_GAIN:
+            return less
+    return None
+
+
+def fails(p: Prepared, point: Point) -> bool:
+    """Return whether causes of the drive leave a gross misfit, and no small part of all there was.
+
+    Sensors of the drive have no memory: what is left then is no noise, and whatever makes it may
+    well make the rest, too.
+    """
+    gross = point.deviance > GROSS * len(point.left)
+    if p.problem.stage.name != "drive" or not point.model.fitted or not gross:
+        return False
+    return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
+
+
+def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:
+    """Return a row for each cause that one model has and the next has not."""
+    gone = [c for c in before.model.causes if c not in after.model.causes]
+    return [SelectionRow(cause, action, None, reason) for cause in gone]

@@ -1,0 +1,215 @@
+"""Unknown structure: what remains after the library, without a name."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.decide.unknown import Family, drive_families, pose_families
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.screen import (
+    GROSS,
+    Blocks,
+    adjusted,
+    null_maxima,
+    orthogonal,
+    score,
+)
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.001
+LEAST_GAIN = 40.0
+LEAST_T = 3.0
+FEWEST_BLOCKS = 4
+"""In shorter recordings the noise is not known well enough to call a misfit gross."""
+LEAST_SHARE = 0.001
+"""Of the samples' variance: what explains less is of no use to anybody."""
+INEXACT = 0.005
+"""Share of what the accepted causes explain that their own form may leave."""
+LEAST_BETTER = 50.0
+"""Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
+SUBSTITUTE = 0.5
+"""|cos| between a cause's effect and a column that could stand in its place."""
+DOMINANCE = 4.0
+"""A named cause stays beside unknown structure only if it explains so many times as much."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A family of columns that the remaining error depends on.
+
+    Attributes
+    ----------
+    gain : float
+        Deviance that the whole family saves, less one per column.
+    white : ndarray, shape (n, k)
+        Its columns, whitened and projected.
+    """
+
+    family: Family
+    t: float
+    p: float
+    gain: float
+    white: Array
+
+
+def families_of(problem: Problem, point: Point) -> Iterable[Family]:
+    """Return the families of a stage."""
+    if problem.stage.name == "pose":
+        return pose_families(problem, point)
+    return drive_families(problem, point)
+
+
+def remaining(
+    problem: Problem,
+    point: Point,
+    rng: np.random.Generator,
+    families: Iterable[Family],
+    explained: float,
+) -> list[Unknown]:
+    """Return the families that the residual significantly depends on, the strongest first.
+
+    Parameters
+    ----------
+    explained : float
+        Deviance that the accepted causes save: a small share of it may be their own inexactness.
+
+    Notes
+    -----
+    A model without any cause that misses grossly is never left without a word: where no family is
+    significant, because all that was missed is in few blocks, the one that explains most is given.
+    """
+    stack = problem.stack
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    accepted = problem.accepted(point)
+    blocks = Blocks.of(stack.block, stack.n_blocks)
+    order = blocks.order
+    scores, strong = [], []
+    gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
+    gross = gross and stack.n_blocks >= FEWEST_BLOCKS
+    most: Unknown | None = None
+    for family in families:
+        white = problem.project(problem.whiten(family.columns), bases)
+        before = (white**2).sum(axis=0)
+        white = orthogonal(white, accepted)
+        white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
+        scores.append(score(white[order], point.left[order], blocks))
+        t = float(np.abs(scores[-1].t).max(initial=0.0))
+        if t <= LEAST_T and not gross:
+            continue
+        slim = Family(family.name, family.regressors, np.zeros((0, 0)))
+        u = Unknown(slim, t, 1.0, joint_gain(white, point.left), white)
+        if gross and (most is None or u.gain > most.gain):
+            most = u
+        least = max(LEAST_GAIN, LEAST_SHARE * len(stack), INEXACT * explained)
+        if t > LEAST_T and u.gain > least and holds_out(problem, white, point.left):
+            strong.append(u)
+    maxima = null_maxima(scores, rng)
+    found = []
+    for u in strong:
+        p = float(adjusted(np.array([u.t]), maxima)[0])
+        if p < LEVEL:
+            found.append(Unknown(u.family, u.t, p, u.gain, u.white))
+    if not found and most is not None:
+        return [most]
+    return sorted(found, key=lambda u: -u.gain)
+
+
+def alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
+    """Return the columns of the other accepted causes, and the effect of one of them."""
+    f, mine = point.model.fitted[index], point.model.slices[index]
+    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    return np.delete(accepted, mine, axis=1), own
+
+
+def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list[int]:
+    """Return the accepted causes that a single column of unknown structure explains better.
+
+    What the other causes explain is taken out of both. Only columns that could stand in its place
+    count: others explain something else, which may well be more. And a column that is better by
+    little may be a twin of the cause, whose own form is exact and the column's linear.
+    """
+    accepted = problem.accepted(point)
+    if accepted is None:
+        return []
+    bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+    doubtful: set[int] = set()
+    for family in families:  # one at a time: those of the drive together would fill the memory
+        white = problem.project(problem.whiten(family.columns), bases)
+        doubtful |= {
+            index
+            for index in range(len(point.model.fitted))
+            if index not in doubtful and _is_better(white, point, accepted, index)
+        }
+    return sorted(doubtful)
+
+
+def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
+    """Return whether one of a family's columns explains more in the place of a cause."""
+    others, own = alone(point, accepted, index)
+    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    effect = orthogonal(own[:, None], others)[:, 0]
+    columns = orthogonal(white, others)
+    squares = (columns**2).sum(axis=0)
+    usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
+    length = np.sqrt(squares[usable] * float(effect @ effect)) + 1e-300
+    alike = np.abs(columns.T @ effect)[usable] / length
+    saved = (columns.T @ target)[usable] ** 2 / squares[usable]
+    explained = float(target @ target - point.left @ point.left)
+    most = saved[alike > SUBSTITUTE].max(initial=0.0)
+    return bool(most > explained * (1.0 + INEXACT) + LEAST_BETTER)
+
+
+def joint_gain(white: Array, left: Array) -> float:
+    """Return the deviance that all columns save together, less one per column."""
+    norm = np.sqrt((white**2).sum(axis=0))
+    unit = white[:, norm > 0.0] / norm[norm > 0.0]
+    if unit.shape[1] == 0:
+        return 0.0
+    gram = unit.T @ unit + 1e-3 * np.eye(unit.shape[1])
+    b = unit.T @ left
+    return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
+
+
+def holds_out(problem: Problem, white: Array, left: Array, least: float = LEAST_GAIN) -> bool:
+    """Return whether a family explains blocks that its coefficients were not fitted to."""
+    stack = problem.stack
+    norm = np.sqrt((white**2).sum(axis=0))
+    unit = white[:, norm > 0.0] / norm[norm > 0.0]
+    saved = []
+    fold = stack.fold[stack.block]
+    for test in (0, 1):
+        train = fold != test
+        if not train.any() or train.all():
+            return False
+        a, b = unit[train], left[train]
+        gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
+        rest = left - unit @ np.linalg.solve(gram, a.T @ b)
+        part = stack.fold == test
+        saved.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
+    return sum(saved) > least and min(saved) > 0.0
+
+
+def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:
+    """Return the accepted causes that unknown structure leaves in doubt.
+
+    A cause is in doubt when, with the structure's columns beside it, it explains less than
+    `DOMINANCE` times what the structure does; or when the structure explains more in its place.
+    """
+    if not unknown or not point.model.fitted:
+        return []
+    columns = np.concatenate([u.white for u in unknown[:2]], axis=1)
+    base, _ = np.linalg.qr(columns + 1e-12)
+    doubtful = []
+    strength = max(u.gain for u in unknown)
+    for index in range(len(point.model.fitted)):
+        reduced = fit(problem, point.model.without(index), point, iterations=3)
+        rest = reduced.left - base @ (base.T @ reduced.left)
+        full = point.left - base @ (base.T @ point.left)
+        own = float((rest**2).sum() - (full**2).sum())
+        instead = float((rest**2).sum()) + columns.shape[1] < point.deviance
+        if own < DOMINANCE * strength or instead:
+            doubtful.append(index)
+    return doubtful

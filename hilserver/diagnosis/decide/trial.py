@@ -1,0 +1,100 @@
+"""A trial, a candidate fitted together with what is accepted, and what is asked of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.regression.intervals import covariance
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.screen import freedom_of, normal, orthogonal
+from hilserver.diagnosis.replay.model import Fitted, Model
+
+Array = NDArray[np.float64]
+
+TIE = 4.0
+"""Deviance within which two causes explain the data alike, per parameter."""
+SHAPED = 0.005
+"""Share of what it explains that a cause costs whose shape was chosen among many, the edge of a
+region say: a shape can always be bent around what the form of a simpler cause leaves."""
+LEAST_SAVED = 8.0
+"""Deviance that a cause must save on held-out blocks."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate fitted together with what is accepted."""
+
+    candidate: Candidate
+    point: Point
+    gain: float
+    t: float
+    p: float
+
+    @property
+    def theta(self) -> tuple[float, ...]:
+        """Fitted values of the candidate's own parameters."""
+        return self.point.model.fitted[-1].theta
+
+
+def cost(candidate: Candidate, explained: float) -> float:
+    """Return the deviance that a candidate must save before it is better than a simpler one."""
+    return TIE * candidate.weight + SHAPED * candidate.hidden * explained
+
+
+def possible(point: Point) -> bool:
+    """Return whether every parameter is inside its range and not at its edge."""
+    for f in point.model.fitted:
+        c = f.candidate
+        for value, low, high in zip(f.theta, c.low, c.high, strict=True):
+            width = high - low
+            margin = 1e-6 * width if np.isfinite(width) else 0.0
+            if value <= low + margin or value >= high - margin:
+                return False
+    return True
+
+
+def worth_a_name(fitted: Fitted) -> bool:
+    """Return whether a cause is as large as its least size."""
+    away = (abs(v - null) for v, null in zip(fitted.theta, fitted.candidate.null, strict=True))
+    return max(away) >= fitted.candidate.least
+
+
+def physical(point: Point) -> bool:
+    """Return whether every cause is possible and worth a name."""
+    return possible(point) and all(map(worth_a_name, point.model.fitted))
+
+
+def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
+    """Return whether a cause improves the blocks that took no part in its fit, both ways.
+
+    Each half of the blocks is predicted from a fit on the other: together they must improve
+    clearly, and neither may get worse.
+    """
+    fold = problem.stack.fold
+    saved = []
+    for test in (0, 1):
+        train = fold != test
+        if not train.any() or train.all():
+            return True
+        without = fit(problem, before.model, before, rows=train, iterations=2)
+        point = fit(problem, model, start, rows=train, iterations=2)
+        part = fold == test
+        saved.append(float((without.loss - point.loss)[part].sum()))
+    return sum(saved) > LEAST_SAVED and min(saved) > -1.0
+
+
+def wald(problem: Problem, point: Point, index: int) -> float:
+    """Return how far a fitted cause lies from its null, as a normal deviation.
+
+    The blocks that tell it from the causes beside it count, see `screen.normal`.
+    """
+    columns = problem.accepted(point)
+    assert columns is not None
+    cov, _ = covariance(problem, point, columns)
+    f, part = point.model.fitted[index], point.model.slices[index]
+    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
+    t = np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0))
+    mine = orthogonal(columns[:, part] @ away[:, None], np.delete(columns, part, axis=1))
+    return float(normal(t, freedom_of(problem.stack.block_sums(mine**2)))[0])

@@ -1,0 +1,1 @@
+"""From decisions to findings: values, words, gain, smallest sizes, the patch."""

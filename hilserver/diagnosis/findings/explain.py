@@ -1,0 +1,227 @@
+"""Findings in words that a technician understands; the sentences stand in `sentences.yaml`."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+import yaml
+
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, Part, cause_of, part_of
+from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
+from hilserver.plant.layout import WHEEL_WORDS, WHEELS
+
+MINUS: Final = "\N{MINUS SIGN}"
+QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
+    "position_m": ("position", "m"),
+    "yaw_rad": ("heading", "rad"),
+    "speed_rpm": ("wheel speed", "rpm"),
+    "duty_pct": ("duty", "%"),
+    "gyro_z_rad_s": ("turn rate", "rad/s"),
+}
+"""Keys of a gain: what they are called, and their unit."""
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_CHOICE = re.compile(r"\{([^{}|]*)\|([^{}|]*)\}")
+_FIELD = re.compile(r"\{(?:(of):)?(\w+)\}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """What a cause is in words.
+
+    Attributes
+    ----------
+    says : str
+        Template of what was found.
+    remedy : str
+        What to do about it.
+    """
+
+    says: str
+    remedy: str
+
+
+@cache
+def sentences() -> Mapping[str, Sentence]:
+    """Return the sentence of every cause."""
+    return {name: Sentence(**entry) for name, entry in _read()["causes"].items()}
+
+
+@cache
+def experiments() -> Mapping[frozenset[str], str]:
+    """Return what separates causes, by the causes."""
+    return {frozenset(e["causes"]): e["text"] for e in _read()["experiments"]}
+
+
+def _read() -> dict[str, Any]:
+    folder = files("hilserver.diagnosis.findings")
+    text = folder.joinpath("sentences.yaml").read_text(encoding="utf-8")
+    data: dict[str, Any] = yaml.safe_load(text)
+    return data
+
+
+def number(value: float, unit: str = "1", *, digits: int = 3) -> str:
+    """Return a value for reading: so many digits, with a true minus and its unit."""
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        small = f"{mantissa}·{power_of_ten(int(exponent))}"
+        text = small if abs(value) < 1e-3 else f"{value:.0f}"
+    text = text.replace("-", MINUS)
+    return text if unit == "1" else f"{text}\u00a0{unit}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return ten to a power with a raised exponent."""
+    return "10" + str(exponent).translate(_RAISED)
+
+
+def explain(causes: Iterable[str], parameters: Mapping[str, Parameter]) -> str:
+    """Return one sentence that says what these causes are; of several, what each would be.
+
+    Parameters
+    ----------
+    causes : iterable of str
+        Names of the vocabulary.
+    parameters : mapping of str to Parameter
+        By ``cause``, ``cause.part`` or ``cause.signal``; those of other causes are ignored.
+    """
+    said = [_say(name, parameters) for name in causes]
+    if len(said) == 1:
+        return said[0]
+    inner = "; or: ".join(_lower(text.rstrip(".")) for text in said)
+    return f"One of these, which the data cannot tell apart: {inner}."
+
+
+def explain_finding(finding: Finding) -> str:
+    """Return the finding's own explanation, or one made from its causes and parameters."""
+    if finding.explanation:
+        return finding.explanation
+    if finding.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
+        on = ", ".join(finding.regressors) or "nothing that was measured"
+        return f"An error remains that no known cause explains; it depends on {on}."
+    if not finding.causes:
+        return "The simulation deviates, and no cause can be named."
+    text = explain(finding.causes, finding.parameters)
+    if finding.verdict is Verdict.DRIFT:
+        return f"Not constant over the recording: {_lower(text)}"
+    return text
+
+
+def remedy(cause: str) -> str:
+    """Return what to do about a cause."""
+    return sentences()[cause_of(cause).name].remedy
+
+
+def separating_experiment(causes: Iterable[str]) -> str:
+    """Return what would tell the causes of a group apart: the fewest sentences that name them all.
+
+    A pair without its own sentence gets what makes the first cause visible.
+    """
+    left = {cause_of(name).name for name in causes}
+    group, texts = frozenset(left), []
+    known = [(key, text) for key, text in experiments().items() if key <= group]
+    while left:
+        best = max(known, key=lambda entry: len(entry[0] & left), default=None)
+        if best is None or not best[0] & left:
+            break
+        texts.append(best[1])
+        left -= best[0]
+    if left and len(group) > 1 and (not texts or len(left) > 1):
+        names = ", ".join(sorted(left))
+        texts.append(
+            f"For {names}: 'hilserver plan' finds the manoeuvre and channels that tell them apart."
+        )
+    return " ".join(texts)
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    own = {n: p for n, p in parameters.items() if n == cause or n.startswith(f"{cause}.")}
+    return _Filling(cause, own).fill(sentences()[cause].says)
+
+
+def _part(name: str) -> Part | None:
+    """Return the part that a parameter stands for; a comparison has others (``cause.a``)."""
+    try:
+        return part_of(name)
+    except KeyError:
+        return None
+
+
+class _Filling:
+    """Puts the parameters of one cause into its template."""
+
+    def __init__(self, cause: str, parameters: Mapping[str, Parameter]) -> None:
+        self._cause = CAUSES[cause]
+        self._parameters = parameters
+        self._main = self._main_part()
+
+    def _main_part(self) -> Parameter | None:
+        by_part = {
+            part.name: p for n, p in self._parameters.items() if (part := _part(n)) is not None
+        }
+        for part in self._cause.parts:
+            if part.name in by_part:
+                return by_part[part.name]
+        return next(iter(self._parameters.values()), None)
+
+    def fill(self, template: str) -> str:
+        return _FIELD.sub(self._field, _CHOICE.sub(self._choice, template))
+
+    def _choice(self, match: re.Match[str]) -> str:
+        if self._main is None:
+            return f"{match[1]} or {match[2]}"
+        null = self._cause.parts[0].null
+        return match[1] if self._main.value >= (null or 0.0) else match[2]
+
+    def _field(self, match: re.Match[str]) -> str:
+        if match[1]:
+            return self._part(match[2])
+        return {
+            "value": self._value,
+            "size": self._size,
+            "percent": self._percent,
+            "number": self._number,
+            "where": self._where,
+            "values": self._values,
+        }[match[2]]()
+
+    def _value(self) -> str:
+        return "some" if self._main is None else number(self._main.value, self._main.unit)
+
+    def _size(self) -> str:
+        return "some" if self._main is None else number(abs(self._main.value), self._main.unit)
+
+    def _percent(self) -> str:
+        return "somewhat" if self._main is None else number(100 * abs(self._main.value), "%")
+
+    def _number(self) -> str:
+        return "some" if self._main is None else number(abs(self._main.value))
+
+    def _where(self) -> str:
+        cause = self._cause.name
+        places = [name.removeprefix(f"{cause}.") for name in self._parameters if name != cause]
+        return ", ".join(places) or "a channel"
+
+    def _values(self) -> str:
+        texts = [
+            f"{name.partition('.')[2] or name} {number(p.value, p.unit)}"
+            for name, p in self._parameters.items()
+            if (part := _part(name)) is None or not part.shape
+        ]
+        return ", ".join(texts) or "some"
+
+    def _part(self, part: str) -> str:
+        parameter = self._parameters.get(f"{self._cause.name}.{part}")
+        if parameter is None:
+            return "?"
+        if part == "wheel":
+            return WHEEL_WORDS[WHEELS[int(parameter.value)]]
+        return number(parameter.value, parameter.unit)

@@ -1,0 +1,212 @@
+"""What the extension gains on data that took no part in its fit: one step and free runs.
+
+A free run starts at the measured pose of a window and is compared at its end; windows begin at
+every `horizon / 2`. Blocks alternate between training and test, both ways round.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.findings import Gain
+from hilserver.measured.channels import GYRO, POSITION, TAG, YAW
+
+Array = NDArray[np.float64]
+
+RESAMPLES = 400
+FEWEST_RUNS = 4
+SEGMENTS_APART_S = 1e7
+"""Longer than any segment; tells the stamps of two segments apart."""
+HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Absolute errors of one quantity and the block each belongs to."""
+
+    values: Array
+    block: NDArray[np.int64]
+
+    def of(self, problem: Problem, fold: int | None) -> "Errors":
+        """Return those of the blocks of a fold; all of them where it has none."""
+        mine = problem.stack.fold[self.block] == fold
+        return Errors(self.values[mine], self.block[mine]) if mine.any() else self
+
+
+def crossed(problem: Problem, point: Point, model: Model) -> list[Array]:
+    """Return predictions of both folds by parameters fitted on the other fold.
+
+    Element f holds the prediction of all samples by the fit without fold f.
+    """
+    predictions = []
+    for test in (0, 1):
+        train = problem.stack.fold != test
+        if not model.fitted or not train.any():
+            at = fit(problem, model, point, iterations=0)
+        else:
+            at = fit(problem, model, point, rows=train, iterations=3)
+        predictions.append(at.predicted)
+    return predictions
+
+
+def held_out(problem: Problem, predictions: Sequence[Array]) -> Array:
+    """Return every sample's prediction by the fit that did not see its block."""
+    fold = problem.stack.fold[problem.stack.block]
+    return np.where(fold == 0, predictions[0], predictions[1])
+
+
+def reported(problem: Problem) -> int | None:
+    """Return the fold on which gains are reported: the odd blocks, where the log has its own."""
+    spans = problem.stage.log.spans
+    return 1 if len({s.block for s in spans} - {None}) > 1 else None
+
+
+def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> Errors | None:
+    """Return absolute residuals of some channels."""
+    stack = problem.stack
+    residual = np.abs(problem.residual(predicted))
+    rows = [np.arange(stack.edges[n].start, stack.edges[n].stop) for n in names if n in stack.edges]
+    if not rows:
+        return None
+    rows_ = np.concatenate(rows)
+    return Errors(residual[rows_], stack.block[rows_])
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Free runs: where they begin and end, as indices into the samples of each channel.
+
+    Attributes
+    ----------
+    start, end : mapping of str to ndarray of int64, shape (n,)
+    horizon_s : float
+        Their mean length.
+    """
+
+    start: Mapping[str, NDArray[np.int64]]
+    end: Mapping[str, NDArray[np.int64]]
+    horizon_s: float
+
+
+def windows(problem: Problem, horizon_s: float) -> Windows | None:
+    """Return free runs of one length inside segments; whole segments where they are shorter.
+
+    An infinite horizon means all segments whole.
+    """
+    stack = problem.stack
+    names = [n for n in TAG if n in stack.edges]
+    if not names:
+        return None
+    edge = stack.edges[names[0]]
+    t, segment = stack.t_s[edge], stack.segment[edge]
+    bounds = np.flatnonzero(np.diff(segment)) + 1
+    stretches = [
+        (int(segment[a]), t[a:b])
+        for a, b in zip([0, *bounds.tolist()], [*bounds.tolist(), len(t)], strict=True)
+        if b - a >= 3
+    ]
+    longest_s = max((float(np.ptp(own)) for _, own in stretches), default=0.0)
+    whole, horizon_s = np.isinf(horizon_s), min(horizon_s, longest_s)
+    runs: list[tuple[int, float, float]] = []
+    for number, own in stretches:
+        length = float(np.ptp(own))
+        if whole or length < 1.5 * horizon_s:
+            if whole or length > 0.6 * horizon_s:
+                runs.append((number, own[0], own[-1]))
+            continue
+        begins = np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s)
+        runs += [(number, begin, begin + horizon_s) for begin in begins]
+    if len(runs) < FEWEST_RUNS:
+        return None
+    segments, begin, end = (np.array(column) for column in zip(*runs, strict=True))
+    starts = {n: _nearest(problem, n, segments, begin) for n in names}
+    ends = {n: _nearest(problem, n, segments, end) for n in names}
+    length_s = t[ends[names[0]]] - t[starts[names[0]]]
+    return Windows(starts, ends, float(np.mean(length_s)))
+
+
+def _nearest(
+    problem: Problem, name: str, segment: NDArray[np.int64], t_s: Array
+) -> NDArray[np.int64]:
+    """Return the samples of a channel next to some times of some segments."""
+    edge, start_s = problem.stack.edges[name], problem.stage.segments.start_s
+    mine = problem.stack.segment[edge]
+    own = mine * SEGMENTS_APART_S + problem.stack.t_s[edge] - start_s[mine]
+    wanted = segment * SEGMENTS_APART_S + t_s - start_s[segment]
+    above = np.clip(np.searchsorted(own, wanted), 1, len(own) - 1)
+    below = above - 1
+    return np.asarray(np.where(wanted - own[below] < own[above] - wanted, below, above))
+
+
+def free_run_errors(problem: Problem, predicted: Array, w: Windows) -> dict[str, Errors]:
+    """Return errors at the end of free runs that start at the measured pose."""
+    stack, out = problem.stack, {}
+    values = stack.values
+    turn: Array | float = 0.0
+    if YAW in stack.edges:
+        edge, start, end = stack.edges[YAW], w.start[YAW], w.end[YAW]
+        measured, said = values[edge], predicted[edge]
+        d = (measured[end] - said[end]) - (measured[start] - said[start])
+        d = d - 2.0 * np.pi * np.rint(d / (2.0 * np.pi))
+        out["yaw_rad"] = Errors(np.abs(d), stack.block[edge][end])
+        turn = measured[start] - said[start]
+    if all(n in stack.edges for n in POSITION):
+        x, y = (stack.edges[n] for n in POSITION)
+        start, end = w.start[POSITION[0]], w.end[POSITION[0]]
+        z, s = values[x] + 1j * values[y], predicted[x] + 1j * predicted[y]
+        move = (s[end] - s[start]) * np.exp(1j * np.asarray(turn))
+        out["position_m"] = Errors(np.abs(z[end] - z[start] - move), stack.block[x][end])
+    return out
+
+
+def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Generator) -> Gain:
+    """Return mean errors, their ratio and its bootstrap interval over blocks."""
+    n = int(before.block.max()) + 1
+    sums = np.stack([np.bincount(e.block, weights=e.values, minlength=n) for e in (before, after)])
+    sums = sums[:, np.bincount(before.block, minlength=n) > 0]
+    count = sums.shape[1]
+    b, a = float(before.values.mean()), float(after.values.mean())
+    ci = None
+    if count >= 4:
+        picks = rng.integers(0, count, size=(RESAMPLES, count))
+        drawn = sums[:, picks].sum(axis=2)
+        ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
+        ci = (float(np.quantile(ratios, 0.025)), float(np.quantile(ratios, 0.975)))
+    return Gain(horizon_s=horizon_s, before=b, after=a, ratio=b / max(a, 1e-300), ci95=ci)
+
+
+def gains(
+    problem: Problem,
+    before: Array,
+    after: Array,
+    horizon_s: float,
+    rng: np.random.Generator,
+    *,
+    fold: int | None = None,
+) -> dict[str, Gain]:
+    """Return the gain of every quantity of a stage at one horizon, of one fold or of both."""
+    out: dict[str, Gain] = {}
+    if problem.stage.name == "pose":
+        w = windows(problem, horizon_s)
+        if w is not None:
+            first, second = (free_run_errors(problem, p, w) for p in (before, after))
+            for key in first:
+                pair = (first[key].of(problem, fold), second[key].of(problem, fold))
+                out[key] = compare(*pair, w.horizon_s, rng)
+        pairs: dict[str, tuple[str, ...]] = {"gyro_z_rad_s": (GYRO,)}
+    else:
+        names = problem.stack.channels
+        pairs = {
+            "speed_rpm": tuple(n for n in names if n.endswith("speed_rpm")),
+            "duty_pct": tuple(n for n in names if n.endswith("duty_pct")),
+        }
+    for key, channels in pairs.items():
+        e = [channel_errors(problem, p, channels) for p in (before, after)]
+        if e[0] is not None and e[1] is not None:
+            pair = (e[0].of(problem, fold), e[1].of(problem, fold))
+            out[key] = compare(*pair, 0.0 if np.isinf(horizon_s) else horizon_s, rng)
+    return out

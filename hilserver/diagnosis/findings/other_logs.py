@@ -1,0 +1,45 @@
+"""The gain on logs that took no part in selection or fit."""
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from hilserver.diagnosis.findings.gain import gains
+from hilserver.diagnosis.regression.problem import Problem
+from hilserver.diagnosis.regression.stages import stages_of
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.findings import Gain
+from hilserver.measured.data import MeasuredLog
+from hilserver.plant.parameters import RobotParameters
+
+FEWEST_RUNS: Final = 4
+LONGEST_RUN_S: Final = 300.0
+
+
+def gain_on(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    models: Mapping[str, Model],
+    horizon_s: float,
+    rng: np.random.Generator,
+) -> dict[str, Gain]:
+    """Return what models of the stages gain on another log.
+
+    Where the log consists of several runs, free runs go from the beginning of each to its end;
+    `horizon_s` else.
+    """
+    lengths = [s.end_s - s.start_s for s in log.spans]
+    if len(lengths) >= FEWEST_RUNS and max(lengths) <= LONGEST_RUN_S:
+        horizon_s = math.inf
+    found: dict[str, Gain] = {}
+    for name, cut in stages_of(log, robot).items():
+        stage = cut.uncut() if isinstance(cut, PoseStage) else cut
+        problem, model = Problem(stage), models.get(name, Model())
+        before, after = (
+            problem.predict(terms, problem.start_poses(terms)) for terms in ({}, model.terms)
+        )
+        found |= gains(problem, before, after, horizon_s, rng)
+    return found

@@ -1,0 +1,271 @@
+"""From fitted models to findings: parameters with intervals, groups, sentences."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, part_of
+from hilserver.diagnosis.decide.anchors import Anchor
+from hilserver.diagnosis.decide.identifiability import Rival
+from hilserver.diagnosis.decide.lost_steps import LostSteps
+from hilserver.diagnosis.decide.scrubbing import as_friction
+from hilserver.diagnosis.decide.structure import Unknown
+from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
+from hilserver.diagnosis.regression.intervals import intervals
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.evidence import FittedTerm
+from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
+from hilserver.measured.channels import SETPOINTS
+
+Array = NDArray[np.float64]
+
+PUBLIC = {"shift.nav": "clock_offset.nav"}
+COARSE_SHARE = 0.002
+"""Half the interval of a step that the values' spectrum tells, by the step."""
+ROUNDED_S = {
+    "actuation_delay",
+    "control_period",
+    "encoder_filter",
+    "imu_latency",
+    "nav_latency",
+    "yaw_latency",
+    "clock_offset",
+}
+
+
+def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
+    """Return the parameters of every accepted cause with their intervals, by its index."""
+    extra = np.array([
+        0.3 * problem.stage.robot.period_s if f.candidate.cause in ROUNDED_S else 0.0
+        for f in point.model.fitted for _ in f.theta
+    ])  # fmt: skip
+    limits = intervals(problem, point, extra)
+    parts = zip(point.model.fitted, point.model.slices, strict=True)
+    return {i: _of(f, limits[mine]) for i, (f, mine) in enumerate(parts)}
+
+
+def _of(f: Fitted, limits: Array) -> dict[str, Parameter]:
+    terms = dict(f.terms)
+    if any(name.endswith(("phase", "phase1", "phase2")) for name in terms):
+        return _wave(f, limits)
+    out = {}
+    for k, (name, value) in enumerate(terms.items()):
+        public = PUBLIC.get(name, name)
+        ci = None
+        if k < f.candidate.n:
+            low, high = sorted((float(limits[k, 0]), float(limits[k, 1])))
+            ci = (low, high)
+        out[public] = Parameter(value=value, ci95=ci, unit=unit_of(public))
+    return out
+
+
+def _wave(f: Fitted, limits: Array) -> dict[str, Parameter]:
+    names = list(f.terms)
+    a, b = f.theta
+    size, phase = float(np.hypot(a, b)), float(np.arctan2(b, a))
+    half = 0.5 * (limits[:, 1] - limits[:, 0])
+    along = float(np.hypot(half[0] * a, half[1] * b) / max(size, 1e-300))
+    across = float(np.hypot(half[0] * b, half[1] * a) / max(size, 1e-300) / max(size, 1e-300))
+    return {
+        names[0]: Parameter(value=size, ci95=(size - along, size + along), unit=unit_of(names[0])),
+        names[1]: Parameter(value=phase, ci95=(phase - across, phase + across), unit="rad"),
+    }
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter of the vocabulary."""
+    try:
+        return part_of(name).unit
+    except KeyError:
+        return "1"
+
+
+def named(
+    problem: Problem,
+    point: Point,
+    ties: Mapping[str, Sequence[Rival]],
+    p: Mapping[str, float],
+    drift: Mapping[str, float],
+    *,
+    scrubs: bool = False,
+    anchor: Anchor | None = None,
+) -> list[Finding]:
+    """Return one finding for every accepted cause, with its group.
+
+    Parameters
+    ----------
+    scrubs : bool
+        Friction across the wheels is a twin of the rotation gain, see `scrubbing`.
+    anchor : Anchor, optional
+        That could stand in the place of a scale of the navigation.
+    """
+    own = parameters(problem, point)
+    found = []
+    for i, f in enumerate(point.model.fitted):
+        cause = f.candidate.cause
+        values = dict(own[i])
+        causes = [cause]
+        for rival in ties.get(cause, ()):
+            if rival.candidate.cause in causes:
+                continue
+            causes.append(rival.candidate.cause)
+            index = next(
+                k for k, r in enumerate(rival.point.model.fitted)
+                if r.candidate is rival.candidate
+            )  # fmt: skip
+            values |= parameters(problem, rival.point)[index]
+        if scrubs and cause == "rotation_gain":
+            ratio = as_friction(problem.stage.robot, f, own[i][cause])
+            if ratio is not None:
+                causes.append("friction_anisotropy")
+                values["friction_anisotropy.ratio"] = ratio
+        if anchor is not None and cause == "nav_scale":
+            causes.append("nav_position_bias")
+            values |= _field(anchor)
+        verdict = Verdict.NAMED if len(causes) == 1 else Verdict.NAMED_GROUP
+        if cause in drift:
+            verdict = Verdict.DRIFT
+        finding = Finding(
+            verdict=verdict,
+            causes=tuple(causes),
+            block=CAUSES[cause].block,
+            parameters=values,
+            p_adjusted=drift.get(cause, p.get(cause, 0.01)),
+            separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
+        )
+        found.append(finding.model_copy(update={"explanation": explain_finding(finding)}))
+    return found
+
+
+def structure(unknown: Sequence[Unknown], stage: str) -> Finding:
+    """Return the finding of unknown structure: what the error depends on, strongest first."""
+    names: list[str] = []
+    for u in unknown:
+        names += [r for r in u.family.regressors if r not in names]
+    finding = Finding(
+        verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
+        causes=(),
+        block="kinematics" if stage == "pose" else "drive",
+        p_adjusted=unknown[0].p,
+        regressors=tuple(names[:6]),
+    )
+    return finding.model_copy(update={"explanation": explain_finding(finding)})
+
+
+def lost(steps: LostSteps) -> Finding:
+    """Return the finding of set-points that were logged as sent and never arrived."""
+    text = (
+        f"{steps.events} of {steps.judged} set-point steps stand in the log as sent, but reached"
+        " the wheels a message too late or never: messages were lost on the way."
+    )
+    return Finding(
+        verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
+        causes=(),
+        block="drive",
+        p_adjusted=0.001,
+        regressors=(*SETPOINTS, "input.sequence"),
+        explanation=text,
+    )
+
+
+def coarse(step_rpm: float) -> Finding:
+    """Return the finding of wheel speeds that come in steps."""
+    half = COARSE_SHARE * step_rpm
+    finding = Finding(
+        verdict=Verdict.NAMED,
+        causes=("encoder_quantization",),
+        block=CAUSES["encoder_quantization"].block,
+        parameters={
+            "encoder_quantization": Parameter(
+                value=step_rpm, ci95=(step_rpm - half, step_rpm + half), unit="rpm"
+            )
+        },
+        p_adjusted=0.001,
+    )
+    return finding.model_copy(update={"explanation": explain_finding(finding)})
+
+
+def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
+    """Return the finding of a ranging anchor that stands elsewhere than configured."""
+    error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
+    finding = Finding(
+        verdict=Verdict.NAMED,
+        causes=("nav_position_bias",),
+        block="navigation",
+        parameters=_field(anchor),
+        p_adjusted=p,
+    )
+    text = (
+        f"{explain_finding(finding).rstrip('.')}, as if the ranging anchor on the side of"
+        f" {anchor.side} measured about {number(abs(error_m), 'm', digits=2)} too {side}."
+    )
+    return finding.model_copy(update={"explanation": text})
+
+
+def _field(anchor: Anchor) -> dict[str, Parameter]:
+    """Return how far the position is off where an anchor moves it most."""
+    size_m, half_m = anchor.largest * abs(anchor.error_m), anchor.largest * anchor.half_m
+    limits = (size_m - half_m, size_m + half_m)
+    return {"nav_position_bias.amplitude": Parameter(value=size_m, ci95=limits, unit="m")}
+
+
+def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
+    """Return the finding of outliers in the position, if there are more than noise explains."""
+    stack = problem.stack
+    if not all(n in stack.edges for n in ("nav.x_m", "nav.y_m")):
+        return None
+    x, y = (stack.edges[n] for n in ("nav.x_m", "nav.y_m"))
+    if x.stop - x.start != y.stop - y.start:
+        return None
+    residual = problem.residual(point.predicted)
+    size = np.hypot(residual[x], residual[y])
+    noise = max(
+        float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd))
+        for n in ("nav.x_m", "nav.y_m")
+    )
+    thrown = ((problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)) & (
+        size > max(0.3, 5.0 * noise)
+    )
+    n, k = len(thrown), int(thrown.sum())
+    if n == 0 or k < 6 or k / n < least_share:
+        return None
+    share = k / n
+    half = 1.96 * np.sqrt(share * (1.0 - share) / n)
+    sizes = size[thrown]
+    half_size = 2.0 * 1.2533 * sizes.std(ddof=1) / np.sqrt(k) + 0.01 * float(np.median(sizes))
+    middle = float(np.median(sizes))
+    finding = Finding(
+        verdict=Verdict.NAMED,
+        causes=("nav_outliers",),
+        block="navigation",
+        parameters={
+            "nav_outliers.share": Parameter(
+                value=share, ci95=(share - half, share + half), unit="1"
+            ),
+            "nav_outliers.size": Parameter(
+                value=middle, ci95=(middle - half_size, middle + half_size), unit="m"
+            ),
+        },
+        p_adjusted=0.001,
+    )
+    return finding.model_copy(update={"explanation": explain_finding(finding)})
+
+
+def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tuple[FittedTerm, ...]:
+    """Return the plant terms that the findings switch on."""
+    out = []
+    for index, finding in enumerate(findings):
+        if index in fitted:
+            names = tuple(fitted[index].terms)
+        elif finding.causes == ("encoder_quantization",):
+            names = finding.causes  # known from the values alone
+        else:
+            continue
+        for name in names:
+            if name in PUBLIC or name not in finding.parameters:
+                continue
+            parameter = finding.parameters[name]
+            out.append(FittedTerm(name, parameter.value, parameter.ci95, parameter.unit, index))
+    return tuple(out)

@@ -1,0 +1,1 @@
+"""Residuals as whitened columns: problem, scores, fits, intervals."""

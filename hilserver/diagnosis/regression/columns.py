@@ -1,0 +1,98 @@
+"""The sensitivities of all candidates of a stage, whitened and laid out for the screen."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
+
+Array = NDArray[np.float64]
+
+RIDGE = 1e-3
+
+
+@dataclass
+class Library:
+    """The candidates of one stage with their whitened columns at the base model.
+
+    Attributes
+    ----------
+    raw : list of ndarray, shape (n, 1) or (n, 2)
+        Sensitivities of every candidate.
+    blocks : Blocks
+        Order of the rows of `columns`.
+    columns : ndarray of float32, shape (n, k)
+        All directions, whitened, initial poses projected out.
+    owner : ndarray of int64, shape (k,)
+        Candidate of each direction.
+    norms : list of ndarray
+        Lengths of every candidate's own columns.
+    """
+
+    problem: Problem
+    candidates: list[Candidate]
+    raw: list[NDArray[np.float32]]
+    blocks: Blocks = field(init=False)
+    owner: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    norms: list[Array] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        stack = self.problem.stack
+        self.blocks = Blocks.of(stack.block, stack.n_blocks)
+        widths = [1 if r.shape[1] == 1 else len(SQUARE) for r in self.raw]
+        self.owner = np.repeat(np.arange(len(self.raw)), widths)
+        self.columns = np.empty((len(stack), int(sum(widths))), dtype=np.float32)
+
+    def rewhiten(self, point: Point) -> None:
+        """Whiten and project all columns with the problem's present noise."""
+        problem, begin = self.problem, 0
+        bases = problem.bases(problem.nuisance(point.predicted, point.poses))
+        self.norms = []
+        for raw in self.raw:
+            white = problem.project(problem.whiten(raw.astype(np.float64)), bases)
+            self.norms.append(np.sqrt((white**2).sum(axis=0)) + 1e-300)
+            spread = directions(white)
+            end = begin + spread.shape[1]
+            self.columns[:, begin:end] = spread[self.blocks.order]
+            begin = end
+
+    def ridge(self, point: Point, rows: NDArray[np.bool_] | None = None) -> Array:
+        """Return coefficients of all directions at once for what a model leaves.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), optional
+            Samples that count, in the order of the blocks; all.
+        """
+        chosen = slice(None) if rows is None else rows
+        columns = self.columns[chosen]
+        squares = np.einsum("ij,ij->j", columns, columns).astype(np.float64)
+        norm = np.sqrt(squares) + 1e-30  # in 32 bits its square would vanish
+        gram = (columns.T @ columns).astype(np.float64) / np.outer(norm, norm)
+        left = point.left[self.blocks.order][chosen].astype(np.float32)
+        along = (columns.T @ left).astype(np.float64) / norm
+        return np.asarray(np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm)
+
+    def effect(self, weight: Array, rows: NDArray[np.int64] | slice) -> Array:
+        """Return what coefficients of all directions add to the prediction of some samples."""
+        total = np.zeros(len(self.problem.stack))[rows]
+        for i, raw in enumerate(self.raw):
+            mine = weight[self.owner == i]
+            theta = mine if raw.shape[1] == 1 else np.array(SQUARE).T @ mine / self.norms[i]
+            total += raw[rows] @ theta
+        return np.asarray(total)
+
+    def scores(self, point: Point) -> Scores:
+        """Score all candidates at a model."""
+        accepted = self.problem.accepted(point)
+        order = self.blocks.order
+        return score(
+            self.columns,
+            point.left[order].astype(np.float32),
+            self.blocks,
+            None if accepted is None else accepted[order].astype(np.float32),
+        )

@@ -1,0 +1,70 @@
+"""Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from hilserver.diagnosis.regression.problem import Point, Problem
+
+Array = NDArray[np.float64]
+
+MODEL_SHARE = 0.005
+"""Share of a value that the plant's own steps of time may cost: no machine runs at them."""
+ABRUPT_SHARE: Final = {
+    "coulomb_friction": 0.02,
+    "stribeck_friction": 0.02,
+    "wheel_load": 0.02,
+    "battery_sag": 0.015,
+    "controller_gains": 0.01,
+}
+"""The same for what is decided anew at every step: whether a wheel sticks, what the loop answers.
+
+Measured against a machine in continuous time (`hilserver bench diagnose --class single`).
+"""
+
+
+def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[Array, int]:
+    """Return the covariance of a model's parameters and its degrees of freedom.
+
+    The larger of the sandwich over the blocks and the one that trusts the noise model.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, k)
+        Whitened sensitivities, initial poses projected out (`Problem.accepted`).
+    """
+    assert columns is not None
+    n, k = problem.stack.n_blocks, columns.shape[1]
+    scale = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-100)  # a cause may show nowhere
+    unit = columns / scale
+    bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(k))
+    scores = problem.stack.block_sums(unit * point.left[:, None])
+    used = max(int((np.abs(scores).sum(axis=1) > 0).sum()), k + 2)
+    robust = bread @ (scores.T @ scores) @ bread * (used / (used - k))
+    level = point.deviance / max(len(point.left), 1)
+    naive = bread * max(level, 1.0)
+    smallest = 1e-12 * np.diag(naive)
+    growth = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(robust), smallest), 1.0))
+    whole = robust * np.outer(growth, growth)
+    return whole / np.outer(scale, scale), min(used, n) - k
+
+
+def intervals(problem: Problem, point: Point, extra: Array | None = None) -> Array:
+    """Return the limits of 95 % of all parameters, shape (k, 2).
+
+    Parameters
+    ----------
+    extra : ndarray, shape (k,), optional
+        Standard deviations to add for what is rounded (a delay to whole ticks).
+    """
+    cov, dof = covariance(problem, point, problem.accepted(point))
+    fitted = point.model.fitted
+    share = [ABRUPT_SHARE.get(f.candidate.cause, MODEL_SHARE) for f in fitted for _ in f.theta]
+    variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2
+    if extra is not None:
+        variance += extra**2
+    half = stats.t.ppf(0.975, max(dof, 2)) * np.sqrt(variance)
+    theta = point.model.theta()
+    return np.stack([theta - half, theta + half], axis=1)

@@ -1,0 +1,175 @@
+"""Makes the regressions of a log: which stages it has, their noise, and all columns."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.checks.comb import coarse_step
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.screen import GROSS
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.channels import SPEEDS
+from hilserver.measured.data import MeasuredLog
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+Tell = Callable[[str, float], None]
+
+
+@dataclass
+class Prepared:
+    """One stage, ready to be judged.
+
+    Attributes
+    ----------
+    coarse_rpm : float or None
+        Step that the wheel speeds come in, large enough to keep the loop from coming to rest.
+    """
+
+    problem: Problem
+    library: Library
+    base: Point
+    coarse_rpm: float | None = None
+
+
+def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
+    """Return the plant of the log: the configured one with the keys of the mapping file.
+
+    A two-wheel robot (``track_m`` without ``wheelbase_m``) turns at 1/track about its axle.
+    """
+    keys = dict(log.plant)
+    if "track_m" in keys and "wheelbase_m" not in keys:
+        keys.setdefault("icr_offset_m", 0.0)
+        keys["wheelbase_m"] = None
+        keys.setdefault("rotation_gain", "geometric_diff")
+    known = {k: v for k, v in keys.items() if hasattr(robot, k)}
+    return replace(robot, **known)  # type: ignore[arg-type]
+
+
+def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) -> float:
+    """Return the length of sign-flip blocks that gives about `aim` of them."""
+    return float(np.clip(total_s / aim, shortest_s, longest_s))
+
+
+def stages_of(
+    log: MeasuredLog, robot: RobotParameters, jobs: int = 1
+) -> dict[str, DriveStage | PoseStage]:
+    """Return the stages that a log has the channels for; their runs may use so many threads."""
+    total_s = sum(s.end_s - s.start_s for s in log.spans)
+    stages: dict[str, DriveStage | PoseStage] = {}
+    if DriveStage.judges(log) and log.drive_is_known:
+        stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
+    if PoseStage.judges(log, driven="drive" in stages):
+        stages["pose"] = pose_stage(log, robot, stages.get("drive"), {}, jobs)
+    return stages
+
+
+def pose_stage(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    drive: DriveStage | PoseStage | None,
+    terms: dict[str, float],
+    jobs: int = 1,
+) -> PoseStage:
+    """Return the pose stage, its wheel speeds interpolated by the drive with these terms."""
+    total_s = sum(s.end_s - s.start_s for s in log.spans)
+    dense = None
+    if isinstance(drive, DriveStage):
+        dense = (drive, drive.simulate(terms)[0])
+    block_s = block_length(total_s, 3.0, 5.0, 72)
+    return PoseStage(log, robot, dense, block_s=block_s, jobs=jobs)
+
+
+def prepare_all(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    jobs: int,
+    tell: Tell,
+    *,
+    lost_setpoints: bool = False,
+) -> tuple[dict[str, Prepared], dict[str, str]]:
+    """Return the stages of a log, ready to be judged, and why some causes are not judged.
+
+    Parameters
+    ----------
+    lost_setpoints : bool
+        The recording does not hold the set-points that the machine got.
+    """
+    prepared: dict[str, Prepared] = {}
+    reasons: dict[str, str] = {}
+    for name, stage in stages_of(log, robot, jobs).items():
+        if name == "drive" and lost_setpoints:
+            text = "the log does not hold the set-points that the machine got"
+            candidates, others = judged_candidates(stage)
+            reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)
+            continue
+        one, why = prepare(stage, jobs, tell)
+        reasons |= why
+        if one is not None:
+            prepared[name] = one
+    return prepared, reasons
+
+
+def prepare(
+    stage: DriveStage | PoseStage, jobs: int, tell: Tell
+) -> tuple[Prepared | None, dict[str, str]]:
+    """Learn a stage's noise and compute all its columns."""
+    if len(stage.stack) == 0:
+        return None, {}
+    candidates, reasons = judged_candidates(stage)
+    candidates = [c for c in candidates if splits(stage.log, c)]
+    problem = Problem(stage)
+    poses = problem.start_poses({})
+    problem.learn_noise(problem.residual(problem.predict({}, poses)))
+    base = problem.point(Model(), poses, pose_steps=2)
+    problem.learn_noise(problem.residual(base.predicted))
+    base = problem.point(Model(), base.poses)
+    coarse_rpm = _coarse(problem, base)
+    if coarse_rpm is not None:
+        candidates = [c for c in candidates if c.cause != "encoder_quantization"]
+        problem.ripples = True
+        problem.learn_noise(problem.residual(base.predicted))
+        base = problem.point(Model(), base.poses)
+    raw: list[NDArray[np.float32]] = []
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        for i, column in enumerate(pool.map(lambda c: problem.column(base, c), candidates)):
+            raw.append(column.astype(np.float32))
+            tell(f"{stage.name}: effect of {candidates[i].label}", (i + 1) / len(candidates))
+    library = Library(problem, candidates, raw)
+    clean(problem, library, base)
+    base = problem.point(Model(), base.poses)
+    library.rewhiten(base)
+    return Prepared(problem, library, base, coarse_rpm), reasons
+
+
+def _coarse(problem: Problem, base: Point) -> float | None:
+    """Return the step of coarse wheel speeds where the replay of smooth ones misses grossly.
+
+    A loop on a coarse speed hunts about its set-point, and no replay hunts in step with it for
+    long: the measured values themselves tell the step, and the ripple counts as noise.
+    """
+    names = [n for n in SPEEDS if n in problem.stack.edges]
+    if not isinstance(problem.stage, DriveStage) or base.deviance < GROSS * len(base.left):
+        return None
+    parts = [problem.stack.edges[n] for n in names]
+    values = problem.stack.values
+    return coarse_step([values[e] for e in parts], [base.predicted[e] for e in parts])
+
+
+def clean(problem: Problem, library: Library, point: Point) -> None:
+    """Learn the noise from what no cause at all can explain, so that no effect hides in it."""
+    library.rewhiten(point)
+    raw = library.effect(library.ridge(point), slice(None))
+    left = problem.residual(point.predicted) - raw
+    nuisance = problem.nuisance(point.predicted, point.poses)
+    if nuisance is not None:
+        step = problem.pose_step(problem.whiten(left), nuisance)
+        left = left - (nuisance * step[problem.stack.segment]).sum(axis=1)
+    problem.learn_noise(left)

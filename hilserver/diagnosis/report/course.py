@@ -1,0 +1,111 @@
+"""The value of a drifting parameter over time, for the report."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from hilserver.diagnosis.findings.outcome import PUBLIC, unit_of
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.evidence import Course
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+WINDOWS: Final = 8
+FEWEST_SEGMENTS: Final = 6
+"""So many segments are windows of their own, or share them: what moves a pose moves it to the end
+of its segment."""
+LEAST_SHARE: Final = 0.05
+"""Of the windows' mean information on a parameter: a window with less says nothing."""
+TINY: Final = 1e-300
+
+
+def courses(problem: Problem, point: Point, causes: set[str]) -> list[Course]:
+    """Return every parameter of some of the model's causes in windows of time.
+
+    The estimate is linear about the fitted value, all other causes at theirs. Its interval is the
+    larger of the sandwich over the blocks of the window and the one of the noise model.
+    """
+    accepted = problem.accepted(point)
+    if accepted is None:
+        return []
+    windows, out = _windows(problem), []
+    for f, mine in zip(point.model.fitted, point.model.slices, strict=True):
+        if f.candidate.cause in causes:
+            out += _of(problem, point, f, accepted[:, mine], windows)
+    return out
+
+
+def _windows(problem: Problem) -> list[Indices]:
+    """Return the samples of about eight windows: of whole segments, or of whole blocks."""
+    stack = problem.stack
+    many = len(problem.stage.segments) >= FEWEST_SEGMENTS
+    unit = stack.segment if many else stack.block
+    number = np.maximum(np.bincount(unit), 1)
+    middle = np.bincount(unit, stack.t_s) / number
+    order = [u for u in np.argsort(middle, kind="stable") if (unit == u).any()]
+    width = max(1, round(len(order) / WINDOWS))
+    return [
+        np.flatnonzero(np.isin(unit, order[k : k + width])) for k in range(0, len(order), width)
+    ]
+
+
+def _of(
+    problem: Problem, point: Point, f: Fitted, columns: Array, windows: list[Indices]
+) -> list[Course]:
+    names, jacobian = list(f.terms), _jacobian(f)
+    information = np.stack([(columns[rows] ** 2).sum(axis=0) for rows in windows])
+    rows_of: dict[str, list[tuple[float, float, float]]] = {n: [] for n in names}
+    for rows, own in zip(windows, information, strict=True):
+        if (own < LEAST_SHARE * information.mean(axis=0)).any():
+            continue
+        step, spread, half = _estimate(problem, point.left[rows], columns[rows], rows)
+        theta = np.asarray(f.theta) + step
+        values = f.candidate.terms(tuple(theta))
+        wide = half * np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
+        t_s = float(problem.stack.t_s[rows].mean())
+        for name, w in zip(names, wide, strict=True):
+            rows_of[name].append((t_s, values[name], float(w)))
+    out = []
+    for k, (name, found) in enumerate(rows_of.items()):
+        if not jacobian[k].any() or len(found) < 2:
+            continue
+        t, value, w = (np.array(column) for column in zip(*found, strict=True))
+        public = PUBLIC.get(name, name)
+        out.append(Course(public, unit_of(public), t, value, value - w, value + w))
+    return out
+
+
+def _jacobian(f: Fitted) -> Array:
+    """Return how the public parameters follow the fitted ones, shape (terms, n)."""
+    base = np.array(list(f.terms.values()))
+    out = np.zeros((len(base), f.candidate.n))
+    for j, step in enumerate(f.candidate.step):
+        theta = np.array(f.theta)
+        theta[j] += 1e-4 * step
+        moved = np.array(list(f.candidate.terms(tuple(theta)).values()))
+        out[:, j] = (moved - base) / (1e-4 * step)
+    return out
+
+
+def _estimate(
+    problem: Problem, left: Array, columns: Array, rows: Indices
+) -> tuple[Array, Array, float]:
+    """Return the step of the parameters, its covariance and the factor to 95 %."""
+    k = columns.shape[1]
+    scale = np.sqrt((columns**2).sum(axis=0)) + TINY
+    unit = columns / scale
+    bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(k))
+    step = bread @ (unit.T @ left)
+    _, block = np.unique(problem.stack.block[rows], return_inverse=True)
+    rest = left - unit @ step
+    scores = np.stack([np.bincount(block, unit[:, j] * rest) for j in range(k)], axis=1)
+    freedom = max(len(scores) - k, 1)
+    robust = bread @ (scores.T @ scores) @ bread * (len(scores) / freedom)
+    naive = bread * max(float(np.mean(rest**2)), 1.0)
+    growth = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(robust), TINY), 1.0))
+    spread = robust * np.outer(growth, growth) / np.outer(scale, scale)
+    return step / scale, spread, float(stats.t.ppf(0.975, max(freedom, 2)))

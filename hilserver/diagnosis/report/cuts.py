@@ -1,0 +1,213 @@
+"""Replay of the configured plant from three cut points: which block the error arises in.
+
+From the set-points the whole chain is replayed, from the measured duty the process alone, from the
+measured wheel speeds the kinematics alone. A residual that is larger than the sensors' noise from
+one cut point, and not from the next, arises between the two.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.regression.problem import Problem
+from hilserver.diagnosis.regression.stages import Prepared, pose_stage
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.evidence import CutRow
+from hilserver.measured.channels import DUTIES, SPEEDS
+from hilserver.measured.names import signal_unit
+
+Array = NDArray[np.float64]
+
+POSE_STEPS: Final = 2
+"""Fits of the free initial poses: from the set-points the pose goes far astray."""
+SHARE: Final = 0.5
+"""Of the closed loop's time constant: samples so dense show the duty between them."""
+FALL: Final = 8.0
+"""Closed loop's time constants after which the duty moves slowly again."""
+REST: Final = 7.0
+"""Time constants of the process after which it has forgotten a duty that nobody saw."""
+FEWEST: Final = 20
+
+
+def cuts(stages: Mapping[str, Prepared]) -> tuple[CutRow, ...]:
+    """Return the residual of every channel from every cut point that the log allows.
+
+    Parameters
+    ----------
+    stages : mapping of str to Prepared
+        ``drive``, ``pose`` or both. The configured plant is replayed, whatever was found.
+    """
+    rows: list[CutRow] = []
+    drive, pose = stages.get("drive"), stages.get("pose")
+    if drive is not None:
+        problem = drive.problem
+        rows += _rows("setpoints", problem, problem.residual(drive.base.predicted))
+    if drive is not None and pose is not None:
+        rows += _whole_chain(drive.problem, pose)
+    if drive is not None:
+        rows += _process_only(drive.problem)
+    if pose is not None and any(n in pose.problem.stage.log for n in SPEEDS):
+        problem, base = pose.problem, pose.base
+        residual = problem.residual(base.predicted)
+        taken = _taken_by_start(problem, base.predicted, base.poses)
+        rows += _rows("speed", problem, residual, less=taken)
+    return tuple(rows)
+
+
+def remarks(stages: Mapping[str, Prepared]) -> tuple[str, ...]:
+    """Return what a reader of the cuts must know."""
+    if "drive" not in stages:
+        return ()
+    stage, stack = stages["drive"].problem.stage, stages["drive"].problem.stack
+    assert isinstance(stage, DriveStage)
+    duties = [stack.t_s[stack.edges[n]] for n in DUTIES if n in stack.edges]
+    if not any(np.median(np.diff(t)) > SHARE * _closed_s(stage) for t in duties if len(t) > 1):
+        return ()
+    rest_s = REST * stage.robot.process.t1_s
+    return (
+        "The duty was recorded too rarely to know it between its samples after a step: replayed"
+        " from the duty, a wheel speed counts only where the set-points had rested for"
+        f" {rest_s:.2f} s. A wrong time constant of the motors shows in the whole chain alone.",
+    )
+
+
+def _rows(
+    cut: str,
+    problem: Problem,
+    residual: Array,
+    *,
+    less: Array | None = None,
+    more: Array | None = None,
+    only: NDArray[np.bool_] | None = None,
+) -> list[CutRow]:
+    """Compare residuals with the sensors' noise.
+
+    Parameters
+    ----------
+    less : ndarray, shape (n,), optional
+        Variance that the fit of the initial poses takes from every sample.
+    more : ndarray, shape (n,), optional
+        Variance that the noise of the cut's own sensor adds to it.
+    only : ndarray of bool, shape (n,), optional
+        Samples that can be judged.
+    """
+    rows = []
+    for name in problem.stack.channels:
+        edge = problem.stack.edges[name]
+        weights = problem.weights[edge]
+        used = weights > 0.0
+        if only is not None:
+            used &= only[edge]
+        if used.sum() < FEWEST:
+            continue
+        rms = float(np.sqrt(np.mean((weights * residual[edge] ** 2)[used])))
+        variance = problem.noise[name].sd ** 2
+        if less is not None:
+            variance -= float(np.mean(less[edge][used]))
+        if more is not None:
+            variance += float(np.mean(more[edge][used]))
+        expected = float(np.sqrt(variance)) if variance > 0.0 else None
+        rows.append(CutRow(cut, name, signal_unit(name), rms, expected))
+    return rows
+
+
+def _whole_chain(drive: Problem, pose: Prepared) -> list[CutRow]:
+    """Return the residuals of the pose with simulated wheel speeds, initial poses free."""
+    given = pose.problem.stage
+    stage = pose_stage(given.log.without(SPEEDS), given.robot, drive.stage, {})
+    problem = Problem(stage, dict(pose.problem.noise))
+    problem.weights = pose.problem.weights
+    point = problem.point(Model(), problem.start_poses({}), pose_steps=POSE_STEPS)
+    residual = problem.residual(point.predicted)
+    taken = _taken_by_start(problem, point.predicted, point.poses)
+    return _rows("setpoints", problem, residual, less=taken)
+
+
+def _taken_by_start(problem: Problem, predicted: Array, poses: Array) -> Array | None:
+    """Return the variance that each sample loses to the fit of its initial pose.
+
+    Of generalised least squares: the diagonal of ``X (X' C^-1 X)^-1 X'``.
+    """
+    columns = problem.nuisance(predicted, poses)
+    if columns is None:
+        return None
+    white, segment = problem.whiten(columns), problem.stack.segment
+    out = np.zeros(len(columns))
+    for i in range(len(problem.stage.segments)):
+        rows = np.flatnonzero(segment == i)
+        spread = np.linalg.pinv(white[rows].T @ white[rows], hermitian=True)
+        out[rows] = np.einsum("ij,jk,ik->i", columns[rows], spread, columns[rows])
+    return out
+
+
+def _process_only(problem: Problem) -> list[CutRow]:
+    """Return the residuals of the wheel speeds under the measured duty.
+
+    Between its samples the duty is the simulated one plus the interpolated difference. After a step
+    of a set-point it falls within milliseconds, and differently under another controller: where the
+    log does not show that, speeds count only when the process has forgotten it.
+    """
+    stage, stack = problem.stage, problem.stack
+    assert isinstance(stage, DriveStage)
+    _, _, duty = stage.simulate({})
+    noisy, rng = duty.copy(), np.random.default_rng(0)
+    judged = np.zeros(len(stack), dtype=bool)
+    for w in range(4):
+        if not {SPEEDS[w], DUTIES[w]} <= set(stack.channels):
+            continue
+        edge, speed = stack.edges[DUTIES[w]], stack.edges[SPEEDS[w]]
+        held = np.floor(stack.at[edge] + 1e-6)
+        difference = stack.values[edge] - duty[held.astype(np.int64), w]
+        noise = problem.noise[DUTIES[w]].sd * rng.standard_normal(len(held))
+        duty[:, w] += _between(stage, edge, held, difference)
+        noisy[:, w] = duty[:, w] + _between(stage, edge, held, noise)
+        since = stage.since(_unseen(stage, w, held))
+        rested = since >= REST * stage.robot.process.t1_s
+        judged[speed] = rested[stack.at[speed].astype(np.int64)]
+    seen = stage.sampled(stage.process_only(duty), duty)
+    shaken = stage.sampled(stage.process_only(noisy), duty)
+    residual = problem.residual(seen)
+    return _rows("duty", problem, residual, more=(shaken - seen) ** 2, only=judged)
+
+
+def _unseen(stage: DriveStage, wheel: int, held: Array) -> NDArray[np.bool_]:
+    """Return the ticks at which a duty falls after a step and its samples are too far apart.
+
+    In a ramp of many steps every sample shows the same moment of the fall, so there it counts as
+    unseen wherever a tick has no sample.
+    """
+    segments = stage.segments
+    segment = stage.stack.segment[stage.stack.edges[DUTIES[wheel]]]
+    gap_s = np.full(segments.ticks, np.inf)
+    for i in range(len(segments)):
+        at = held[segment == i].astype(np.int64)
+        if len(at) > 1:
+            apart = np.diff(at)
+            gap_s[at[0] : at[-1]] = np.repeat(apart, apart) * segments.period_s
+    fall_s, stepped = FALL * _closed_s(stage), stage.stepped(wheel)
+    since = stage.since(stepped)
+    again = stepped & (np.concatenate([[np.inf], since[:-1]]) < fall_s)
+    ramp = (stage.since(again) < fall_s) & (gap_s > 1.5 * segments.period_s)
+    return ramp | ((since < fall_s) & (gap_s > SHARE * _closed_s(stage)))
+
+
+def _closed_s(stage: DriveStage) -> float:
+    """Return the time constant of the closed loop, with which a duty falls after a step."""
+    process, controller = stage.robot.process, stage.robot.controller
+    return process.t1_s / (1.0 + controller.k_p * process.gain)
+
+
+def _between(stage: DriveStage, edge: slice, at: Array, values: Array) -> Array:
+    """Return samples of one channel, interpolated at every tick and held at segments' ends."""
+    out, first = np.zeros(stage.segments.ticks), stage.segments.first
+    segment = stage.stack.segment[edge]
+    for i in range(len(stage.segments)):
+        rows = segment == i
+        if rows.any():
+            out[first[i] : first[i + 1]] = np.interp(
+                np.arange(first[i], first[i + 1]), at[rows], values[rows]
+            )
+    return out

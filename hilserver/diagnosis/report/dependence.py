@@ -1,0 +1,219 @@
+"""What remains of a residual against what it depends on, in bins, for the report."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from hilserver.diagnosis.decide.structure import LEVEL, Unknown
+from hilserver.diagnosis.decide.unknown import peaks
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.evidence import Dependence
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
+from hilserver.measured.names import signal_unit
+from hilserver.plant.layout import WHEELS
+
+Array = NDArray[np.float64]
+
+MOST, EACH = 2, 2
+"""Structures, and regressors of each, that are drawn."""
+HEADING: Final = "pose.yaw_rad"
+BASE_S: Final = 1.0
+"""Over which the growth of a pose's error is taken."""
+BINS: Final = 24
+FEWEST_BLOCKS: Final = 3
+ALIKE: Final = 0.98
+PERIODS: Final = 4.0
+"""A log so many periods long is folded over the strongest one."""
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What is left of one channel, or of a velocity that positions or yaw tell.
+
+    Attributes
+    ----------
+    edge : slice
+        Samples of the stack at whose instants it stands.
+    used : ndarray of bool, shape of `values`
+    """
+
+    name: str
+    edge: slice
+    values: Array
+    used: NDArray[np.bool_]
+
+
+def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[Dependence]:
+    """Return what the remaining error depends on, the strongest structure first.
+
+    Regressors are read off the final model, so that no sensor's noise is in both.
+    """
+    if not unknown:
+        return []
+    limit = _critical(problem, point, unknown)
+    out: list[Dependence] = []
+    drawn: list[Array] = []
+    for u in unknown[:MOST]:
+        left = _left(problem, point, u)
+        known = _regressors(problem, point, left.edge)
+        for name in [r for r in u.family.regressors if r in known][:EACH]:
+            label, unit, x = name, signal_unit(name), known[name]
+            if name == "t_s":
+                label, unit, x = _folded(problem, point, x)
+            bins = min(BINS, problem.stack.n_blocks // FEWEST_BLOCKS) if label == "t_s" else BINS
+            block = problem.stack.block[left.edge]
+            parts = binned(x[left.used], left.values[left.used], block[left.used], bins)
+            if any(_alike(x, other) for other in drawn) or len(parts) < 2:
+                continue
+            drawn.append(x)
+            at, mean, half = (np.array(column) for column in zip(*parts, strict=True))
+            low, high = mean - half, mean + half
+            own = signal_unit(left.name)
+            out.append(
+                Dependence(left.name, own, label, unit, at, mean, low, high, abs(u.t), limit)
+            )
+    return out
+
+
+def _alike(x: Array, other: Array) -> bool:
+    """Return whether two regressors are one, as the set-points of both wheels of a side."""
+    if len(x) != len(other) or min(np.ptp(x), np.ptp(other)) == 0.0:
+        return False
+    return bool(abs(np.corrcoef(x, other)[0, 1]) > ALIKE)
+
+
+def _critical(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> float:
+    """Return the critical statistic of the structures that were found."""
+    blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
+    scores = [score(u.white[blocks.order], point.left[blocks.order], blocks) for u in unknown]
+    return critical(null_maxima(scores, np.random.default_rng(0)), LEVEL)
+
+
+def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
+    """Return the remaining error of what a structure explains most of.
+
+    The error of a pose adds up along the way: what is reported is how fast it grows.
+    """
+    edges = problem.stack.edges
+    residual, used = problem.residual(point.predicted), problem.weights > 0.0
+    norm = np.sqrt((u.white**2).sum(axis=0))
+    unit = u.white[:, norm > 0.0] / norm[norm > 0.0]
+    size, *_ = np.linalg.lstsq(unit, point.left, rcond=1e-9)
+    explained = point.left**2 - (point.left - unit @ size) ** 2
+    share = {n: float(explained[e].sum()) for n, e in edges.items()}
+    if isinstance(problem.stage, DriveStage):
+        duties = [n for n in DUTIES if n in edges]
+        name = max(duties or [n for n in SPEEDS if n in edges], key=lambda n: share[n])
+        return _Left(name, edges[name], residual[edges[name]], used[edges[name]])
+    along = sum(share.get(n, 0.0) for n in POSITION)
+    if along > sum(share.get(n, 0.0) for n in (GYRO, YAW)):
+        x, y = (edges[n] for n in POSITION)
+        yaw = _regressors(problem, point, x)[HEADING]
+        forward = [_rate(problem, e, residual[e]) for e in (x, y)]
+        ahead = np.cos(yaw) * forward[0] + np.sin(yaw) * forward[1]
+        sound = np.isfinite(ahead) & used[x] & used[y]
+        return _Left("velocity.linear_m_s", x, np.nan_to_num(ahead), sound)
+    if GYRO in edges:
+        return _Left(GYRO, edges[GYRO], residual[edges[GYRO]], used[edges[GYRO]])
+    turned = _rate(problem, edges[YAW], residual[edges[YAW]])
+    sound = np.isfinite(turned) & used[edges[YAW]]
+    return _Left("velocity.angular_rad_s", edges[YAW], np.nan_to_num(turned), sound)
+
+
+def _rate(problem: Problem, edge: slice, values: Array) -> Array:
+    """Return how fast a channel's residual grows about each sample; NaN at segments' ends."""
+    stack, out = problem.stack, np.full(len(values), np.nan)
+    t_s, segment = stack.t_s[edge], stack.segment[edge]
+    for i in np.unique(segment):
+        rows = np.flatnonzero(segment == i)
+        known = rows[problem.weights[edge][rows] > 0.0]
+        if len(known) < 2:
+            continue
+        t = t_s[rows]
+        inside = (t >= t[0] + 0.5 * BASE_S) & (t <= t[-1] - 0.5 * BASE_S)
+        ends = [
+            np.interp(t[inside] + half, t_s[known], values[known])
+            for half in (-0.5 * BASE_S, 0.5 * BASE_S)
+        ]
+        out[rows[inside]] = (ends[1] - ends[0]) / BASE_S
+    return out
+
+
+def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Array]:
+    """Return what is known at the samples of a channel, by name."""
+    stage, stack, terms = problem.stage, problem.stack, point.model.terms
+    row = np.minimum(np.rint(stack.at[edge]).astype(np.int64), stack.high[edge])
+    out = {"t_s": stack.t_s[edge]}
+    if isinstance(stage, PoseStage):
+        dense = stage.simulate(terms, point.poses)[row]
+        scale = stage.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
+        out |= dict(zip(POSITION, (dense[:, 0], dense[:, 1]), strict=True))
+        out[HEADING] = np.arctan2(np.sin(dense[:, 2]), np.cos(dense[:, 2]))
+        out[YAW] = out[HEADING]
+        out["velocity.linear_m_s"] = (stage.left - stage.right)[row] * scale
+        out["velocity.angular_rad_s"] = dense[:, 3]
+        return out
+    _, seen, duty = stage.simulate(terms)
+    angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * stage.segments.period_s)
+    for w, wheel in enumerate(WHEELS):
+        out[SPEEDS[w]], out[DUTIES[w]] = seen[row, w], duty[row, w]
+        out[f"wheel.{wheel}.angle_rad"] = np.mod(angle[row, w], 2.0 * np.pi)
+        if SETPOINTS[w] in stage.log:
+            out[SETPOINTS[w]] = _held(stage, SETPOINTS[w], edge)
+    return out
+
+
+def _held(stage: DriveStage, name: str, edge: slice) -> Array:
+    """Return the value of an input at the samples of a channel: it holds until the next."""
+    t_s, segment = stage.stack.t_s[edge], stage.stack.segment[edge]
+    out = np.zeros(len(t_s))
+    for i, span in enumerate(stage.segments.span):
+        t, v = stage.log[name].of(int(span))
+        rows = segment == i
+        if len(t):
+            latest = np.searchsorted(t, t_s[rows] + 1e-9, side="right") - 1
+            out[rows] = v[np.maximum(latest, 0)]
+    return out
+
+
+def _folded(problem: Problem, point: Point, t_s: Array) -> tuple[str, str, Array]:
+    """Return time, folded over the strongest period of the residual if the log holds many."""
+    among = [n for n in (GYRO, *DUTIES) if n in problem.stack.edges]
+    found = peaks(problem, point, among or [n for n in SPEEDS if n in problem.stack.edges])
+    if not found or float(np.ptp(t_s)) * found[0] < PERIODS:
+        return "t_s", "s", t_s
+    period_s = 1.0 / found[0]
+    return f"t_s mod {period_s:.3g}", "s", np.mod(t_s, period_s)
+
+
+def binned(
+    x: Array, residual: Array, block: NDArray[np.int64], bins: int
+) -> list[tuple[float, float, float]]:
+    """Return middle, mean and half of the interval of 95 % of every bin that has enough blocks.
+
+    The interval counts blocks: samples of one hang together.
+    """
+    if not len(x) or float(np.ptp(x)) == 0.0:
+        return []
+    edges = np.linspace(x.min(), x.max(), max(bins, 1) + 1)
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    out = []
+    for k in range(len(edges) - 1):
+        mine = index == k
+        _, inside = np.unique(block[mine], return_inverse=True)
+        n = int(inside.max(initial=-1)) + 1
+        if n < FEWEST_BLOCKS:
+            continue
+        mean = float(residual[mine].mean())
+        sums = np.bincount(inside, residual[mine] - mean)
+        deviation = float(np.sqrt((sums**2).sum() * n / (n - 1))) / int(mine.sum())
+        half = float(stats.t.ppf(0.975, n - 1)) * deviation
+        out.append((float(np.median(x[mine])), mean, half))
+    return out

@@ -1,0 +1,251 @@
+"""Fills the evidence: what the report draws."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.vocabulary import part_of
+from hilserver.diagnosis.decide.structure import Unknown
+from hilserver.diagnosis.findings.gain import HORIZONS_S, compare, free_run_errors, windows
+from hilserver.diagnosis.regression.problem import Point
+from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
+from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.report import cuts
+from hilserver.diagnosis.report.course import courses
+from hilserver.diagnosis.report.dependence import dependences
+from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.evidence import (
+    Course,
+    Dependence,
+    Evidence,
+    FittedRange,
+    FittedTerm,
+    HorizonRow,
+    NoiseRow,
+    Path,
+    Series,
+    Similarity,
+)
+from hilserver.measured.channels import POSITION, SPEEDS, YAW
+from hilserver.measured.data import MeasuredLog
+from hilserver.measured.names import signal_unit
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One stage with its predictions before and after the extension.
+
+    Attributes
+    ----------
+    unknown : sequence of Unknown
+        What the residual of `point` depends on without a name.
+    drift : mapping of str to float
+        Causes of `point` that change along the log, with their p.
+    """
+
+    prepared: Prepared
+    point: Point
+    before: Array
+    after: Array
+    scores: Scores
+    unknown: Sequence[Unknown]
+    drift: Mapping[str, float]
+    selection: tuple[SelectionRow, ...] = ()
+
+
+def evidence(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    stages: Mapping[str, Shown],
+    terms: tuple[FittedTerm, ...],
+    timings: Mapping[str, float],
+) -> Evidence:
+    """Collect what stands behind the findings."""
+    series: list[Series] = []
+    noise: list[NoiseRow] = []
+    screen: list[ScreenRow] = []
+    horizons: list[HorizonRow] = []
+    paths: tuple[Path, ...] = ()
+    similarity = None
+    rest: list[Dependence] = []
+    over_time: list[Course] = []
+    extended = bool(terms)
+    prepared = {name: s.prepared for name, s in stages.items()}
+    for name, s in stages.items():
+        series += _series(s, extended)
+        noise += _noise(s)
+        screen += _screen(s)
+        rest += dependences(s.prepared.problem, s.point, s.unknown)
+        over_time += courses(s.prepared.problem, s.point, set(s.drift))
+        if name == "pose":
+            horizons += _horizons(s)
+            paths = _paths(s, extended)
+            similarity = _similarity(s)
+    return Evidence(
+        series=tuple(series),
+        paths=paths,
+        cuts=cuts.cuts(prepared),
+        noise=tuple(noise),
+        screen=tuple(screen),
+        selection=tuple(row for s in stages.values() for row in s.selection),
+        similarity=similarity,
+        gain_by_horizon=tuple(horizons),
+        dependences=tuple(rest),
+        courses=tuple(over_time),
+        extension=terms,
+        fitted=_range(log, robot, stages),
+        timings_s=dict(timings),
+        remarks=cuts.remarks(prepared),
+    )
+
+
+def _series(s: Shown, extended: bool) -> list[Series]:
+    problem, stack = s.prepared.problem, s.prepared.problem.stack
+    span = problem.stage.segments.span[stack.segment]
+    first, second = problem.residual(s.before), problem.residual(s.after)
+    out = []
+    for name in stack.channels:
+        e = stack.edges[name]
+        measured = stack.values[e]
+        if name == YAW:
+            measured = _unwrapped(measured, span[e])
+        out.append(
+            Series(
+                name,
+                signal_unit(name),
+                stack.t_s[e],
+                measured,
+                measured - first[e],
+                measured - second[e] if extended else None,
+                span[e],
+            )
+        )
+    return out
+
+
+def _unwrapped(values: Array, span: NDArray[np.int64]) -> Array:
+    out = values.copy()
+    for s in np.unique(span):
+        out[span == s] = np.unwrap(values[span == s])
+    return out
+
+
+def _noise(s: Shown) -> list[NoiseRow]:
+    rows = []
+    for name, model in s.prepared.problem.noise.items():
+        rows.append(
+            NoiseRow(
+                name,
+                signal_unit(name),
+                float(model.white_sd),
+                float(model.ou_sd),
+                float(model.ou_tau_s) if model.ou_sd > 0.0 else None,
+                float(model.tail_dof) if np.isfinite(model.tail_dof) else None,
+            )
+        )
+    return rows
+
+
+def _screen(s: Shown) -> list[ScreenRow]:
+    library = s.prepared.library
+    maxima = null_maxima([s.scores], np.random.default_rng(0))
+    limit = critical(maxima)
+    if limit <= 0.0:  # no cause shows in such data at all
+        return []
+    rows: dict[str, ScreenRow] = {}
+    for i, c in enumerate(library.candidates):
+        mine = np.flatnonzero(library.owner == i)
+        if not mine.size:
+            continue
+        j = int(mine[np.argmax(np.abs(s.scores.t[mine]))])
+        part = next(iter(c.terms(c.start)))
+        t = float(s.scores.t[j])
+        if c.cause in rows and abs(rows[c.cause].statistic) >= abs(t):
+            continue
+        size = float(s.scores.size[j]) * (1.0 if c.linear else abs(c.start[0] - c.null[0]))
+        try:
+            unit = part_of(part).unit
+        except KeyError:
+            unit = "s" if part.startswith("shift.") else "1"
+        rows[c.cause] = ScreenRow(
+            cause=c.cause,
+            part="" if part == c.cause else part.partition(".")[2],
+            statistic=t,
+            critical=limit,
+            p_adjusted=float(adjusted(np.array([t]), maxima)[0]),
+            size=size,
+            standard_error=abs(size / t) if t else 0.0,
+            unit=unit,
+            dof=float(library.problem.stack.n_blocks),
+        )
+    return list(rows.values())
+
+
+def _horizons(s: Shown) -> list[HorizonRow]:
+    rng, out = np.random.default_rng(0), []
+    seen: set[float] = set()
+    for horizon_s in HORIZONS_S:
+        w = windows(s.prepared.problem, horizon_s)
+        if w is None or round(w.horizon_s, 1) in seen:
+            continue
+        seen.add(round(w.horizon_s, 1))
+        first, second = (free_run_errors(s.prepared.problem, p, w) for p in (s.before, s.after))
+        for key in first:
+            g = compare(first[key], second[key], w.horizon_s, rng)
+            out.append(HorizonRow(key, g.horizon_s, g.before, g.after, g.ratio, g.ci95))
+    return out
+
+
+def _paths(s: Shown, extended: bool) -> tuple[Path, ...]:
+    stack = s.prepared.problem.stack
+    if not all(n in stack.edges for n in POSITION):
+        return ()
+    x, y = (stack.edges[n] for n in POSITION)
+    if x.stop - x.start != y.stop - y.start:
+        return ()
+    span = s.prepared.problem.stage.segments.span[stack.segment[x]]
+    out = []
+    for k in np.unique(span)[:4]:
+        rows = span == k
+        tracks = [
+            np.stack([v[x][rows], v[y][rows]], axis=1) for v in (stack.values, s.before, s.after)
+        ]
+        out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None))
+    return tuple(out)
+
+
+def _similarity(s: Shown) -> Similarity:
+    library = s.prepared.library
+    first: dict[str, int] = {}
+    for j, i in enumerate(library.owner):
+        first.setdefault(library.candidates[i].cause, j)
+    columns = library.columns[:, list(first.values())]
+    norm = np.sqrt((columns**2).sum(axis=0))
+    unit = columns / np.where(norm > 0.0, norm, np.nan)
+    return Similarity(tuple(first), unit.T @ unit)
+
+
+def _range(log: MeasuredLog, robot: RobotParameters, stages: Mapping[str, Shown]) -> FittedRange:
+    wheel = [log[n].values for n in SPEEDS if n in log]
+    rpm = turn = speed = volts = None
+    if wheel:
+        both = np.concatenate(wheel)
+        rpm = (float(both.min()), float(both.max()))
+    if "pose" in stages:
+        stage = stages["pose"].prepared.problem.stage
+        assert isinstance(stage, PoseStage)
+        point = stages["pose"].point
+        om = stage.simulate(point.model.terms, point.poses)[:, 3]
+        scale = robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
+        v = (stage.left - stage.right) * scale
+        turn, speed = (float(om.min()), float(om.max())), (float(v.min()), float(v.max()))
+    if "battery.voltage_v" in log:
+        b = log["battery.voltage_v"].values
+        volts = (float(b.min()), float(b.max()))
+    return FittedRange(speed, rpm, turn, volts)

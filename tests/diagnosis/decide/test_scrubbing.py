@@ -1,0 +1,49 @@
+"""The ratio of friction across to friction along that turns like a rotation gain."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilserver.diagnosis.catalogue.library import pose_candidates
+from hilserver.diagnosis.decide.scrubbing import as_friction, late_turn
+from hilserver.diagnosis.regression.problem import Point
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.plant.friction import anisotropy
+from hilserver.plant.parameters import RobotParameters
+
+ROBOT = RobotParameters()
+(GAIN,) = (c for c in pose_candidates(None) if c.cause == "rotation_gain")
+
+
+def told(a, half=0.01):
+    own = Parameter(value=a, ci95=(a - half, a + half), unit="1")
+    return as_friction(ROBOT, Fitted(GAIN, (a,)), own)
+
+
+@given(ratio=st.floats(1.2, 5.0))
+def test_it_is_the_inverse_of_the_plant(ratio):
+    even = ROBOT.track_m / (ROBOT.wheelbase_m**2 + ROBOT.track_m**2)
+    factor, _ = anisotropy(ROBOT.wheelbase_m, ROBOT.track_m, ratio, 0.0)
+    found = told(factor * even / ROBOT.k_om - 1.0, 1e-4)
+    assert found.value == pytest.approx(ratio, rel=2e-3)
+    low, high = found.ci95
+    assert low < found.value < high
+
+
+@pytest.mark.parametrize("a", [-0.999, 5.0])
+def test_a_gain_that_no_friction_makes_has_no_ratio(a):
+    assert told(a) is None
+
+
+@pytest.mark.parametrize(
+    ("cause", "late_s", "expected"),
+    [("imu_latency", 0.008, 0), ("clock_offset", 0.015, 0), ("imu_latency", 0.05, None),
+     ("clock_offset", -0.01, None), ("rotation_gain", 0.01, None)],
+)  # fmt: skip
+def test_only_a_short_latency_is_what_tyres_make(cause, late_s, expected):
+    candidate = next(c for c in pose_candidates(None) if c.cause == cause)
+    model = Model((Fitted(candidate, (late_s,)),))
+    none = np.zeros(0)
+    assert late_turn(Point(model, none, none, none, none, none)) == expected
