@@ -18,7 +18,8 @@ def stages(monkeypatch, tmp_path):
     """Stand-ins for reading and judging; notes what they were asked."""
     asked = []
 
-    def read(paths, mapping):
+    def read(paths, mapping, sampling):
+        assert sampling is not None
         asked.append(("read", [p.name for p in paths], mapping))
         if any(p.name == "bad.csv" for p in paths):
             raise LogError("bad.csv:3: column 't_s': not a number; fix the row")
