@@ -14,7 +14,7 @@ from hilserver.config.root import Config
 HEAD = """# Configuration: every key of config.yaml
 
 Made from the code by `python -m hilserver.config.reference`; a test keeps it up to date. A key that
-is left out has its default. Units stand at the end of the names.
+is missing has its default. Names end in their units.
 
 | key | type | default | meaning |
 |---|---|---|---|

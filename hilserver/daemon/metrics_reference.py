@@ -16,10 +16,10 @@ _INTRODUCTION = """\
 clients that ask for it. All times are in seconds. A metric that has nothing to report (no peer, no
 complete window yet) is absent rather than zero.
 
-- Histograms have 1-2-5 buckets. What is shorter than the first bound stands in the first bucket,
-  what is longer than the last in `+Inf`.
+- Histograms have 1-2-5 buckets. Values below the first bound are in the first bucket,
+  values above the last in `+Inf`.
 - Counters and histograms count from the start of the process; `ResetStatistics` and reconnects do
-  not set them back. `hil_margin_min_seconds` is a gauge and does start anew.
+  not reset them. `hil_margin_min_seconds` is a gauge and is reset.
 - In the default configuration with one peer there are at most 300 series, the client library's own
   (`process_*`, `python_*`) included. A further peer adds about 60, a further slice about 22.
 - Scrapes within 50 ms get the same answer: a flood of scrapes cannot keep the event loop busy.

@@ -4,12 +4,12 @@ from hilserver.config.reference import rows_of
 from hilserver.measured.mapping import ChannelMap, ColumnMap, TimeMap, builtin_mappings
 from hilserver.measured.names import known_signals, units_of
 
-HEAD = """# Mapping files: logs of others
+HEAD = """# Mapping files: foreign logs
 
 Made from the code by `python -m hilserver.measured.mapping_reference`; a test keeps it up to date.
 A mapping says which column of a table, or which topic and field of a ROS 2 bag, is which signal:
-`hilserver diagnose LOG --mapping map.yaml`. Columns that it does not name are left alone. How to
-write one: [Read logs of other recorders](../how-to/read-foreign-logs.md).
+`hilserver diagnose LOG --mapping map.yaml`. Columns that it does not name are ignored. How to
+write one: [Read foreign logs](../how-to/read-foreign-logs.md).
 
 Built in, to be named instead of a file: {builtin}.
 
