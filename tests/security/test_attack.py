@@ -59,14 +59,48 @@ def test_two_thousand_packets_and_the_floods(tmp_path: Path) -> None:
     check(campaign(tmp_path / "attack.json", *sizes, timeout_s=110), 2000)
 
 
+MOST_TIMES = 2.0
+"""So many times the missed ticks of the reference are shown to be too many."""
+NONE_PER_S = 0.01
+ROUNDS = 15
+"""At a tick missed in 12 s, as measured, enough for an interval of 0.63 to 1.6 about 1."""
+
+
+def no_more_ticks_missed(found: dict[str, dict], name: str) -> None:
+    """The interval of the ratio holds no doubling; few ticks in 100 s need no interval."""
+    low, high = (found[f"{name}_rate_ratio_{end}"]["value"] for end in ("low", "high"))
+    per_s = found[f"{name}_per_s"]["value"]
+    assert low <= 1.0, f"{name}: more, {low:.2f} to {high:.2f} times"
+    assert high < MOST_TIMES or per_s < NONE_PER_S, f"{name}: undecided, {low:.2f} to {high:.2f}"
+
+
 @pytest.mark.long
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 def test_the_whole_campaign(tmp_path: Path) -> None:
-    found = campaign(tmp_path / "attack.json", timeout_s=1100)
+    path = tmp_path / "attack.json"
+    found = campaign(path, "--rounds", str(ROUNDS), timeout_s=3500)
     check(found, 20_000)
     # The plant misses no more ticks than at rest (spec 3).
-    assert found["missed_ticks_rate_ratio_low"]["value"] <= 1.0
-    assert found["missed_ticks_to_load_rate_ratio_low"]["value"] <= 1.0
+    no_more_ticks_missed(found, "missed_ticks")
+    no_more_ticks_missed(found, "missed_ticks_to_load")
+
+
+def test_a_campaign_of_this_size_notices_twice_and_two_and_a_half_times_as_much() -> None:
+    def found(missed: tuple[int, ...]) -> dict[str, dict]:
+        blocks = [
+            block(kind, number, 0.0)
+            for _ in range(ROUNDS * len(FLOODS) // 5)
+            for kind, five in ((IDLE, (0, 1, 0, 1, 0)), (ATTACK, missed))
+            for number in five
+        ]
+        rows = results(Campaign(blocks=blocks))
+        return {row.name: {"value": row.value} for row in rows}
+
+    no_more_ticks_missed(found((0, 1, 0, 1, 0)), "missed_ticks")
+    no_more_ticks_missed(found((0, 0, 0, 0, 0)), "missed_ticks")
+    for more in ((1, 1, 1, 1, 1), (1, 1, 0, 1, 1)):
+        with pytest.raises(AssertionError, match=r"undecided|more"):
+            no_more_ticks_missed(found(more), "missed_ticks")
 
 
 def test_the_same_seed_makes_the_same_packets() -> None:
