@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
+from hilserver.image.shared_file import path_of
 from tests.fakes import image_name
 
 START_LIMIT_S = 90
@@ -43,6 +44,8 @@ def running_daemon(folder, *options, config=""):
             yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
         finally:
             process.kill()
+            process.wait(10)
+            path_of(image).unlink(missing_ok=True)  # what a killed daemon leaves in /dev/shm
 
 
 def _addresses(process, log):

@@ -33,7 +33,15 @@ async def test_frames_come_out_whole_however_they_come_in(
     assert reader.since_s is None
 
 
-@given(data=st.binary(min_size=8, max_size=200))
+MESSAGES = st.builds(
+    lambda kind, length, body: kind + b"F" + struct.pack("<I", length) + body,
+    st.sampled_from([b"HEL", b"OPN", b"MSG", b"CLO", b"ERR", b"XYZ"]),
+    st.integers(0, 100) | st.integers(0, 2**32 - 1),
+    st.binary(max_size=100),
+)
+
+
+@given(data=MESSAGES | st.lists(MESSAGES, max_size=4).map(b"".join))
 async def test_nothing_but_messages_is_kept(data: bytes) -> None:
     reader = FrameReader()
     try:
