@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -35,12 +35,12 @@ class Form:
 _BOTH = ("signal", "peer")
 FORMS: Mapping[str, Form] = {
     "stuck": Form("keeps its value, or `value`", takes=("value",)),
-    "noise": Form("normal noise of deviation `sd` is added", ("sd",), ("every_s",)),
+    "noise": Form("Gaussian noise of standard deviation `sd` is added", ("sd",), ("every_s",)),
     "bias": Form("`offset` is added", ("offset",)),
     "scale": Form("multiplied by `factor`", ("factor",)),
-    "delay": Form("comes `delay_s` late", ("delay_s",), on=_BOTH),
+    "delay": Form("arrives `delay_s` late", ("delay_s",), on=_BOTH),
     "jitter": Form(
-        "comes `delay_s` plus 0 .. `jitter_s` late, in order",
+        "arrives `delay_s` plus 0 .. `jitter_s` late, in order",
         ("jitter_s",),
         ("delay_s", "every_s"),
         _BOTH,
@@ -62,7 +62,7 @@ FORMS: Mapping[str, Form] = {
     "spike": Form(
         "with `probability`, `size` is added or subtracted", ("size", "probability"), ("every_s",)
     ),
-    "disconnect": Form("keeps its value, quality Uncertain; a link: cut", on=_BOTH),
+    "disconnect": Form("keeps its value, quality Uncertain; a link is interrupted", on=_BOTH),
     "force": Form("is `value`, whatever anyone writes", ("value",)),
     "shield.yaw_rate_without_60_2pi": Form(
         "defect 1: the factor 60/(2 pi) is missing, turning is 9.5 times too slow", on=()
@@ -96,27 +96,10 @@ PARAMETERS = (
     "step",
     "size",
 )
-KindName = Literal[
-    "stuck",
-    "noise",
-    "bias",
-    "scale",
-    "delay",
-    "jitter",
-    "drop",
-    "reorder",
-    "hold",
-    "quantise",
-    "spike",
-    "disconnect",
-    "force",
-    "shield.yaw_rate_without_60_2pi",
-    "shield.dead_command_timeout",
-    "shield.last_wheel_scaling",
-    "shield.front_wheels_swapped",
-    "shield.rpm_unsigned",
-    "shield.imu_raw_units",
-]
+if TYPE_CHECKING:
+    KindName = str
+else:
+    KindName = Literal[tuple(FORMS)]
 
 
 def _conditions(schema: dict[str, Any]) -> None:
@@ -155,9 +138,9 @@ class Fault(BaseModel):
     direction: Literal["in", "out", "both"] = Field(
         "both", description="of a peer link: what comes in, what goes out"
     )
-    from_s: Seconds = Field(0.0, description="begins so long after the start [s]")
-    until_s: Seconds | None = Field(None, description="ends so long after the start [s]")
-    for_s: Positive | None = Field(None, description="lasts so long [s]")
+    from_s: Seconds = Field(0.0, description="begins this long after the start [s]")
+    until_s: Seconds | None = Field(None, description="ends this long after the start [s]")
+    for_s: Positive | None = Field(None, description="lasts this long [s]")
     seed: int | None = Field(
         None,
         ge=0,

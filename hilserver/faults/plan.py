@@ -93,7 +93,7 @@ class Planner:
         if name not in self._table or self._table[name].hidden:
             raise ValueError(f"there is no signal '{name}'; see 'hilserver signals'")
         if name.startswith("sim."):
-            raise ValueError(f"'{name}' tells the time and the state, it cannot be falsified")
+            raise ValueError(f"'{name}' shows the time or the state; no fault can change it")
         return self._table[name]
 
     def _side(self, signal: Signal) -> int:

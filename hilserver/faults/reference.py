@@ -28,7 +28,7 @@ RULES = f"""
 - Several faults on one signal act in the order in which they came; forces act last.
 - `force` is visible: status GoodLocalOverride, `faults.forced.names`, metric `hil_faults`, log. The
   safe state wins over a force: set-points ramp to zero and the drive is off, whatever is forced.
-- Whole-numbered signals stay whole and in their range. `sim.*` cannot be falsified.
+- Whole-numbered signals stay whole and in their range. No fault can change `sim.*`.
 - The same seed at the same tick gives the same number, in every pacing back end, and also after a
   snapshot, which holds all faults with their memory. Reset ends all faults and forces.
 - At most {MAX_MODIFIERS} scalars are modified at once, {MAX_RINGS} of them delayed by at most

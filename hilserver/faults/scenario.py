@@ -37,7 +37,7 @@ class _Section(BaseModel):
 class Step(_Section):
     """Values that are written at one time."""
 
-    at_s: Seconds = Field(description="so long after the start [s]")
+    at_s: Seconds = Field(description="this long after the start [s]")
     write: dict[str, bool | float | list[float]] = Field(
         description="signal: value", min_length=1, max_length=100
     )

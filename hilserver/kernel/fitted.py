@@ -22,11 +22,16 @@ N_ROW: Final = 6  # low and high of speed [m/s], turn rate [rad/s], wheel speed 
 TOLERANCE: Final = 0.02
 """Share of a range by which it may be left: the plant's ripple is no other condition."""
 
-_MOTION: Final = [*range(robot.Y_POSE, robot.Y_BATTERY), *range(robot.Y_TOF, robot.N_Y)]
+_NAVIGATION: Final = range(robot.Y_NAV, robot.Y_NAV + 3)
+_MOTION: Final = [
+    *range(robot.Y_POSE, robot.Y_BATTERY),
+    *range(robot.Y_TOF, robot.Y_TOF + 4),
+    *_NAVIGATION,
+]
 _AFFECTED: Final[Mapping[str, list[int]]] = {
     "drive": [*range(robot.Y_POSE), *_MOTION],
     "kinematics": _MOTION,
-    "navigation": list(range(robot.Y_NAV, robot.N_Y)),
+    "navigation": list(_NAVIGATION),
     "inertial": list(range(robot.Y_IMU, robot.Y_BATTERY)),
 }
 AFFECTED: Final = np.array(

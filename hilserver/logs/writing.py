@@ -44,7 +44,7 @@ def open_writer(
 def check_suffix(path: Path) -> None:
     """Refuse what is no format of ours."""
     if path.suffix not in SUFFIXES:
-        raise FailedError(f"{path}: a log ends in {' or '.join(SUFFIXES)}; name it so")
+        raise FailedError(f"{path}: a log ends in {' or '.join(SUFFIXES)}; choose such a name")
 
 
 def reason(error: OSError) -> str:

@@ -195,7 +195,7 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
     module_name = f"hilserver_block_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     if spec is None or spec.loader is None:
-        msg = f"block {reference!r}: {path} is no Python file."
+        msg = f"block {reference!r}: {path} is not a Python file."
         raise BlockError(msg)
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module
@@ -242,12 +242,12 @@ def _wrong_output(outputs: Sequence[object]) -> str:
         return "declares no output, so nothing could be seen of it"
     for output in outputs:
         if not isinstance(output, Output):
-            return f'{output!r} in outputs is no output; write Output("name")'
+            return f'{output!r} in outputs is not an output; write Output("name")'
         low, high, texts = output.low, output.high, (output.unit, output.description)
         if not (_is_finite(low) and _is_finite(high) and low < high):
             return f"the range of {output.name} must be finite, low below high"
         if not all(isinstance(text, str) for text in texts):
-            return f"unit and description of {output.name} must be texts"
+            return f"unit and description of {output.name} must be strings"
     return ""
 
 
@@ -262,9 +262,9 @@ def _wrong_name(declaration: BlockDeclaration) -> str:
         wrong = [n for n in names if not isinstance(n, str) or not _NAME.fullmatch(n)]
         twice = [n for n in names if list(names).count(n) > 1]
         if wrong:
-            return f"{wrong[0]!r} in {group} is no name of small letters, digits and _"
+            return f"{wrong[0]!r} in {group} is not a name of lower-case letters, digits and _"
         if twice:
-            return f"{twice[0]!r} stands twice in {group}"
+            return f"{twice[0]!r} appears twice in {group}"
         if len(names) > MOST_PER_BLOCK:
             return f"{group} has {len(names)} names, at most {MOST_PER_BLOCK} are possible"
     return ""

@@ -206,6 +206,6 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_DISTORTION_PHASE_2,
     # initial values of the state that are not zero
     P_CHARGE_0,
-) = range(104)
-N_P: Final = 104
+    N_P,
+) = range(105)  # one more than there are parameters
 P_WHEEL_LOAD: Final = P_LOAD  # 4 [%], contiguous

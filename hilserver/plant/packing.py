@@ -117,7 +117,7 @@ def _pack_controller(p: Array, robot: RobotParameters, term: _Values) -> None:
         period_s = robot.period_s
     if period_s < robot.period_s * (1.0 - 1e-9):
         msg = (
-            f"plant.terms.control_period: {period_s:g} s lies below the plant slice, "
+            f"plant.terms.control_period: {period_s:g} s is below the plant slice, "
             f"{robot.period_s:g} s."
         )
         raise PlantError(msg)

@@ -186,7 +186,7 @@ def _check_geometry(robot: RobotParameters) -> None:
     gain = robot.rotation_gain
     if isinstance(gain, str) and gain not in (*GEOMETRIC_GAINS, *ROTATION_GAINS):
         names = ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS))
-        msg = f"kinematics.rotation_gain: {gain!r} is no known name; give a number or {names}."
+        msg = f"kinematics.rotation_gain: {gain!r} is not a known name; give a number or {names}."
         raise PlantError(msg)
     if robot.k_om <= 0.0:
         msg = (

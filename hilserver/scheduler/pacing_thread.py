@@ -100,7 +100,7 @@ class ThreadPacing:
     def _finish(self, reason: StopReason) -> None:
         self._over.set()
         if not self._granted.done():
-            self._granted.set_exception(RuntimeError("the pacing thread died at its start"))
+            self._granted.set_exception(RuntimeError("the pacing thread failed to start"))
         self._ended(reason)
 
     def _tell(self, function: Callable[[T], None], argument: T) -> None:

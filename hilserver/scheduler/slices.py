@@ -51,7 +51,7 @@ def period_in_ticks(name: str, period_ns: int, base_period_ns: int) -> int:
             f"the nearest possible are {_ms(base_period_ns)} and {_ms(2 * base_period_ns)}"
         )
     raise ValueError(
-        f"slice {name!r}: {_ms(period_ns)} is no multiple of the base period "
+        f"slice {name!r}: {_ms(period_ns)} is not a multiple of the base period "
         f"{_ms(base_period_ns)}; the nearest are {_ms(ticks * base_period_ns)} "
         f"and {_ms((ticks + 1) * base_period_ns)}"
     )

@@ -26,7 +26,7 @@ BIAS = {"fault": "bias", "signal": "pose.x_m", "offset": 1.0}
         ({"fault": "rust", "signal": "a"}, "fault: should be 'stuck'"),
         (BIAS | {"signal": "pose.z_m"}, "there is no signal 'pose.z_m'"),
         (BIAS | {"signal": "internal.command"}, "there is no signal 'internal.command'"),
-        (BIAS | {"signal": "sim.tick"}, "tells the time"),
+        (BIAS | {"signal": "sim.tick"}, "shows the time"),
         (BIAS | {"offset": float("nan")}, "finite number"),
         (BIAS | {"offset": 1e300}, "less than or equal to"),
         (BIAS | {"colour": "red"}, "a fault has no key 'colour'"),

@@ -38,7 +38,7 @@ PERIODS = {"plant": 0.001, "sensors": 0.01}
         ({"track_m": math.inf}, "finite"),
         ({"max_rpm": 0.0}, "above 0"),
         ({"wheelbase_m": -1.0}, "above 0"),
-        ({"rotation_gain": "gravel"}, "'gravel' is no known name"),
+        ({"rotation_gain": "gravel"}, "'gravel' is not a known name"),
         ({"rotation_gain": -1.0}, "yaw_sign"),
         ({"yaw_sign": 0}, "-1 or 1"),
         ({"battery": Battery(initial_charge=1.5)}, "initial_charge"),
