@@ -1,4 +1,4 @@
-// The OPC UA server node cannot be told which address to listen on and opens every interface.
+// The OPC UA server node has no setting for the address and listens on every interface.
 // Preloaded with `node -r ./bind-host.cjs`, this forces the address in BIND_HOST (loopback if unset).
 const net = require("net");
 const listen = net.Server.prototype.listen;
