@@ -21,6 +21,7 @@ COMMANDS = {
     "wiring": "commissioning: check that every wheel drives the right input",
     "certs": "manage certificates, trusted clients and passwords",
     "record": "record the signals of a running daemon",
+    "simulate": "play a scenario in virtual time and write every signal to a file",
     "replay": "feed a log through the plant, faster than real time",
     "diagnose": "find what the simulation gets wrong in measured data, and why",
     "plan": "say what an experiment can show, and propose a better manoeuvre",

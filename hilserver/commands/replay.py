@@ -9,7 +9,9 @@ import asyncio
 import sys
 import time
 from pathlib import Path
+from typing import Final
 
+from hilserver.commands.inputs import mapped_inputs
 from hilserver.commands.options import add_config
 from hilserver.commands.patching import add_patch, assembled
 from hilserver.config.patch import load_patch
@@ -27,7 +29,9 @@ EXAMPLE = "hilserver replay run.mcap -o again.csv"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="log to replay, .mcap or .csv")
+    parser.add_argument(
+        "log", type=Path, metavar="LOG", help="log to replay: .mcap, .csv, or a bag"
+    )
     parser.add_argument(
         "-o",
         "--out",
@@ -38,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_config(parser)
     add_patch(parser)
+    parser.add_argument(
+        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
+    )
     parser.add_argument(
         "--from",
         dest="start",
@@ -57,6 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+AS_INPUTS: Final = {"as_inputs": True, "check": False, "start": None}
+"""Options of a replay of set-points alone."""
+
+
 def run(args: argparse.Namespace) -> int:
     """Replay; return 0, or 1 if ``--check`` finds a difference."""
     check_suffix(args.out)
@@ -68,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _open(args: argparse.Namespace) -> tuple[Log, Assembly]:
     """Read the log and build the plant: that of -c, or that of the log, or the default."""
+    if args.mapping is not None or args.log.is_dir() or args.log.suffix == ".db3":
+        return mapped_inputs(args.log, args.mapping, assembled(args))
     if args.config is not None:
         assembly = assembled(args)
         return read_log(args.log, _names(assembly)), assembly

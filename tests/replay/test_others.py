@@ -5,6 +5,7 @@ import pytest
 
 from hilserver.logs import read_log
 from hilserver.plant.layout import WHEELS
+from tests.diagnosis.reading.samples import write_bag
 
 HEADER = ",".join(["t_s", *(f"wheel.{w}.setpoint_rpm" for w in WHEELS)])
 
@@ -87,3 +88,35 @@ def test_what_cannot_be_replayed_is_one_sentence(replay_here, tmp_path, text, co
     said = replay_here("log.csv", "-o", "out.csv", code=2)
     assert complaint in said
     assert len(said.splitlines()) == 1
+
+
+MAPPED = """
+plant: {wheel_radius_m: 0.165, track_m: 0.55}
+channels:
+  twist.linear_m_s: {column: v}
+  twist.angular_rad_s: {column: w, unit: deg/s}
+"""
+
+
+def test_a_foreign_table_through_a_mapping_drives_the_machine_that_it_describes(
+    replay_here, tmp_path
+):
+    (tmp_path / "map.yaml").write_text(MAPPED)
+    log = write_steps(tmp_path / "log.csv", [(7, 0.5, 0), (8, 0.5, 0), (9, 0, 90)], "t_s,v,w")
+    assert "replayed 2001 ticks" in replay_here(log, "--mapping", "map.yaml", "-o", "out.csv")
+    out = read_log(tmp_path / "out.csv")
+    assert out.columns["twist.angular_rad_s"][-1] == pytest.approx(np.pi / 2)
+    speed = out.columns["wheel.fl.speed_rpm"][1900]
+    assert speed * 0.165 * 2 * np.pi / 60 == pytest.approx(0.5, rel=0.01)
+
+
+def test_a_bag_is_replayed_through_a_mapping(replay_here, tmp_path):
+    topic = "{topic: /iotbot/rpm, field: %s}"
+    fields = ("front_left_rpm", "rear_left_rpm", "front_right_rpm", "rear_right_rpm")
+    lines = [f"  wheel.{w}.setpoint_rpm: {topic % f}" for w, f in zip(WHEELS, fields, strict=True)]
+    (tmp_path / "map.yaml").write_text("channels:\n" + "\n".join(lines) + "\n")
+    bag = write_bag(tmp_path / "bag", n=60)
+    replay_here(bag, "--mapping", "map.yaml", "-o", "out.csv")
+    values = read_log(tmp_path / "out.csv").columns["wheel.rl.setpoint_rpm"]
+    assert values[[0, 20, 41]].tolist() == [2.0, 3.0, 4.0]
+    assert "needs a mapping of its topics" in replay_here(bag, "-o", "no.csv", code=2)

@@ -1,0 +1,56 @@
+"""The set-points of a log of others, for commands that play them: tables and bags, mapped."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hilserver.daemon.assembly import Assembly, assemble_config
+from hilserver.diagnosis.data import MeasuredLog
+from hilserver.diagnosis.names import is_input
+from hilserver.diagnosis.reading import read_measured
+from hilserver.errors import LogError
+from hilserver.logs import Log
+
+
+def mapped_inputs(path: Path, mapping: str | None, assembly: Assembly) -> tuple[Log, Assembly]:
+    """Read the set-points of a foreign log, and the robot that its mapping describes.
+
+    Raises
+    ------
+    LogError
+        One sentence that names file, place and remedy.
+    """
+    measured = read_measured([path], mapping)
+    return _inputs(path, measured), _machine(assembly, measured)
+
+
+def _inputs(path: Path, measured: MeasuredLog) -> Log:
+    """Return the inputs as a table; empty where a row has none."""
+    inputs = {name: c for name, c in measured.channels.items() if is_input(name)}
+    if not inputs:
+        raise LogError(f"{path}: has no set-points; map a column or topic to a set-point")
+    keys = {name: np.stack([c.span, c.t_s], axis=1) for name, c in inputs.items()}
+    rows, own = np.unique(np.concatenate(list(keys.values())), axis=0, return_inverse=True)
+    columns, begin = {}, 0
+    for name, channel in inputs.items():
+        columns[name] = np.full(len(rows), np.nan)
+        columns[name][own[begin : begin + len(channel)]] = channel.values
+        begin += len(channel)
+    numbers = np.array([span.number for span in measured.spans], dtype=np.int64)
+    segment = numbers[rows[:, 0].astype(np.int64)]
+    return Log(path, rows[:, 1] - rows[:, 1].min(), segment, columns, notices=measured.notices)
+
+
+def _machine(assembly: Assembly, measured: MeasuredLog) -> Assembly:
+    """Return the assembly with the dimensions that the mapping file gives."""
+    keys = dict(measured.plant)
+    if not keys:
+        return assembly
+    config, kinematics = assembly.config, assembly.config.kinematics
+    if keys.get("wheelbase_m", 0.0) is None:
+        keys.setdefault("icr_offset_m", 0.0)
+        kinematics = kinematics.model_copy(update={"rotation_gain": "geometric_diff"})
+    given = config.plant.model_dump(exclude_unset=True) | keys
+    plant = type(config.plant).model_validate(given)
+    changed = config.model_copy(update={"plant": plant, "kinematics": kinematics})
+    return assemble_config(changed, assembly.folder, assembly.patch)

@@ -1,0 +1,96 @@
+"""Play a scenario in virtual time and write every signal to a file: no daemon, no sockets.
+
+Takes what 'hilserver run --scenario' and 'hilserver plan' take: a scenario with its faults, or a
+log of set-points. The same input gives the same bits every time, as fast as the computer allows.
+"""
+
+import argparse
+import asyncio
+from functools import partial
+from pathlib import Path
+
+from hilserver.commands import replay
+from hilserver.commands.options import add_config, number_within
+from hilserver.commands.patching import add_patch, assembled
+from hilserver.daemon.assembly import Assembly
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.faults.scenario import Play, load_scenario
+from hilserver.logs import open_writer
+from hilserver.logs.provenance import make_run
+from hilserver.logs.writing import check_suffix, reason
+from hilserver.monitoring.logging_setup import setup_logging
+from hilserver.program.progress import Progress
+from hilserver.replay.simulation import Simulation
+
+EXAMPLE = "hilserver simulate drive.yaml -o drive.mcap"
+SCENARIOS = (".yaml", ".yml")
+AFTER_S = 1.0
+"""How long a scenario runs on after its last step or fault."""
+LONGEST_S = 86_400.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument(
+        "scenario", type=Path, metavar="SCENARIO", help="scenario (.yaml), or log of set-points"
+    )
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="file for all signals, .mcap or .csv",
+    )
+    add_config(parser)
+    add_patch(parser)
+    parser.add_argument("--mapping", metavar="FILE", help="mapping file for a foreign log")
+    parser.add_argument(
+        "--duration",
+        type=partial(number_within, 1e-3, LONGEST_S, what="duration (0.001 .. 86400 s)"),
+        metavar="S",
+        help="simulated time; default: until 1 s after the last step or fault, or that of the log",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate; return 0."""
+    if args.scenario.suffix not in SCENARIOS:
+        if args.duration is not None:
+            raise FailedError("--duration is that of a scenario; a log lasts as long as it is")
+        return replay.run(argparse.Namespace(**vars(args), **replay.AS_INPUTS, log=args.scenario))
+    check_suffix(args.out)
+    play = Play(load_scenario(args.scenario), args.scenario)
+    assembly = assembled(args)
+    setup_logging("ERROR")
+    try:
+        asyncio.run(_play(assembly, play, args.duration or _lasts(play), args.out))
+    except OSError as error:
+        raise FailedError(f"{args.out}: simulation ended: {reason(error)}") from None
+    return EXIT_DONE
+
+
+def _lasts(play: Play) -> float:
+    """Return the time of the last thing that happens, and a little more."""
+    ends = [step.at_s for step in play.scenario.steps]
+    for fault in play.scenario.faults:
+        ends += [fault.from_s, fault.end_s or 0.0]
+    return max(ends, default=0.0) + AFTER_S
+
+
+async def _play(assembly: Assembly, play: Play, duration_s: float, out: Path) -> None:
+    period_s = assembly.base_period_ns * 1e-9
+    n_ticks, done, progress = max(round(duration_s / period_s), 1), 0, Progress()
+    async with Simulation(assembly, play) as simulation:
+        table = simulation.table
+        writer = open_writer(out, make_run(simulation.image.description), range(table.n_slots))
+        try:
+            writer.add_state(simulation.start)
+            async for batch in simulation.frames(n_ticks):
+                writer.write(batch)
+                done += len(batch.frames)
+                progress("simulating", done / n_ticks)
+        finally:
+            progress.end()
+            writer.close()
+    print(f"simulated {n_ticks} ticks ({n_ticks * period_s:.3f} s) into {out}")

@@ -1,0 +1,70 @@
+"""A scenario through the whole daemon in virtual time: from tick 0 on, every frame kept."""
+
+from collections.abc import AsyncIterator
+from typing import Self
+
+import numpy as np
+
+from hilserver.daemon.assembly import Assembly, assemble_config
+from hilserver.daemon.daemon import Daemon
+from hilserver.faults.scenario import Play
+from hilserver.image import read_frames
+from hilserver.logs.log import State
+from hilserver.logs.writer import Segmented
+
+BATCH_TICKS, RING_FRAMES = 1000, 2048
+
+
+def offline(assembly: Assembly) -> Assembly:
+    """Return the same robot with nothing that listens, connects or writes by itself."""
+    config = assembly.config
+    quiet = {
+        "scheduler": {"backend": "virtual"},
+        "control": {"source": "scenario"},
+        "image": {"name": "auto", "ring_frames": RING_FRAMES},
+        "opcua": {"enabled": False},
+        "metrics": {"enabled": False},
+        "recording": {"file": None},
+    }
+    sections = {key: getattr(config, key).model_copy(update=to) for key, to in quiet.items()}
+    alone = config.model_copy(update={**sections, "peers": ()})
+    return assemble_config(alone, assembly.folder, assembly.patch)
+
+
+class Simulation:
+    """One run of a scenario; an asynchronous context manager.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Of the robot; what listens or connects is left out.
+
+    Raises
+    ------
+    ConfigError
+        If the scenario names what the robot does not have.
+    """
+
+    def __init__(self, assembly: Assembly, play: Play) -> None:
+        self._daemon = Daemon(offline(assembly), play=play, paused=True)
+        self.image, self.table = self._daemon.image, self._daemon.table
+        self.start = State(0, 0, self._daemon.core.snapshots.initial.copy())
+
+    async def __aenter__(self) -> Self:
+        await self._daemon.__aenter__()
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self._daemon.__aexit__(*error)
+
+    async def frames(self, n_ticks: int) -> AsyncIterator[Segmented]:
+        """Run so many ticks; give their frames, stamped with simulated time."""
+        scheduler, done = self._daemon.scheduler, 0
+        while done < n_ticks:
+            n = min(BATCH_TICKS, n_ticks - done)
+            number = self.image.head
+            await scheduler.advance(n)
+            frames = read_frames(self.image, number, n)
+            frames.words[:, 1] = frames.ticks * scheduler.base_period_ns
+            yield Segmented(frames, np.zeros(n, dtype=np.int64))
+            done += n
