@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 from typing import Final
 
-from hilserver.commands.inputs import mapped_inputs
 from hilserver.commands.options import add_config
 from hilserver.commands.patching import add_patch, assembled
 from hilserver.config.patch import load_patch
@@ -23,6 +22,7 @@ from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
 from hilserver.program.progress import Progress
 from hilserver.replay import Comparison, Engine, Plan, assembly_of, plan_exact, plan_inputs
+from hilserver.replay.mapped import mapped_inputs
 
 EXAMPLE = "hilserver replay run.mcap -o again.csv"
 

@@ -5,7 +5,7 @@ import pytest
 
 from hilserver.logs import read_log
 from hilserver.plant.layout import WHEELS
-from tests.diagnosis.reading.samples import write_bag
+from tests.measured.samples import write_bag
 
 HEADER = ",".join(["t_s", *(f"wheel.{w}.setpoint_rpm" for w in WHEELS)])
 

@@ -1,15 +1,15 @@
-"""The set-points of a log of others, for commands that play them: tables and bags, mapped."""
+"""The set-points of foreign tables and bags, through a mapping."""
 
 from pathlib import Path
 
 import numpy as np
 
 from hilserver.daemon.assembly import Assembly, assemble_config
-from hilserver.diagnosis.data import MeasuredLog
-from hilserver.diagnosis.names import is_input
-from hilserver.diagnosis.reading import read_measured
 from hilserver.errors import LogError
 from hilserver.logs import Log
+from hilserver.measured.data import MeasuredLog
+from hilserver.measured.names import is_input
+from hilserver.measured.reading import read_measured
 
 
 def mapped_inputs(path: Path, mapping: str | None, assembly: Assembly) -> tuple[Log, Assembly]:
