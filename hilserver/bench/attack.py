@@ -174,16 +174,23 @@ async def _block(
     await asyncio.to_thread(subject.reads_ms)
     began_s, missed, stolen_s = time.monotonic(), subject.missed_ticks, _stolen_s()
     peak_mb = subject.memory_mb
+    subject.peer.ages_ms()
+    ages_ms: list[float] = []
+    safe_ticks = subject.peer.safe_ticks
     task = asyncio.ensure_future(work)
     while not task.done():
         await asyncio.wait((task,), timeout=0.2)
         subject.check()
+        ages_ms += subject.peer.ages_ms()
         peak_mb = max(peak_mb, subject.memory_mb)
     task.result()
     duration_s = time.monotonic() - began_s
     missed, stolen_s = subject.missed_ticks - missed, _stolen_s() - stolen_s
     reads_ms = await asyncio.to_thread(subject.reads_ms)
-    campaign.blocks.append(Block(kind, name, duration_s, missed, reads_ms, peak_mb, stolen_s))
+    safe_ticks = subject.peer.safe_ticks - safe_ticks
+    campaign.blocks.append(
+        Block(kind, name, duration_s, missed, reads_ms, peak_mb, stolen_s, ages_ms, safe_ticks)
+    )
 
 
 def _stolen_s() -> float:

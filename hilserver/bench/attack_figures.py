@@ -22,6 +22,10 @@ class Block:
     ----------
     stolen_s : float
         Processor time that the hypervisor gave to others.
+    ages_ms : list of float
+        Age of the peer's newest set-points, in the ticks that were looked at.
+    safe_ticks : int
+        How many of these were in the safe state.
     """
 
     kind: str
@@ -31,6 +35,8 @@ class Block:
     reads_ms: list[float]
     memory_mb: float
     stolen_s: float = 0.0
+    ages_ms: list[float] = field(default_factory=list)
+    safe_ticks: int = 0
 
 
 @dataclass
@@ -78,6 +84,8 @@ def results(campaign: Campaign) -> list[Result]:
                 "read_p99_ms": _percentile(block.reads_ms, 0.99),
                 "peak_memory_mb": round(block.memory_mb, 1),
                 "stolen_s": round(block.stolen_s, 2),
+                "peer_age_p99_ms": round(_percentile(block.ages_ms, 0.99), 1),
+                "safe_ticks": block.safe_ticks,
             }
             for block in campaign.blocks
         ],
@@ -96,6 +104,11 @@ def results(campaign: Campaign) -> list[Result]:
         found.append(
             Result(f"healthy_read_p{percent}_ms", value, "ms", reference, "idle blocks", ratio)
         )
+    ages = [[ms for block in blocks for ms in block.ages_ms] for blocks in (busy, idle)]
+    value, reference = (_percentile(rows, 0.99) for rows in ages)
+    ratio = value / reference if reference else None
+    found.append(Result("peer_age_p99_ms", value, "ms", reference, "idle blocks", ratio))
+    found.append(Result("safe_ticks", sum(block.safe_ticks for block in campaign.blocks), "1"))
     placement = {"plant_core": campaign.plant_core, "policy": "SCHED_FIFO"}
     found.append(Result("pacing_priority", campaign.pacing_priority, "1", raw=placement))
     found += _missed("missed_ticks", busy, idle, "idle blocks")

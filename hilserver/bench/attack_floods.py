@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import itertools
+import math
 import struct
 import time
 from collections.abc import Awaitable, Callable
@@ -122,6 +124,100 @@ async def chunks(url: str, end_s: float) -> None:
     )
 
 
+async def endless_sessions(url: str, end_s: float) -> None:
+    """Create sessions whose time-out is no number, and go away."""
+
+    async def create() -> None:
+        async with Wire(url) as wire:
+            await wire.greet()
+            await wire.open()
+            request = ua.CreateSessionRequest()
+            request.Parameters.RequestedSessionTimeout = math.nan
+            request.Parameters.ClientNonce = b"\x01" * 32
+            made = await wire.ask(request, ua.CreateSessionResponse)
+            wire.authentication = made.Parameters.AuthenticationToken
+            await wire.activate_session()
+            await _subscribe(wire)
+
+    await asyncio.gather(*(_until(end_s, create) for _ in range(8)))
+
+
+async def orphans(url: str, end_s: float) -> None:
+    """Leave subscriptions behind, as many as there may be."""
+
+    async def leave() -> None:
+        async with Wire(url) as wire:
+            await wire.log_in()
+            while True:
+                await _subscribe(wire)
+
+    await asyncio.gather(*(_until(end_s, leave) for _ in range(4)))
+
+
+async def monitored_items(url: str, end_s: float) -> None:
+    """Watch as much as the limits admit, as often, with queues as long as they may be."""
+
+    async def watch() -> None:
+        async with Wire(url) as wire:
+            await wire.log_in()
+            numbers = [await _subscribe(wire, 0.0) for _ in range(10)]
+            for number in itertools.cycle(numbers):
+                items = ua.CreateMonitoredItemsRequest()
+                items.Parameters.SubscriptionId = number
+                items.Parameters.ItemsToCreate = [_item(name, 1000) for name in _WATCHED] * 5
+                made = await wire.ask(items, ua.CreateMonitoredItemsResponse)
+                if not made.Results[-1].StatusCode.is_good():
+                    break
+            for _ in range(15):
+                await wire.send(wire.message(ua.PublishRequest()))
+            while (await wire.receive())[0]:
+                await wire.send(wire.message(ua.PublishRequest()))
+
+    await asyncio.gather(*(_until(end_s, watch) for _ in range(3)))
+
+
+async def numbers_that_are_none(url: str, end_s: float) -> None:
+    """Ask for intervals, ages and dead bands that are no numbers."""
+
+    async def ask() -> None:
+        async with Wire(url) as wire:
+            await wire.log_in()
+            for number in (math.nan, math.inf, -math.inf):
+                with contextlib.suppress(ua.UaError):
+                    read = ua.ReadRequest()
+                    read.Parameters.MaxAge = number
+                    await wire.ask(read, ua.ReadResponse)
+                items = ua.CreateMonitoredItemsRequest()
+                items.Parameters.SubscriptionId = await _subscribe(wire, number)
+                item = _item("sim.tick", 10)
+                item.RequestedParameters.SamplingInterval = number
+                items.Parameters.ItemsToCreate = [item]
+                await wire.ask(items, ua.CreateMonitoredItemsResponse)
+
+    await asyncio.gather(*(_until(end_s, ask) for _ in range(4)))
+
+
+async def _subscribe(wire: Wire, interval_ms: float = 1000.0) -> int:
+    request = ua.CreateSubscriptionRequest()
+    request.Parameters.RequestedPublishingInterval = interval_ms
+    request.Parameters.RequestedLifetimeCount = 10_000
+    request.Parameters.PublishingEnabled = True
+    made = await wire.ask(request, ua.CreateSubscriptionResponse)
+    return int(made.Parameters.SubscriptionId)
+
+
+_WATCHED = ("sim.tick", "sim.time_s", "pose.x_m", "pose.yaw_rad", "imu.gyro_z_rad_s") * 20
+
+
+def _item(name: str, queue_size: int) -> ua.MonitoredItemCreateRequest:
+    item = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
+    item.ItemToMonitor = ua.ReadValueId(
+        NodeId=ua.NodeId(name, 2), AttributeId=ua.AttributeIds.Value
+    )
+    item.RequestedParameters.QueueSize = queue_size
+    return item
+
+
 FLOODS: dict[str, Callable[[str, float], Awaitable[None]]] = {
     "300 idle sockets": idle_sockets,
     "150 sessions": sessions,
@@ -129,4 +225,8 @@ FLOODS: dict[str, Callable[[str, float], Awaitable[None]]] = {
     "publishing interval 0": publishing_interval_zero,
     "a header of 2 GB": two_gigabytes,
     "chunk floods": chunks,
+    "sessions without end": endless_sessions,
+    "orphaned subscriptions": orphans,
+    "as many monitored items as there may be": monitored_items,
+    "numbers that are none": numbers_that_are_none,
 }

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 import os
 import re
 import socket
@@ -24,6 +25,9 @@ from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics
 
 START_WITHIN_S = 120.0
+_LOOK_BACK, _EVERY = 1500, 2
+"""Frames: fewer than the ring keeps; every second one shows an age to 2 ms."""
+_SAFE = 3
 _DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
 _CONTROL = {
     "scheduler": {
@@ -35,6 +39,38 @@ _CONTROL = {
 """The second daemon serves the same nodes as often, and competes with no plant."""
 
 
+class PeerWatch:
+    """Reads from the process image how old the peer's set-points were, tick by tick.
+
+    Attributes
+    ----------
+    safe_ticks : int
+        Ticks that were looked at in the safe state.
+    """
+
+    def __init__(self, image: ImageReader) -> None:
+        self._image = image
+        slots = {row["name"]: row["slots"][0] for row in image.description["signals"]}
+        self._sequence, self._state = slots["input.sequence"], slots["sim.state"]
+        self._number, self._changed_ns, self._last = image.head, 0, math.nan
+        self.safe_ticks = 0
+
+    def ages_ms(self) -> list[float]:
+        """Return the age of the newest set-points in each tick since the last call [ms]."""
+        ages: list[float] = []
+        head = self._image.head
+        for number in range(max(self._number, head - _LOOK_BACK), head, _EVERY):
+            frame = self._image.frame(number)
+            if frame is None:
+                continue
+            if frame.values[self._sequence] != self._last:
+                self._last, self._changed_ns = frame.values[self._sequence], frame.planned_ns
+            ages.append((frame.planned_ns - self._changed_ns) / 1e6)
+            self.safe_ticks += int(frame.values[self._state] == _SAFE)
+        self._number = head
+        return ages
+
+
 @dataclass
 class Target:
     """The daemon and the healthy client."""
@@ -43,6 +79,7 @@ class Target:
     daemon: "subprocess.Popen[str]"
     probe: "subprocess.Popen[str]"
     statistics: Statistics
+    peer: PeerWatch
 
     @property
     def missed_ticks(self) -> int:
@@ -93,10 +130,11 @@ async def running_target(cpu: int | None) -> AsyncIterator[Target]:
     # With policy `skip` every late tick is one missed tick.
     settings = {"scheduler": {"policy": "skip", "realtime": {"cpu": cpu}}}
     image = f"bench-attack-{os.getpid()}"
-    async with _daemon(settings, image) as (url, daemon):
+    async with running_daemon(settings, image, "--demo") as (url, daemon):
         with piped(python("-m", "hilserver.bench.attack_probe", url), name="the probe") as probe:
-            _, words = ImageReader.attach(image).region("statistics")
-            subject = Target(url, daemon, probe, Statistics.attach(words))
+            reader = ImageReader.attach(image)
+            _, words = reader.region("statistics")
+            subject = Target(url, daemon, probe, Statistics.attach(words), PeerWatch(reader))
             await asyncio.sleep(1.0)
             subject.reads_ms()
             yield subject
@@ -105,18 +143,17 @@ async def running_target(cpu: int | None) -> AsyncIterator[Target]:
 @contextlib.asynccontextmanager
 async def running_control() -> AsyncIterator[str]:
     """Start a second daemon for the same load, which leaves the first alone; give its address."""
-    async with _daemon(_CONTROL, f"bench-control-{os.getpid()}") as (url, _):
+    async with running_daemon(_CONTROL, f"bench-control-{os.getpid()}") as (url, _):
         yield url
 
 
 @contextlib.asynccontextmanager
-async def _daemon(
-    settings: Mapping[str, Any], image: str
+async def running_daemon(
+    settings: Mapping[str, Any], image: str, *arguments: str
 ) -> "AsyncIterator[tuple[str, subprocess.Popen[str]]]":
+    """Start a daemon with these settings; give its address and its process."""
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            url = f"opc.tcp://127.0.0.1:{free.getsockname()[1]}/hilserver"
+        url = f"opc.tcp://127.0.0.1:{free_port()}/hilserver"
         ours = {
             "image": {"name": image},
             "opcua": {"endpoint": url},
@@ -125,10 +162,17 @@ async def _daemon(
         }
         path = Path(folder) / "config.yaml"
         path.write_text(yaml.safe_dump({**ours, **settings}), encoding="utf-8")
-        command = python("-c", _DAEMON, "run", "-c", str(path))
+        command = python("-c", _DAEMON, "run", "-c", str(path), *arguments)
         with piped(command, name="hilserver run") as daemon:
             await _wait_for_server(url, daemon)
             yield url, daemon
+
+
+def free_port() -> int:
+    """Return a TCP port that nobody uses now."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
 
 
 def core_for_the_plant() -> int | None:

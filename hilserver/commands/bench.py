@@ -11,6 +11,7 @@ EXAMPLE = "hilserver bench plant --json plant.json"
 BENCHES = {
     "plant": "one step of four wheels and pose against the same recurrence in C",
     "jitter": "wake latency under OPC UA load against cyclictest",
+    "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
     "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
     "loop": "set-point to pose and back over TCP, two processes",
     "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",

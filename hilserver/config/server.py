@@ -106,6 +106,38 @@ class OpcUaPermissions(BaseModel):
     )
 
 
+class OpcUaShare(BaseModel):
+    """What one session may hold."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    subscriptions: int = Field(ge=1, le=10_000, description="Subscriptions of one session")
+    monitored_items: int = Field(ge=1, le=100_000, description="Monitored items of one session")
+    queued_values: int = Field(
+        ge=0,
+        le=1_000_000,
+        description="Places in the queues of one session's monitored items, beyond one each",
+    )
+
+
+class OpcUaLimits(BaseModel):
+    """What one session may hold, by the role of its user."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    observer: OpcUaShare = OpcUaShare(subscriptions=10, monitored_items=1000, queued_values=5000)
+    operator: OpcUaShare = OpcUaShare(subscriptions=20, monitored_items=2000, queued_values=10_000)
+    engineer: OpcUaShare = OpcUaShare(subscriptions=50, monitored_items=5000, queued_values=20_000)
+
+    def of(self, role: Role) -> OpcUaShare:
+        """Return the share of a role."""
+        return {
+            Role.OBSERVER: self.observer,
+            Role.OPERATOR: self.operator,
+            Role.ENGINEER: self.engineer,
+        }[role]
+
+
 class OpcUaConfig(BaseModel):
     """Endpoint, security and limits of the OPC UA server."""
 
@@ -178,6 +210,15 @@ class OpcUaConfig(BaseModel):
     )
     max_queue_size: int = Field(
         default=1000, ge=1, le=10_000, description="Longest queue of a monitored item"
+    )
+    max_queued_values: int = Field(
+        default=50_000,
+        ge=0,
+        le=1_000_000,
+        description="Places in the queues of all monitored items together, beyond one each",
+    )
+    limits: OpcUaLimits = Field(
+        default_factory=OpcUaLimits, description="What one session may hold, by role"
     )
     max_events_per_s: int = Field(
         default=10,

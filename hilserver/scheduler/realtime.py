@@ -13,7 +13,7 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK = 29
 _LATENCY_TARGET = Path("/dev/cpu_dma_latency")
 _CAP_IPC_LOCK = 14
@@ -110,7 +110,7 @@ class ProcessGrants:
         if limit != resource.RLIM_INFINITY and not _has_capability(_CAP_IPC_LOCK):
             return Grant("memory_lock", False, "locked", f"limit {limit // 1024} KiB", remedy)
         libc = ctypes.CDLL(None, use_errno=True)
-        if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
             return Grant("memory_lock", False, "locked", os.strerror(ctypes.get_errno()), remedy)
         self._locked = True
         return Grant("memory_lock", True, "locked", "locked")

@@ -203,7 +203,7 @@ async def test_token_ours_is_worth_nothing_elsewhere(ours: Rig, pki: Pki) -> Non
     """Even the right token: not in the clear, not with another certificate, not as other user."""
     victim = await our_client(ours, pki)
     token = victim.uaclient.protocol.authentication_token
-    sessions = ours.server._server.iserver._external_sessions
+    sessions = ours.server._server.iserver.sessions
     bound_to = sessions[token].processor
     async with Wire(ours.server.url) as wire:
         await wire.greet()
@@ -261,7 +261,9 @@ async def test_queue_size_zero_ours_is_one_value(ours: Rig, pki: Pki) -> None:
     for i in range(3000):
         ours.set("pose.x_m", i * 1e-3)
     subscription = ours.server._server.iserver.subscription_service.subscriptions[number]
-    assert sum(map(len, subscription._triggered_datachanges.values())) == 1
+    items = [subscription.items.get(number) for number, _ in subscription.items.handles()]
+    assert [item.size for item in items] == [1]
+    assert all(len(item.queue) <= 1 for item in items)
     await client.disconnect()
 
 

@@ -206,6 +206,10 @@ class AddressSpaceBuilder:
         """Return the place where asyncua keeps a node's value and its subscribers."""
         return self._service._aspace[node_id].attributes[ua.AttributeIds.Value]
 
+    def set_place(self, node_id: ua.NodeId, place: Any) -> None:
+        """Have a node's value stand somewhere else."""
+        self._service._aspace[node_id].attributes[ua.AttributeIds.Value] = place
+
     def reference(
         self, source: ua.NodeId, target: ua.NodeId, kind: int, target_class: ua.NodeClass
     ) -> None:

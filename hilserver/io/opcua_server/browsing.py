@@ -11,6 +11,8 @@ MAX_REFERENCES = 1000
 MAX_REFERENCES_IN_ALL = 2000
 """Of one response: encoding them takes time that the other clients wait."""
 MAX_POINTS = 20
+_ALL_FIELDS = 63
+_DIRECTIONS = (ua.BrowseDirection.Forward, ua.BrowseDirection.Inverse, ua.BrowseDirection.Both)
 _Codes = ua.StatusCodes
 
 
@@ -60,11 +62,21 @@ class ContinuationPoints:
     def _first_page(self, node: ua.BrowseDescription, size: int, room: int) -> Any:
         if node.NodeId not in self._address_space:
             return _refused(_Codes.BadNodeIdUnknown)
+        if node.BrowseDirection not in _DIRECTIONS:
+            return _refused(_Codes.BadBrowseDirectionInvalid)
         kind = node.ReferenceTypeId
-        if kind is not None and not kind.is_null() and kind not in self._address_space:
+        if kind is not None and not kind.is_null() and not self._is_reference_type(kind):
             return _refused(_Codes.BadReferenceTypeIdInvalid)
         result = self._view_service._browse(node)
-        return self._page(result, result.References, size, room)
+        references = [_masked(reference, node.ResultMask) for reference in result.References]
+        return self._page(result, references, size, room)
+
+    def _is_reference_type(self, node_id: Any) -> bool:
+        node = self._address_space.get(node_id)
+        if node is None:
+            return False
+        node_class = node.attributes[ua.AttributeIds.NodeClass].value.Value.Value
+        return bool(node_class == ua.NodeClass.ReferenceType)
 
     def _page(
         self, result: ua.BrowseResult, references: list[Any], size: int, room: int
@@ -77,6 +89,26 @@ class ContinuationPoints:
             self._points[result.ContinuationPoint] = (references[now:], size)
         result.References = references[:now]
         return result
+
+
+def _masked(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:
+    """Return a reference with the fields that are asked for (OPC 10000-4, 5.9.2)."""
+    if mask & _ALL_FIELDS == _ALL_FIELDS:
+        return reference
+    bits = ua.BrowseResultMask
+    kept = ua.ReferenceDescription(NodeId=reference.NodeId)
+    if mask & bits.ReferenceTypeId:
+        kept.ReferenceTypeId = reference.ReferenceTypeId
+    kept.IsForward = bool(mask & bits.IsForward and reference.IsForward)
+    if mask & bits.NodeClass:
+        kept.NodeClass = reference.NodeClass
+    if mask & bits.BrowseName:
+        kept.BrowseName = reference.BrowseName
+    if mask & bits.DisplayName:
+        kept.DisplayName = reference.DisplayName
+    if mask & bits.TypeDefinition:
+        kept.TypeDefinition = reference.TypeDefinition
+    return kept
 
 
 def _refused(code: int) -> ua.BrowseResult:

@@ -7,12 +7,15 @@ discovery and nothing else.
 """
 
 import hashlib
+import struct
+import time
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 from asyncua import ua
 from asyncua.common.connection import SecureConnection, TransportLimits
+from asyncua.common.utils import Buffer
 from asyncua.crypto.security_policies import SecurityPolicyFactory, SecurityPolicyNone
 
 from hilserver.io.opcua_security.certificate import first_of_chain
@@ -26,6 +29,8 @@ _MIN_LIFETIME_MS, _MAX_LIFETIME_MS = 10_000, 3_600_000
 _MIN_CHUNK_BYTES = 4096
 _NONCE_BYTES = 32
 _MAX_URL_BYTES = 4096
+_PLAIN = struct.Struct("<3scIIIII")
+_MAX_SEQUENCE, _WRAP = 2**32 - 1, 1024
 _Codes = ua.StatusCodes
 _None = ua.MessageSecurityMode.None_
 # OPC 10000-4, 6.1.3: who is not trusted learns no more than that.
@@ -52,6 +57,9 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         Longest response that the client accepts, 0 for any.
     """
 
+    _peer_sequence_number: int | None
+    _sequence_number: int
+
     def __init__(
         self, policies: Sequence[SecurityPolicyFactory], trust: TrustList | None, peer: str
     ) -> None:
@@ -60,6 +68,7 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         self.is_discovery_only = False
         self.max_bytes = MAX_BYTES_BEFORE_LOGIN
         self.max_response_bytes = 0
+        self._expiring = (0, 0.0)
         self._trust = trust
         self._peer = peer
 
@@ -75,7 +84,10 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         answer.MaxMessageSize = max_bytes
         answer.MaxChunkCount = max_bytes // _MIN_CHUNK_BYTES
         self._limits.max_send_buffer = answer.SendBufferSize
-        self.max_response_bytes = hello.MaxMessageSize
+        chunks_bytes = hello.MaxChunkCount * answer.SendBufferSize
+        self.max_response_bytes = min(
+            (size for size in (hello.MaxMessageSize, chunks_bytes) if size), default=0
+        )
         return answer
 
     @property
@@ -149,14 +161,68 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         params.RequestedLifetime = min(max(asked_ms, _MIN_LIFETIME_MS), _MAX_LIFETIME_MS)
         return super().open(params, server)
 
+    def check_renewed(self, channel_id: int) -> None:
+        """Check that an OpenSecureChannel on an open channel names that channel."""
+        if self._open and channel_id != self.security_token.ChannelId:
+            raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
+
+    def receive_plain(self, frame: bytes) -> tuple[int, Buffer] | None:
+        """Return request id and body of a whole, unprotected, expected message, quickly.
+
+        None for every other one: `receive_from_header_and_body` judges it and says what is wrong.
+        """
+        _, chunk, _, channel, token_id, sequence, request_id = _PLAIN.unpack_from(frame)
+        token, last = self.security_token, self._peer_sequence_number
+        if (
+            self.security_policy.Mode != _None
+            or chunk != b"F"
+            or self._incoming_parts
+            or (channel, token_id) != (token.ChannelId, token.TokenId)
+            or last is None
+            or sequence != last + 1
+            or self._has_expired()
+            or len(frame) > min(self.max_bytes, MAX_CHUNK_BYTES)
+        ):
+            return None
+        self._peer_sequence_number = sequence
+        return request_id, Buffer(frame, _PLAIN.size)
+
+    def message_bytes(self, body: bytes, request_id: int) -> bytes:
+        """Return the chunks that carry a response."""
+        size = _PLAIN.size + len(body)
+        if self.security_policy.Mode != _None or size > self._limits.max_send_buffer:
+            return bytes(self.message_to_binary(body, request_id=request_id))
+        self._sequence_number = self._sequence_number % _MAX_SEQUENCE + 1
+        token = self.security_token
+        numbers = (token.ChannelId, token.TokenId, self._sequence_number, request_id)
+        return _PLAIN.pack(b"MSG", b"F", size, *numbers) + body
+
+    def _check_incoming_chunk(self, chunk: Any) -> None:
+        is_open = chunk.MessageHeader.MessageType == ua.MessageType.SecureOpen
+        if not is_open and chunk.MessageHeader.ChannelId != self.security_token.ChannelId:
+            raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
+        number, last = chunk.SequenceHeader.SequenceNumber, self._peer_sequence_number
+        expected = number if last is None else last + 1
+        if number != expected and not (number < _WRAP and expected > _MAX_SEQUENCE - _WRAP):
+            raise TransportError(_Codes.BadSequenceNumberInvalid, "out of order")
+        super()._check_incoming_chunk(chunk)
+
+    def _has_expired(self) -> bool:
+        token = self.security_token
+        if token.TokenId != self._expiring[0]:
+            lifetime = timedelta(milliseconds=token.RevisedLifetime * 1.25)
+            self._expiring = (token.TokenId, (token.CreatedAt + lifetime).timestamp())
+        return time.time() > self._expiring[1]
+
     def _check_sym_header(self, security_hdr: ua.SymmetricAlgorithmHeader) -> None:
         if security_hdr.TokenId == 0:
             # asyncua would take it for the token of a renewal that nobody asked for.
             raise TransportError(_Codes.BadSecureChannelTokenUnknown, "no such token")
-        super()._check_sym_header(security_hdr)
-        token = self.security_token
-        lifetime = timedelta(milliseconds=token.RevisedLifetime * 1.25)
-        if datetime.now(UTC) > token.CreatedAt + lifetime:
+        try:
+            super()._check_sym_header(security_hdr)
+        except ua.UaError:
+            raise TransportError(_Codes.BadSecureChannelTokenUnknown, "no such token") from None
+        if self._has_expired():
             raise TransportError(_Codes.BadSecureChannelTokenUnknown, "the channel has expired")
 
     def _receive(self, msg: Any) -> ua.Message | None:

@@ -11,6 +11,8 @@ from typing import Any
 from asyncua import ua
 from asyncua.ua import uaprotocol_auto
 
+from hilserver.io.opcua_server.encoding import FixedDataValue
+
 _Trigger, _Deadband, _Codes = ua.DataChangeTrigger, ua.DeadbandType, ua.StatusCodes
 _NUMBERS = {
     ua.VariantType.SByte, ua.VariantType.Byte, ua.VariantType.Int16, ua.VariantType.UInt16,
@@ -40,9 +42,18 @@ class ChangeFilter:
     trigger: ua.DataChangeTrigger = _Trigger.StatusValue
     band: float = 0.0
 
-    def is_worth_reporting(self, last: ua.DataValue | None, new: ua.DataValue) -> bool:
+    @property
+    def is_plain(self) -> bool:
+        """Whether every change of value or status counts."""
+        return self.band == 0.0 and self.trigger == _Trigger.StatusValue
+
+    def is_worth_reporting(self, last: FixedDataValue | None, new: FixedDataValue) -> bool:
         """Whether `new` is to be reported after `last`, which was reported before."""
-        if last is None or last.StatusCode != new.StatusCode:
+        if last is None:
+            return True
+        if self.is_plain:
+            return bool(last.content != new.content)
+        if last.code != new.code:
             return True
         if self.trigger == _Trigger.Status:
             return False
@@ -93,6 +104,8 @@ def change_filter(
         return ChangeFilter()
     if not isinstance(asked, uaprotocol_auto.DataChangeFilter):  # asyncua decodes this one
         raise FilterError(_Codes.BadFilterNotAllowed)
+    if not isinstance(asked.Trigger, _Trigger):
+        raise FilterError(_Codes.BadMonitoredItemFilterInvalid)
     if asked.DeadbandType == _Deadband.None_:
         return ChangeFilter(asked.Trigger)
     if attribute != ua.AttributeIds.Value or kind not in _NUMBERS:

@@ -1,11 +1,15 @@
 """Bounds for asyncua's decoder: an array cannot have more elements than its message has bytes.
 
+An enumeration keeps a number that names nothing: whoever asks for it decides which status code that
+deserves, instead of the whole message failing.
+
 Without them a message of a hundred bytes whose array of Null announces 2^31 elements fills the
 memory, and the request header is decoded before anybody has logged in.
 """
 
 import functools
 from collections.abc import Callable
+from enum import IntFlag
 from typing import Any
 
 from asyncua import ua
@@ -26,6 +30,24 @@ def bound_decoder() -> None:
             for cached in vars(ua_binary).values():
                 if hasattr(cached, "cache_clear"):
                     cached.cache_clear()
+    if not hasattr(ua_binary.create_enum_deserializer, "is_lenient"):
+        ua_binary.create_enum_deserializer = _lenient(ua_binary.create_enum_deserializer)
+
+
+def _lenient(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], Any]:
+    def create_lenient(kind: Any) -> Callable[[Any], Any]:
+        if issubclass(kind, IntFlag):
+            return create(kind)
+        members = {int(member): member for member in kind}
+
+        def decode(data: Any) -> Any:
+            number = int.from_bytes(data.read(4), "little", signed=True)
+            return members.get(number, number)
+
+        return decode
+
+    create_lenient.is_lenient = True  # type: ignore[attr-defined]
+    return create_lenient
 
 
 def _bounded(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], Any]:

@@ -13,8 +13,8 @@ from asyncua import ua
 
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
+from hilserver.io.opcua_server.encoding import FixedDataValue
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.values import FixedDataValue, write_value
 
 Figure = float | str | bool | int | None
 Table = Mapping[str, Mapping[str, Figure]]
@@ -81,7 +81,7 @@ class Diagnostics:
             data_value = FixedDataValue(_NO_VALUE, _WAITING, now, now)
         else:
             data_value = FixedDataValue(ua.Variant(converted, kind, None, False), _GOOD, now, now)
-        write_value(self._places[path], data_value)
+        self._places[path].value = data_value
 
     def _add(self, path: str, value: Figure) -> bool:
         if len(self._places) >= _MAX_VARIABLES:

@@ -14,7 +14,7 @@ BadResourceUnavailable the queue of the plant is full
 A time stamp that comes with a value is ignored: the stamp is that of the tick that latched it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from asyncua import ua
@@ -62,6 +62,8 @@ class WriteDoor:
         Asked which nodes and attributes exist.
     variables : SignalVariables
         Shows what was accepted.
+    show_owner : callable
+        Shows who has control, once that may have changed.
     """
 
     def __init__(
@@ -73,7 +75,9 @@ class WriteDoor:
         gate: InputGate,
         variables: SignalVariables,
         access: Access,
+        show_owner: Callable[[], None],
     ) -> None:
+        self._show_owner = show_owner
         self._address_space = address_space
         self._index = namespace_index
         self._table = table
@@ -160,6 +164,7 @@ class WriteDoor:
             self._gate.request(SOURCE, variant.Value)
         except ControlRefused as error:
             return Answer(_Codes.BadUserAccessDenied, str(error))
+        self._show_owner()
         return _ACCEPTED
 
     def _explain(self, name: str, reason: Refusal) -> str:

@@ -7,19 +7,19 @@ from typing import Any
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.server.internal_server import InternalServer
-from asyncua.server.internal_session import SessionState
 
 from hilserver.config.server import OpcUaConfig
 from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.decoding import bound_decoder
 from hilserver.io.opcua_server.door import WriteDoor
+from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.methods import Methods
+from hilserver.io.opcua_server.reading import Reader
 from hilserver.io.opcua_server.sessions import RobotSession
-from hilserver.io.opcua_server.subscriptions import RobotSubscriptions
+from hilserver.io.opcua_server.subscriptions import Subscriptions
 
 _ACTIVATION_WITHIN_S = 10.0
-_UNACKNOWLEDGED_MESSAGES = 100
 _LONGEST_SESSION_MS = 120_000.0
 _LIMITS = ua.ObjectIds
 _OPERATION_LIMITS = (
@@ -55,12 +55,11 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
         self._max_sessions = config.max_sessions
         self.allow_remote_admin = False
         self.max_connections = config.max_connections
-        self.max_subscriptions = config.max_subscriptions
-        self.max_unacked_messages_per_subscription = _UNACKNOWLEDGED_MESSAGES
         # A client that vanished is served until its session ends.
         self.max_session_timeout_ms = _LONGEST_SESSION_MS
-        self.subscription_service = RobotSubscriptions(self, config)
-        self.isession.subscription_service = self.subscription_service
+        self.subscription_service = Subscriptions(self.aspace, config)
+        self.reader = Reader(self.aspace, access)
+        self.sessions: dict[ua.NodeId, RobotSession] = {}
         tokens: list[type] = [ua.AnonymousIdentityToken] if access.admits_anonymous else []
         if access.has_users:
             tokens.append(ua.UserNameIdentityToken)
@@ -72,33 +71,52 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
         for node_id in _OPERATION_LIMITS:
             await self.write_attribute_value(ua.NodeId(node_id), ua.DataValue(value))
 
-    def create_session(self, name: str, user: Any = None, external: bool = False) -> Any:
+    def new_session(self, processor: Any, policy: Any) -> RobotSession:
         """Return a new session; BadTooManySessions beyond the limit."""
-        sessions = self._external_sessions
-        if len(sessions) >= self._max_sessions:
-            self._drop_abandoned_sessions()
-        if len(sessions) >= self._max_sessions:
+        if len(self.sessions) >= self._max_sessions:
+            self._make_room()
+        if len(self.sessions) >= self._max_sessions:
             raise ServiceError(ua.StatusCodes.BadTooManySessions)
-        arguments = {} if user is None else {"user": user}
-        return RobotSession(
-            self, self.aspace, self.subscription_service, name, external=external, **arguments
-        )
+        session = RobotSession(self, processor, policy)
+        self.sessions[session.auth_token] = session
+        return session
+
+    def session_of(self, token: ua.NodeId) -> RobotSession | None:
+        """Return the session that an authentication token names."""
+        return self.sessions.get(token)
+
+    def forget_session(self, session: RobotSession) -> None:
+        """Strike a session that has ended off the list."""
+        self.sessions.pop(session.auth_token, None)
+
+    def end_idle_sessions(self, now_s: float) -> None:
+        """End sessions whose clients were silent for longer than agreed."""
+        for session in tuple(self.sessions.values()):
+            if session.is_over(now_s):
+                log.info("opcua session ended: idle", timeout_s=session.timeout_s)
+                session.close()
 
     def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
         """Refuse: this is no discovery server."""
         raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
 
-    def _drop_abandoned_sessions(self) -> None:
-        """Forget sessions that were created and never activated: a client may make any number."""
+    def _make_room(self) -> None:
+        """End sessions that were never activated, and if need be the oldest without a client."""
         latest_s = time.monotonic() - _ACTIVATION_WITHIN_S
-        for token, session in tuple(self._external_sessions.items()):
-            if session.state is SessionState.Created and session._last_activity < latest_s:
-                del self._external_sessions[token]
+        sessions = tuple(self.sessions.values())
+        for session in sessions:
+            if not session.is_activated and session.last_active_s < latest_s:
+                session.close()
+        orphan = next((s for s in sessions if s.is_activated and s.processor is None), None)
+        if len(self.sessions) >= self._max_sessions and orphan is not None:
+            orphan.close()
 
     async def stop(self) -> None:
         """Stop at once: end sessions that outlived their connection, and the clock."""
-        for session in tuple(self._external_sessions.values()):
-            await session.close_session(True)
+        for session in tuple(self.sessions.values()):
+            session.close()
+        for subscription in tuple(self.subscription_service.subscriptions.values()):
+            self.subscription_service.remove(subscription)
         if self.time_task is not None:
             self.time_task.cancel()
             await asyncio.gather(self.time_task, return_exceptions=True)

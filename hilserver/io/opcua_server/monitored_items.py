@@ -1,159 +1,456 @@
 """Monitored items: sampled as often as was agreed, filtered, queued within bounds.
 
-A sampling interval of 0 reports every change the publish slice writes. A longer one is kept by
-sampling and holding: at each sampling instant the value that stood there is compared with the one
-reported last.
+Nothing is pushed: an item looks at its place and takes the value if it is another than last time.
+With a sampling interval of 0 it looks after every publish slice, with a longer one when that has
+passed, and in any case not without a turn.
 """
 
+import logging
 import math
+import struct
 import time
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 from asyncua import ua
-from asyncua.server.monitored_item_service import MonitoredItemData, MonitoredItemService
+from asyncua.server.monitored_item_service import WhereClauseEvaluator
+from asyncua.ua.ua_binary import struct_to_binary
 
 from hilserver.io.opcua_server.deadband import ChangeFilter, FilterError, change_filter
+from hilserver.io.opcua_server.encoding import FixedDataValue
+from hilserver.io.opcua_server.reading import RefusedError, find, place_for_items, value_at
 
 LONGEST_SAMPLING_MS = 3_600_000.0
+_OVERFLOW = 0x480
+"""InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)."""
 _Codes = ua.StatusCodes
 _Modes = ua.MonitoringMode
 _Attributes = ua.AttributeIds
+_HANDLE = struct.Struct("<I")
+_quiet = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class _Sampler:
-    """State of one monitored value."""
+@dataclass
+class Room:
+    """How much more a session may have monitored."""
 
+    items: int
+    queued_values: int
+
+    def take(self, asked: int, longest: int) -> int:
+        """Return the queue size granted: 0 means one value, never no limit (5.12.1.5)."""
+        size = max(1, min(asked, longest, self.queued_values + 1))
+        self.items -= 1
+        self.queued_values -= size - 1
+        return size
+
+
+@dataclass(slots=True, eq=False)
+class ValueItem:
+    """A monitored attribute.
+
+    Attributes
+    ----------
+    place : asyncua AttributeValue
+        Where the value stands.
+    interval_s : float
+        Sampling interval [s]; 0: every change.
+    """
+
+    item_id: int
+    read: ua.ReadValueId
+    place: Any
+    handle: bytes
+    stamps: ua.TimestampsToReturn
+    mode: ua.MonitoringMode
+    size: int
+    discard_oldest: bool
     change: ChangeFilter
-    interval_ms: float
+    interval_s: float
     due_s: float = 0.0
-    pending: ua.DataValue | None = None
-    reported: ua.DataValue | None = None
+    seen: Any = None
+    reported: FixedDataValue | None = None
+    queue: deque[FixedDataValue] = field(default_factory=deque)
+    triggers: dict[int, None] = field(default_factory=dict)
 
-    def take(self, value: ua.DataValue, now_s: float) -> list[ua.DataValue]:
-        """Return what was sampled up to now: the value held before, this one, or neither."""
-        if self.interval_ms == 0:
-            return [value]
-        samples = self.take_held(now_s)
-        if now_s >= self.due_s:
+    def sample(self, now_s: float) -> bool:
+        """Look at the place; return whether something was queued."""
+        if self.interval_s:
+            if now_s < self.due_s:
+                return False
             self._step(now_s)
-            samples.append(value)
-        else:
-            self.pending = value
-        return samples
-
-    def take_held(self, now_s: float) -> list[ua.DataValue]:
-        """Return the value that waits for its sampling instant, once that has passed."""
-        if self.pending is None or now_s < self.due_s:
-            return []
-        held, self.pending = self.pending, None
-        self._step(now_s)
-        return [held]
+        value = self.place.value
+        if value is self.seen:
+            return False
+        self.seen = value
+        value = FixedDataValue.of(value)
+        if not self.change.is_worth_reporting(self.reported, value):
+            return False
+        self.reported = value
+        self._put(value)
+        return True
 
     def _step(self, now_s: float) -> None:
-        interval_s = self.interval_ms / 1e3
-        missed = math.floor((now_s - self.due_s) / interval_s) if self.due_s else 0
-        self.due_s = (self.due_s or now_s) + (missed + 1) * interval_s
+        missed = math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
+        self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
+
+    def _put(self, value: FixedDataValue) -> None:
+        """Queue a value; what is lost is marked by the overflow bit beside the gap."""
+        queue = self.queue
+        if len(queue) < self.size:
+            queue.append(value)
+            return
+        if self.discard_oldest:
+            queue.popleft()
+            queue.append(value)
+        else:
+            queue[-1] = value
+        if self.size > 1:
+            end = 0 if self.discard_oldest else -1
+            queue[end] = _with_overflow(queue[end])
+
+    def shorten(self) -> None:
+        """Drop what a shorter queue has no room for."""
+        while len(self.queue) > self.size:
+            self.queue.popleft()
+
+    def forget(self) -> None:
+        """Begin anew: whatever stands there next is a change."""
+        self.queue.clear()
+        self.seen = self.reported = None
+
+    def pop(self) -> bytes:
+        """Return the oldest notification."""
+        return self.handle + self.queue.popleft().encoded(self.stamps)
 
 
-class RobotMonitoredItems(MonitoredItemService):  # type: ignore[misc]
-    """The monitored items of one subscription."""
+@dataclass(slots=True, eq=False)
+class EventItem:
+    """A monitored source of events."""
 
-    def __init__(self, subscription: Any, address_space: Any) -> None:
-        super().__init__(subscription, address_space)
-        self._samplers: dict[int, _Sampler] = {}
+    item_id: int
+    node_id: ua.NodeId
+    handle: bytes
+    mode: ua.MonitoringMode
+    size: int
+    discard_oldest: bool
+    filter: ua.EventFilter
+    where: Any
+    queue: deque[bytes] = field(default_factory=deque)
+    triggers: dict[int, None] = field(default_factory=dict)
+
+    def take(self, event: Any) -> bool:
+        """Queue an event that passes the filter; return whether it did."""
+        if self.mode == _Modes.Disabled or not self.where.eval(event):
+            return False
+        fields = ua.EventFieldList(EventFields=event.to_event_fields(self.filter.SelectClauses))
+        if len(self.queue) >= self.size:
+            if not self.discard_oldest:
+                return False
+            self.queue.popleft()
+        self.queue.append(bytes(struct_to_binary(fields))[_HANDLE.size :])
+        return True
+
+    def shorten(self) -> None:
+        """Drop what a shorter queue has no room for."""
+        while len(self.queue) > self.size:
+            self.queue.popleft()
+
+    def forget(self) -> None:
+        """Drop what is queued."""
+        self.queue.clear()
+
+    def pop(self) -> bytes:
+        """Return the oldest notification."""
+        return self.handle + self.queue.popleft()
+
+
+Item = ValueItem | EventItem
+
+
+def _with_overflow(value: FixedDataValue) -> FixedDataValue:
+    return FixedDataValue(
+        value.Value,
+        ua.StatusCode(value.code | _OVERFLOW),
+        value.SourceTimestamp,
+        value.ServerTimestamp,
+    )
+
+
+class MonitoredItems:
+    """The monitored items of one subscription.
+
+    Parameters
+    ----------
+    address_space : asyncua AddressSpace
+    publishing_ms : callable
+        The subscription's publishing interval: a negative sampling interval means that.
+
+    Attributes
+    ----------
+    ready, ready_events : dict
+        Items with something to send.
+    """
+
+    def __init__(
+        self,
+        address_space: Any,
+        publishing_ms: Callable[[], float],
+        *,
+        longest_queue: int,
+        shortest_sampling_ms: float,
+    ) -> None:
+        self._address_space = address_space
+        self._publishing_ms = publishing_ms
+        self._longest_queue = longest_queue
+        self._shortest_ms = shortest_sampling_ms
+        self._number = 0
+        self._values: dict[int, ValueItem] = {}
+        self._events: dict[int, EventItem] = {}
+        self._each_frame: list[ValueItem] = []
+        self._all: list[ValueItem] = []
+        self._has_links = False
+        self.ready: dict[int, ValueItem] = {}
+        self.ready_events: dict[int, EventItem] = {}
 
     def __len__(self) -> int:
-        return len(self._monitored_items)
+        return len(self._values) + len(self._events)
 
-    async def create_monitored_items(self, params: Any) -> list[ua.MonitoredItemCreateResult]:
-        """Create items, as many as there is room for on this server."""
-        results = []
-        for item in params.ItemsToCreate:
-            code = self._refuse(item)
-            if code is not None:
-                result = ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(code))
-            elif item.ItemToMonitor.AttributeId == _Attributes.EventNotifier:
-                result = self._create_events_monitored_item(item)
-            else:
-                result = await self._create_data_change_monitored_item(item)
-            results.append(result)
-        return results
+    def _items(self) -> Iterator[Item]:
+        yield from self._values.values()
+        yield from self._events.values()
 
-    def _refuse(self, item: ua.MonitoredItemCreateRequest) -> int | None:
-        if not self.isub.has_room_for_item():
-            return int(_Codes.BadTooManyMonitoredItems)
-        node = self.aspace.get(item.ItemToMonitor.NodeId)
-        if node is None:
-            return int(_Codes.BadNodeIdUnknown)
-        if item.ItemToMonitor.AttributeId not in node.attributes:
-            return int(_Codes.BadAttributeIdInvalid)
-        if item.ItemToMonitor.IndexRange:
-            return int(_Codes.BadIndexRangeInvalid)
-        wanted = item.RequestedParameters.Filter
-        if item.ItemToMonitor.AttributeId == _Attributes.EventNotifier and not isinstance(
-            wanted, ua.EventFilter
-        ):
-            return int(_Codes.BadEventFilterInvalid)
-        return None
+    @property
+    def queued_values(self) -> int:
+        """Room in all queues together, beyond one value each."""
+        return sum(item.size - 1 for item in self._items())
 
-    def _make_monitored_item_common(self, params: Any) -> tuple[Any, MonitoredItemData]:
-        result, data = super()._make_monitored_item_common(params)
-        data.discard_oldest = params.RequestedParameters.DiscardOldest
-        is_event = params.ItemToMonitor.AttributeId == _Attributes.EventNotifier
-        if is_event and params.RequestedParameters.QueueSize == 0:
-            data.queue_size = result.RevisedQueueSize = self.isub.max_queue_size
-        result.RevisedSamplingInterval = 0.0  # events are not sampled
-        return result, data
+    def get(self, item_id: int) -> Item | None:
+        """Return an item."""
+        return self._values.get(item_id) or self._events.get(item_id)
 
-    async def _create_data_change_monitored_item(self, params: Any) -> ua.MonitoredItemCreateResult:
+    def handles(self) -> list[tuple[int, int]]:
+        """Return item ids with their client handles."""
+        return [(item.item_id, _HANDLE.unpack(item.handle)[0]) for item in self._items()]
+
+    # --- services ---------------------------------------------------------------------------------
+
+    def create(
+        self, request: ua.MonitoredItemCreateRequest, stamps: ua.TimestampsToReturn, room: Room
+    ) -> ua.MonitoredItemCreateResult:
+        """Create an item, if there is room."""
+        result = ua.MonitoredItemCreateResult()
         try:
-            change = self._change_filter(params.ItemToMonitor, params.RequestedParameters.Filter)
-        except FilterError as error:
-            return ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(error.code))
-        interval_ms = self._revise_sampling(params.RequestedParameters.SamplingInterval)
-        # asyncua numbers the items and reports the first value from within.
-        self._samplers[self._monitored_item_counter + 1] = _Sampler(change, interval_ms)
-        result = await super()._create_data_change_monitored_item(params)
-        result.RevisedSamplingInterval = interval_ms
-        if not result.StatusCode.is_good():
-            self._samplers.pop(self._monitored_item_counter, None)
+            if room.items <= 0:
+                raise RefusedError(_Codes.BadTooManyMonitoredItems)
+            if not isinstance(request.MonitoringMode, _Modes):
+                raise RefusedError(_Codes.BadMonitoringModeInvalid)
+            make: Callable[[Any, Any, Room], Item] = self._make_value
+            if request.ItemToMonitor.AttributeId == _Attributes.EventNotifier:
+                make = self._make_events
+            self._number += 1
+            item = make(request, stamps, room)
+        except (RefusedError, FilterError) as error:
+            result.StatusCode = ua.StatusCode(error.code)
+            return result
+        result.MonitoredItemId, result.RevisedQueueSize = item.item_id, item.size
+        result.RevisedSamplingInterval = 0.0
+        if isinstance(item, ValueItem):
+            result.RevisedSamplingInterval = item.interval_s * 1e3
+            if item.mode != _Modes.Disabled:
+                self._look(item, time.monotonic())
         return result
 
-    def _modify_monitored_item(self, params: Any) -> ua.MonitoredItemModifyResult:
-        data = self._monitored_items.get(params.MonitoredItemId)
-        if data is None:
-            unknown = ua.StatusCode(_Codes.BadMonitoredItemIdInvalid)
-            return ua.MonitoredItemModifyResult(StatusCode=unknown)
-        asked = params.RequestedParameters
+    def _make_value(self, request: Any, stamps: Any, room: Room) -> Item:
+        read, asked = request.ItemToMonitor, request.RequestedParameters
+        place = place_for_items(self._address_space, read)
+        change = self._change_filter(read, asked.Filter)
+        self._values[self._number] = item = ValueItem(
+            self._number,
+            read,
+            place,
+            _HANDLE.pack(asked.ClientHandle),
+            stamps,
+            request.MonitoringMode,
+            room.take(asked.QueueSize, self._longest_queue),
+            asked.DiscardOldest,
+            change,
+            self._revise_sampling(asked.SamplingInterval) / 1e3,
+        )
+        return item
+
+    def _make_events(self, request: Any, _stamps: Any, room: Room) -> Item:
+        read, asked = request.ItemToMonitor, request.RequestedParameters
+        place = find(self._address_space, read.NodeId, read.AttributeId)
+        notifier = value_at(place, read.NodeId, read.AttributeId).Value
+        if notifier is None or not (notifier.Value or 0) & ua.EventNotifier.SubscribeToEvents.mask:
+            raise RefusedError(_Codes.BadAttributeIdInvalid)
+        wanted = check_event_filter(asked.Filter)
+        self._events[self._number] = item = EventItem(
+            self._number,
+            read.NodeId,
+            _HANDLE.pack(asked.ClientHandle),
+            request.MonitoringMode,
+            room.take(asked.QueueSize or self._longest_queue, self._longest_queue),
+            asked.DiscardOldest,
+            wanted,
+            WhereClauseEvaluator(_quiet, self._address_space, wanted.WhereClause),
+        )
+        return item
+
+    def modify(
+        self, request: ua.MonitoredItemModifyRequest, stamps: ua.TimestampsToReturn, room: Room
+    ) -> ua.MonitoredItemModifyResult:
+        """Change an item."""
         result = ua.MonitoredItemModifyResult()
-        sampler = self._samplers.get(params.MonitoredItemId)
-        if sampler is not None:
-            try:
-                sampler.change = self._change_filter(data.read_value_id, asked.Filter)
-            except FilterError as error:
-                return ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(error.code))
-            sampler.interval_ms = self._revise_sampling(asked.SamplingInterval)
-            result.RevisedSamplingInterval = sampler.interval_ms
-        data.client_handle = asked.ClientHandle
-        data.discard_oldest = asked.DiscardOldest
-        data.queue_size = result.RevisedQueueSize = self._revise_queue_size(asked.QueueSize)
-        self.isub.shorten_queue(params.MonitoredItemId, data.queue_size)
+        item, asked = self.get(request.MonitoredItemId), request.RequestedParameters
+        try:
+            if item is None:
+                raise RefusedError(_Codes.BadMonitoredItemIdInvalid)
+            if isinstance(item, ValueItem):
+                item.change = self._change_filter(item.read, asked.Filter)
+                item.interval_s = self._revise_sampling(asked.SamplingInterval) / 1e3
+                item.due_s, item.stamps = 0.0, stamps
+                result.RevisedSamplingInterval = item.interval_s * 1e3
+            else:
+                item.filter = check_event_filter(asked.Filter)
+                item.where = WhereClauseEvaluator(
+                    _quiet, self._address_space, item.filter.WhereClause
+                )
+        except (RefusedError, FilterError) as error:
+            result.StatusCode = ua.StatusCode(error.code)
+            return result
+        item.handle = _HANDLE.pack(asked.ClientHandle)
+        item.discard_oldest = asked.DiscardOldest
+        room.items += 1
+        room.queued_values += item.size - 1
+        item.size = result.RevisedQueueSize = room.take(asked.QueueSize, self._longest_queue)
+        item.shorten()
         return result
 
-    def _revise_queue_size(self, requested: int) -> int:
-        """Return the queue size: 0 means one value (OPC 10000-4, 5.12.1.5), never no limit."""
-        return min(max(int(requested), 1), int(self.isub.max_queue_size))
+    def delete(self, item_id: int) -> int:
+        """Delete an item; return a status code."""
+        item = self.get(item_id)
+        if item is None:
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        self._values.pop(item_id, None)
+        self._events.pop(item_id, None)
+        self.ready.pop(item_id, None)
+        self.ready_events.pop(item_id, None)
+        if self._has_links:
+            for other in self._items():
+                other.triggers.pop(item_id, None)
+        return int(_Codes.Good)
+
+    def set_mode(self, item_id: int, mode: ua.MonitoringMode) -> int:
+        """Switch an item on or off; return a status code."""
+        item = self.get(item_id)
+        if item is None:
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        was, item.mode = item.mode, mode
+        self.ready.pop(item_id, None)
+        self.ready_events.pop(item_id, None)
+        if mode == _Modes.Disabled:
+            item.forget()
+        elif isinstance(item, EventItem):
+            self._note(item)
+        elif was == _Modes.Disabled:
+            self._look(item, time.monotonic())
+        else:
+            self._note(item)
+        return int(_Codes.Good)
+
+    def trigger(
+        self, item_id: int, add: list[int], remove: list[int]
+    ) -> tuple[list[int], list[int]]:
+        """Link items to one whose notifications let theirs through (SetTriggering)."""
+        item = self.get(item_id)
+        if item is None:
+            raise RefusedError(_Codes.BadMonitoredItemIdInvalid)
+        removed = [
+            int(_Codes.Good if item.triggers.pop(number, 0) is None else _unknown)
+            for number in remove
+        ]
+        added = []
+        for number in add:
+            if self.get(number) is None:
+                added.append(_unknown)
+            else:
+                item.triggers[number] = None
+                self._has_links = True
+                added.append(int(_Codes.Good))
+        return added, removed
+
+    # --- sampling ---------------------------------------------------------------------------------
+
+    def after_frame(self, now_s: float) -> None:
+        """Look at what is queued change by change."""
+        for item in self._each_frame:
+            if item.sample(now_s):
+                self._note(item)
+
+    def before_publishing(self, now_s: float) -> None:
+        """Look at everything that is due."""
+        for item in self._all:
+            if item.sample(now_s):
+                self._note(item)
+
+    @property
+    def has_each_frame(self) -> bool:
+        """Whether there is anything to look at after a frame."""
+        return bool(self._each_frame)
+
+    def take_event(self, event: Any) -> None:
+        """Queue an event for those who watch the node that emits it."""
+        for item in self._events.values():
+            if item.node_id == event.emitting_node and item.take(event):
+                self._note(item)
+
+    def repeat_values(self) -> None:
+        """Report all values again, as if the items were new."""
+        for item in self._all:
+            item.forget()
+
+    def _look(self, item: ValueItem, now_s: float) -> None:
+        if item.sample(now_s):
+            self._note(item)
+
+    def _note(self, item: Item) -> None:
+        """Put an item on the list of those with something to send, and what it triggers."""
+        if not item.queue:
+            return
+        for number in item.triggers:
+            linked = self.get(number)
+            if linked is not None and linked.mode == _Modes.Sampling and linked.queue:
+                self._list(linked)
+        if item.mode == _Modes.Reporting:
+            self._list(item)
+
+    def _list(self, item: Item) -> None:
+        if isinstance(item, ValueItem):
+            self.ready[item.item_id] = item
+        else:
+            self.ready_events[item.item_id] = item
+
+    def arrange(self) -> None:
+        """Note which items are to be looked at when; after every change of items."""
+        self._all = [item for item in self._values.values() if item.mode != _Modes.Disabled]
+        self._each_frame = [item for item in self._all if item.size > 1]
+
+    # --- what is asked for, revised ---------------------------------------------------------------
 
     def _revise_sampling(self, asked_ms: float) -> float:
         """Return the interval that is kept: negative or none means the publishing interval."""
         if asked_ms is None or not asked_ms >= 0:
-            return float(self.isub.data.RevisedPublishingInterval)
-        return min(float(asked_ms), LONGEST_SAMPLING_MS)
+            return float(self._publishing_ms())
+        if asked_ms == 0:
+            return 0.0
+        return min(max(float(asked_ms), self._shortest_ms), LONGEST_SAMPLING_MS)
 
     def _change_filter(self, item: ua.ReadValueId, asked: Any) -> ChangeFilter:
-        node = self.aspace.get(item.NodeId)
+        node = self._address_space.get(item.NodeId)
         data_type = node.attributes.get(_Attributes.DataType) if node else None
         kind = _built_in(None if data_type is None else data_type.value)
         return change_filter(asked, item.AttributeId, kind, self._eu_range(node))
@@ -161,52 +458,20 @@ class RobotMonitoredItems(MonitoredItemService):  # type: ignore[misc]
     def _eu_range(self, node: Any) -> ua.Range | None:
         for reference in node.references if node else ():
             if reference.IsForward and reference.BrowseName == ua.QualifiedName("EURange", 0):
-                place = self.aspace[reference.NodeId].attributes[_Attributes.Value].value
+                place = self._address_space[reference.NodeId].attributes[_Attributes.Value].value
                 found = place.Value.Value if place is not None and place.Value else None
                 return found if isinstance(found, ua.Range) else None
         return None
 
-    def _delete_monitored_items(self, mid: int) -> ua.StatusCode:
-        self._samplers.pop(mid, None)
-        self.isub.shorten_queue(mid, 0)
-        return super()._delete_monitored_items(mid)
 
-    async def _set_monitoring_mode(self, mode: ua.MonitoringMode, mid: int) -> ua.StatusCode:
-        sampler = self._samplers.get(mid)
-        if mode == _Modes.Disabled:
-            self.isub.shorten_queue(mid, 0)
-            if sampler is not None:
-                sampler.pending = sampler.reported = None
-        return await super()._set_monitoring_mode(mode, mid)
+_unknown = int(_Codes.BadMonitoredItemIdInvalid)
 
-    def is_reporting(self, mid: int) -> bool:
-        """Whether what is queued for an item is to be sent."""
-        data = self._monitored_items.get(mid)
-        return data is not None and data.mode == _Modes.Reporting
 
-    async def datachange_callback(
-        self, handle: int, value: ua.DataValue, error: ua.StatusCode | None = None
-    ) -> None:
-        """Take a value that the publish slice has written."""
-        if error:
-            await self.trigger_statuschange(error)
-            return
-        mid = self._monitored_datachange[handle]
-        if self._monitored_items[mid].mode != _Modes.Disabled:
-            self._report(mid, self._samplers[mid].take(value, time.monotonic()))
-
-    def sample(self, now_s: float) -> None:
-        """Report values held until now; called before each publishing."""
-        for mid, sampler in self._samplers.items():
-            if sampler.pending is not None:
-                self._report(mid, sampler.take_held(now_s))
-
-    def _report(self, mid: int, values: list[ua.DataValue]) -> None:
-        sampler, data = self._samplers[mid], self._monitored_items[mid]
-        for value in values:
-            if sampler.change.is_worth_reporting(sampler.reported, value):
-                sampler.reported = value
-                self.isub.queue_value(mid, data, value)
+def check_event_filter(asked: Any) -> ua.EventFilter:
+    """Return the filter of an event item; RefusedError if it selects nothing."""
+    if not isinstance(asked, ua.EventFilter) or not asked.SelectClauses:
+        raise RefusedError(_Codes.BadEventFilterInvalid)
+    return asked
 
 
 def _built_in(data_type: ua.DataValue | None) -> ua.VariantType | None:

@@ -4,89 +4,88 @@ Every message is answered, or the connection is closed with an Error message tha
 needs a session needs its authentication token too, on the channel that the session is bound to.
 """
 
-import asyncio
+import inspect
 import struct
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from typing import Any
 
 from asyncua import ua
-from asyncua.common.connection import TransportLimits
-from asyncua.common.utils import NotEnoughData, ServiceError
+from asyncua.common.utils import Buffer, NotEnoughData, ServiceError
 from asyncua.crypto.uacrypto import InvalidSignature
-from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import (
     header_from_binary,
     nodeid_from_binary,
     struct_from_binary,
+    struct_to_binary,
     uatcp_to_binary,
 )
 
 from hilserver.io.opcua_security.certificate import application_uris, parse_certificate
+from hilserver.io.opcua_server import encoding
 from hilserver.io.opcua_server.channel import GuardedConnection
 from hilserver.io.opcua_server.frames import Stage, TransportError, check_order
 from hilserver.io.opcua_server.identity import identify
 from hilserver.io.opcua_server.logs import log
+from hilserver.io.opcua_server.services import REPUBLISH, SERVICES, read
 from hilserver.io.opcua_server.sessions import RobotSession
 
-_MAX_UNREAD_BYTES = 4 * 1024 * 1024
 _OPERATION_TEXT, _OPERATION_ADDITIONAL_INFO = 0x40, 0x80
 """Bits of ReturnDiagnostics (OPC 10000-4, RequestHeader)."""
 _MAX_CLIENT_TEXT = 4096
 _NONCE_BYTES = 32
-_Codes, _Ids, _Type = ua.StatusCodes, ua.ObjectIds, ua.MessageType
+_Codes, _Type, _Ids = ua.StatusCodes, ua.MessageType, ua.ObjectIds
 _None = ua.MessageSecurityMode.None_
-_DISCOVERY = {
-    _Ids.GetEndpointsRequest_Encoding_DefaultBinary,
-    _Ids.FindServersRequest_Encoding_DefaultBinary,
-    _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary,
-}
-_REGISTRATION = {
-    _Ids.RegisterServerRequest_Encoding_DefaultBinary,
-    _Ids.RegisterServer2Request_Encoding_DefaultBinary,
-}
+
+
+def _id(name: str) -> int:
+    return int(getattr(_Ids, f"{name}_Encoding_DefaultBinary"))
+
+
+_GET_ENDPOINTS, _FIND_SERVERS = _id("GetEndpointsRequest"), _id("FindServersRequest")
+_CREATE, _ACTIVATE = _id("CreateSessionRequest"), _id("ActivateSessionRequest")
+_CLOSE, _PUBLISH = _id("CloseSessionRequest"), _id("PublishRequest")
+_READ, _REPUBLISH = _id("ReadRequest"), _id("RepublishRequest")
+_OPEN = ua.NodeId(_id("OpenSecureChannelRequest"))
+_REPUBLISH_RESPONSE = encoding.numeric_id(_id("RepublishResponse"))
+_REGISTRATION = {_id("RegisterServerRequest"), _id("RegisterServer2Request")}
 _MANAGEMENT = {
-    _Ids.AddNodesRequest_Encoding_DefaultBinary,
-    _Ids.DeleteNodesRequest_Encoding_DefaultBinary,
-    _Ids.AddReferencesRequest_Encoding_DefaultBinary,
-    _Ids.DeleteReferencesRequest_Encoding_DefaultBinary,
-}
-_SERVED = {
-    _Ids.ReadRequest_Encoding_DefaultBinary,
-    _Ids.WriteRequest_Encoding_DefaultBinary,
-    _Ids.CallRequest_Encoding_DefaultBinary,
-    _Ids.BrowseRequest_Encoding_DefaultBinary,
-    _Ids.TranslateBrowsePathsToNodeIdsRequest_Encoding_DefaultBinary,
-    _Ids.RegisterNodesRequest_Encoding_DefaultBinary,
-    _Ids.UnregisterNodesRequest_Encoding_DefaultBinary,
-    _Ids.CreateSubscriptionRequest_Encoding_DefaultBinary,
-    _Ids.ModifySubscriptionRequest_Encoding_DefaultBinary,
-    _Ids.DeleteSubscriptionsRequest_Encoding_DefaultBinary,
-    _Ids.TransferSubscriptionsRequest_Encoding_DefaultBinary,
-    _Ids.SetPublishingModeRequest_Encoding_DefaultBinary,
-    _Ids.PublishRequest_Encoding_DefaultBinary,
-    _Ids.RepublishRequest_Encoding_DefaultBinary,
-    _Ids.CreateMonitoredItemsRequest_Encoding_DefaultBinary,
-    _Ids.ModifyMonitoredItemsRequest_Encoding_DefaultBinary,
-    _Ids.DeleteMonitoredItemsRequest_Encoding_DefaultBinary,
-    _Ids.SetMonitoringModeRequest_Encoding_DefaultBinary,
+    _id(f"{what}Request")
+    for what in ("AddNodes", "DeleteNodes", "AddReferences", "DeleteReferences")
 }
 _UNDECODABLE = (
     NotEnoughData, struct.error, UnicodeDecodeError, RecursionError, OverflowError, MemoryError,
 )  # fmt: skip
+Outcome = bool | Coroutine[Any, Any, bool]
+"""Whether the connection goes on, now or after waiting for something."""
 
 
-class RobotProcessor(UaProcessor):  # type: ignore[misc]
-    """Processes the messages of one connection, one after the other."""
+def decode(kind: type, body: Buffer) -> Any:
+    """Decode the parameters of a service; BadDecodingError whatever is wrong with them."""
+    try:
+        return struct_from_binary(kind, body)
+    except Exception:  # noqa: BLE001 - whatever a decoder of others trips over is the sender's
+        raise ServiceError(_Codes.BadDecodingError) from None
 
-    _connection: GuardedConnection
-    session: RobotSession | None
+
+class RobotProcessor:
+    """Processes the messages of one connection, one after the other.
+
+    Attributes
+    ----------
+    is_congested : bool
+        The client does not read what was sent to it.
+    """
 
     def __init__(self, iserver: Any, transport: Any, policies: Sequence[Any]) -> None:
-        super().__init__(iserver, transport, TransportLimits())
-        self.address = str(self.name[0]) if self.name else "unknown"
+        self.iserver = iserver
+        self.session: RobotSession | None = None
+        self.is_congested = False
+        self._transport = transport
+        self._sockname = transport.get_extra_info("sockname")
+        name = transport.get_extra_info("peername")
+        self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)
         self._is_greeted = False
-        self._wanted = 0
 
     # --- transport --------------------------------------------------------------------------------
 
@@ -97,7 +96,7 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
             return Stage.NEW
         if not self._connection.is_open():
             return Stage.GREETED
-        is_active = self.session is not None and self.session.is_activated()
+        is_active = self.session is not None and self.session.is_activated
         return Stage.ACTIVE if is_active else Stage.OPEN
 
     @property
@@ -105,57 +104,77 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
         """Whether a message is still incomplete."""
         return self._connection.has_parts
 
-    async def process_frame(self, kind: bytes, frame: bytes) -> bool:
+    def process_frame(self, kind: bytes, frame: bytes) -> Outcome:
         """Process one frame; False if the connection is to be closed."""
         try:
-            check_order(self.stage, kind)
-            buffer = ua.utils.Buffer(frame)
-            header = header_from_binary(buffer)
-            if kind == b"HEL":
-                self._greet(struct_from_binary(ua.Hello, buffer))
-                return True
-            return await self._process_chunk(kind, header, buffer)
-        except TransportError as error:
-            self.refuse(error.code, str(error))
-        except InvalidSignature:
-            self.refuse(_Codes.BadSecurityChecksFailed, "signature or key does not fit")
-        except ua.uaerrors.UaStatusCodeError as error:
-            self.refuse(error.code, "refused")
-        except _UNDECODABLE:
-            self.refuse(_Codes.BadDecodingError, "cannot be decoded")
+            return self._process_frame(kind, frame)
         except Exception as error:  # noqa: BLE001 - whatever it was, it is one connection's
+            self._fail(kind, error)
+            return False
+
+    def _process_frame(self, kind: bytes, frame: bytes) -> Outcome:
+        check_order(self.stage, kind)
+        connection = self._connection
+        if self.stage is Stage.ACTIVE:
+            connection.max_bytes = self.iserver.config.max_message_bytes
+        if kind == b"MSG":
+            plain = connection.receive_plain(frame)
+            if plain is not None:
+                return self._process_message(*plain)
+        buffer = Buffer(frame)
+        header = header_from_binary(buffer)
+        if kind == b"HEL":
+            self._greet(struct_from_binary(ua.Hello, buffer))
+            return True
+        message = connection.receive_from_header_and_body(header, buffer)
+        if message is None:
+            return True
+        if kind == b"CLO":
+            connection.close()
+            return False
+        request_id, body = message.SequenceHeader().RequestId, message.body()
+        if kind == b"OPN":
+            connection.check_asymmetric(message.SecurityHeader())
+            connection.check_renewed(header.ChannelId)
+            self._open_channel(message.SecurityHeader(), request_id, body)
+            return True
+        return self._process_message(request_id, body)
+
+    def _fail(self, kind: bytes, error: Exception) -> None:
+        if isinstance(error, TransportError):
+            self.refuse(error.code, str(error))
+        elif isinstance(error, InvalidSignature):
+            self.refuse(_Codes.BadSecurityChecksFailed, "signature or key does not fit")
+        elif isinstance(error, ServiceError | ua.uaerrors.UaStatusCodeError):
+            self.refuse(error.code, "refused")
+        elif isinstance(error, _UNDECODABLE):
+            self.refuse(_Codes.BadDecodingError, "cannot be decoded")
+        else:
             secure = self._connection.security_policy.Mode != _None or kind == b"OPN"
             code = _Codes.BadSecurityChecksFailed if secure else _Codes.BadDecodingError
             log.warning("opcua message refused", address=self.address, error=repr(error)[:200])
             self.refuse(code, "cannot be processed")
-        return False
 
     def _greet(self, hello: ua.Hello) -> None:
         answer = self._connection.greet(hello, self.iserver.config.max_message_bytes)
         self._is_greeted = True
         self._transport.write(uatcp_to_binary(_Type.Acknowledge, answer))
 
-    async def _process_chunk(self, kind: bytes, header: ua.Header, buffer: Any) -> bool:
+    def _open_channel(self, security: Any, request_id: int, body: Buffer) -> None:
+        if nodeid_from_binary(body) != _OPEN:
+            raise TransportError(_Codes.BadTcpMessageTypeInvalid, "no OpenSecureChannel")
+        head = decode(ua.RequestHeader, body)
+        params = decode(ua.OpenSecureChannelParameters, body)
         connection = self._connection
-        if self.stage is Stage.ACTIVE:
-            connection.max_bytes = self.iserver.config.max_message_bytes
-        message = connection.receive_from_header_and_body(header, buffer)
-        if message is None:
-            return True
-        if kind == b"OPN":
-            connection.check_asymmetric(message.SecurityHeader())
-            if nodeid_from_binary(message.body()) != ua.NodeId(
-                _Ids.OpenSecureChannelRequest_Encoding_DefaultBinary
-            ):
-                raise TransportError(_Codes.BadTcpMessageTypeInvalid, "no OpenSecureChannel")
-            self.open_secure_channel(
-                message.SecurityHeader(), message.SequenceHeader(), message.body()
+        if not connection.is_open():
+            connection.select_policy(
+                security.SecurityPolicyURI, security.SenderCertificate, params.SecurityMode
             )
-            return True
-        if kind == b"CLO":
-            connection.close()
-            return False
-        return await self.process_message(message.SequenceHeader(), message.body())
+        response = ua.OpenSecureChannelResponse()
+        response.Parameters = connection.open(params, self.iserver)
+        response.ResponseHeader.RequestHandle = head.RequestHandle
+        data = bytes(struct_to_binary(response))
+        self._transport.write(connection.message_to_binary(data, _Type.SecureOpen, request_id))
 
     def refuse(self, code: int, text: str) -> None:
         """Send an Error message and close."""
@@ -165,107 +184,145 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
         self._transport.write(uatcp_to_binary(_Type.Error, error))
         self._transport.close()
 
-    def send_response(
-        self, requesthandle: Any, seqhdr: Any, response: Any, msgtype: Any = _Type.SecureMessage
-    ) -> None:
-        """Send a response, with diagnostics where the client asked for them."""
+    # --- answers ----------------------------------------------------------------------------------
+
+    def send_body(self, request_id: int, handle: int, body: bytes) -> None:
+        """Send an encoded response, or the fault that it is too long for the client."""
         if self._transport.is_closing():
             return  # uvloop raises on a write to a closed connection
-        if self._transport.get_write_buffer_size() > _MAX_UNREAD_BYTES:
-            log.warning("opcua client does not read its answers: closed", client=str(self.name))
-            self._transport.abort()
-            return
-        if isinstance(response, ua.WriteResponse | ua.CallResponse) and self.session is not None:
-            explain(response, self.session.texts, self._wanted)
-        response.ResponseHeader.RequestHandle = requesthandle
-        body = ua.ua_binary.struct_to_binary(response)
         longest = self._connection.max_response_bytes
+        if self.session is not None and self.session.max_response_bytes:
+            agreed = self.session.max_response_bytes
+            longest = min(longest, agreed) if longest else agreed
         if longest and len(body) > longest:
-            fault = _fault(_Codes.BadResponseTooLarge, requesthandle)
-            body = ua.ua_binary.struct_to_binary(fault)
-        self._transport.write(
-            self._connection.message_to_binary(
-                body, message_type=msgtype, request_id=seqhdr.RequestId
-            )
-        )
+            body = _fault(_Codes.BadResponseTooLarge, handle)
+        self._transport.write(self._connection.message_bytes(body, request_id))
+
+    def send_fault(self, request_id: int, handle: int, code: int) -> None:
+        """Say that a request failed as a whole."""
+        self.send_body(request_id, handle, _fault(code, handle))
+
+    def _send(self, request_id: int, head: encoding.Head, response: Any) -> None:
+        """Send a response, with diagnostics where the client asked for them."""
+        if response is None:
+            return
+        if not isinstance(response, bytes):
+            if (
+                isinstance(response, ua.WriteResponse | ua.CallResponse)
+                and self.session is not None
+            ):
+                explain(response, self.session.texts, head.diagnostics)
+            response.ResponseHeader.RequestHandle = head.handle
+            response = bytes(struct_to_binary(response))
+        self.send_body(request_id, head.handle, response)
 
     # --- services ---------------------------------------------------------------------------------
 
-    async def process_message(self, seqhdr: Any, body: Any) -> bool:
-        """Answer one message; TransportError if not even its header can be read."""
+    def _process_message(self, request_id: int, body: Buffer) -> Outcome:
+        """Answer one message; raise if not even its header can be read."""
         type_id = nodeid_from_binary(body)
-        header = struct_from_binary(ua.RequestHeader, body)
+        service = type_id.Identifier if type_id.NamespaceIndex == 0 else None
+        session, token = self.session, None
+        head = None if session is None else encoding.request_head(body, session.token_bytes)
+        if head is None:
+            header = struct_from_binary(ua.RequestHeader, body)
+            token = header.AuthenticationToken
+            head = encoding.Head(header.RequestHandle, header.ReturnDiagnostics, header.TimeoutHint)
+            if session is not None and not session.is_named_by(token):
+                session = None
         try:
-            return bool(await self._process_message(type_id, header, seqhdr, body))
-        except (ServiceError, ua.uaerrors.UaStatusCodeError) as error:
-            code = error.code
-        except _UNDECODABLE:
-            code = _Codes.BadDecodingError
+            response = self._serve(service, session, token, head, request_id, body)
+            if inspect.iscoroutine(response):
+                return self._finish(response, request_id, head)
+            self._send(request_id, head, response)
         except Exception as error:  # noqa: BLE001 - a client must get an answer, and no traceback
-            log.warning("opcua request failed", address=self.address, error=repr(error)[:200])
-            code = _Codes.BadInternalError
-        self.send_response(header.RequestHandle, seqhdr, _fault(code, header.RequestHandle))
+            self.send_fault(request_id, head.handle, self._code_of(error))
         return True
 
-    async def _process_message(self, typeid: Any, requesthdr: Any, seqhdr: Any, body: Any) -> Any:
-        self._wanted = requesthdr.ReturnDiagnostics
-        service = typeid.Identifier if typeid.NamespaceIndex == 0 else None
-        if service in _DISCOVERY:
-            return await super()._process_message(typeid, requesthdr, seqhdr, body)
+    async def _finish(self, response: Any, request_id: int, head: encoding.Head) -> bool:
+        """Answer when what was asked for has been done."""
+        try:
+            self._send(request_id, head, await response)
+        except Exception as error:  # noqa: BLE001 - as above
+            self.send_fault(request_id, head.handle, self._code_of(error))
+        return True
+
+    def _code_of(self, error: Exception) -> int:
+        if isinstance(error, ServiceError | ua.uaerrors.UaStatusCodeError):
+            return int(error.code)
+        if isinstance(error, _UNDECODABLE):
+            return int(_Codes.BadDecodingError)
+        log.warning("opcua request failed", address=self.address, error=repr(error)[:200])
+        return int(_Codes.BadInternalError)
+
+    def _serve(
+        self, service: Any, session: Any, token: Any, head: Any, request_id: int, body: Buffer
+    ) -> Any:
+        if service in (_GET_ENDPOINTS, _FIND_SERVERS):
+            return self._discover(service, body)
         if service in _REGISTRATION:
             raise ServiceError(_Codes.BadServiceUnsupported)  # this is no discovery server
         if self._connection.is_discovery_only:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
-        if service == _Ids.CreateSessionRequest_Encoding_DefaultBinary:
-            response = await self._create_session(body)
-        elif service == _Ids.ActivateSessionRequest_Encoding_DefaultBinary:
-            response = await self._activate_session(requesthdr, body)
-        elif service == _Ids.CloseSessionRequest_Encoding_DefaultBinary:
-            response = await self._close_session(requesthdr, body)
-        else:
-            session = self._require_session(requesthdr)
-            if not session.is_activated():
-                raise ServiceError(_Codes.BadSessionNotActivated)
-            if service == _Ids.BrowseNextRequest_Encoding_DefaultBinary:
-                session.touch()
-                response = ua.BrowseNextResponse()
-                params = struct_from_binary(ua.BrowseNextParameters, body)
-                response.Parameters.Results = await session.browse_next(params)
-            elif service in _MANAGEMENT:
-                raise ServiceError(_Codes.BadUserAccessDenied)
-            elif service not in _SERVED:
-                raise ServiceError(_Codes.BadServiceUnsupported)
-            else:
-                return await super()._process_message(typeid, requesthdr, seqhdr, body)
-        self.send_response(requesthdr.RequestHandle, seqhdr, response)
-        return True
-
-    def _require_session(self, header: ua.RequestHeader) -> RobotSession:
-        session = self.session
-        if session is None or not session.is_named_by(header.AuthenticationToken):
+        if service == _CREATE:
+            return self._create_session(decode(ua.CreateSessionParameters, body))
+        if service == _ACTIVATE:
+            token = session.auth_token if session is not None else token
+            return self._activate_session(token, decode(ua.ActivateSessionParameters, body))
+        if session is None:
             raise ServiceError(_Codes.BadSessionIdInvalid)
-        return session
+        session.touch()
+        if service == _CLOSE:
+            session.close(delete_subscriptions=body.read(1) != b"\0")
+            return ua.CloseSessionResponse()
+        if not session.is_activated:
+            raise ServiceError(_Codes.BadSessionNotActivated)
+        return self._serve_session(service, session, head, request_id, body)
 
-    async def _create_session(self, body: Any) -> ua.CreateSessionResponse:
+    @staticmethod
+    def _serve_session(service: Any, session: Any, head: Any, request_id: int, body: Buffer) -> Any:
+        if service == _PUBLISH:
+            return session.publish(head, request_id, body)
+        if service == _READ:
+            return encoding.read_response(head.handle, read(session, encoding.read_items(body)))
+        if service == _REPUBLISH:
+            message = REPUBLISH.answer(session, decode(REPUBLISH.parameters, body))
+            return encoding.response_head(_REPUBLISH_RESPONSE, head.handle) + message
+        if service in _MANAGEMENT:
+            raise ServiceError(_Codes.BadUserAccessDenied)
+        if service not in SERVICES:
+            raise ServiceError(_Codes.BadServiceUnsupported)
+        parameters, answer = SERVICES[service]
+        return answer(session, decode(parameters, body))
+
+    async def _discover(self, service: int, body: Buffer) -> Any:
+        if service == _FIND_SERVERS:
+            find = decode(ua.FindServersParameters, body)
+            servers = self.iserver.find_servers(find, self._sockname)
+            return ua.FindServersResponse(Servers=servers)
+        params = decode(ua.GetEndpointsParameters, body)
+        endpoints = await self.iserver.get_endpoints(params, self._sockname)
+        return ua.GetEndpointsResponse(Endpoints=endpoints)
+
+    async def _create_session(self, params: Any) -> ua.CreateSessionResponse:
         if self.session is not None:
-            if self.session.is_activated():
+            if self.session.is_activated:
                 raise ServiceError(_Codes.BadTooManySessions)  # one per connection
-            await self.session.close_session(True)
-            self.session = None
-        params = struct_from_binary(ua.CreateSessionParameters, body)
+            self.session.close()
         self._check_client(params)
         policy = self._connection.security_policy
-        session = self.iserver.create_session(self.name, external=True)
-        session.bind(self, policy)
+        asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
+        endpoints = await self.iserver.get_endpoints(asked, self._sockname)
+        session = self.iserver.new_session(self, policy)
         self.session = session
         response = ua.CreateSessionResponse()
-        response.Parameters = await session.create_session(params, sockname=self.sockname)
-        response.Parameters.MaxRequestMessageSize = self.iserver.config.max_message_bytes
-        response.Parameters.ServerCertificate = policy.host_certificate
+        result = response.Parameters = session.create(params)
+        result.ServerEndpoints = endpoints
+        result.MaxRequestMessageSize = self.iserver.config.max_message_bytes
+        result.ServerCertificate = policy.host_certificate
         signed = (policy.peer_certificate or b"") + (params.ClientNonce or b"")
-        signature = response.Parameters.ServerSignature
-        signature.Signature = policy.asymmetric_cryptography.signature(signed)
-        signature.Algorithm = policy.AsymmetricSignatureURI
+        result.ServerSignature.Signature = policy.asymmetric_cryptography.signature(signed)
+        result.ServerSignature.Algorithm = policy.AsymmetricSignatureURI
         return response
 
     def _check_client(self, params: ua.CreateSessionParameters) -> None:
@@ -287,14 +344,14 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
             self.iserver.trust.keep_rejected(certificate)
             raise ServiceError(_Codes.BadCertificateUriInvalid)
 
-    async def _activate_session(self, header: Any, body: Any) -> ua.ActivateSessionResponse:
-        params = struct_from_binary(ua.ActivateSessionParameters, body)
-        session = self.iserver.lookup_external_session(header.AuthenticationToken)
+    async def _activate_session(self, token: Any, params: Any) -> ua.ActivateSessionResponse:
+        session = self.iserver.session_of(token)
         if session is None or (self.session is not None and session is not self.session):
             raise ServiceError(_Codes.BadSessionIdInvalid)
+        session.touch()
         policy = self._connection.security_policy
         is_moved = session.processor is not self
-        if is_moved and not session.is_activated():
+        if is_moved and not session.is_activated:
             raise ServiceError(_Codes.BadSessionIdInvalid)
         if not session.is_of(policy):
             raise ServiceError(_Codes.BadSecurityChecksFailed)
@@ -323,34 +380,25 @@ class RobotProcessor(UaProcessor):  # type: ignore[misc]
         """Bind a session of another connection, which has proved to be the same client, to us."""
         if session.processor is not None and session.processor.session is session:
             session.processor.session = None
+        session.lose_connection()
         session.bind(self, policy)
-        self.session, self._closing = session, False
-        for subscription in self.iserver.subscription_service.of(session):
-            subscription.pub_result_callback = self.forward_publish_response
-            subscription.pub_request_callback = self.get_publish_request
+        self.session = session
 
-    async def _close_session(self, header: Any, body: Any) -> ua.CloseSessionResponse:
-        session = self._require_session(header)
-        await session.close_session(ua.ua_binary.Primitives.Boolean.unpack(body))
-        self.session = None
-        return ua.CloseSessionResponse()
-
-    async def close(self) -> None:
+    def close(self) -> None:
         """Let go of the session when the connection is lost; subscriptions may outlive it."""
-        self._closing = True
         session, self.session = self.session, None
         if session is None or session.processor is not self:
             return
-        session.processor = None
-        if not session.is_activated() or not self.iserver.subscription_service.of(session):
-            await asyncio.shield(session.close_session(True))
+        session.lose_connection()
+        if not session.is_activated or not session.subscriptions:
+            session.close()
 
 
-def _fault(code: int, handle: int) -> ua.ServiceFault:
-    fault = ua.ServiceFault()
-    fault.ResponseHeader.ServiceResult = ua.StatusCode(code)
-    fault.ResponseHeader.RequestHandle = handle
-    return fault
+def _fault(code: int, handle: int) -> bytes:
+    return encoding.response_head(_FAULT, handle, int(code))
+
+
+_FAULT = encoding.numeric_id(_id("ServiceFault"))
 
 
 def explain(response: Any, texts: Sequence[str], wanted: int) -> None:

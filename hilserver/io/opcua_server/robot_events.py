@@ -17,7 +17,6 @@ from asyncua import ua
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.io.opcua_server.address_space import SERVER, AddressSpaceBuilder
-from hilserver.io.opcua_server.values import run_to_end
 
 BASE_TYPE = "RobotEventType"
 TYPE_NAMES: dict[EventKind, str] = {
@@ -114,7 +113,7 @@ class RobotEvents:
 
     Parameters
     ----------
-    subscriptions : asyncua SubscriptionService
+    subscriptions : Subscriptions
     limit_per_s : int
         Events of one kind that are sent in a second.
     """
@@ -151,9 +150,7 @@ class RobotEvents:
     def _emit(self, event: Event, suppressed: int) -> None:
         fields = self._fields(event, suppressed)
         for node_id in (SERVER, self._robot):
-            robot_event = RobotEvent(node_id, fields)
-            for subscription in tuple(self._subscriptions.subscriptions.values()):
-                run_to_end(subscription.monitored_item_srv.trigger_event(robot_event), "event")
+            self._subscriptions.take_event(RobotEvent(node_id, fields))
 
     def _fields(self, event: Event, suppressed: int) -> dict[str, ua.Variant]:
         message = event.message + (f" (and {suppressed} more)" if suppressed else "")

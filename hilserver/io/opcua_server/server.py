@@ -4,6 +4,7 @@ import errno
 import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from asyncua import ua
 
@@ -22,6 +23,7 @@ from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure, Provider, Table
 from hilserver.io.opcua_server.door import WriteDoor
+from hilserver.io.opcua_server.encoding import FixedDataValue
 from hilserver.io.opcua_server.guard import RobotInternalServer
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.method_table import METHODS
@@ -29,7 +31,7 @@ from hilserver.io.opcua_server.methods import Methods
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
 from hilserver.io.opcua_server.transport import RobotUaServer
-from hilserver.io.opcua_server.values import FixedDataValue, SignalVariables, write_value
+from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.signals import SignalTable, State
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
@@ -116,7 +118,7 @@ class OpcUaServer:
     @property
     def session_count(self) -> int:
         """Number of sessions of clients."""
-        return 0 if self._server is None else len(self._server.iserver._external_sessions)
+        return 0 if self._server is None else len(self._server.iserver.sessions)
 
     def audit(self) -> dict[str, dict[str, Figure]]:
         """Return what this server has to say in the audit."""
@@ -180,11 +182,13 @@ class OpcUaServer:
         await server.stop()
 
     def publish(self, frame: Frame) -> int:
-        """Write what changed in `frame`; called by the publish slice. Return how many variables."""
+        """Show `frame`; called by the publish slice. Return how many slots have changed."""
         if self._server is None:
             return 0
         self._show_owner()
-        return self._variables.publish(frame)
+        changed = self._variables.publish(frame)
+        self._server.iserver.subscription_service.after_frame()
+        return changed
 
     def publish_diagnostics(self) -> None:
         """Write slices, peers, audit and server status; called by the supervise slice."""
@@ -239,11 +243,12 @@ class OpcUaServer:
         for method in METHODS:
             builder.method(method)
 
-        def place(path: str) -> object:
+        def place(path: str) -> Any:
             return builder.value_of(builder.node_id(path))
 
-        places = {signal.name: place(signal.name) for signal in self._table}
-        self._variables = SignalVariables(self._table, places, self._clock)
+        self._variables = SignalVariables(self._table, self._clock)
+        for name, signal_place in self._variables.places.items():
+            builder.set_place(builder.node_id(name), signal_place)
         self._owner_place = place(model.CONTROL_SOURCE)
         self._owner_shown = ""
         self._diagnostics = {
@@ -266,6 +271,7 @@ class OpcUaServer:
             self._gate,
             self._variables,
             self._access,
+            self._show_owner,
         )
 
     def _show_owner(self) -> None:
@@ -274,7 +280,7 @@ class OpcUaServer:
         self._owner_shown = self._gate.owner
         now = datetime.now(UTC)
         owner = ua.Variant(self._owner_shown, ua.VariantType.String)
-        write_value(self._owner_place, FixedDataValue(owner, _GOOD, now, now))
+        self._owner_place.value = FixedDataValue(owner, _GOOD, now, now)
 
     def _why_not(self, error: OSError) -> str:
         what = f"OPC UA cannot listen on {self._config.host}:{self._config.port}"

@@ -16,7 +16,7 @@ from asyncua import ua
 from asyncua.server.address_space import AttributeValue
 
 import hilserver
-from hilserver.io.opcua_server.values import FixedDataValue, write_value
+from hilserver.io.opcua_server.encoding import FixedDataValue
 from hilserver.signals import State
 
 PRODUCT_URI = "urn:hilserver"
@@ -79,9 +79,9 @@ class ServerStatus:
             SecondsTillShutdown=old.SecondsTillShutdown,
             ShutdownReason=old.ShutdownReason,
         )
-        write_value(self._status, _data_value(status, ua.VariantType.ExtensionObject, now))
-        write_value(self._state, _data_value(server_state, ua.VariantType.Int32, now))
-        write_value(self._level, _data_value(level, ua.VariantType.Byte, now))
+        self._status.value = _data_value(status, ua.VariantType.ExtensionObject, now)
+        self._state.value = _data_value(server_state, ua.VariantType.Int32, now)
+        self._level.value = _data_value(level, ua.VariantType.Byte, now)
 
 
 def service_level(state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]) -> int:

@@ -1,235 +1,291 @@
-"""Subscriptions within bounds: intervals, queues, notifications per message, modification."""
+"""Subscriptions: what was sampled goes out at the publishing interval, within bounds.
+
+The states are those of OPC 10000-4, 5.13.1.2. A subscription has turns like every other job of the
+server (`rotation`): one message per turn, so that a long queue keeps nobody waiting.
+"""
 
 import asyncio
 import time
+from collections import OrderedDict
+from collections.abc import Iterator
 from typing import Any
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
-from asyncua.server.internal_subscription import InternalSubscription
-from asyncua.server.subscription_service import SubscriptionService
 
-from hilserver.config.server import OpcUaConfig
-from hilserver.io.opcua_server.monitored_items import RobotMonitoredItems
+from hilserver.config.server import OpcUaConfig, OpcUaShare
+from hilserver.io.opcua_server import encoding
+from hilserver.io.opcua_server.logs import log
+from hilserver.io.opcua_server.monitored_items import MonitoredItems, Room
+from hilserver.io.opcua_server.rotation import Rotation
 
 LONGEST_PUBLISHING_MS = 3_600_000.0
-MAX_NOTIFICATIONS = 10_000
-_OVERFLOW = 0x480
-"""InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)."""
+MAX_NOTIFICATIONS = 1000
+_MAX_MESSAGE_BYTES = 48 * 1024
+_MAX_RETAINED, _MAX_RETAINED_BYTES = 100, 128 * 1024
+_MAX_KEEP_ALIVE, _MAX_LIFETIME = 5000, 15_000
+_ANSWER_BYTES = 1024
+"""What a Publish response has beside its notifications, and more."""
+_MAX_SEQUENCE = 2**32 - 1
 _Codes = ua.StatusCodes
 
 
-class RobotSubscription(InternalSubscription):  # type: ignore[misc]
+class Subscription:
     """One subscription.
 
     Attributes
     ----------
     owner : tuple
         Who created it; the same one may take it over.
+    session : RobotSession
+        Where its messages go.
+    retained : OrderedDict
+        Messages that were not acknowledged yet, by sequence number.
     """
 
-    _task: asyncio.Task[None] | None
-
-    def __init__(self, service: "RobotSubscriptions", *args: Any, **more: Any) -> None:
-        super().__init__(*args, **more)
-        self._service = service
-        self.owner: tuple[Any, ...] = ()
+    def __init__(self, service: "Subscriptions", number: int, session: Any) -> None:
+        config = service.config
+        self.number, self.session, self.owner = number, session, session.owner
+        self.revised = ua.CreateSubscriptionResult(SubscriptionId=number)
+        self.is_enabled = True
         self.max_notifications = MAX_NOTIFICATIONS
-        self.monitored_item_srv = RobotMonitoredItems(self, service.aspace)
-
-    def has_room_for_item(self) -> bool:
-        """Whether the server may have one more monitored item."""
-        return self._service.has_room_for_item()
-
-    # --- queues -----------------------------------------------------------------------------------
-
-    def queue_value(self, mid: int, data: Any, value: ua.DataValue) -> None:
-        """Queue a value; what is lost is marked by the overflow bit beside the gap."""
-        queue = self._triggered_datachanges.setdefault(mid, [])
-        notification = ua.MonitoredItemNotification(ClientHandle=data.client_handle, Value=value)
-        if len(queue) < data.queue_size:
-            queue.append(notification)
-            return
-        is_marked = data.queue_size > 1
-        if data.discard_oldest:
-            queue.append(notification)
-            del queue[: len(queue) - data.queue_size]
-            marked = 0
-        else:
-            queue[-1] = notification
-            marked = -1
-        if is_marked:
-            queue[marked] = _with_overflow(queue[marked])
-
-    def shorten_queue(self, mid: int, size: int) -> None:
-        """Drop what a shorter queue has no room for; all of it for size 0."""
-        for queues in (self._triggered_datachanges, self._triggered_events):
-            if size == 0:
-                queues.pop(mid, None)
-            elif mid in queues:
-                del queues[mid][:-size]
-
-    def _has_news(self) -> bool:
-        queues = self._triggered_datachanges
-        is_reporting = self.monitored_item_srv.is_reporting
-        return bool(self._triggered_events) or any(is_reporting(mid) for mid in queues)
-
-    def has_published_results(self) -> bool:
-        """Whether there is something to send now, if only a sign of life."""
-        self.monitored_item_srv.sample(time.monotonic())
-        if self._triggered_statuschanges or (self._publishing_enabled and self._has_news()):
-            return True
-        if self._startup:
-            return True
-        self._keep_alive_count += 1
-        return bool(self._keep_alive_count >= self.data.RevisedMaxKeepAliveCount)
-
-    async def publish_results(self, requestdata: Any = None) -> bool:
-        """Publish; again as long as there is more than one message may hold."""
-        is_sent = bool(await super().publish_results(requestdata))
-        is_more = is_sent
-        while is_more and self._publishing_enabled and self._has_news():
-            is_more = bool(await super().publish_results())
-        return is_sent
-
-    def _pop_publish_result(self) -> ua.PublishResult:
-        result = super()._pop_publish_result()
-        result.MoreNotifications = self._publishing_enabled and self._has_news()
-        return result
-
-    def _pop_triggered_datachanges(self, result: ua.PublishResult) -> None:
-        items = self._take(self._triggered_datachanges, self.max_notifications, reporting=True)
-        if items:
-            notification = ua.DataChangeNotification(MonitoredItems=items)
-            result.NotificationMessage.NotificationData.append(notification)
-
-    def _pop_triggered_events(self, result: ua.PublishResult) -> None:
-        data = result.NotificationMessage.NotificationData
-        room = self.max_notifications - sum(len(part.MonitoredItems) for part in data)
-        events = self._take(self._triggered_events, room, reporting=False)
-        if events:
-            data.append(ua.EventNotificationList(Events=events))
-
-    def _take(self, queues: dict[int, list[Any]], room: int, *, reporting: bool) -> list[Any]:
-        taken: list[Any] = []
-        for mid in tuple(queues):
-            if reporting and not self.monitored_item_srv.is_reporting(mid):
-                continue
-            part = queues[mid][: room - len(taken)]
-            taken += part
-            del queues[mid][: len(part)]
-            if not queues[mid]:
-                del queues[mid]
-            if len(taken) >= room:
-                break
-        return taken
-
-    # --- the publishing loop ----------------------------------------------------------------------
-
-    def restart(self) -> None:
-        """Publish at the interval that holds now."""
-        if self._task is not None:
-            self._task.cancel()
-            self._task = asyncio.create_task(self._subscription_loop(at_once=False))
-
-    async def _subscription_loop(self, at_once: bool = True) -> None:
-        period_s = self.data.RevisedPublishingInterval / 1e3
-        next_s = time.monotonic()
-        if at_once:
-            await self.publish_results()
-        while not self._closing:
-            # What a late loop has missed is not caught up.
-            next_s = max(next_s + period_s, time.monotonic())
-            await asyncio.sleep(next_s - time.monotonic())
-            await self.publish_results()
-
-
-def _with_overflow(notification: ua.MonitoredItemNotification) -> ua.MonitoredItemNotification:
-    value = notification.Value
-    code = 0 if value.StatusCode is None else value.StatusCode.value
-    marked = ua.DataValue(
-        value.Value,
-        ua.StatusCode(code | _OVERFLOW),
-        value.SourceTimestamp,
-        value.ServerTimestamp,
-        value.SourcePicoseconds,
-        value.ServerPicoseconds,
-    )
-    return ua.MonitoredItemNotification(ClientHandle=notification.ClientHandle, Value=marked)
-
-
-class RobotSubscriptions(SubscriptionService):  # type: ignore[misc]
-    """All subscriptions of the server."""
-
-    def __init__(self, iserver: Any, config: OpcUaConfig) -> None:
-        super().__init__(iserver.aspace, iserver=iserver)
-        self._config = config
-
-    def of(self, session: Any) -> list[RobotSubscription]:
-        """Return the subscriptions of a session."""
-        return [s for s in self.subscriptions.values() if s.session_id == session.session_id]
-
-    def has_room_for_item(self) -> bool:
-        """Whether there may be one more monitored item."""
-        count = sum(len(s.monitored_item_srv) for s in self.subscriptions.values())
-        return count < self._config.max_monitored_items
-
-    async def create_subscription(
-        self,
-        params: ua.CreateSubscriptionParameters,
-        callback: Any,
-        session_id: ua.NodeId,
-        request_callback: Any = None,
-    ) -> ua.CreateSubscriptionResult:
-        """Create a subscription; what is asked for is revised into bounds."""
-        if len(self.subscriptions) >= self._config.max_subscriptions:
-            raise ServiceError(_Codes.BadTooManySubscriptions)
-        result = ua.CreateSubscriptionResult()
-        self._revise(params, result)
-        self._sub_id_counter += 1
-        number = result.SubscriptionId = self._sub_id_counter
-        subscription = RobotSubscription(
-            self,
-            result,
-            self.aspace,
-            callback,
-            session_id,
-            request_callback=request_callback,
-            delete_callback=lambda: self.subscriptions.pop(number, None),
-            no_acks_limit=self.iserver.max_unacked_messages_per_subscription,
-            max_queue_size=self._config.max_queue_size,
-            publishing_enabled=params.PublishingEnabled,
+        self.items = MonitoredItems(
+            service.address_space,
+            lambda: float(self.revised.RevisedPublishingInterval),
+            longest_queue=config.max_queue_size,
+            shortest_sampling_ms=config.min_publishing_ms,
         )
-        subscription.max_notifications = _notifications(params.MaxNotificationsPerPublish)
-        await subscription.start()
-        self.subscriptions[number] = subscription
-        return result
+        self.retained: OrderedDict[int, bytes] = OrderedDict()
+        self._retained_bytes = 0
+        self._service = service
+        self._sequence = 1
+        self._due_s = time.monotonic()
+        self._is_owed = self._has_frame = False
+        self._is_first = True
+        self._idle_cycles = self._unserved_cycles = 0
+        self._timer: asyncio.TimerHandle | None = None
 
-    def modify_subscription(
-        self, params: ua.ModifySubscriptionParameters
-    ) -> ua.ModifySubscriptionResult:
-        """Change a subscription; the new interval holds at once."""
-        subscription = self.subscriptions.get(params.SubscriptionId)
-        if subscription is None:
-            raise ServiceError(_Codes.BadSubscriptionIdInvalid)
-        result = ua.ModifySubscriptionResult()
-        self._revise(params, result)
-        self._revise(params, subscription.data)
-        subscription.max_notifications = _notifications(params.MaxNotificationsPerPublish)
-        subscription.restart()
-        return result
+    # --- services ---------------------------------------------------------------------------------
 
-    def _revise(self, params: Any, result: Any) -> None:
-        shortest = self._config.min_publishing_ms
+    def revise(self, params: Any, result: Any) -> None:
+        """Take over the intervals and limits that are asked for, within bounds."""
+        shortest = self._service.config.min_publishing_ms
         asked_ms = params.RequestedPublishingInterval
         # `not >=` also catches NaN.
         interval_ms = shortest if not asked_ms >= shortest else min(asked_ms, LONGEST_PUBLISHING_MS)
-        result.RevisedPublishingInterval = interval_ms
-        keep_alive = self._clamp_keep_alive_count(params.RequestedMaxKeepAliveCount)
-        result.RevisedMaxKeepAliveCount = keep_alive
-        lifetime = self._clamp_lifetime_count(params.RequestedLifetimeCount)
-        result.RevisedLifetimeCount = max(lifetime, 3 * keep_alive)
+        keep_alive = _bounded(params.RequestedMaxKeepAliveCount, _MAX_KEEP_ALIVE)
+        lifetime = max(_bounded(params.RequestedLifetimeCount, _MAX_LIFETIME), 3 * keep_alive)
+        for target in (result, self.revised):
+            target.RevisedPublishingInterval = interval_ms
+            target.RevisedMaxKeepAliveCount = keep_alive
+            target.RevisedLifetimeCount = lifetime
+        asked = params.MaxNotificationsPerPublish
+        self.max_notifications = min(asked, MAX_NOTIFICATIONS) if asked else MAX_NOTIFICATIONS
+        self._unserved_cycles = 0
+        self.start()
+
+    def start(self) -> None:
+        """Begin a publishing interval now."""
+        self._due_s = time.monotonic()
+        if not self._is_first:
+            self._due_s += self.revised.RevisedPublishingInterval / 1e3
+        self._plan()
+
+    def stop(self) -> None:
+        """Have no more turns."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._service.rotation.drop(self)
+
+    def acknowledge(self, sequence: int) -> bool:
+        """Forget a message that has arrived; False if it is not known."""
+        message = self.retained.pop(sequence, None)
+        self._retained_bytes -= len(message or b"")
+        return message is not None
+
+    def serve(self, session: Any) -> None:
+        """Belong to another session from now on."""
+        self.session, self._unserved_cycles = session, 0
+        if self._is_owed:
+            self._service.rotation.add(self)
+
+    # --- turns ------------------------------------------------------------------------------------
+
+    def after_frame(self) -> bool:
+        """Note that there is a new frame; whether a turn is wanted for it."""
+        self._has_frame = self.items.has_each_frame
+        return self._has_frame
+
+    def turn(self) -> bool:
+        """Sample, and send a message if it is time; whether there are more to send now."""
+        now_s = time.monotonic()
+        if self._has_frame:
+            self._has_frame = False
+            self.items.after_frame(now_s)
+        if now_s >= self._due_s:
+            self._cycle(now_s)
+        return self._is_owed and self._send()
+
+    def _cycle(self, now_s: float) -> None:
+        interval_s = self.revised.RevisedPublishingInterval / 1e3
+        # What a late turn has missed is not caught up.
+        self._due_s = max(self._due_s + interval_s, now_s)
+        self.items.before_publishing(now_s)
+        if self._is_owed:
+            self._unserved_cycles += 1
+            if self._unserved_cycles > self.revised.RevisedLifetimeCount:
+                log.info("opcua subscription expired", subscription=self.number)
+                self._service.remove(self, _Codes.BadTimeout)
+                return
+        self._idle_cycles += 1
+        is_idle = self._idle_cycles >= self.revised.RevisedMaxKeepAliveCount
+        if self._is_first or self._has_news() or is_idle:
+            self._is_owed = True
+        self._plan()
+
+    def _plan(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        delay_s = max(0.0, self._due_s - time.monotonic())
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(delay_s, self._service.rotation.add, self)
+
+    def _has_news(self) -> bool:
+        return self.is_enabled and bool(self.items.ready or self.items.ready_events)
+
+    def _send(self) -> bool:
+        request = self.session.take_publish_request(self)
+        if request is None:
+            return False
+        data = self._take(self.session.max_response_bytes) if self.is_enabled else []
+        self._idle_cycles = self._unserved_cycles = 0
+        self._is_first = False
+        self._is_owed = is_more = self._has_news()
+        message = encoding.notification_message(self._sequence, data)
+        if data:
+            self._retain(message)
+        self.session.answer_publish(request, self.number, list(self.retained), is_more, message)
+        return is_more
+
+    def _take(self, longest: int) -> list[bytes]:
+        """Return as many notifications as a message may hold."""
+        room = min(longest, _MAX_MESSAGE_BYTES) if longest else _MAX_MESSAGE_BYTES
+        room -= _ANSWER_BYTES + 4 * len(self.retained)
+        data, count = [], 0
+        kinds: tuple[tuple[bytes, dict[int, Any]], ...] = (
+            (encoding.DATA_CHANGE, self.items.ready),
+            (encoding.EVENTS, self.items.ready_events),
+        )
+        for kind, ready in kinds:
+            parts: list[bytes] = []
+            while ready and count + len(parts) < self.max_notifications and (room > 0 or not parts):
+                number, item = next(iter(ready.items()))
+                parts.append(item.pop())
+                room -= len(parts[-1])
+                if not item.queue:
+                    del ready[number]
+            if parts:
+                data.append(encoding.notification_list(kind, len(parts), parts))
+                count += len(parts)
+        return data
+
+    def _retain(self, message: bytes) -> None:
+        self.retained[self._sequence] = message
+        self._retained_bytes += len(message)
+        self._sequence = self._sequence % _MAX_SEQUENCE + 1
+        while len(self.retained) > 1 and (
+            len(self.retained) > _MAX_RETAINED or self._retained_bytes > _MAX_RETAINED_BYTES
+        ):
+            _, oldest = self.retained.popitem(last=False)
+            self._retained_bytes -= len(oldest)
 
 
-def _notifications(asked: int) -> int:
-    return min(int(asked), MAX_NOTIFICATIONS) if asked else MAX_NOTIFICATIONS
+def _bounded(asked: int, most: int) -> int:
+    return min(asked, most) if asked > 0 else most
+
+
+class Subscriptions:
+    """All subscriptions of the server.
+
+    What a session may have depends on the role of its user (`opcua.limits`), what all may have
+    together on the server (`opcua.max_*`). Where there is no room in all, subscriptions whose
+    client has lost its connection yield, the oldest first.
+    """
+
+    def __init__(self, address_space: Any, config: OpcUaConfig) -> None:
+        self.address_space, self.config = address_space, config
+        self.rotation = Rotation()
+        self.subscriptions: dict[int, Subscription] = {}
+        self._number = 77
+
+    def of(self, session: Any) -> list[Subscription]:
+        """Return the subscriptions of a session."""
+        return [s for s in self.subscriptions.values() if s.session is session]
+
+    def after_frame(self) -> None:
+        """Give turns to whoever wants every change."""
+        for subscription in self.subscriptions.values():
+            if subscription.after_frame():
+                self.rotation.add(subscription)
+        self.rotation.run_now()
+
+    def take_event(self, event: Any) -> None:
+        """Queue an event for those who watch for it."""
+        for subscription in self.subscriptions.values():
+            try:
+                subscription.items.take_event(event)
+            except Exception as error:  # noqa: BLE001 - a client's filter must not stop the others
+                log.warning("opcua event filter failed", error=repr(error)[:200])
+
+    def create(self, session: Any, params: Any) -> ua.CreateSubscriptionResult:
+        """Create a subscription; BadTooManySubscriptions where there is no room."""
+        if len(self.of(session)) >= self._share(session).subscriptions:
+            raise ServiceError(_Codes.BadTooManySubscriptions)
+        if len(self.subscriptions) >= self.config.max_subscriptions:
+            self._drop_orphan()
+        if len(self.subscriptions) >= self.config.max_subscriptions:
+            raise ServiceError(_Codes.BadTooManySubscriptions)
+        self._number += 1
+        subscription = Subscription(self, self._number, session)
+        subscription.is_enabled = params.PublishingEnabled
+        self.subscriptions[self._number] = subscription
+        result = ua.CreateSubscriptionResult(SubscriptionId=self._number)
+        subscription.revise(params, result)
+        return result
+
+    def remove(self, subscription: Subscription, reason: int = 0) -> None:
+        """Delete a subscription, and say why where its client did not ask for it."""
+        if self.subscriptions.pop(subscription.number, None) is None:
+            return
+        subscription.stop()
+        subscription.session.forget(subscription, reason)
+
+    def room(self, session: Any) -> Room:
+        """Return what a session may still have monitored; orphans yield if others have it all."""
+        share, own = self._share(session), self.of(session)
+        room = Room(
+            share.monitored_items - sum(len(s.items) for s in own),
+            share.queued_values - sum(s.items.queued_values for s in own),
+        )
+        while True:
+            everybody = self.subscriptions.values()
+            items = self.config.max_monitored_items - sum(len(s.items) for s in everybody)
+            if items > 0 or room.items <= 0 or not self._drop_orphan():
+                break
+        queued = self.config.max_queued_values - sum(s.items.queued_values for s in everybody)
+        return Room(min(room.items, items), max(0, min(room.queued_values, queued)))
+
+    def _share(self, session: Any) -> OpcUaShare:
+        return self.config.limits.of(session.user.rights)
+
+    def _orphans(self) -> Iterator[Subscription]:
+        return (s for s in self.subscriptions.values() if s.session.processor is None)
+
+    def _drop_orphan(self) -> bool:
+        orphan = next(self._orphans(), None)
+        if orphan is None:
+            return False
+        log.info("opcua subscription without a connection makes room", subscription=orphan.number)
+        self.remove(orphan, _Codes.BadTimeout)
+        return True

@@ -1,13 +1,16 @@
 """The socket side of the server: connections with deadlines, and the server that listens.
 
 A connection that does not get on is closed: no Hello, no channel or an incomplete message after
-`READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`. When all places are taken, the one that has
-waited longest without a session makes room.
+`READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`, answers that nobody reads after
+`DEAF_DEADLINE_S`. When all places are taken, the one that has waited longest without a session
+makes room.
 """
 
 import asyncio
 import contextlib
 import time
+from collections import deque
+from collections.abc import Coroutine
 from typing import Any
 
 from asyncua import Server, ua
@@ -25,24 +28,27 @@ from hilserver.io.opcua_server.processor import RobotProcessor
 
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0
+DEAF_DEADLINE_S = 10.0
 _SWEEP_S = 0.2
-_CHEAP_S = 0.005
+_MAX_UNREAD_BYTES = 256 * 1024
 _MAX_QUEUED_BYTES = 256 * 1024
 _Codes = ua.StatusCodes
 
 
 class RobotProtocol(asyncio.Protocol):
-    """One connection."""
+    """One connection; a job that has a turn for each frame."""
 
     def __init__(self, server: "RobotBinaryServer") -> None:
         self._server = server
+        self._rotation = server.iserver.subscription_service.rotation
         self._reader = FrameReader()
-        self._frames: asyncio.Queue[tuple[bytes, bytes]] = asyncio.Queue()
+        self._frames: deque[tuple[bytes, bytes]] = deque()
         self._queued_bytes = 0
         self._is_reading = True
         self._stage = Stage.NEW
-        self._stage_since_s = self._parts_since_s = 0.0
-        self._task: asyncio.Task[None] | None = None
+        self._stage_since_s = self._parts_since_s = self._deaf_since_s = 0.0
+        self._waiting: asyncio.Task[None] | None = None
+        self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
         self._transport: Any = None
         self.processor: RobotProcessor | None = None
         self.began_s = 0.0
@@ -55,10 +61,10 @@ class RobotProtocol(asyncio.Protocol):
             log.warning("opcua connection refused: too many")
             transport.abort()
             return
+        transport.set_write_buffer_limits(high=_MAX_UNREAD_BYTES)
         self.processor = RobotProcessor(self._server.iserver, transport, self._server.policies)
         self._server.clients.append(self)
         self._server.iserver.asyncio_transports.append(transport)
-        self._task = asyncio.create_task(self._process(), name="opcua connection")
 
     def connection_lost(self, error: BaseException | None) -> None:  # noqa: ARG002
         """Let go of everything."""
@@ -67,9 +73,11 @@ class RobotProtocol(asyncio.Protocol):
         self._server.iserver.asyncio_transports.remove(self._transport)
         with contextlib.suppress(ValueError):  # who was evicted is off the list already
             self._server.clients.remove(self)
-        if self._task is not None:
-            self._task.cancel()
-        self._server.closing_tasks.append(asyncio.create_task(self.processor.close()))
+        self._rotation.drop(self)
+        self._frames.clear()
+        if self._waiting is not None:
+            self._waiting.cancel()
+        self.processor.close()
 
     def data_received(self, data: bytes) -> None:
         """Cut frames out of the stream and queue them."""
@@ -78,32 +86,68 @@ class RobotProtocol(asyncio.Protocol):
         try:
             for kind, frame in self._reader.feed(data, time.monotonic()):
                 self._queued_bytes += len(frame)
-                self._frames.put_nowait((kind, frame))
+                self._frames.append((kind, frame))
         except TransportError as error:
-            self.processor.refuse(error.code, str(error))
+            self._refused = error
+            self._frames.append((b"", b""))
         if self._queued_bytes > _MAX_QUEUED_BYTES and self._is_reading:
             self._is_reading = False
             self._transport.pause_reading()
+        if self._frames and self._is_free:
+            self._rotation.add(self)
 
-    async def _process(self) -> None:
+    @property
+    def _is_free(self) -> bool:
         assert self.processor is not None
-        while True:
-            kind, frame = await self._frames.get()
-            self._queued_bytes -= len(frame)
-            began_s = time.monotonic()
-            goes_on = not self._transport.is_closing() and (
-                await self.processor.process_frame(kind, frame)
-            )
-            if not goes_on:
-                self._transport.close()
-                return
-            self._note_progress()
-            if not self._is_reading and self._queued_bytes <= _MAX_QUEUED_BYTES // 2:
-                self._is_reading = True
-                self._transport.resume_reading()
-            # A client that asks for much waits as long again: the others come in between.
-            took_s = time.monotonic() - began_s
-            await asyncio.sleep(took_s if took_s > _CHEAP_S else 0)
+        return self._waiting is None and not self.processor.is_congested
+
+    def turn(self) -> bool:
+        """Process one frame; whether there are more."""
+        assert self.processor is not None
+        if not self._frames or not self._is_free or self._transport.is_closing():
+            return False
+        kind, frame = self._frames.popleft()
+        if not kind:
+            self.processor.refuse(self._refused.code, str(self._refused))
+            return False
+        self._queued_bytes -= len(frame)
+        outcome = self.processor.process_frame(kind, frame)
+        if not isinstance(outcome, bool):
+            self._waiting = asyncio.create_task(self._wait(outcome), name="opcua request")
+            return False
+        self._go_on(outcome)
+        return bool(self._frames) and self._is_free
+
+    async def _wait(self, outcome: Coroutine[Any, Any, bool]) -> None:
+        goes_on = await outcome
+        self._waiting = None
+        self._go_on(goes_on)
+        if self._frames and self._is_free:
+            self._rotation.add(self)
+
+    def _go_on(self, goes_on: bool) -> None:
+        if not goes_on:
+            self._transport.close()
+            return
+        self._note_progress()
+        if not self._is_reading and self._queued_bytes <= _MAX_QUEUED_BYTES // 2:
+            self._is_reading = True
+            self._transport.resume_reading()
+
+    def pause_writing(self) -> None:
+        """Ask nothing more of a client that does not read."""
+        if self.processor is not None:
+            self.processor.is_congested, self._deaf_since_s = True, time.monotonic()
+
+    def resume_writing(self) -> None:
+        """Go on: it has read."""
+        if self.processor is None:
+            return
+        self.processor.is_congested, self._deaf_since_s = False, 0.0
+        if self.processor.session is not None:
+            self.processor.session.resume()
+        if self._frames and self._is_free:
+            self._rotation.add(self)
 
     def _note_progress(self) -> None:
         assert self.processor is not None
@@ -124,6 +168,10 @@ class RobotProtocol(asyncio.Protocol):
         """Close the connection if it keeps us waiting."""
         if self.processor is None or self._transport.is_closing():
             return
+        if self._deaf_since_s and now_s - self._deaf_since_s > DEAF_DEADLINE_S:
+            log.warning("opcua client does not read its answers: closed", address=self.address)
+            self._transport.abort()
+            return
         limit_s = READ_DEADLINE_S - 2 * _SWEEP_S
         since_s = [s for s in (self._reader.since_s, self._parts_since_s) if s and self._is_reading]
         if self.processor.stage < Stage.OPEN:
@@ -133,6 +181,11 @@ class RobotProtocol(asyncio.Protocol):
             is_late = is_late or now_s - self._stage_since_s > LOGIN_DEADLINE_S
         if is_late:
             self.processor.refuse(_Codes.BadTimeout, "the rest did not come in time")
+
+    @property
+    def address(self) -> str:
+        """Where the client is."""
+        return "" if self.processor is None else self.processor.address
 
     def evict(self) -> None:
         """Close at once: another client needs the place."""
@@ -183,7 +236,7 @@ class RobotBinaryServer(BinaryServer):  # type: ignore[misc]
             now_s = time.monotonic()
             for client in tuple(self.clients):
                 client.check_deadlines(now_s)
-            await self._close_tasks()
+            self.iserver.end_idle_sessions(now_s)
 
 
 class RobotUaServer(Server):  # type: ignore[misc]

@@ -1,17 +1,21 @@
-"""The values of all signals in the address space: written when changed, copied never."""
+"""The values of all signals in the address space: one pass over the frame, no work for the unseen.
+
+A frame is taken over as it is, and every variable whose bits or status differ gets its stamp. The
+DataValue itself is made when somebody reads or samples it, once per change.
+"""
 
 import math
-from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from asyncua import ua
+from asyncua.server.address_space import AttributeValue
 
 from hilserver.core.clock import UtcClock
 from hilserver.image import Frame
-from hilserver.io.opcua_server.logs import log
+from hilserver.io.opcua_server.encoding import FixedDataValue
 from hilserver.io.opcua_server.model import DATA_TYPES
 from hilserver.signals import Signal, SignalTable, ValueType
 
@@ -28,49 +32,11 @@ _SEVERITY_SHIFT = 30
 _BAD = 2
 
 
-class FixedDataValue(ua.DataValue):  # type: ignore[misc]
-    """A DataValue that nobody changes after it is made, so a copy of it is the object itself.
+class Stamp(NamedTuple):
+    """When a value was made, and when it came to us."""
 
-    asyncua deep-copies every value for every subscriber (27 us); the copy guards against a value
-    that changes later, which one of these never does.
-    """
-
-    __slots__ = ()
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "FixedDataValue":
-        return self
-
-
-def run_to_end(coroutine: Coroutine[Any, Any, Any], what: str) -> None:
-    """Run a coroutine of asyncua that never waits, here and now.
-
-    Notifications only append to queues (`guard` sees to it that no subscription publishes from
-    there), so they need no task of their own. One that fails or waits harms nobody else.
-    """
-    try:
-        coroutine.send(None)
-    except StopIteration:
-        return
-    except Exception as error:  # noqa: BLE001 - a client's filter must not stop the others
-        log.warning(
-            "opcua notification failed", what=what, error=f"{type(error).__name__}: {error}"
-        )
-        return
-    coroutine.close()
-    log.warning("opcua notification had to wait and was dropped", what=what)
-
-
-def write_value(place: Any, value: ua.DataValue) -> None:
-    """Put a value into the address space and tell its subscribers.
-
-    Parameters
-    ----------
-    place : asyncua AttributeValue
-        Where asyncua keeps the value and the callbacks of its monitored items.
-    """
-    place.value = value
-    for handle, callback in tuple(place.datachange_callbacks.items()):
-        run_to_end(callback(handle, value), "data change")
+    source: datetime | None
+    server: datetime
 
 
 def worst(codes: list[int]) -> int:
@@ -78,48 +44,92 @@ def worst(codes: list[int]) -> int:
     return max(codes, key=lambda code: (code >> _SEVERITY_SHIFT) & 3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Variable:
-    signal: Signal
-    place: Any
-    variant_type: ua.VariantType
-    convert: Callable[[float], Any]
+class SignalPlace(AttributeValue):  # type: ignore[misc]
+    """Where a signal's value stands in the address space; made when somebody looks.
+
+    Attributes
+    ----------
+    stamp : Stamp
+        That of the last change.
+    """
+
+    def __init__(self, signal: Signal, variables: "SignalVariables", stamp: Stamp) -> None:
+        self._signal = signal
+        self._variables = variables
+        self._kind = ua.VariantType(DATA_TYPES[signal.type])
+        self._convert = _CONVERT[signal.type]
+        self._made_of: Stamp | None = None
+        self._made: FixedDataValue
+        self.stamp = stamp
+        super().__init__(None)
+
+    @property
+    def value(self) -> FixedDataValue:
+        """The value since the last change; the same object until the next."""
+        if self._made_of is not self.stamp:
+            self._made, self._made_of = self._make(), self.stamp
+        return self._made
+
+    @value.setter
+    def value(self, value: object) -> None:
+        """Ignore what is written: the value is that of the frame."""
+
+    def _make(self) -> FixedDataValue:
+        slots, code_of = self._signal.slots, self._variables.code
+        values, status = self._variables.values, self._variables.status
+        code = status[slots[0]] if len(slots) == 1 else worst([status[slot] for slot in slots])
+        numbers = [values[slot] for slot in slots]
+        if code < 0:
+            code = int(ua.StatusCodes.BadWaitingForInitialData)
+        elif code >> _SEVERITY_SHIFT < _BAD and not all(map(math.isfinite, numbers)):
+            # A model that computed no number has no value, whatever status it set.
+            code = int(ua.StatusCodes.BadSensorFailure)
+        source, server = self.stamp
+        if code >> _SEVERITY_SHIFT >= _BAD:
+            return FixedDataValue(_NO_VALUE, code_of(code), source, server)
+        if self._signal.is_array:
+            array = [self._convert(number) for number in numbers]
+            variant = ua.Variant(array, self._kind, None, True)
+        else:
+            variant = ua.Variant(self._convert(numbers[0]), self._kind, None, False)
+        return FixedDataValue(variant, code_of(code), source, server)
 
 
 class SignalVariables:
     """All variables that show signals.
 
-    Parameters
+    Attributes
     ----------
-    places : mapping
-        Signal name to asyncua's AttributeValue.
+    places : dict
+        Signal name to the place that goes into the address space.
 
     Notes
     -----
-    A value is written when its bits or its status code differ from those written before. What a
-    client has just written is shown at once and kept until the first frame that contains it, so
-    that a client reads what it wrote and no older frame puts the old value back.
+    A value changes when its bits or its status code differ from those before. What a client has
+    just written is shown at once and kept until the first frame that contains it, so that a client
+    reads what it wrote and no older frame puts the old value back.
     """
 
-    def __init__(self, table: SignalTable, places: Mapping[str, Any], clock: UtcClock) -> None:
+    def __init__(self, table: SignalTable, clock: UtcClock) -> None:
         self._clock = clock
-        self._by_slot: list[list[_Variable]] = [[] for _ in range(table.n_slots)]
-        self._by_name: dict[str, _Variable] = {}
+        started = Stamp(None, datetime.now(UTC))
+        self.places = {signal.name: SignalPlace(signal, self, started) for signal in table}
+        self._by_slot: list[list[SignalPlace]] = [[] for _ in range(table.n_slots)]
         for signal in table:
-            kind = ua.VariantType(DATA_TYPES[signal.type])
-            variable = _Variable(signal, places[signal.name], kind, _CONVERT[signal.type])
-            self._by_name[signal.name] = variable
             for slot in signal.slots:
-                self._by_slot[slot].append(variable)
+                self._by_slot[slot].append(self.places[signal.name])
+        self._signals = {signal.name: signal for signal in table}
         self._values = np.zeros(table.n_slots)
         self._bits = self._values.view(np.int64)
         self._status = np.full(table.n_slots, _NEVER_WRITTEN, dtype=np.int64)
         self._held_until = np.zeros(table.n_slots, dtype=np.int64)
         self._is_any_held = False
         self._codes: dict[int, ua.StatusCode] = {}
+        self.values: list[float] = self._values.tolist()
+        self.status: list[int] = self._status.tolist()
 
     def publish(self, frame: Frame) -> int:
-        """Write what changed since the last frame; return the number of variables written."""
+        """Take over what changed since the last frame; return the number of slots."""
         bits = frame.values.view(np.int64)
         changed = (bits != self._bits) | (frame.status != self._status)
         if self._is_any_held:
@@ -129,19 +139,20 @@ class SignalVariables:
             return 0
         self._bits[slots] = bits[slots]
         self._status[slots] = frame.status[slots]
-        return self._write(slots.tolist(), self._clock.utc(frame.planned_ns))
+        self._mark(slots.tolist(), self._clock.utc(frame.planned_ns))
+        return int(slots.size)
 
     def show_written(self, values: Mapping[str, tuple[float, ...]], pushed_rows: int) -> None:
         """Show accepted writes until a frame has latched `pushed_rows` rows."""
         slots: list[int] = []
         for name, numbers in values.items():
-            for slot, number in zip(self._by_name[name].signal.slots, numbers, strict=True):
+            for slot, number in zip(self._signals[name].slots, numbers, strict=True):
                 self._values[slot] = number
                 slots.append(slot)
         self._status[slots] = 0
         self._held_until[slots] = pushed_rows
         self._is_any_held = True
-        self._write(slots, datetime.now(UTC))
+        self._mark(slots, datetime.now(UTC))
 
     def _release(self, changed: Any, latched_rows: int) -> Any:
         """Return which slots to write: held ones not before, and then in any case."""
@@ -151,41 +162,15 @@ class SignalVariables:
         self._is_any_held = bool(held.any())
         return (changed | released) & ~held
 
-    def _write(self, slots: list[int], stamp: datetime) -> int:
-        now = datetime.now(UTC)
-        values, status = self._values.tolist(), self._status.tolist()
-        # An array is touched by four slots and written once; a dict keeps the order.
-        touched = dict.fromkeys(v for slot in slots for v in self._by_slot[slot])
-        for variable in touched:
-            write_value(variable.place, self._data_value(variable, values, status, stamp, now))
-        return len(touched)
+    def _mark(self, slots: list[int], source: datetime) -> None:
+        stamp = Stamp(source, datetime.now(UTC))
+        self.values, self.status = self._values.tolist(), self._status.tolist()
+        for slot in slots:
+            for place in self._by_slot[slot]:
+                place.stamp = stamp
 
-    def _data_value(
-        self,
-        variable: _Variable,
-        values: list[float],
-        status: list[int],
-        stamp: datetime,
-        now: datetime,
-    ) -> FixedDataValue:
-        slots = variable.signal.slots
-        code = status[slots[0]] if len(slots) == 1 else worst([status[slot] for slot in slots])
-        numbers = [values[slot] for slot in slots]
-        if code < 0:
-            code = int(ua.StatusCodes.BadWaitingForInitialData)
-        elif code >> _SEVERITY_SHIFT < _BAD and not all(map(math.isfinite, numbers)):
-            # A model that computed no number has no value, whatever status it set.
-            code = int(ua.StatusCodes.BadSensorFailure)
-        if code >> _SEVERITY_SHIFT >= _BAD:
-            return FixedDataValue(_NO_VALUE, self._code(code), stamp, now)
-        if variable.signal.is_array:
-            array = [variable.convert(number) for number in numbers]
-            variant = ua.Variant(array, variable.variant_type, None, True)
-        else:
-            variant = ua.Variant(variable.convert(numbers[0]), variable.variant_type, None, False)
-        return FixedDataValue(variant, self._code(code), stamp, now)
-
-    def _code(self, code: int) -> ua.StatusCode:
+    def code(self, code: int) -> ua.StatusCode:
+        """Return a status code; the same object for the same number."""
         found = self._codes.get(code)
         if found is None:
             found = self._codes[code] = ua.StatusCode(code)

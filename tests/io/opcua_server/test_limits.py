@@ -110,10 +110,10 @@ async def test_sessions_are_limited_and_abandoned_ones_forgotten(tmp_path: Path)
         for client in idle:
             await client.connect_sessionless()
             await client.create_session()
-        sessions = rig.server._server.iserver._external_sessions
+        sessions = rig.server._server.iserver.sessions
         assert len(sessions) == 2
         for session in sessions.values():
-            session._last_activity -= 60
+            session.last_active_s -= 60
         async with connected(rig):
             assert len(sessions) == 1
         for client in idle:

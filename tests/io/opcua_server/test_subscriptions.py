@@ -5,11 +5,13 @@ from typing import Any
 
 import pytest
 from asyncua import ua
+from asyncua.server.address_space import AttributeValue
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.io.opcua_server.deadband import ChangeFilter, FilterError, change_filter
-from hilserver.io.opcua_server.monitored_items import _Sampler
+from hilserver.io.opcua_server.encoding import FixedDataValue
+from hilserver.io.opcua_server.monitored_items import ValueItem
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -170,18 +172,21 @@ async def test_no_more_notifications_than_asked_for(rig: Rig, client: RobotClien
         RequestedPublishingInterval=200.0, RequestedLifetimeCount=1000,
         RequestedMaxKeepAliveCount=100, MaxNotificationsPerPublish=3, PublishingEnabled=True,
     )  # fmt: skip
-    service = rig.server._server.iserver.subscription_service
     sizes: list[tuple[int, bool]] = []
-    subscription = await client.create_subscription(params, Notes())
-    ours = service.subscriptions[subscription.subscription_id]
-    forward = ours.pub_result_callback
 
-    async def spy(result: ua.PublishResult, request: Any) -> None:
+    class Spy(Notes):
+        def datachange_notification(self, node: object, value: object, data: Any) -> None:
+            pass
+
+    subscription = await client.create_subscription(params, Spy())
+    publish = subscription.publish_callback
+
+    async def spy(result: ua.PublishResult) -> None:
         parts = result.NotificationMessage.NotificationData
         sizes.append((sum(len(part.MonitoredItems) for part in parts), result.MoreNotifications))
-        await forward(result, request)
+        await publish(result)
 
-    ours.pub_result_callback = spy
+    client.uaclient._subscription_callbacks[subscription.subscription_id] = spy
     rig.set(NODE, 0.0)
     await subscription.create_monitored_items([item(client, SamplingInterval=0.0)])
     for i in range(6):
@@ -240,8 +245,25 @@ async def test_too_many_operations(client: RobotClient) -> None:
 # --- properties -----------------------------------------------------------------------------------
 
 
-def value_of(number: float) -> ua.DataValue:
-    return ua.DataValue(ua.Variant(number, ua.VariantType.Double), ua.StatusCode(0))
+def value_of(number: float) -> FixedDataValue:
+    return FixedDataValue(ua.Variant(number, ua.VariantType.Double), ua.StatusCode(0))
+
+
+def watching(place: Any, interval_ms: float, size: int = 1) -> ValueItem:
+    handle, stamps = b"\1\0\0\0", ua.TimestampsToReturn.Both
+    mode = ua.MonitoringMode.Reporting
+    return ValueItem(
+        1,
+        ua.ReadValueId(),
+        place,
+        handle,
+        stamps,
+        mode,
+        size,
+        True,
+        ChangeFilter(),
+        interval_ms / 1e3,
+    )
 
 
 @given(
@@ -263,19 +285,21 @@ async def test_client_is_never_further_off_than_the_band(numbers: list[float], s
     st.lists(st.integers(1, 50), min_size=1, max_size=60),
     st.integers(1, 100),
 )
-async def test_sampler_takes_what_stood_there_at_each_instant(
+async def test_an_item_looks_at_most_once_per_interval_and_the_last_value_gets_through(
     steps_ms: list[int], interval_ms: int
 ) -> None:
-    sampler, now_s, arrivals, samples = _Sampler(ChangeFilter(), interval_ms), 1.0, [], []
+    place = AttributeValue(value_of(0.0))
+    item, now_s, samples = watching(place, interval_ms), 1.0, []
     for step in steps_ms:
-        arrivals.append(now_s)
-        samples += [v.Value.Value for v in sampler.take(value_of(now_s), now_s)]
-        now_s += step * 1e-3
-    samples += [v.Value.Value for v in sampler.take_held(now_s + interval_ms * 1e-3)]
+        place.value = value_of(now_s)
+        if item.sample(now_s):
+            samples.append(item.queue.popleft().Value.Value)
+        last, now_s = now_s, now_s + step * 1e-3
+    if item.sample(now_s + interval_ms * 1e-3):
+        samples.append(item.queue.popleft().Value.Value)
     assert samples == sorted(set(samples))
-    assert samples[0] == arrivals[0]
-    assert samples[-1] == arrivals[-1]  # the last value always gets through
-    # Never more samples than instants have passed.
+    assert samples[0] == 1.0
+    assert samples[-1] == last
     assert len(samples) <= (now_s - 1.0) / (interval_ms * 1e-3) + 2
 
 

@@ -15,25 +15,16 @@ from hypothesis import strategies as st
 from hilserver.core.clock import UtcClock
 from hilserver.image import Frame
 from hilserver.image.status import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
-from hilserver.io.opcua_server.values import FixedDataValue, SignalVariables, worst
+from hilserver.io.opcua_server.encoding import FixedDataValue
+from hilserver.io.opcua_server.values import SignalPlace, SignalVariables, worst
 from tests.io.opcua_server.rig import TABLE, Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
-class Place:
-    """Where asyncua keeps a value, and a count of how often it was written."""
-
-    def __init__(self) -> None:
-        self.datachange_callbacks: dict = {}
-        self.history: list[ua.DataValue] = []
-
-    value = property(lambda self: self.history[-1], lambda self, v: self.history.append(v))
-
-
-def bare() -> tuple[SignalVariables, dict[str, Place]]:
-    places = {signal.name: Place() for signal in TABLE}
-    return SignalVariables(TABLE, places, UtcClock()), places
+def bare() -> tuple[SignalVariables, dict[str, SignalPlace]]:
+    variables = SignalVariables(TABLE, UtcClock())
+    return variables, variables.places
 
 
 def frame(
@@ -135,20 +126,20 @@ async def test_dead_band_does_not_swallow_a_bad_status(rig: Rig, client: RobotCl
     await subscription.delete()
 
 
-async def test_written_only_when_changed() -> None:
+async def test_made_once_per_change_and_only_when_somebody_looks() -> None:
     variables, places = bare()
-    assert variables.publish(frame()) == len(TABLE)
+    assert variables.publish(frame()) == TABLE.n_slots
     assert variables.publish(frame()) == 0
-    assert variables.publish(frame({"wheel.fl.speed_rpm": 1.0})) == 2  # scalar and array
-    assert (
-        variables.publish(frame({"wheel.fl.speed_rpm": 1.0}, {"wheel.fl.speed_rpm": UNCERTAIN}))
-        == 2
-    )
-    assert (
-        variables.publish(frame({"wheel.fl.speed_rpm": 1.0}, {"wheel.fl.speed_rpm": UNCERTAIN}))
-        == 0
-    )
-    assert len(places["pose.x_m"].history) == 1
+    still, speed = places["pose.x_m"].value, places["wheel.fl.speed_rpm"].value
+    assert variables.publish(frame({"wheel.fl.speed_rpm": 1.0})) == 1
+    assert places["pose.x_m"].value is still
+    assert places["wheel.fl.speed_rpm"].value is not speed
+    assert places["wheels.speeds_rpm"].value.Value.Value[1] == 0.0
+    uncertain = frame({"wheel.fl.speed_rpm": 1.0}, {"wheel.fl.speed_rpm": UNCERTAIN})
+    assert variables.publish(uncertain) == 1
+    assert variables.publish(uncertain) == 0
+    made = places["wheel.fl.speed_rpm"].value
+    assert made.encoded(ua.TimestampsToReturn.Both) is made.encoded(ua.TimestampsToReturn.Both)
 
 
 @given(st.lists(st.lists(st.floats(), min_size=4, max_size=4), min_size=1, max_size=6))
@@ -184,22 +175,33 @@ async def test_what_was_written_stays_until_a_frame_contains_it() -> None:
     assert place.value.Value.Value == 1.0
 
 
-async def test_a_failing_subscriber_harms_nobody_else() -> None:
-    variables, places = bare()
-    seen: list[float] = []
+_SCALARS = st.one_of(
+    st.tuples(st.just(ua.VariantType.Double), st.floats()),
+    st.tuples(st.just(ua.VariantType.Boolean), st.booleans()),
+    st.tuples(st.just(ua.VariantType.Byte), st.integers(0, 255)),
+    st.tuples(st.just(ua.VariantType.UInt32), st.integers(0, 2**32 - 1)),
+    st.tuples(st.just(ua.VariantType.Int64), st.integers(-(2**63), 2**63 - 1)),
+    st.tuples(st.just(ua.VariantType.String), st.text()),
+    st.tuples(st.just(ua.VariantType.Double), st.lists(st.floats(), max_size=5)),
+)
 
-    async def fails(handle: int, value: ua.DataValue) -> None:
-        raise TypeError("filter")
 
-    async def waits(handle: int, value: ua.DataValue) -> None:
-        await asyncio.sleep(1)
-
-    async def sees(handle: int, value: ua.DataValue) -> None:
-        seen.append(value.Value.Value)
-
-    places["pose.x_m"].datachange_callbacks = {1: fails, 2: waits, 3: sees}
-    variables.publish(frame({"pose.x_m": 2.0}))
-    assert seen == [2.0]
+@given(_SCALARS, st.sampled_from([0, UNCERTAIN, BAD_OUT_OF_SERVICE]), st.sampled_from([0, 1, 2, 3]))
+async def test_our_bytes_are_those_of_the_codec(
+    row: tuple[ua.VariantType, object], code: int, asked: int
+) -> None:
+    kind, content = row
+    variant = ua.Variant(content, kind, None, isinstance(content, list))
+    source, server = datetime(2024, 1, 1, tzinfo=UTC), datetime(2024, 1, 2, tzinfo=UTC)
+    value = FixedDataValue(variant, ua.StatusCode(code), source, server)
+    stamps = ua.TimestampsToReturn(asked)
+    plain = ua.DataValue(
+        variant,
+        ua.StatusCode(code),
+        source if asked in (0, 2) else None,
+        server if asked in (1, 2) else None,
+    )
+    assert value.encoded(stamps) == ua.ua_binary.to_binary(ua.DataValue, plain)
 
 
 async def test_fixed_values_are_their_own_copy() -> None:
