@@ -26,11 +26,11 @@ def missing() -> str:
     return ""
 
 
-def with_sink(flow: list[dict], sink: Path) -> list[dict]:
-    """Return the shipped flow with its link out 'sensors' led into a file, one JSON per line."""
+def with_sink(flow: list[dict], sink: Path, out: str = "sensors-out") -> list[dict]:
+    """Return a flow with its link out `out` led into a file, one JSON per line."""
     flow = json.loads(json.dumps(flow))
     for node in flow:
-        if node["id"] == "sensors-out":
+        if node["id"] == out:
             node["links"] = ["sink-in"]
     text = "return { payload: JSON.stringify([msg.topic, msg.payload, Date.now()]) };"
     return [
@@ -40,7 +40,7 @@ def with_sink(flow: list[dict], sink: Path) -> list[dict]:
             "id": "sink-in",
             "type": "link in",
             "z": SINK_TAB,
-            "links": ["sensors-out"],
+            "links": [out],
             "wires": [["sink-text"]],
         },
         {

@@ -1,0 +1,106 @@
+"""Every example does what its README says, started as a user starts it."""
+
+import asyncio
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hilserver.commands import main
+from hilserver.daemon.assembly import assemble
+from tests.io.opcua_client.conftest import free_port
+from tests.loopback.rig import column, configuration, running, wait_until
+from tests.node_red.node_red import NodeRed, missing, with_sink
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def started(script, *arguments):
+    """Start an example's program; its output is a pipe."""
+    command = [sys.executable, str(EXAMPLES / script), *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def test_every_folder_is_listed():
+    listed = re.findall(r"^\| \[[^]]+\]\(([^)]+)\)", (EXAMPLES / "README.md").read_text(), re.M)
+    assert sorted(listed) == sorted(p.name for p in EXAMPLES.iterdir() if p.is_dir())
+
+
+async def test_own_controller_drives_a_square_and_gives_control_back():
+    async with running(configuration(control={"source": "peer"})) as (daemon, _):
+        program = started("own-controller/drive_square.py", daemon.server.url)
+        text, _ = await asyncio.to_thread(program.communicate, timeout=90)
+        assert program.returncode == 0
+        x, y = (float(v) for v in re.search(r"corner 4: x (\S+) m, y (\S+) m", text).groups())
+        assert abs(x) < 0.3
+        assert abs(y) < 0.3
+        assert max(column(daemon, "pose.x_m")) > 0.5
+        assert daemon.gate.owner == "peer"
+
+
+async def test_a_left_right_controller_moves_all_four_wheels():
+    endpoint = f"opc.tcp://127.0.0.1:{free_port()}/controller"
+    peers = assemble(EXAMPLES / "left-right-controller" / "config.yaml").config.peers
+    peer = peers[0].model_copy(update={"endpoint": endpoint})
+    program = started("left-right-controller/controller.py", endpoint)
+    try:
+        async with running(configuration(peers=[peer.model_dump()])) as (daemon, _):
+
+            def speeds():
+                names = (f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
+                return [daemon.image.frame_values[daemon.table.slot(name)] for name in names]
+
+            await wait_until(lambda: min(speeds()[:2]) > 15 and max(speeds()[2:]) < -15, 30)
+            left_front, left_rear, right_front, right_rear = speeds()
+            assert left_front == pytest.approx(left_rear, abs=1.0)
+            assert right_front == pytest.approx(right_rear, abs=1.0)
+    finally:
+        program.kill()
+        program.communicate()
+
+
+@pytest.mark.node_red
+async def test_node_red_as_a_client_drives_a_circle(tmp_path):
+    if sentence := missing():
+        pytest.fail(sentence, pytrace=False)
+    poses = tmp_path / "poses.jsonl"
+    flow = json.loads((EXAMPLES / "node-red-client" / "flows.json").read_text())
+    flow = with_sink(flow, poses, out="pose-out")
+    async with running(configuration()) as (daemon, _):
+        environment = {"HIL_ENDPOINT": daemon.server.url}
+        node_red = NodeRed(tmp_path / "home", free_port(), flow, environment=environment)
+        await node_red.start(ready=False)
+        try:
+            yaw = daemon.table.slot("velocity.angular_rad_s")
+            await wait_until(lambda: daemon.image.frame_values[yaw] > 0.4, 60)
+            await wait_until(lambda: poses.exists() and "pose.x_m" in poses.read_text(), 30)
+        finally:
+            await node_red.kill()
+
+
+def test_the_own_block_fits_its_configuration(capsys):
+    assert main(["check", "-c", str(EXAMPLES / "own-block" / "config.yaml")]) == 0
+    assert "own block load_cell" in capsys.readouterr().out
+
+
+def diagnosed(folder, log, out):
+    """Return what `hilserver diagnose` finds in a log of an example."""
+    words = ["-c", str(folder / "config.yaml"), "--mapping", str(folder / "mapping.yaml")]
+    assert main(["diagnose", str(log), *words, "--out", str(out)]) == 0
+    findings = json.loads((out / "findings.json").read_text())["findings"]
+    return [(tuple(f["causes"]), f["parameters"]) for f in findings]
+
+
+def test_foreign_csv_and_bag_tell_the_same(tmp_path):
+    table, bag = EXAMPLES / "foreign-csv", EXAMPLES / "bag"
+    ((causes, parameters),) = diagnosed(table, table / "drive.csv", tmp_path / "table")
+    assert causes == ("rotation_gain",)
+    low, high = parameters["rotation_gain"]["ci95"]
+    assert low <= -0.25 <= high
+    program = started("bag/make_bag.py", str(tmp_path / "drive"))
+    program.communicate(timeout=60)
+    ((same, _),) = diagnosed(bag, tmp_path / "drive", tmp_path / "bag")
+    assert same == causes
