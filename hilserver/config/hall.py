@@ -34,7 +34,7 @@ def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
     where = f"sensors.tof.hall: {path}"
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         reason = str(error).splitlines()[0]
         msg = f"{where} cannot be read: {reason}."
         raise PlantError(msg) from error

@@ -105,6 +105,9 @@ def _too_deep(path: Path) -> ConfigError:
     return ConfigError(f"{path}: nested more than {MAX_DEPTH} levels deep; flatten it")
 
 
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+
 def _construct(path: Path, root: yaml.Node | None) -> Any:
     if root is None:
         return {}
@@ -113,6 +116,11 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
             raise _too_deep(path)
         if number >= MAX_VALUES:
             raise ConfigError(f"{path}: more than {MAX_VALUES} values; use fewer aliases")
+        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and ":" in node.value:
+            raise ConfigError(
+                f"{path}:{node.start_mark.line + 1}: YAML takes {node.value} for a number to the"
+                " base 60; write the plain number"
+            )
         if isinstance(node, yaml.MappingNode):
             seen: dict[str, int] = {}
             for key, _ in node.value:

@@ -46,11 +46,11 @@ class PlantConfig(_Section):
     """The robot's drive and body."""
 
     slice: str = Field("plant", description="slice in which the plant runs")
-    wheel_radius_m: float = Field(0.085, gt=0, le=10, description="wheel radius r")
+    wheel_radius_m: float = Field(0.085, ge=0.001, le=10, description="wheel radius r")
     wheelbase_m: float | None = Field(
-        0.25, gt=0, le=100, description="l_x, between front and rear wheels; null: two wheels"
+        0.25, ge=0.001, le=100, description="l_x, between front and rear wheels; null: two wheels"
     )
-    track_m: float = Field(0.31, gt=0, le=100, description="l_y, between left and right wheels")
+    track_m: float = Field(0.31, ge=0.001, le=100, description="l_y, between left and right wheels")
     icr_offset_m: float = Field(
         0.02, ge=-10, le=10, description="X_ICR from the centre of mass, below half the wheelbase"
     )

@@ -1,5 +1,6 @@
 """The sections ``scheduler``, ``control``, ``image``, ``snapshots`` and ``blocks``."""
 
+from difflib import get_close_matches
 from typing import Annotated, Literal, Self
 
 from pydantic import (
@@ -18,6 +19,8 @@ Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")
 COMMUNICATION_SLICES = ("publish", "supervise")
 DEFAULT_SLICES = {"plant": 1.0, "sensors": 10.0, "publish": 20.0, "supervise": 100.0}
 MAX_SLICES = 16
+_MISSPELT = 0.8
+"""Likeness (difflib) to a known slice from which a name is taken for a spelling mistake."""
 Period = Annotated[float, Field(le=3_600_000)]
 
 
@@ -86,6 +89,9 @@ class SchedulerConfig(Section):
     def _limit_slices(cls, value: dict[str, float]) -> dict[str, float]:
         if len(value) > MAX_SLICES:
             raise ValueError(f"{len(value)} slices are too many; the limit is {MAX_SLICES}")
+        for name in value.keys() - DEFAULT_SLICES.keys():
+            if near := get_close_matches(name, DEFAULT_SLICES, n=1, cutoff=_MISSPELT):
+                raise ValueError(f"'{name}' looks like '{near[0]}'; choose a different name")
         return value
 
     @model_validator(mode="after")

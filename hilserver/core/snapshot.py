@@ -27,6 +27,8 @@ from hilserver.image.requests import is_done, post_request
 SCHEMA = "hilserver.core.snapshot/1"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
+MOST_SNAPSHOTS = 100
+"""Files in the folder: whoever may call SaveSnapshot must not fill the disk."""
 
 
 class SnapshotStore:
@@ -79,9 +81,15 @@ class SnapshotStore:
         Raises
         ------
         ControlRefused
-            If the name is not a plain file name, or the plant does not answer.
+            If the name is not a plain file name, the plant does not answer, or there are
+            `MOST_SNAPSHOTS` already.
         """
         path = self._path(name)
+        others = set(self._folder.glob("*.npz")) - {path}
+        if len(others) >= MOST_SNAPSHOTS:
+            raise ControlRefused(
+                f"there are {len(others)} snapshots in {self._folder}; remove some first"
+            )
         async with self._lock:
             await self._serve(REQUEST_SAVE, 0)
             tick = self._image.control.request_tick

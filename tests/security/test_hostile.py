@@ -13,6 +13,7 @@ from asyncua.ua.ua_binary import struct_from_binary
 
 from hilserver.bench.wire import Wire, frame
 from hilserver.config.server import OpcUaLimits, Role
+from hilserver.core.snapshot import MOST_SNAPSHOTS
 from hilserver.faults.model import parse_faults
 from tests.io.opcua_server.rig import Rig, connected
 
@@ -233,3 +234,16 @@ async def test_no_answer_has_more_chunks_than_the_client_takes(rig: Rig) -> None
         await wire.activate_session()
         with pytest.raises(ua.uaerrors.BadResponseTooLarge):
             await wire.read(*[ua.NodeId("wheels.speeds_rpm", 2)] * 300)
+
+
+async def test_snapshots_do_not_fill_the_disk(rig: Rig) -> None:
+    folder = rig.snapshots._folder
+    for number in range(MOST_SNAPSHOTS):
+        (folder / f"old{number}.npz").touch()
+    async with connected(rig) as client:
+        name = ua.Variant("one_more", ua.VariantType.String)
+        answer = await client.call("SaveSnapshot", name)
+        assert answer.StatusCode.name == "BadInvalidState"
+    assert not (folder / "one_more.npz").exists()
+    for path in folder.glob("old*.npz"):
+        path.unlink()
