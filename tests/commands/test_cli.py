@@ -72,7 +72,7 @@ def test_help_of_every_command_has_an_example(command, here):
     ("text", "complaint"),
     [
         ("plant: {max_rmp: 90}\n", "config.yaml:4: unknown key 'plant.max_rmp'; did you mean"),
-        ("plant: {max_rpm: fast}\n", "config.yaml:4: plant.max_rpm: 'fast' does not fit"),
+        ("plant: {max_rpm: fast}\n", "config.yaml:4: plant.max_rpm: 'fast' is not valid"),
         (
             "scheduler:\n  slices: {supervise: 100.5}\n",
             "config.yaml:5: scheduler.slices.supervise: ",

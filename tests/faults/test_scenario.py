@@ -58,14 +58,14 @@ async def test_everything_happens_at_its_tick_and_again_after_a_reset(scenario):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (("seed: 7", "seed: many"), ":2: seed: 'many' does not fit"),
+        (("seed: 7", "seed: many"), ":2: seed: 'many' is not valid"),
         (("offset: 2.5, ", ""), ":7: faults[0]: bias needs 'offset'"),
         (("pose.x_m", "pose.w_m"), ":7: faults[0]: there is no signal 'pose.w_m'"),
         (("lights.red: 9", "lights.red: 900"), ":5: steps[1].write.lights.red: 900.0 does not"),
         (("lights.red: 9", "pose.x_m: 9"), ":5: steps[1].write.pose.x_m: 'pose.x_m' is an output"),
         (("lights.red: 9", "light.red: 9"), ":5: steps[1].write.light.red: there is no signal"),
         (("seed: 7", "sead: 7"), ":2: unknown key 'sead'; did you mean 'seed'?"),
-        (("fault: bias", "fault: bais"), ":7: faults[0].fault: 'bais' does not fit"),
+        (("fault: bias", "fault: bais"), ":7: faults[0].fault: 'bais' is not valid"),
         (("steps:", "steps: ["), "not YAML"),
     ],
 )

@@ -109,7 +109,7 @@ def test_a_wrong_configuration_fails_once(service: Service) -> None:
         assert service.show("ActiveState") == "failed"
         assert service.show("ExecMainStatus") == "78"
         assert service.restarts == 0
-        assert service.journal(since).count("'fast' does not fit") == 1
+        assert service.journal(since).count("'fast' is not valid") == 1
     finally:
         service.configure("")
 
