@@ -62,7 +62,7 @@ def test_two_thousand_packets_and_the_floods(tmp_path: Path) -> None:
 MOST_TIMES = 2.0
 """So many times the missed ticks of the reference are shown to be too many."""
 NONE_PER_S = 0.01
-ROUNDS = 15
+ROUNDS = 9
 """At a tick missed in 12 s, as measured, enough for an interval of 0.63 to 1.6 about 1."""
 
 
@@ -75,11 +75,15 @@ def no_more_ticks_missed(found: dict[str, dict], name: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(7200)
 def test_the_whole_campaign(tmp_path: Path) -> None:
     path = tmp_path / "attack.json"
-    found = campaign(path, "--rounds", str(ROUNDS), timeout_s=3500)
-    check(found, 20_000)
+    sizes = ("--rounds", str(ROUNDS), "--packets", "100000")
+    found = campaign(path, *sizes, timeout_s=7100)
+    check(found, 100_000)
+    # Control comes before monitoring: the peer's set-points are hardly older, and none too old.
+    assert found["safe_ticks"]["value"] == 0
+    assert found["peer_age_p99_ms"]["ratio"] <= 2.0
     # The plant misses no more ticks than at rest (spec 3).
     no_more_ticks_missed(found, "missed_ticks")
     no_more_ticks_missed(found, "missed_ticks_to_load")

@@ -260,7 +260,7 @@ class MonitoredItems:
         if isinstance(item, ValueItem):
             result.RevisedSamplingInterval = item.interval_s * 1e3
             if item.mode != _Modes.Disabled:
-                self._look(item, time.monotonic())
+                self._look_at([item], time.monotonic())
         return result
 
     def _make_value(self, request: Any, stamps: Any, room: Room) -> Item:
@@ -357,7 +357,7 @@ class MonitoredItems:
         elif isinstance(item, EventItem):
             self._note(item)
         elif was == _Modes.Disabled:
-            self._look(item, time.monotonic())
+            self._look_at([item], time.monotonic())
         else:
             self._note(item)
         return int(_Codes.Good)
@@ -387,15 +387,11 @@ class MonitoredItems:
 
     def after_frame(self, now_s: float) -> None:
         """Look at what is queued change by change."""
-        for item in self._each_frame:
-            if item.sample(now_s):
-                self._note(item)
+        self._look_at(self._each_frame, now_s)
 
     def before_publishing(self, now_s: float) -> None:
         """Look at everything that is due."""
-        for item in self._all:
-            if item.sample(now_s):
-                self._note(item)
+        self._look_at(self._all, now_s)
 
     @property
     def has_each_frame(self) -> bool:
@@ -413,8 +409,9 @@ class MonitoredItems:
         for item in self._all:
             item.forget()
 
-    def _look(self, item: ValueItem, now_s: float) -> None:
-        if item.sample(now_s):
+    def _look_at(self, items: list[ValueItem], now_s: float) -> None:
+        # All are sampled before any is noted: one may trigger another further back.
+        for item in [item for item in items if item.sample(now_s)]:
             self._note(item)
 
     def _note(self, item: Item) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from asyncua import ua
 from asyncua.server.address_space import AttributeValue
+from asyncua.ua.ua_binary import struct_from_binary
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -211,6 +212,33 @@ async def test_sampling_mode_queues_and_does_not_send(rig: Rig, client: RobotCli
     params.MonitoringMode = ua.MonitoringMode.Reporting
     await client.uaclient.set_monitoring_mode(params)
     assert await notes.wait(2) == [0.0, 1.5]
+    await subscription.delete()
+
+
+@pytest.mark.parametrize("size", [1, 10])
+async def test_a_sampled_item_is_sent_when_the_one_that_triggers_it_is(
+    rig: Rig, client: RobotClient, size: int
+) -> None:
+    rig.set(NODE, 0.0)
+    rig.set("tof.fr_m", 1.0)
+    notes = Notes()
+    subscription = await client.create_subscription(20, notes)
+    trigger = item(client, QueueSize=size, SamplingInterval=0.0)
+    linked = item(client, "tof.fr_m", QueueSize=size, SamplingInterval=0.0, ClientHandle=2)
+    linked.MonitoringMode = ua.MonitoringMode.Sampling
+    mids = await subscription.create_monitored_items([trigger, linked])
+    assert await notes.wait(1) == [0.0]
+    request = ua.SetTriggeringRequest()
+    request.Parameters.SubscriptionId = subscription.subscription_id
+    request.Parameters.TriggeringItemId, request.Parameters.LinksToAdd = mids[0], [mids[1]]
+    data = await client.uaclient.protocol.send_request(request)
+    answer = struct_from_binary(ua.SetTriggeringResponse, data)
+    assert [code.name for code in answer.Parameters.AddResults] == ["Good"]
+    rig.set("tof.fr_m", 2.0)
+    await asyncio.sleep(0.1)
+    assert notes.values == [0.0]
+    rig.set(NODE, 0.5)
+    assert sorted((await notes.wait(3 if size == 1 else 4))[1:]) in ([0.5, 2.0], [0.5, 1.0, 2.0])
     await subscription.delete()
 
 
