@@ -36,14 +36,15 @@ class ConfigError(UserError):
     exit_code = EXIT_BAD_CONFIGURATION
 
 
-_ALIKE = 0.6
+_ALIKE, _SHORT = 0.7, 2
+"""Least likeness of a name that was meant; shorter ones are part of too many others."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the name that was probably meant: one spelt alike, or the first that holds it."""
     names = list(known)
     close = difflib.get_close_matches(name, names, n=1, cutoff=_ALIKE)
-    holds = [n for n in names if name and name.lower() in n.lower()]
+    holds = [n for n in names if len(name) > _SHORT and name.lower() in n.lower()]
     return next(iter([*close, *holds]), None)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from hilserver.commands.options import add_config, config_path
 from hilserver.diagnosis.many import on_cluster
-from hilserver.diagnosis.output import REPORT, write
+from hilserver.diagnosis.output import REPORT, write, write_files
 from hilserver.diagnosis.pipeline import Outcome, Task
 from hilserver.diagnosis.pipeline import run as diagnose
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
@@ -99,11 +99,21 @@ def run(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     if outcome.error:
-        raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error)
+        raise _ERRORS.get(outcome.exit_code, FailedError)(outcome.error + _aid(args, outcome))
     write(args.out, outcome.files)
     print(outcome.summary)
     print(f"The report is {args.out / REPORT}")
     return EXIT_DONE
+
+
+def _aid(args: argparse.Namespace, outcome: Outcome) -> str:
+    """Write what helps to go on after an error; return the words that say where it is."""
+    if not outcome.files:
+        return ""
+    write_files(args.out, outcome.files)
+    return "".join(
+        f"; {args.out / name} is a guess to check and complete" for name in outcome.files
+    )
 
 
 def _check(args: argparse.Namespace) -> None:

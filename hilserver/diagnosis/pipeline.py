@@ -13,6 +13,8 @@ from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.errors import EXIT_DONE, UserError
 from hilserver.measured.frames import Sampling
+from hilserver.measured.proposal import FILE as PROPOSAL
+from hilserver.measured.proposal import ForeignTable
 from hilserver.measured.reading import read_measured
 
 Progress = Callable[[str, float], None]
@@ -48,7 +50,10 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a task: the documents, or the sentence why there are none."""
+    """What came of a task: the documents, or the sentence why there are none.
+
+    Beside a sentence `files` may hold what helps to go on: a proposed mapping file.
+    """
 
     exit_code: int = EXIT_DONE
     error: str = ""
@@ -82,6 +87,9 @@ def run(task: Task, progress: Progress | None = None) -> Outcome:
     share_arenas()
     try:
         diagnosis = judge(task, progress)
+    except ForeignTable as error:
+        files = {PROPOSAL: error.proposal} if error.proposal else {}
+        return Outcome(error.exit_code, str(error), files=files)
     except UserError as error:
         return Outcome(error.exit_code, str(error))
     found = diagnosis.findings

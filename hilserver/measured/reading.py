@@ -16,7 +16,14 @@ from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, builtin_mappings, load_mapping
 from hilserver.measured.pauses import cut_at_pauses, without_jumps
-from hilserver.measured.tables import Recording, Stamped, read_mapped, read_own, read_own_parquet
+from hilserver.measured.tables import (
+    Recording,
+    Stamped,
+    read_mapped,
+    read_own,
+    read_own_parquet,
+    refuse_foreign,
+)
 
 SHORTEST_S, LONGEST_S = 1.0, 28_800.0
 LATEST_S = 1e11
@@ -105,6 +112,7 @@ def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) 
                 f"{path}: a bag needs a mapping of its topics; name a file or one of"
                 f" {', '.join(builtin_mappings())}"
             )
+        refuse_foreign(path)
         read = read_own_parquet if path.suffix == ".parquet" else read_own
         return read(path, sampling)
     if mapping.is_for_bags and is_bag(path):

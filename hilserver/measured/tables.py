@@ -16,6 +16,7 @@ from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own
 from hilserver.measured.mapping import PER_SECOND, ColumnMap, LogMapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.parquet import read_parquet
+from hilserver.measured.proposal import ForeignTable
 
 _ABSURD = 1e12
 
@@ -72,6 +73,28 @@ def read_own(path: Path, sampling: Sampling | None = None) -> Recording:
     for name, values in log.columns.items():
         refuse_absurd(values, name, lambda row, name: f"{path}: row {row + 2}, column '{name}'")
     return _own(log, sampling)
+
+
+def refuse_foreign(path: Path) -> None:
+    """Refuse a table none of whose columns is a signal, with a mapping file that may fit it.
+
+    Raises
+    ------
+    ForeignTable
+    """
+    if path.suffix == ".parquet":
+        header = read_parquet(path).header
+    elif path.suffix == ".csv":
+        with path.open("rb") as file:
+            row = file.readline(1 << 20)
+        names = row.decode("utf-8-sig", errors="replace").strip().split(",")
+        header = [name.strip().strip('"') for name in names]
+    else:
+        return
+    if {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
+        foreign = ForeignTable(path, header)
+        if foreign.proposal:  # else the reader says what is wrong
+            raise foreign
 
 
 def _machine(log: Log) -> str | None:

@@ -1,0 +1,78 @@
+"""A foreign table without a mapping: its columns are listed and a mapping file is proposed."""
+
+import pytest
+
+from hilserver.commands import main
+from hilserver.errors import LogError
+from hilserver.measured.mapping import load_mapping
+from hilserver.measured.proposal import propose
+from hilserver.measured.reading import read_measured
+
+FOREIGN = "time_ms,left_rad_s,right_rad_s,cmd_left_rpm,cmd_right_rpm,x,y,heading_deg,gyro_z,vbat"
+
+
+def write(path, header=FOREIGN):
+    rows = [f"{20 * i},{','.join(str(k + 0.1 * i) for k in range(9))}" for i in range(120)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def test_the_proposal_is_a_mapping_that_reads_the_table(tmp_path):
+    (tmp_path / "map.yaml").write_text(propose(FOREIGN.split(",")))
+    mapping = load_mapping(tmp_path / "map.yaml")
+    assert (mapping.time.column, mapping.time.unit) == ("time_ms", "ms")
+    assert {name: (c.column, c.unit, c.sign) for name, c in mapping.channels.items()} == {
+        "wheel.fl.speed_rpm": ("left_rad_s", "rad/s", 1),
+        "wheel.rl.speed_rpm": ("left_rad_s", "rad/s", 1),
+        "wheel.fr.speed_rpm": ("right_rad_s", "rad/s", -1),
+        "wheel.rr.speed_rpm": ("right_rad_s", "rad/s", -1),
+        "wheel.fl.setpoint_rpm": ("cmd_left_rpm", None, 1),
+        "wheel.rl.setpoint_rpm": ("cmd_left_rpm", None, 1),
+        "wheel.fr.setpoint_rpm": ("cmd_right_rpm", None, -1),
+        "wheel.rr.setpoint_rpm": ("cmd_right_rpm", None, -1),
+        "nav.x_m": ("x", None, 1),
+        "nav.y_m": ("y", None, 1),
+        "nav.yaw_rad": ("heading_deg", "deg", 1),
+        "imu.gyro_z_rad_s": ("gyro_z", None, 1),
+        "battery.voltage_v": ("vbat", None, 1),
+    }
+    log = read_measured([write(tmp_path / "log.csv")], tmp_path / "map.yaml")
+    assert log["nav.x_m"].t_s[1] == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("column", "signals"),
+    [
+        ("wheelSpeedFL", ["wheel.fl.speed_rpm"]),
+        ("rear right pwm", ["wheel.rr.duty_pct"]),
+        ("cmd_vel.linear.x", ["twist.linear_m_s"]),
+        ("cmd_vel.angular.z", ["twist.angular_rad_s"]),
+        ("theta", ["nav.yaw_rad"]),
+        ("humidity", []),
+    ],
+)
+def test_names_of_others(column, signals):
+    text = propose(["t", column])
+    assert [line.split(":")[0].strip() for line in text.splitlines() if "{column" in line][1:] == (
+        signals
+    )
+
+
+def test_diagnose_lists_the_columns_and_writes_the_proposal(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "log.csv")
+    assert main(["diagnose", "log.csv", "-o", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "none of the columns 'time_ms', 'left_rad_s'," in line
+    assert "--mapping; out/mapping.yaml is a guess to check and complete" in line
+    assert load_mapping(tmp_path / "out" / "mapping.yaml").channels
+
+
+def test_a_name_of_ours_that_is_mistyped_is_still_said(tmp_path):
+    path = write(tmp_path / "log.csv", f"t_s,wheel.fl.speed,nav.x_m{',a,b,c,d,e,f,g'}")
+    with pytest.raises(LogError, match="did you mean 'wheel.fl.speed_rpm'".replace(".", "[.]")):
+        read_measured([path])
+
+
+def test_without_a_guess_there_is_no_proposal():
+    assert propose(["a", "b"]) == ""
