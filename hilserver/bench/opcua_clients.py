@@ -51,28 +51,33 @@ class Clients:
     async def subscribe(
         self, count: int, nodes: Sequence[ua.NodeId], interval_ms: float, queue_size: int
     ) -> None:
-        """Connect and subscribe `count` clients."""
-        for _ in range(count):
-            wire = await Wire(self._url).__aenter__()
-            await wire.log_in()
-            create = ua.CreateSubscriptionRequest()
-            create.Parameters.RequestedPublishingInterval = interval_ms
-            create.Parameters.RequestedLifetimeCount = 10_000
-            create.Parameters.RequestedMaxKeepAliveCount = 100
-            create.Parameters.PublishingEnabled = True
-            made = await wire.ask(create, ua.CreateSubscriptionResponse)
+        """Connect and subscribe `count` clients; what costs the server most comes last."""
+        made = [await self._connect(interval_ms) for _ in range(count)]
+        for wire, number in made:
             items = ua.CreateMonitoredItemsRequest()
-            items.Parameters.SubscriptionId = made.Parameters.SubscriptionId
+            items.Parameters.SubscriptionId = number
             items.Parameters.TimestampsToReturn = ua.TimestampsToReturn.Both
             items.Parameters.ItemsToCreate = [
-                _item(number, node, queue_size) for number, node in enumerate(nodes)
+                _item(handle, node, queue_size) for handle, node in enumerate(nodes)
             ]
             answer = await wire.ask(items, ua.CreateMonitoredItemsResponse)
             for result in answer.Results:
                 result.StatusCode.check()
+        for wire, _ in made:
             for _ in range(_PUBLISH_REQUESTS):
                 await wire.send(wire.message(ua.PublishRequest()))
             self._keep(wire)
+
+    async def _connect(self, interval_ms: float) -> tuple[Wire, int]:
+        wire = await Wire(self._url).__aenter__()
+        await wire.log_in()
+        create = ua.CreateSubscriptionRequest()
+        create.Parameters.RequestedPublishingInterval = interval_ms
+        create.Parameters.RequestedLifetimeCount = 10_000
+        create.Parameters.RequestedMaxKeepAliveCount = 100
+        create.Parameters.PublishingEnabled = True
+        made = await wire.ask(create, ua.CreateSubscriptionResponse)
+        return wire, int(made.Parameters.SubscriptionId)
 
     def _keep(self, wire: Wire) -> None:
         """Take the socket away from the event loop; what has come in already is not counted."""
