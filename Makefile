@@ -8,12 +8,12 @@ MAKEFLAGS += --no-print-directory
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json))
+NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json)) page
 
 # What the tests call, and the Debian package it comes from.
 TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
     systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
-    nsenter:util-linux promtool:prometheus
+    nsenter:util-linux promtool:prometheus chromium:chromium
 export PATH := $(PATH):/usr/sbin:/sbin
 
 .PHONY: help
@@ -129,4 +129,9 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	    echo "the tests in $* need Node.js with npm: install the packages nodejs and npm" >&2; exit 1; }
 	@echo "installing the npm packages of $*"
 	@cd $* && npm install --no-audit --no-fund --no-package-lock --loglevel=error
+	@touch $@
+
+page/node_modules/.installed: page/package-lock.json | $(VENV)/.debian
+	@echo "installing the npm packages of page"
+	@cd page && npm ci --no-audit --no-fund --loglevel=error
 	@touch $@

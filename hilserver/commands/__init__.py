@@ -20,6 +20,7 @@ COMMANDS = {
     "signals": "print the signal table",
     "wiring": "commissioning: check that every wheel drives the right input",
     "certs": "manage certificates, trusted clients and passwords",
+    "page": "show the operator page in the browser, as 'run' does",
     "record": "record the signals of a running daemon",
     "simulate": "play a scenario in virtual time and write every signal to a file",
     "replay": "feed a log through the plant, faster than real time",

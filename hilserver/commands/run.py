@@ -5,18 +5,23 @@ import asyncio
 import contextlib
 import dataclasses
 import json
+import socket
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 from hilserver.commands.demo import demo_assembly, running_controller
 from hilserver.commands.options import add_config, number_within
+from hilserver.commands.page_setup import page_setup
 from hilserver.commands.patching import add_patch, assembled
+from hilserver.config.page import PageConfig
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.daemon import Daemon
 from hilserver.daemon.reload import Reloader
-from hilserver.errors import EXIT_DONE
+from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.faults.scenario import Play, json_schema, load_scenario
+from hilserver.io.page.launch import running_page
+from hilserver.io.page.listening import listen, url_of
 from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
@@ -94,6 +99,7 @@ async def _demo(
 async def _run(
     assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
 ) -> int:
+    listener = _listen(assembly.config.page)
     starting = Daemon(assembly, limiter, play=play)  # compiles: a signal ends that at once
     asked = event_loop.end_event()
     if asked.is_set():
@@ -101,10 +107,35 @@ async def _run(
     async with starting as daemon:
         watchdog = _make_watchdog(daemon)
         _print_addresses(daemon)
-        async with watchdog.watching(), _reload_on_hangup(daemon, watchdog):
+        page = _page(daemon, listener)
+        async with watchdog.watching(), _reload_on_hangup(daemon, watchdog), page:
             code = await daemon.wait(duration_s, asked)
     report_repeats(daemon.limiter or limiter, at_end=True)
     return code
+
+
+def _listen(page: PageConfig) -> socket.socket | None:
+    """Listen for the page and say where; a page that cannot is no reason not to run."""
+    if not page.enabled:
+        return None
+    try:
+        listener = listen(page.host, page.port)
+    except FailedError as error:
+        print(f"hilserver: {error}; running without the page", file=sys.stderr)
+        return None
+    url = url_of(listener, page.host, is_encrypted=page.tls is not None)
+    print(f"operator page: {url}", file=sys.stderr, flush=True)
+    return listener
+
+
+def _page(
+    daemon: Daemon, listener: socket.socket | None
+) -> contextlib.AbstractAsyncContextManager[None]:
+    if listener is None:
+        return contextlib.nullcontext()
+    server = daemon.server
+    endpoint, secret = ("", "") if server is None else (server.url, server.page_secret)
+    return running_page(page_setup(daemon.assembly, daemon.image.name, endpoint, secret), listener)
 
 
 def _make_watchdog(daemon: Daemon) -> Watchdog:

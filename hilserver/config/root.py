@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from hilserver.config.loading import load
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
+from hilserver.config.page import FoldersConfig, PageConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
@@ -38,8 +39,10 @@ class Config(Section):
     blocks: tuple[BlockConfig, ...] = ()
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
+    folders: FoldersConfig = Field(default_factory=FoldersConfig)
     recording: RecordingConfig = Field(default_factory=RecordingConfig)
     metrics: MetricsConfig = Field(default_factory=MetricsConfig)
+    page: PageConfig = Field(default_factory=PageConfig)
     logging: LoggingConfig = Field(default_factory=LoggingConfig)
 
     @model_validator(mode="after")

@@ -101,6 +101,9 @@ class OpcUaPermissions(BaseModel):
             "Pause": "operator",
             "Step": "operator",
             "Reset": "operator",
+            "SetSpeed": "operator",
+            "*Scenario": "operator",
+            "*Recording": "operator",
         },
         description="Pattern of method names: lowest role that calls",
     )

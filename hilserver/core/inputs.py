@@ -83,6 +83,11 @@ class InputGate:
         Kinds of sources, highest priority first; those left out may not command.
     monotonic_ns : callable
         Clock for the age of inputs.
+
+    Attributes
+    ----------
+    on_setpoints : list of callable
+        Told the source whenever a set-point of it was accepted.
     """
 
     def __init__(
@@ -107,6 +112,8 @@ class InputGate:
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
+        self._setpoint_slots = frozenset(slot for name in SETPOINTS for slot in table[name].slots)
+        self.on_setpoints: list[Callable[[str], None]] = []
 
     def write(
         self, source: str, values: Mapping[str, object], *, received_ns: int | None = None
@@ -170,6 +177,14 @@ class InputGate:
         self.accepted[source] += 1
         if changed and self._change is None:
             self._change = (now_ns, self._image.pushed_rows)
+        if any(row.slot in self._setpoint_slots for group in groups for row in group):
+            for callback in self.on_setpoints:
+                callback(source)
+
+    def holds_setpoints(self, source: str) -> bool:
+        """Whether a set-point that `source` wrote last is not zero."""
+        newest = (self._newest.get(slot) for slot in self._setpoint_slots)
+        return any(found and found[0] == source and found[1] != 0.0 for found in newest)
 
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
         self.rejected[(source, reason.value)] += 1

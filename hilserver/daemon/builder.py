@@ -22,7 +22,7 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
-from hilserver.image import ProcessImage
+from hilserver.image import ProcessImage, board
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
 from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
@@ -164,7 +164,7 @@ def _image(assembly: Assembly, pace: Pace) -> ProcessImage:
         f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}" if is_made_up else pace.image,
         assembly.table,
         live=composition.live_regions,
-        fixed=composition.fixed_regions | {"statistics": statistics},
+        fixed=composition.fixed_regions | {"statistics": statistics, board.REGION: board.WORDS},
         base_period_ns=assembly.base_period_ns,
         ring_length=pace.ring_frames,
         queue_rows=pace.queue_rows,

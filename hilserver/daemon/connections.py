@@ -9,10 +9,13 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.daemon import figures, metrics
 from hilserver.daemon.builder import Core
+from hilserver.daemon.bulletin import Bulletin, Notice
+from hilserver.daemon.desk import Desk, Recordings, Scenarios
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
+from hilserver.faults.scenario import Stage
 from hilserver.io import peer_metrics
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
@@ -46,12 +49,56 @@ def make_peers(
     ]
 
 
+def make_desk(core: Core, stage: Stage) -> Desk:
+    """Return what starts scenarios and recordings by name."""
+    assembly, scheduler = core.assembly, core.scheduler
+    folders, config = assembly.config.folders, assembly.config
+    return Desk(
+        Scenarios(
+            assembly.folder / folders.scenarios,
+            stage,
+            core.gate,
+            core.faults,
+            lambda: scheduler.tick,
+            assembly.base_period_ns * 1e-9,
+        ),
+        Recordings(assembly.folder / folders.recordings, config.recording, core.image.name),
+    )
+
+
+def make_notice(
+    core: Core,
+    control: Control,
+    outputs: Outputs,
+    peers: Sequence[PeerLink],
+    audit: Sequence[AuditItem],
+    desk: Desk,
+) -> Notice:
+    """Return what keeps the board of the image up to date."""
+    patch = core.assembly.patch
+    bulletin = Bulletin(
+        control,
+        core.gate,
+        core.scheduler,
+        core.events,
+        core.faults,
+        peers=lambda: [peer.status for peer in peers],
+        audit=lambda: audit,
+        gaps=outputs.model_gap,
+        patch=None if patch is None or patch.path is None else patch.path.name,
+        scenario=desk.scenarios.view,
+        recording=desk.recordings.view,
+    )
+    return Notice(core.image, bulletin)
+
+
 def make_server(
     core: Core,
     clock: UtcClock,
     control: Control,
     peers: Sequence[PeerLink],
     audit: Sequence[AuditItem],
+    desk: Desk,
 ) -> OpcUaServer | None:
     """Return the OPC UA server, None where the configuration has none."""
     config = core.assembly.config.opcua
@@ -69,6 +116,7 @@ def make_server(
         peers=lambda: figures.peer_table(peer.status for peer in peers),
         audit=lambda: figures.audit_table(audit),
         faults=core.faults,
+        files=desk,
         folder=core.assembly.folder,
     )
 

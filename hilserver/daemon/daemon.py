@@ -14,10 +14,18 @@ import structlog
 
 from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
+from hilserver.core.deadman import DeadMan
 from hilserver.core.events import Event, EventKind
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core, Pace, build
-from hilserver.daemon.connections import make_http, make_metrics, make_peers, make_server
+from hilserver.daemon.connections import (
+    make_desk,
+    make_http,
+    make_metrics,
+    make_notice,
+    make_peers,
+    make_server,
+)
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
@@ -98,7 +106,12 @@ class Daemon:
         self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
         self._states = StateService(core.snapshots, self.image.name)
         self.peers = make_peers(core, self.clock, self.outputs, self.supervision)
-        self.server = make_server(core, self.clock, self.control, self.peers, self.audit)
+        self.deadman = DeadMan(self.gate, self.events, config.page.deadman_ms * 1e-3)
+        self.desk = make_desk(core, self.stage)
+        self._notice = make_notice(
+            core, self.control, self.outputs, self.peers, self.audit, self.desk
+        )
+        self.server = make_server(core, self.clock, self.control, self.peers, self.audit, self.desk)
         self.metrics = make_metrics(
             core,
             self.control,
@@ -128,6 +141,7 @@ class Daemon:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
         await self._start_recorder()
+        self._resources.push_async_callback(self.desk.recordings.close)
         for server in (self.http, self.server):
             if server is not None:
                 await server.start()
@@ -199,6 +213,7 @@ class Daemon:
         self.supervision.run()
         self.gaps.run()
         self._states.serve()
+        self._notice.show()
         if self.server is not None:
             self.server.publish_diagnostics()
         if self.limiter is not None:

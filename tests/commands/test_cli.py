@@ -51,7 +51,8 @@ def free_port():
 def write_config(folder, text=""):
     ports = f"opcua: {{endpoint: 'opc.tcp://127.0.0.1:{free_port()}/h'}}\nmetrics: {{port: 0}}\n"
     path = folder / "config.yaml"
-    path.write_text(f"image: {{name: auto}}\n{ports}{text}", encoding="utf-8")
+    text = f"image: {{name: auto}}\n{ports}{text}page: {{enabled: false}}\n"
+    path.write_text(text, encoding="utf-8")
     return path
 
 

@@ -28,6 +28,7 @@ image: {name: auto}
 opcua: {enabled: false}
 metrics: {port: 0}
 logging: {format: json}
+page: {enabled: false}
 """
 REALTIME = "realtime: {priority: 0, lock_memory: false, hold_latency_target: false}"
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from asyncua import ua
 from asyncua.crypto.permission_rules import User
 
-from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.core.inputs import InputGate, Refusal, check_value, kind_of
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.io.opcua_server.access import Access
@@ -29,7 +29,7 @@ from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.signals import Signal, SignalTable
 
 SOURCE = "opcua"
-"""Name under which all clients of this server write."""
+"""Name under which the clients of this server write, but for the operator page."""
 
 _Codes = ua.StatusCodes
 STATUS_OF: dict[Refusal, int] = {
@@ -86,7 +86,9 @@ class WriteDoor:
         self._variables = variables
         self._access = access
 
-    def write(self, items: Iterable[ua.WriteValue], user: User) -> list[Answer]:
+    def write(
+        self, items: Iterable[ua.WriteValue], user: User, source: str = SOURCE
+    ) -> list[Answer]:
         """Return one answer per item; what is accepted is latched together by one tick."""
         items = list(items)
         answers: list[Answer] = []
@@ -100,13 +102,13 @@ class WriteDoor:
             if name == CONTROL_SOURCE or name in group:
                 # The order of a request holds: taking control acts on the writes behind it, and
                 # of two writes to one signal the later wins.
-                self._hand_over(group, answers)
+                self._hand_over(group, answers, source)
                 group = {}
             if name == CONTROL_SOURCE:
-                answers[position] = self._take_control(item.Value.Value)
+                answers[position] = self._take_control(item.Value.Value, source)
             else:
                 group[name] = (position, self._value(self._table[name], item.Value.Value))
-        self._hand_over(group, answers)
+        self._hand_over(group, answers, source)
         return answers
 
     def _refuse(self, item: ua.WriteValue, user: User) -> Answer | None:
@@ -139,13 +141,15 @@ class WriteDoor:
             return f"{len(value)} elements"  # nobody wants to read a million of them in the log
         return value if variant.VariantType.value == DATA_TYPES[signal.type] else variant
 
-    def _hand_over(self, group: dict[str, tuple[int, object]], answers: list[Answer]) -> None:
+    def _hand_over(
+        self, group: dict[str, tuple[int, object]], answers: list[Answer], source: str
+    ) -> None:
         if not group:
             return
         values = {name: value for name, (_, value) in group.items()}
-        refused = self._gate.write(SOURCE, values)
+        refused = self._gate.write(source, values)
         for name, reason in refused.items():
-            answers[group[name][0]] = Answer(STATUS_OF[reason], self._explain(name, reason))
+            answers[group[name][0]] = Answer(STATUS_OF[reason], self._explain(name, reason, source))
         accepted: dict[str, tuple[float, ...]] = {}
         for name, value in values.items():
             numbers = check_value(self._table[name], value)
@@ -154,23 +158,24 @@ class WriteDoor:
         if accepted:
             self._variables.show_written(accepted, self._image.pushed_rows)
 
-    def _take_control(self, variant: ua.Variant) -> Answer:
+    def _take_control(self, variant: ua.Variant, source: str) -> Answer:
         if variant.VariantType != ua.VariantType.String or variant.is_array:
             return Answer(_Codes.BadTypeMismatch, "control.source is a String")
         if variant.Value not in self._gate.priority:
             known = ", ".join(self._gate.priority)
             return Answer(_Codes.BadOutOfRange, f"sources are {known}")
         try:
-            self._gate.request(SOURCE, variant.Value)
+            self._gate.request(kind_of(source), variant.Value)
         except ControlRefused as error:
             return Answer(_Codes.BadUserAccessDenied, str(error))
         self._show_owner()
         return _ACCEPTED
 
-    def _explain(self, name: str, reason: Refusal) -> str:
+    def _explain(self, name: str, reason: Refusal, source: str) -> str:
         signal = self._table[name]
         if reason is Refusal.NOT_IN_CONTROL:
-            return f"'{self._gate.owner}' has control; write '{SOURCE}' to {CONTROL_SOURCE} first"
+            kind = kind_of(source)
+            return f"'{self._gate.owner}' has control; write '{kind}' to {CONTROL_SOURCE} first"
         if reason is Refusal.OUT_OF_RANGE:
             return f"the range is {signal.low:g} .. {signal.high:g} {signal.unit}"
         if reason is Refusal.TYPE_MISMATCH:

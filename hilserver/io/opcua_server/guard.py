@@ -1,6 +1,8 @@
 """asyncua's inner server with our sessions, subscriptions and limits."""
 
 import asyncio
+import itertools
+import secrets
 import time
 from typing import Any
 
@@ -12,7 +14,7 @@ from hilserver.config.server import OpcUaConfig
 from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.decoding import bound_decoder
-from hilserver.io.opcua_server.door import WriteDoor
+from hilserver.io.opcua_server.door import SOURCE, WriteDoor
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.methods import Methods
 from hilserver.io.opcua_server.reading import Reader
@@ -40,6 +42,8 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
     ----------
     door, methods : WriteDoor, Methods
         Set before the first client connects.
+    page_secret : str
+        Marks sessions of the operator page, as the first word of their session name.
     trust : TrustList or None
         Judges certificates; None where only policy None is offered.
     """
@@ -53,6 +57,8 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
         super().__init__(user_manager=None)
         self.config, self.access, self.trust = config, access, trust
         self._max_sessions = config.max_sessions
+        self.page_secret = secrets.token_hex(32)
+        self._page_numbers = itertools.count(1)
         self.allow_remote_admin = False
         self.max_connections = config.max_connections
         # A client that vanished is served until its session ends.
@@ -64,6 +70,13 @@ class RobotInternalServer(InternalServer):  # type: ignore[misc]
         if access.has_users:
             tokens.append(ua.UserNameIdentityToken)
         self.supported_tokens = tuple(tokens)
+
+    def source_of(self, session_name: str | None) -> str:
+        """Return under which name a session writes; one that knows the secret is the page's."""
+        given = (session_name or "").split(" ")[0]
+        if secrets.compare_digest(given.encode(), self.page_secret.encode()):
+            return f"page:{next(self._page_numbers)}"
+        return SOURCE
 
     async def tell_limits(self) -> None:
         """Show the limits where clients look for them, below ServerCapabilities."""

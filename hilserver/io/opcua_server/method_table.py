@@ -6,7 +6,7 @@ A new method is a row here, and a line in ``docs/reference/opcua-address-space.m
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from hilserver.core.control import Control
 from hilserver.faults import Faults
@@ -27,12 +27,28 @@ class Argument:
     description: str
 
 
+class Files(Protocol):
+    """Starts and stops what has the plain name of a file."""
+
+    async def start_scenario(self, name: str) -> None:
+        """Play a scenario from now on."""
+
+    def stop_scenario(self) -> None:
+        """End it."""
+
+    def start_recording(self, name: str) -> None:
+        """Record into a new file."""
+
+    def stop_recording(self) -> None:
+        """Complete it."""
+
+
 class Parts:
     """What the methods act on."""
 
-    def __init__(self, control: Control, faults: Faults | None) -> None:
+    def __init__(self, control: Control, faults: Faults | None, files: Files | None = None) -> None:
         self.control = control
-        self._faults = faults
+        self._faults, self._files = faults, files
 
     @property
     def faults(self) -> Faults:
@@ -46,6 +62,19 @@ class Parts:
         if self._faults is None:
             raise NotImplementedError("this server has no faults and cannot force")
         return self._faults
+
+    @property
+    def files(self) -> Files:
+        """Scenarios and recordings.
+
+        Raises
+        ------
+        NotImplementedError
+            If the server has none.
+        """
+        if self._files is None:
+            raise NotImplementedError("this server has no scenarios and no recordings")
+        return self._files
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +107,8 @@ def _plain(name: str) -> str:
 
 _SIGNAL = Argument("signal", STRING, "Name of the signal")
 _SNAPSHOT = Argument("name", STRING, "Plain file name in the snapshot directory, no path")
+_SCENARIO = Argument("name", STRING, "Plain file name in folders.scenarios, no path")
+_RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
 
 METHODS = (
     Method("Start", "Run on from a pause", lambda on: on.control.start()),
@@ -145,4 +176,28 @@ METHODS = (
         "Put the robot where the measured one is",
         lambda on: on.control.align_pose(),
     ),
+    Method(
+        "SetSpeed",
+        "Run faster or slower than real time",
+        lambda on, factor: on.control.set_speed(factor),
+        (Argument("factor", ValueType.DOUBLE, "Times real time, 0.01 to 100"),),
+    ),
+    Method(
+        "StartScenario",
+        "Play a scenario from now on",
+        lambda on, name: on.files.start_scenario(_plain(name)),
+        (_SCENARIO,),
+    ),
+    Method(
+        "StopScenario",
+        "End the scenario and all faults; set-points go to zero",
+        lambda on: on.files.stop_scenario(),
+    ),
+    Method(
+        "StartRecording",
+        "Record into a new file",
+        lambda on, name: on.files.start_recording(_plain(name)),
+        (_RECORDING,),
+    ),
+    Method("StopRecording", "End the recording", lambda on: on.files.stop_recording()),
 )

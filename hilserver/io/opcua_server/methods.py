@@ -22,7 +22,7 @@ from hilserver.errors import UserError
 from hilserver.faults import Faults
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.method_table import METHODS, Method, Parts
+from hilserver.io.opcua_server.method_table import METHODS, Files, Method, Parts
 from hilserver.io.opcua_server.model import DATA_TYPES
 
 _Codes = ua.StatusCodes
@@ -52,11 +52,12 @@ class Methods:
         access: Access,
         node_id: Callable[[str], ua.NodeId],
         faults: Faults | None = None,
+        files: Files | None = None,
     ) -> None:
         self._access = access
         self._object = node_id("methods")
         self._by_id = {node_id(method.node_id): method for method in METHODS}
-        self._parts = Parts(control, faults)
+        self._parts = Parts(control, faults, files)
 
     def __contains__(self, method_id: object) -> bool:
         return method_id in self._by_id

@@ -314,6 +314,7 @@ class RobotProcessor:
         asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
         endpoints = await self.iserver.get_endpoints(asked, self._sockname)
         session = self.iserver.new_session(self, policy)
+        session.source = self.iserver.source_of(params.SessionName)
         self.session = session
         response = ua.CreateSessionResponse()
         result = response.Parameters = session.create(params)

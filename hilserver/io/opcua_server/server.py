@@ -26,7 +26,7 @@ from hilserver.io.opcua_server.door import WriteDoor
 from hilserver.io.opcua_server.encoding import FixedDataValue
 from hilserver.io.opcua_server.guard import RobotInternalServer
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.method_table import METHODS
+from hilserver.io.opcua_server.method_table import METHODS, Files
 from hilserver.io.opcua_server.methods import Methods
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
@@ -59,6 +59,8 @@ class OpcUaServer:
     statistics, peers, audit : callable
         Return plain tables, ``{name: {figure: number, text, Boolean or None}}``. Rows of `peers`
         have the figure "connected", rows of `audit` "ok"; both act on ServiceLevel.
+    files : Files or None
+        Scenarios and recordings by name.
     folder : Path or None
         Folder that relative paths of the configuration start from.
 
@@ -83,6 +85,7 @@ class OpcUaServer:
         audit: Provider = _nothing,
         folder: Path | None = None,
         faults: Faults | None = None,
+        files: Files | None = None,
     ) -> None:
         self._config = config
         self._table = table
@@ -96,7 +99,7 @@ class OpcUaServer:
             "peers": peers,
             "audit": lambda: {**audit(), **self.audit()},
         }
-        self._faults = faults
+        self._faults, self._files = faults, files
         if faults is not None:
             self._providers["faults"] = faults.figures
         self._folders, self._rows = model.describe(table)
@@ -119,6 +122,11 @@ class OpcUaServer:
     def session_count(self) -> int:
         """Number of sessions of clients."""
         return 0 if self._server is None else len(self._server.iserver.sessions)
+
+    @property
+    def page_secret(self) -> str:
+        """What marks sessions as the operator page's; empty while the server is not running."""
+        return "" if self._server is None else str(self._server.iserver.page_secret)
 
     def audit(self) -> dict[str, dict[str, Figure]]:
         """Return what this server has to say in the audit."""
@@ -262,7 +270,9 @@ class OpcUaServer:
             limit_per_s=self._config.max_events_per_s,
         )
         self._status = ServerStatus(iserver.aspace)
-        iserver.methods = Methods(self._control, self._access, builder.node_id, self._faults)
+        iserver.methods = Methods(
+            self._control, self._access, builder.node_id, self._faults, self._files
+        )
         iserver.door = WriteDoor(
             iserver.aspace,
             robot_index,

@@ -57,7 +57,9 @@ def read(session: RobotSession, params: encoding.ReadItems) -> list[bytes]:
 
 def write(session: RobotSession, params: ua.WriteParameters) -> ua.WriteResponse:
     """Answer Write."""
-    answers = session.server.door.write(limited(session, params.NodesToWrite), session.user)
+    answers = session.server.door.write(
+        limited(session, params.NodesToWrite), session.user, session.source
+    )
     session.texts = [answer.text for answer in answers]
     return ua.WriteResponse(Results=_codes([answer.code for answer in answers]))
 

@@ -20,6 +20,7 @@ from asyncua.ua.ua_binary import nodeid_to_binary
 
 from hilserver.io.opcua_server import encoding
 from hilserver.io.opcua_server.browsing import ContinuationPoints
+from hilserver.io.opcua_server.door import SOURCE
 from hilserver.io.opcua_server.subscriptions import Subscription
 
 _TOKEN_BYTES = 32
@@ -56,6 +57,8 @@ class RobotSession:
         Why the operations of the last Write or Call were refused, empty where they were not.
     processor : RobotProcessor or None
         The connection that the session is bound to.
+    source : str
+        Name under which its writes reach the plant: ``opcua``, or ``page:<number>``.
     timeout_s : float
         The session ends when it is idle for so long [s].
     max_response_bytes : int
@@ -72,6 +75,7 @@ class RobotSession:
         self.nonce = create_nonce(32)
         self.texts: Sequence[str] = ()
         self.processor: Any = None
+        self.source = SOURCE
         self.timeout_s = math.inf
         self.max_response_bytes = 0
         self.last_active_s = time.monotonic()

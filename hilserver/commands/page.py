@@ -1,0 +1,81 @@
+"""The operator page in the browser. `hilserver run` starts it; by hand it shows a running daemon.
+
+Started by hand it lacks the secret that `hilserver run` hands over: its users then write as any
+OPC UA client does.
+"""
+
+import argparse
+import asyncio
+import os
+import socket
+import sys
+
+from hilserver.commands.options import add_config
+from hilserver.errors import EXIT_DONE
+from hilserver.io.page.listening import listen, url_of
+from hilserver.io.page.server import PageServer
+from hilserver.io.page.setup import Setup
+from hilserver.program import event_loop
+
+EXAMPLE = "hilserver page -c config.yaml"
+NICENESS = 5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    add_config(parser)
+    parser.add_argument(
+        "--patch", type=os.fspath, metavar="FILE", help="the model patch that the daemon runs with"
+    )
+    parser.add_argument("--beside", type=int, metavar="FD", help=argparse.SUPPRESS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until stopped, or until the daemon that started us has ended."""
+    os.nice(NICENESS)
+    if args.beside is not None:
+        setup = Setup.from_json(sys.stdin.readline())
+        listener = socket.socket(fileno=args.beside)
+    else:
+        setup = _by_hand(args)
+        page = setup.page
+        listener = listen(page.host, page.port)
+        url = url_of(listener, page.host, is_encrypted=page.tls is not None)
+        print(f"operator page: {url}", file=sys.stderr, flush=True)
+    server = PageServer(setup)
+    return event_loop.run(_serve(server, listener, until_stdin_ends=args.beside is not None))
+
+
+def _by_hand(args: argparse.Namespace) -> Setup:
+    # Beside a daemon none of this is needed.
+    from hilserver.commands.page_setup import page_setup  # noqa: PLC0415
+    from hilserver.commands.patching import assembled  # noqa: PLC0415
+
+    assembly = assembled(args)
+    return page_setup(assembly, assembly.config.image.name, assembly.config.opcua.endpoint)
+
+
+async def _serve(server: PageServer, listener: socket.socket, *, until_stdin_ends: bool) -> int:
+    serving = asyncio.create_task(server.run(listener))
+    asked = event_loop.end_event()
+    waiting = {serving, asyncio.create_task(asked.wait())}
+    if until_stdin_ends:
+        waiting.add(asyncio.create_task(_stdin_ends()))
+    await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+    if serving.done():
+        serving.result()
+    serving.cancel()
+    await asyncio.wait({serving})
+    return EXIT_DONE
+
+
+async def _stdin_ends() -> None:
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+
+    def look() -> None:
+        if not os.read(sys.stdin.fileno(), 4096):
+            loop.remove_reader(sys.stdin.fileno())
+            ended.set()
+
+    loop.add_reader(sys.stdin.fileno(), look)
+    await ended.wait()

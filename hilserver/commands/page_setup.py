@@ -1,0 +1,57 @@
+"""From an assembly to what the operator page has to know of it."""
+
+from hilserver.daemon.assembly import Assembly
+from hilserver.io.page.setup import OpcUaAccess, Setup
+
+
+def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") -> Setup:
+    """Return what a page of this robot has to know."""
+    config, folder, robot = assembly.config, assembly.folder, assembly.robot
+    tof, opcua = robot.tof, config.opcua
+    paths = config.folders.model_dump() | {"snapshots": config.snapshots.folder}
+    own = folder / opcua.certificates / "own"
+    policy = opcua.offered_policies[0] if opcua.is_secure else ""
+    walls = assembly.composition.hall.reshape(-1, 4).tolist()
+    return Setup(
+        image=image,
+        page=config.page,
+        opcua=OpcUaAccess(
+            endpoint=endpoint if opcua.enabled else "",
+            secret=secret,
+            needs_login=opcua.anonymous_role is None,
+            policy=policy,
+            certificate=str(own / "cert.pem") if policy else "",
+            key=str(folder / opcua.private_key if opcua.private_key else own / "key.pem")
+            if policy
+            else "",
+        ),
+        signals=[
+            {
+                "name": s.name,
+                "unit": "" if s.unit == "1" else s.unit,
+                "type": s.type.value,
+                "writable": s.writable,
+                "low": s.low,
+                "high": s.high,
+                "description": s.description,
+                "slot": s.slots[0],
+            }
+            for s in assembly.table
+            if not s.is_array
+        ],
+        robot={
+            "wheel_radius_m": robot.wheel_radius_m,
+            "wheelbase_m": robot.wheelbase_m,
+            "track_m": robot.track_m,
+            "max_rpm": robot.max_rpm,
+            "max_linear_m_s": robot.max_linear_m_s,
+            "max_angular_rad_s": robot.max_angular_rad_s,
+            "tof_x_m": tof.mount_x_m,
+            "tof_y_m": tof.mount_y_m,
+            "tof_field_rad": tof.field_of_view_rad,
+        },
+        walls=walls,
+        folders={name: str((folder / path).absolute()) for name, path in paths.items()},
+        config_file="" if assembly.path is None else str(assembly.path.absolute()),
+        base_folder=str(folder),
+    )

@@ -1,0 +1,111 @@
+"""What the daemon writes on the board twice a second: everything that is no signal."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hilserver import __version__
+from hilserver.compiled.histogram import BOUNDS_NS
+from hilserver.core.control import Control
+from hilserver.core.events import EventBus
+from hilserver.core.inputs import InputGate
+from hilserver.daemon import figures
+from hilserver.faults import Faults
+from hilserver.image import ProcessImage
+from hilserver.image.board import Board
+from hilserver.io.peer_status import PeerStatus
+from hilserver.monitoring.audit import AuditItem
+from hilserver.scheduler import Scheduler
+from hilserver.scheduler.metrics import slices_by_name
+
+EVERY_S = 0.5
+EVENTS = 40
+
+
+@dataclass(frozen=True)
+class Bulletin:
+    """Shows the state of a daemon to other processes; what may change later is a callable."""
+
+    control: Control
+    gate: InputGate
+    scheduler: Scheduler
+    events: EventBus
+    faults: Faults
+    peers: Callable[[], Sequence[PeerStatus]]
+    audit: Callable[[], Sequence[AuditItem]]
+    gaps: Callable[[], Mapping[str, float]]
+    patch: str | None
+    scenario: Callable[[], dict[str, Any] | None]
+    recording: Callable[[], dict[str, Any] | None]
+
+    def content(self) -> dict[str, Any]:
+        """Return what is shown, as JSON takes it."""
+        return {
+            "version": __version__,
+            "state": self.control.state.name.lower(),
+            "reason": self.control.reason,
+            "speed": self.control.speed,
+            "owner": self.gate.owner,
+            "realtime_factor": _number(self.scheduler.statistics.tick.real_time_factor),
+            "bounds_us": (BOUNDS_NS / 1000).tolist(),
+            "slices": self._slices(),
+            "peers": _table(figures.peer_table(self.peers())),
+            "audit": figures.audit_table(self.audit()),
+            "faults": [
+                {"name": f.name, "fault": f.fault, "place": f.place, "acts": f.is_acting}
+                for f in self.faults.active()
+            ],
+            "gaps": _finite(self.gaps()),
+            "patch": self.patch,
+            "scenario": self.scenario(),
+            "recording": self.recording(),
+            "events": self._events(),
+        }
+
+    def _slices(self) -> dict[str, dict[str, Any]]:
+        table = _table(figures.slice_table(self.scheduler))
+        for name, slice_ in slices_by_name(self.scheduler).items():
+            table[name]["latency_counts"] = slice_.latency_counts.tolist()
+        return table
+
+    def _events(self) -> list[dict[str, Any]]:
+        now_ns = time.monotonic_ns()
+        return [
+            {
+                "age_s": round((now_ns - event.monotonic_ns) * 1e-9, 1),
+                "kind": event.kind.value,
+                "severity": event.severity,
+                "source": event.source,
+                "text": event.message[:300],
+            }
+            for event in reversed(list(self.events.recent)[-EVENTS:])
+        ]
+
+
+class Notice:
+    """Writes a bulletin on the board of an image, not more often than anybody looks."""
+
+    def __init__(self, image: ProcessImage, bulletin: Bulletin) -> None:
+        self._board, self._bulletin = Board(image), bulletin
+        self._due_s = 0.0
+
+    def show(self) -> None:
+        """Write if it is time; called by the supervise slice."""
+        now_s = time.monotonic()
+        if now_s >= self._due_s:
+            self._due_s = now_s + EVERY_S
+            self._board.show(self._bulletin.content())
+
+
+def _table(table: figures.Table) -> dict[str, dict[str, Any]]:
+    return {name: _finite(row) for name, row in table.items()}
+
+
+def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _number(value) for name, value in row.items()}
+
+
+def _number(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

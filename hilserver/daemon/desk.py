@@ -1,0 +1,199 @@
+"""What users start and stop by the name of a file: scenarios and recordings.
+
+Names are plain and within the configured folders; nothing that exists is written over.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from hilserver.config.recording import RecordingConfig
+from hilserver.core.inputs import InputGate
+from hilserver.errors import ControlRefused, UserError
+from hilserver.faults import Faults, Play, Scenario, load_scenario
+from hilserver.faults.scenario import Stage
+from hilserver.io.recorder.launch import running_recorder
+
+SUFFIXES = (".mcap", ".csv")
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class _Playing:
+    name: str
+    start_tick: int
+    end_tick: int
+    owner: str
+
+
+class Scenarios:
+    """Plays scenarios of one folder from the present tick on.
+
+    Parameters
+    ----------
+    tick : callable
+        Number of the tick that comes next.
+    period_s : float
+        Of a tick.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        stage: Stage,
+        gate: InputGate,
+        faults: Faults,
+        tick: Callable[[], int],
+        period_s: float,
+    ) -> None:
+        self._folder, self._stage, self._gate, self._faults = folder, stage, gate, faults
+        self._tick, self._period_s = tick, period_s
+        self._playing: _Playing | None = None
+
+    async def start(self, name: str) -> None:
+        """Start a scenario.
+
+        Raises
+        ------
+        ControlRefused
+            If one is playing, or there is none of that name.
+        ConfigError
+            If the file has a mistake.
+        """
+        if self.view() is not None:
+            raise ControlRefused("a scenario is playing: StopScenario ends it")
+        path = self._folder / name
+        if not path.is_file():
+            raise ControlRefused(f"there is no scenario '{name}' in {self._folder}")
+        scenario = await asyncio.to_thread(load_scenario, path)
+        self._stage.check(Play(scenario, path))
+        start, owner = self._tick() + 1, self._gate.owner
+        self._stage.play(scenario, start)
+        end = start + round(_length_s(scenario) / self._period_s)
+        self._playing = _Playing(name, start, end, owner)
+
+    def stop(self) -> None:
+        """End the scenario, its faults and every other; set-points go to zero.
+
+        Raises
+        ------
+        ControlRefused
+            If none is playing.
+        """
+        playing, self._playing = self._playing, None
+        if playing is None:
+            raise ControlRefused("no scenario is playing")
+        self._faults.reset()
+        if self._gate.owner == "scenario":
+            self._gate.stop()
+            self._gate.take(playing.owner)
+
+    def view(self) -> dict[str, Any] | None:
+        """Return name, time and length of what is playing; None without."""
+        playing = self._playing
+        if playing is None or not playing.start_tick - 1 <= self._tick() <= playing.end_tick:
+            return None
+        return {
+            "name": playing.name,
+            "seconds": round((self._tick() - playing.start_tick + 1) * self._period_s, 1),
+            "length_s": (playing.end_tick - playing.start_tick) * self._period_s,
+        }
+
+
+def _length_s(scenario: Scenario) -> float:
+    ends = [step.at_s for step in scenario.steps]
+    ends += [fault.from_s if fault.end_s is None else fault.end_s for fault in scenario.faults]
+    return max(ends, default=0.0)
+
+
+class Recordings:
+    """Runs a recorder beside the daemon while somebody wants one."""
+
+    def __init__(self, folder: Path, config: RecordingConfig, image: str) -> None:
+        self._folder, self._config, self._image = folder, config, image
+        self._task: asyncio.Task[None] | None = None
+        self._asked = asyncio.Event()
+        self._path = folder
+
+    def start(self, name: str) -> None:
+        """Start to record into a new file; it attaches within seconds.
+
+        Raises
+        ------
+        ControlRefused
+            If a recording runs, the suffix is none of ours, or the file exists.
+        """
+        path = self._folder / name
+        if self._task is not None and not self._task.done():
+            raise ControlRefused(f"{self._path.name} is being recorded: StopRecording ends it")
+        if path.suffix not in SUFFIXES:
+            raise ControlRefused(f"'{name}' does not end in {' or '.join(SUFFIXES)}")
+        if path.exists():
+            raise ControlRefused(f"'{name}' exists; choose another name")
+        self._path, self._asked = path, asyncio.Event()
+        self._task = asyncio.create_task(self._run(path, self._asked), name="recording")
+
+    async def _run(self, path: Path, asked: asyncio.Event) -> None:
+        config = self._config.model_copy(update={"file": path.name, "rotate_mb": None})
+        try:
+            await asyncio.to_thread(self._folder.mkdir, parents=True, exist_ok=True)
+            async with running_recorder(config, self._image, self._folder):
+                await asked.wait()
+        except (UserError, OSError) as error:
+            _log.error("no recording", file=str(path), reason=str(error))
+
+    def stop(self) -> None:
+        """End the recording; its file is complete soon.
+
+        Raises
+        ------
+        ControlRefused
+            If nothing is being recorded.
+        """
+        if self._task is None or self._task.done():
+            raise ControlRefused("nothing is being recorded")
+        self._asked.set()
+
+    def view(self) -> dict[str, Any] | None:
+        """Return name and size of the file that is being written; None without."""
+        if self._task is None or self._task.done():
+            return None
+        size = 0
+        with contextlib.suppress(OSError):
+            size = self._path.stat().st_size
+        return {"name": self._path.name, "bytes": size}
+
+    async def close(self) -> None:
+        """End the recording and wait until its file is complete."""
+        self._asked.set()
+        if self._task is not None:
+            await asyncio.gather(self._task, return_exceptions=True)
+
+
+class Desk:
+    """Scenarios and recordings, as the OPC UA methods start and stop them."""
+
+    def __init__(self, scenarios: Scenarios, recordings: Recordings) -> None:
+        self.scenarios, self.recordings = scenarios, recordings
+
+    async def start_scenario(self, name: str) -> None:
+        """Play a scenario from now on."""
+        await self.scenarios.start(name)
+
+    def stop_scenario(self) -> None:
+        """End it."""
+        self.scenarios.stop()
+
+    def start_recording(self, name: str) -> None:
+        """Record into a new file."""
+        self.recordings.start(name)
+
+    def stop_recording(self) -> None:
+        """Complete it."""
+        self.recordings.stop()

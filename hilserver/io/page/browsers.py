@@ -1,0 +1,99 @@
+"""Who is there: one entry per browser, found by its cookie, proved by its token."""
+
+import asyncio
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from hilserver.io.page.hand import Hand
+
+COOKIE = "hilserver_page"
+MAX_BROWSERS = 200
+MAX_TICKETS = 8
+TICKET_S = 10.0
+IDLE_S = 3600.0
+
+
+@dataclass
+class Browser:
+    """One browser.
+
+    Attributes
+    ----------
+    key : str
+        Value of its cookie, which no script can read.
+    token : str
+        Written into the page; whoever posts has to name it.
+    user : str
+        Name it has logged in with; empty: anonymous.
+    live : int
+        Open sockets.
+    """
+
+    hand: Hand
+    key: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
+    user: str = ""
+    live: int = 0
+    seen_s: float = field(default_factory=time.monotonic)
+    lock: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _tickets: dict[str, float] = field(default_factory=dict, repr=False)
+
+    def new_ticket(self) -> str:
+        """Return what opens one socket, once and soon."""
+        while len(self._tickets) >= MAX_TICKETS:
+            del self._tickets[next(iter(self._tickets))]
+        ticket = secrets.token_urlsafe(24)
+        self._tickets[ticket] = time.monotonic() + TICKET_S
+        return ticket
+
+    def take_ticket(self, ticket: object) -> bool:
+        """Whether the ticket is good; it is not a second time."""
+        until_s = self._tickets.pop(ticket, 0.0) if isinstance(ticket, str) else 0.0
+        return time.monotonic() < until_s
+
+    def knows(self, token: str) -> bool:
+        """Whether `token` is ours."""
+        return secrets.compare_digest(token.encode(), self.token.encode())
+
+
+class Browsers:
+    """All of them, the one not seen for longest forgotten first."""
+
+    def __init__(self, make_hand: Callable[[], Hand]) -> None:
+        self._make_hand = make_hand
+        self._by_key: dict[str, Browser] = {}
+
+    def find(self, key: str | None) -> Browser | None:
+        """Return the browser with this cookie."""
+        browser = self._by_key.get(key or "")
+        if browser is not None:
+            browser.seen_s = time.monotonic()
+        return browser
+
+    async def new(self) -> Browser:
+        """Return a new one; one that has no socket open makes room."""
+        idle = sorted((b for b in self._by_key.values() if not b.live), key=lambda b: b.seen_s)
+        while idle and len(self._by_key) >= MAX_BROWSERS:
+            await self.forget(idle.pop(0))
+        browser = Browser(self._make_hand())
+        self._by_key[browser.key] = browser
+        return browser
+
+    async def forget(self, browser: Browser) -> None:
+        """Log out and forget."""
+        self._by_key.pop(browser.key, None)
+        await browser.hand.close()
+
+    async def sweep(self) -> None:
+        """Forget who has not been here for an hour; close sessions that nobody needs."""
+        now_s = time.monotonic()
+        for browser in tuple(self._by_key.values()):
+            if not browser.live and now_s - browser.seen_s > IDLE_S:
+                await self.forget(browser)
+
+    async def close(self) -> None:
+        """Forget all."""
+        for browser in tuple(self._by_key.values()):
+            await self.forget(browser)

@@ -1,0 +1,120 @@
+"""Who drives, and the way of its commands: one browser at a time, only on a fresh picture."""
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Protocol
+
+from hilserver.io.page.browsers import Browser
+from hilserver.io.page.frames import age_ms
+from hilserver.io.page.hand import RefusedError
+from hilserver.plant.layout import WHEELS
+
+_MODES = {"wheels": 0, "twist": 1}
+
+
+class Seat(Protocol):
+    """A socket whose user may take the wheel."""
+
+    number: int
+    browser: Browser
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """Send a message."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Set-points, checked: signal to value."""
+
+    values: Mapping[str, float]
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether nothing is to move."""
+        return not any(v for name, v in self.values.items() if name != "control.mode")
+
+    @classmethod
+    def parse(cls, data: Mapping[str, Any]) -> "Command":
+        """Return the command of a message; RefusedError if it is none."""
+        mode = data.get("mode")
+        numbers: list[Any] = []
+        if mode == "twist":
+            names = ["twist.linear_m_s", "twist.angular_rad_s"]
+            numbers = [data.get("linear"), data.get("turn")]
+        elif mode == "wheels":
+            names = [f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS]
+            given = data.get("rpm")
+            numbers = given if isinstance(given, list) else []
+        else:
+            raise RefusedError("a command has the mode 'twist' or 'wheels'")
+        if len(numbers) != len(names) or not all(_is_number(n) for n in numbers):
+            raise RefusedError("a command has finite numbers")
+        values = {n: float(v) for n, v in zip(names, numbers, strict=True)}
+        return cls({"control.mode": _MODES[mode], **values})
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+class Driving:
+    """Hands the newest command of the driver to the daemon; older ones are dropped, never queued.
+
+    Parameters
+    ----------
+    deadman_ms : float
+        Commands on an older picture are refused. The daemon ends a held command by itself.
+
+    Attributes
+    ----------
+    driver : Seat or None
+    """
+
+    def __init__(self, deadman_ms: float) -> None:
+        self.driver: Seat | None = None
+        self._deadman_ms = deadman_ms
+        self._next: Command | None = None
+        self._news = asyncio.Event()
+
+    async def take(self, seat: Seat) -> None:
+        """Give the wheel to `seat`, and control to the page; RefusedError if that may not be."""
+        if not seat.browser.hand.rights.drive:
+            raise RefusedError("your role does not allow driving")
+        await seat.browser.hand.write({"control.source": "page"})
+        before, self.driver, self._next = self.driver, seat, None
+        if before is not None and before is not seat:
+            before.tell({"type": "refused", "text": "another browser has taken the wheel"})
+
+    def command(self, seat: Seat, data: Mapping[str, Any]) -> None:
+        """Take a command of `seat`; RefusedError if it does not drive, or on a picture too old."""
+        command = Command.parse(data)
+        if seat is not self.driver:
+            raise RefusedError("you do not drive: take control first")
+        seen = data.get("seen")
+        is_fresh = isinstance(seen, int) and age_ms(seen) <= self._deadman_ms
+        if not is_fresh and not command.is_zero:
+            raise RefusedError("your picture is too old to drive by")
+        self._next = command
+        self._news.set()
+
+    def leave(self, seat: Seat) -> None:
+        """Let go of the wheel; what was held goes to zero."""
+        if seat is self.driver:
+            self._next = Command.parse({"mode": "twist", "linear": 0, "turn": 0})
+            self._news.set()
+
+    async def run(self) -> None:
+        """Hand over commands, one at a time, for ever."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            command, seat = self._next, self.driver
+            if command is None or seat is None:
+                continue
+            self._next = None
+            try:
+                await seat.browser.hand.write(command.values)
+            except RefusedError as error:
+                seat.tell({"type": "refused", "text": str(error)})

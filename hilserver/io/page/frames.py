@@ -1,0 +1,43 @@
+"""Binary frames: what a browser has asked to see, as it stands in the process image.
+
+Little endian: version (1), number of the subscription (UInt8), signals n (UInt16), time stamp
+[ms] (UInt32), tick (Double), n values (Double), n OPC UA status codes (UInt32). A browser sends the
+newest time stamp back with every command, so that nobody drives on a picture that stands still.
+"""
+
+import struct
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.image import Frame
+
+VERSION = 1
+HEAD = struct.Struct("<BBHId")
+_WRAP = 2**32
+
+
+def stamp_ms() -> int:
+    """Return the time stamp of now; it wraps after 49 days."""
+    return time.monotonic_ns() // 1_000_000 % _WRAP
+
+
+def age_ms(stamp: int) -> int:
+    """Return how old a time stamp is."""
+    return (stamp_ms() - stamp) % _WRAP
+
+
+class Selection:
+    """The signals that a browser has asked for."""
+
+    def __init__(self, number: int, slots: Sequence[int]) -> None:
+        self.key = (number & 0xFF, tuple(slots))
+        self._slots: NDArray[np.intp] = np.array(slots, dtype=np.intp)
+
+    def encode(self, frame: Frame, stamp: int) -> bytes:
+        """Return the bytes for one frame."""
+        head = HEAD.pack(VERSION, self.key[0], len(self._slots), stamp, frame.tick)
+        values = frame.values[self._slots].astype("<f8").tobytes()
+        return head + values + frame.status[self._slots].astype("<u4").tobytes()

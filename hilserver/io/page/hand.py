@@ -1,0 +1,197 @@
+"""The hand of one browser: its own session at the daemon's OPC UA server, with its own rights."""
+
+import asyncio
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import Client, ua
+from asyncua.ua.ua_binary import struct_from_binary
+
+from hilserver.io.opcua_server.method_table import METHODS, STRING, Method
+from hilserver.io.opcua_server.model import CONTROL_SOURCE, NAMESPACE_URI
+from hilserver.io.page.setup import OpcUaAccess
+
+logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+
+TIMEOUT_S = 4.0
+_TEXTS = 0x80  # additional info of every operation
+_VARIANTS = {
+    "Double": (ua.VariantType.Double, float),
+    "Boolean": (ua.VariantType.Boolean, bool),
+    "Byte": (ua.VariantType.Byte, int),
+    "UInt32": (ua.VariantType.UInt32, int),
+    "Int64": (ua.VariantType.Int64, int),
+    STRING: (ua.VariantType.String, str),
+}
+_METHODS = {method.name: method for method in METHODS}
+
+
+class RefusedError(Exception):
+    """The daemon has refused; the sentence says why."""
+
+
+@dataclass(frozen=True)
+class Rights:
+    """What the user of a session may do."""
+
+    drive: bool = False
+    methods: tuple[str, ...] = ()
+
+
+class Hand:
+    """Writes and calls for one browser.
+
+    Parameters
+    ----------
+    types : mapping of str
+        Value type of every signal.
+    """
+
+    def __init__(self, access: OpcUaAccess, types: Mapping[str, str]) -> None:
+        self._access, self._types = access, {**types, CONTROL_SOURCE: STRING}
+        self._client: Client | None = None
+        self._index = 0
+        self.rights = Rights()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a session."""
+        client = self._client
+        return client is not None and client.uaclient.protocol is not None
+
+    async def connect(self, name: str = "", password: str = "") -> None:
+        """Open the session.
+
+        Raises
+        ------
+        RefusedError
+            If the server does not answer, or does not know this user.
+        """
+        access = self._access
+        if not access.endpoint:
+            raise RefusedError("the OPC UA server of the daemon is off: this page only shows")
+        await self.close()
+        client = Client(access.endpoint, timeout=TIMEOUT_S, watchdog_intervall=30.0)
+        client.name = "hilserver page"
+        client.description = f"{access.secret or 'page'} operator"
+        try:
+            if access.policy:
+                await _secure(client, access)
+            if name:
+                client.set_user(name)
+                client.set_password(password)
+            await client.connect()
+            self._client = client
+            self._index = await client.get_namespace_index(NAMESPACE_URI)
+            self.rights = await self._read_rights()
+        except ua.UaStatusCodeError as error:
+            await self.close()
+            unknown = {ua.StatusCodes.BadUserAccessDenied, ua.StatusCodes.BadIdentityTokenRejected}
+            text = "name or password is wrong" if error.code in unknown else str(error)
+            raise RefusedError(text) from None
+        except (OSError, TimeoutError, ua.UaError) as error:
+            await self.close()
+            raise RefusedError(f"the daemon's OPC UA server does not answer: {error}") from None
+
+    async def close(self) -> None:
+        """End the session."""
+        client, self._client = self._client, None
+        self.rights = Rights()
+        if client is not None:
+            try:
+                async with asyncio.timeout(TIMEOUT_S):
+                    await client.disconnect()
+            except (OSError, TimeoutError, ua.UaError):
+                return
+
+    async def write(self, values: Mapping[str, Any]) -> None:
+        """Write signals, all in one tick.
+
+        Raises
+        ------
+        RefusedError
+            With the sentence of the first one that was refused.
+        """
+        request = ua.WriteRequest()
+        for name, value in values.items():
+            item = ua.WriteValue()
+            item.NodeId = ua.NodeId(name, self._index)
+            item.AttributeId = ua.AttributeIds.Value
+            item.Value = ua.DataValue(_variant(self._types[name], value))
+            request.Parameters.NodesToWrite.append(item)
+        response = await self._ask(request, ua.WriteResponse)
+        _check(response.Results, response.DiagnosticInfos)
+
+    async def call(self, name: str, arguments: Sequence[Any]) -> None:
+        """Call one method.
+
+        Raises
+        ------
+        RefusedError
+            If the daemon refuses, or the arguments do not fit.
+        """
+        method = _METHODS[name]
+        request, item = ua.CallRequest(), ua.CallMethodRequest()
+        item.ObjectId = ua.NodeId("methods", self._index)
+        item.MethodId = ua.NodeId(method.node_id, self._index)
+        item.InputArguments = _arguments(method, arguments)
+        request.Parameters.MethodsToCall = [item]
+        response = await self._ask(request, ua.CallResponse)
+        _check([result.StatusCode for result in response.Results], response.DiagnosticInfos)
+
+    async def _ask(self, request: Any, kind: Any) -> Any:
+        if self._client is None:
+            raise RefusedError("not connected to the daemon")
+        request.RequestHeader.ReturnDiagnostics = _TEXTS
+        try:
+            data = await self._client.uaclient.session._send_request(request)
+            response = struct_from_binary(kind, data)
+            response.ResponseHeader.ServiceResult.check()
+        except (OSError, TimeoutError, ua.UaError) as error:
+            raise RefusedError(f"the daemon does not answer: {error or 'time-out'}") from None
+        return response
+
+    async def _read_rights(self) -> Rights:
+        executable = await self._read(
+            [method.node_id for method in METHODS], ua.AttributeIds.UserExecutable
+        )
+        (level,) = await self._read(["twist.linear_m_s"], ua.AttributeIds.UserAccessLevel)
+        methods = tuple(m.name for m, may in zip(METHODS, executable, strict=True) if may)
+        return Rights(bool((level or 0) & ua.AccessLevel.CurrentWrite.mask), methods)
+
+    async def _read(self, names: list[str], attribute: ua.AttributeIds) -> list[Any]:
+        if self._client is None:
+            return [None] * len(names)
+        nodes = [ua.NodeId(name, self._index) for name in names]
+        values = await self._client.uaclient.read_attributes(nodes, attribute)
+        return [None if value.Value is None else value.Value.Value for value in values]
+
+
+async def _secure(client: Client, access: OpcUaAccess) -> None:
+    from asyncua.crypto import security_policies  # noqa: PLC0415 - most pages are in the clear
+
+    policy = getattr(security_policies, f"SecurityPolicy{access.policy}")
+    await client.set_security(policy, access.certificate, access.key)
+
+
+def _variant(kind: str, value: Any) -> ua.Variant:
+    variant_type, convert = _VARIANTS[kind]
+    return ua.Variant(convert(value), variant_type)
+
+
+def _arguments(method: Method, given: Sequence[Any]) -> list[ua.Variant]:
+    if len(given) != len(method.arguments):
+        raise RefusedError(f"{method.name} takes {len(method.arguments)} arguments")
+    try:
+        return [_variant(a.type, v) for a, v in zip(method.arguments, given, strict=True)]
+    except (TypeError, ValueError, OverflowError):
+        raise RefusedError(f"{method.name}: an argument does not fit") from None
+
+
+def _check(codes: Sequence[ua.StatusCode], infos: Sequence[ua.DiagnosticInfo] | None) -> None:
+    for position, code in enumerate(codes):
+        if not code.is_good():
+            info = infos[position] if infos and position < len(infos) else None
+            raise RefusedError((info.AdditionalInfo if info else None) or code.name)

@@ -1,0 +1,161 @@
+"""Diagnoses started on the page: processes with idle priority and a memory limit, one at a time."""
+
+import asyncio
+import contextlib
+import re
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.setup import Setup
+
+MAX_KEPT = 20
+LOG_SUFFIXES = (".csv", ".mcap", ".parquet", ".db3")
+STOP_LIMIT_S = 5.0
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+_PROGRESS = re.compile(r"^\s*(\d{1,3})% (.{1,200})$")
+
+
+def files_in(folder: Path, *suffixes: str) -> Iterator[dict[str, Any]]:
+    """Yield name, size and time of every plain file of a folder, the newest first."""
+    with contextlib.suppress(OSError):
+        entries = [(path, path.stat()) for path in folder.iterdir() if path.is_file()]
+        for path, status in sorted(entries, key=lambda row: -row[1].st_mtime)[:500]:
+            if (not suffixes or path.suffix in suffixes) and _NAME.fullmatch(path.name):
+                yield {"name": path.name, "bytes": status.st_size, "modified_s": status.st_mtime}
+
+
+def file_in(folder: Path, name: object) -> Path:
+    """Return a file by its plain name; RefusedError if there is none."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise RefusedError(f"{str(name)!r:.60} is no plain file name")
+    path = folder / name
+    if not path.is_file():
+        raise RefusedError(f"there is no '{name}' in {folder}")
+    return path
+
+
+@dataclass
+class Job:
+    """One diagnosis."""
+
+    number: int
+    log: str
+    folder: Path
+    state: str = "running"
+    share: float = 0.0
+    stage: str = "starting"
+    text: str = ""
+    started_s: float = field(default_factory=time.time)
+    process: asyncio.subprocess.Process | None = None
+
+    def view(self) -> dict[str, Any]:
+        """Return what a browser is shown."""
+        keys = ("number", "log", "state", "share", "stage", "text", "started_s")
+        files = [f["name"] for f in files_in(self.folder)] if self.state == "done" else []
+        return {key: getattr(self, key) for key in keys} | {
+            "folder": self.folder.name,
+            "files": files,
+        }
+
+
+class Jobs:
+    """Starts, follows and ends diagnoses."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._next = 1
+
+    def view(self) -> list[dict[str, Any]]:
+        """Return all jobs, the newest first."""
+        return [job.view() for job in reversed(self._jobs)]
+
+    def diagnose(self, log: object) -> int:
+        """Start a diagnosis of a log; return its number.
+
+        Raises
+        ------
+        RefusedError
+            If there is no such log, or one is running.
+        """
+        path = file_in(self._setup.folder("recordings"), log)
+        running = next((job for job in self._jobs if job.state == "running"), None)
+        if running is not None:
+            raise RefusedError(f"the diagnosis of {running.log} is running; wait or cancel it")
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        job = Job(self._next, path.name, self._setup.folder("reports") / f"{path.stem}-{stamp}")
+        self._next += 1
+        self._jobs.append(job)
+        task = asyncio.create_task(self._run(job, path), name=f"diagnosis {job.number}")
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return job.number
+
+    def cancel(self, number: object) -> None:
+        """End a diagnosis; there is no report then."""
+        for job in self._jobs:
+            if job.number == number and job.process is not None and job.state == "running":
+                job.state = "cancelled"
+                with contextlib.suppress(ProcessLookupError):
+                    job.process.terminate()
+                return
+        raise RefusedError("there is no such diagnosis running")
+
+    def report(self, folder: str, name: str) -> Path | None:
+        """Return a file of a finished diagnosis."""
+        for job in self._jobs:
+            if job.folder.name == folder and job.state == "done" and _NAME.fullmatch(name):
+                path = job.folder / name
+                return path if path.is_file() else None
+        return None
+
+    async def close(self) -> None:
+        """End whatever runs."""
+        for job in self._jobs:
+            if job.process is not None and job.process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    job.process.terminate()
+        for task in tuple(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _run(self, job: Job, log: Path) -> None:
+        words = [sys.executable, "-m", "hilserver.io.page.quietly", "diagnose", str(log)]
+        words += ["-o", str(job.folder), "--jobs", "1"]
+        if self._setup.config_file:
+            words += ["-c", self._setup.config_file]
+        try:
+            job.process = await asyncio.create_subprocess_exec(
+                *words,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT,
+                start_new_session=True,
+            )
+            await self._follow(job, job.process)
+            code = await job.process.wait()
+            if job.state == "running":
+                job.state, job.share = ("done", 1.0) if code == 0 else ("failed", job.share)
+        except (OSError, ValueError) as error:
+            job.state, job.text = "failed", str(error)
+        finally:
+            if job.process is not None and job.process.returncode is None:
+                job.process.kill()
+                await job.process.wait()
+
+    async def _follow(self, job: Job, process: asyncio.subprocess.Process) -> None:
+        lines: deque[str] = deque(maxlen=12)
+        while process.stdout is not None and (data := await process.stdout.readline()):
+            line = data.decode(errors="replace").rstrip()[:400]
+            if match := _PROGRESS.match(line):
+                job.share, job.stage = int(match[1]) / 100, match[2]
+            else:
+                lines.append(line)
+                job.text = "\n".join(lines)

@@ -1,0 +1,235 @@
+"""The sockets: frames of the process image many times a second, the board twice a second.
+
+A browser that does not take its frames loses them; nobody waits for it.
+"""
+
+import asyncio
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from hilserver.image import Frame, ImageReader
+from hilserver.image.board import BoardReader
+from hilserver.io.page.browsers import Browser
+from hilserver.io.page.driving import Driving
+from hilserver.io.page.frames import Selection, stamp_ms
+from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.jobs import Jobs
+
+MESSAGE_BYTES = 65_536
+MESSAGES_PER_S = 200
+MAX_SIGNALS = 500
+UNREAD_BYTES = 32_768
+UNREAD_S = 15.0
+BOARD_EVERY_S = 0.5
+GREET_S = 5.0
+
+
+class Client:
+    """One socket of one browser.
+
+    Attributes
+    ----------
+    lost : int
+        Frames that it did not get because it does not take them.
+    """
+
+    def __init__(self, number: int, browser: Browser, request: web.Request) -> None:
+        self.number, self.browser = number, browser
+        self.selection: Selection | None = None
+        self.lost = 0
+        self.socket = web.WebSocketResponse(
+            max_msg_size=MESSAGE_BYTES, compress=False, heartbeat=20.0
+        )
+        self._transport = request.transport
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._blocked_since_s: float | None = None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it has taken what it was sent; one that takes nothing for long is dropped."""
+        transport = self._transport
+        if transport is None or self.socket.closed or transport.is_closing():
+            return False
+        if transport.get_write_buffer_size() <= UNREAD_BYTES:
+            self._blocked_since_s = None
+            return True
+        self.lost += 1
+        now_s = time.monotonic()
+        self._blocked_since_s = self._blocked_since_s or now_s
+        if now_s - self._blocked_since_s > UNREAD_S:
+            transport.abort()
+        return False
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """Send a message; never waits."""
+        if self.is_ready:
+            self._later(self.socket.send_str(json.dumps(message)))
+
+    def _later(self, sending: Any) -> None:
+        task = asyncio.create_task(_ignoring_loss(sending))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+async def _ignoring_loss(sending: Any) -> None:
+    try:
+        await sending
+    except (ConnectionError, RuntimeError):
+        return
+
+
+class Live:
+    """All sockets, and the loop that serves them.
+
+    Parameters
+    ----------
+    slots : mapping of int
+        Slot of every signal that may be seen.
+    jobs : Jobs
+        Shown in the slow message.
+    """
+
+    def __init__(
+        self,
+        reader: ImageReader,
+        slots: Mapping[str, int],
+        driving: Driving,
+        *,
+        rate_hz: float,
+        max_clients: int,
+        jobs: Jobs,
+    ) -> None:
+        self._reader, self._slots, self._driving = reader, slots, driving
+        self._board = BoardReader(reader)
+        self._period_s, self._max_clients, self._jobs = 1.0 / rate_hz, max_clients, jobs
+        self._clients: dict[int, Client] = {}
+        self._next = 1
+        self.frames_sent = 0
+
+    def find(self, number: object) -> Client | None:
+        """Return a client by its number."""
+        return self._clients.get(number) if isinstance(number, int) else None
+
+    @property
+    def board(self) -> dict[str, Any]:
+        """What the daemon last wrote on the board."""
+        return self._board.content
+
+    async def serve(self, request: web.Request, browser: Browser) -> web.WebSocketResponse:
+        """Serve one socket until it closes."""
+        client = Client(self._next, browser, request)
+        self._next += 1
+        await client.socket.prepare(request)
+        if len(self._clients) >= self._max_clients:
+            await _close(client, WSCloseCode.TRY_AGAIN_LATER, "too many browsers")
+            return client.socket
+        if not await self._greeted(client):
+            await _close(client, WSCloseCode.POLICY_VIOLATION, "no valid ticket")
+            return client.socket
+        self._clients[client.number] = client
+        browser.live += 1
+        try:
+            client.tell({"type": "welcome", "you": client.number})
+            client.tell(self._slow())
+            await self._listen(client)
+        finally:
+            browser.live -= 1
+            del self._clients[client.number]
+            self._driving.leave(client)
+        return client.socket
+
+    async def _greeted(self, client: Client) -> bool:
+        try:
+            async with asyncio.timeout(GREET_S):
+                data = await client.socket.receive_json()
+        except (TypeError, ValueError, TimeoutError):
+            return False
+        return isinstance(data, dict) and client.browser.take_ticket(data.get("ticket"))
+
+    async def _listen(self, client: Client) -> None:
+        second, count = 0, 0
+        async for message in client.socket:
+            now_s = int(time.monotonic())
+            second, count = (second, count + 1) if now_s == second else (now_s, 1)
+            if message.type is not WSMsgType.TEXT or count > MESSAGES_PER_S:
+                await _close(client, WSCloseCode.POLICY_VIOLATION, "no message of this page")
+                return
+            try:
+                self._understand(client, json.loads(message.data))
+            except RefusedError as error:
+                client.tell({"type": "refused", "text": str(error)})
+            except (ValueError, TypeError, KeyError, RecursionError):
+                await _close(client, WSCloseCode.POLICY_VIOLATION, "no message of this page")
+                return
+
+    def _understand(self, client: Client, data: Mapping[str, Any]) -> None:
+        if "drive" in data:
+            self._driving.command(client, dict(data["drive"]))
+        elif "subscribe" in data:
+            names, number = data["subscribe"], data["number"]
+            if len(names) > MAX_SIGNALS or not isinstance(number, int):
+                raise ValueError("too many signals")
+            client.selection = Selection(number, [self._slots[name] for name in names])
+        else:
+            raise ValueError("unknown message")
+
+    async def run(self) -> None:
+        """Send frames and boards for ever."""
+        loop = asyncio.get_running_loop()
+        next_s, board_s = loop.time(), loop.time()
+        while True:
+            next_s = max(next_s + self._period_s, loop.time())
+            await asyncio.sleep(next_s - loop.time())
+            if not self._clients:
+                continue
+            frame = self._reader.latest()
+            if frame is not None:
+                await self._send(frame)
+            if loop.time() >= board_s:
+                board_s = loop.time() + BOARD_EVERY_S
+                text = json.dumps(self._slow(), separators=(",", ":"))
+                await self._send_text(text)
+
+    async def _send(self, frame: Frame) -> None:
+        stamp, encoded = stamp_ms(), dict[Any, bytes]()
+        for client in tuple(self._clients.values()):
+            selection = client.selection
+            if selection is None or not client.is_ready:
+                continue
+            data = encoded.get(selection.key)
+            if data is None:
+                data = encoded[selection.key] = selection.encode(frame, stamp)
+            await _ignoring_loss(client.socket.send_bytes(data))
+            self.frames_sent += 1
+
+    async def _send_text(self, text: str) -> None:
+        for client in tuple(self._clients.values()):
+            if client.is_ready:
+                await _ignoring_loss(client.socket.send_str(text))
+
+    def _slow(self) -> dict[str, Any]:
+        driver = self._driving.driver
+        return {
+            "type": "board",
+            "board": self.board,
+            "driver": None if driver is None else driver.number,
+            "clients": len(self._clients),
+            "jobs": self._jobs.view(),
+        }
+
+    async def close(self) -> None:
+        """Close all sockets."""
+        for client in tuple(self._clients.values()):
+            await _close(client, WSCloseCode.GOING_AWAY, "the daemon has ended")
+
+
+async def _close(client: Client, code: int, why: str) -> None:
+    try:
+        async with asyncio.timeout(1.0):
+            await client.socket.close(code=code, message=why.encode())
+    except (TimeoutError, ConnectionError, RuntimeError):
+        return

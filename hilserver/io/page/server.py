@@ -1,0 +1,336 @@
+"""The page's server: routes, and what runs beside them."""
+
+import asyncio
+import contextlib
+import resource
+import socket
+import ssl
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import structlog
+from aiohttp import web
+
+from hilserver.image import ImageReader
+from hilserver.io.opcua_server.method_table import METHODS
+from hilserver.io.page import bundle
+from hilserver.io.page.browsers import COOKIE, Browser, Browsers
+from hilserver.io.page.driving import Driving
+from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
+from hilserver.io.page.hand import Hand, RefusedError
+from hilserver.io.page.jobs import LOG_SUFFIXES, Jobs, files_in
+from hilserver.io.page.live import Live
+from hilserver.io.page.setup import Setup
+
+TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
+MAX_CONNECTIONS = 256
+BODY_BYTES = 65_536
+SWEEP_S = 60.0
+_METHODS = {method.name for method in METHODS}
+
+_log = structlog.get_logger(__name__)
+
+
+class PageServer:
+    """Serves the page of one daemon until it is cancelled.
+
+    Raises
+    ------
+    FailedError
+        If the daemon does not run, or the page is not built.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._assets = bundle.load()
+        types = {signal["name"]: signal["type"] for signal in setup.signals}
+        self._browsers = Browsers(lambda: Hand(setup.opcua, types))
+        self._driving = Driving(setup.page.deadman_ms)
+        self._jobs = Jobs(setup)
+        self._live = Live(
+            ImageReader.attach(setup.image),
+            {signal["name"]: signal["slot"] for signal in setup.signals},
+            self._driving,
+            rate_hz=setup.page.rate_hz,
+            max_clients=setup.page.max_clients,
+            jobs=self._jobs,
+        )
+
+    async def run(self, listener: socket.socket) -> None:
+        """Serve on `listener`."""
+        _allow_connections()
+        runner = web.AppRunner(
+            self._application(), access_log=None, handle_signals=False, keepalive_timeout=20.0
+        )
+        await runner.setup()
+        loop = asyncio.get_running_loop()
+        inner = runner.server
+        if inner is None:
+            return
+
+        def accept() -> asyncio.BaseProtocol:
+            return inner() if len(inner.connections) < MAX_CONNECTIONS else _Refusal()
+
+        server = await loop.create_server(accept, sock=listener, ssl=self._tls())
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._live.run(), name="frames")
+                tasks.create_task(self._driving.run(), name="commands")
+                tasks.create_task(self._sweep(), name="sweep")
+        finally:
+            server.close()
+            await self._live.close()
+            await self._jobs.close()
+            await self._browsers.close()
+            await runner.cleanup()
+
+    def _tls(self) -> ssl.SSLContext | None:
+        tls = self._setup.page.tls
+        if tls is None:
+            return None
+        context, base = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH), Path()
+        base = Path(self._setup.base_folder)
+        context.load_cert_chain(base / tls.certificate, base / tls.key)
+        return context
+
+    async def _sweep(self) -> None:
+        while True:
+            await asyncio.sleep(SWEEP_S)
+            await self._browsers.sweep()
+
+    def _application(self) -> web.Application:
+        gatekeeper = Gatekeeper(self._setup.page.host)
+        application = web.Application(
+            middlewares=[gatekeeper.middleware()], client_max_size=BODY_BYTES
+        )
+        application.add_routes(
+            [
+                web.get("/", self._index),
+                web.get("/api/signals", self._signals),
+                web.get("/api/hall", self._hall),
+                web.get("/api/logs", self._logs),
+                web.get("/api/jobs", self._list_jobs),
+                web.get("/api/reports/{folder}/{name}", self._report),
+                web.post("/api/call", self._call),
+                web.get("/api/live", self._socket),
+                web.get("/{path:.+}", self._asset),
+            ]
+        )
+        return application
+
+    # --- the page -----------------------------------------------------------------------------
+
+    async def _index(self, request: web.Request) -> web.Response:
+        browser = self._browsers.find(request.cookies.get(COOKIE))
+        is_new = browser is None
+        if browser is None:
+            browser = await self._browsers.new()
+        body = self._assets["index.html"].body.replace(bundle.TOKEN, browser.token.encode())
+        response = web.Response(body=body, content_type="text/html", charset="utf-8")
+        if is_new:
+            response.set_cookie(
+                COOKIE,
+                browser.key,
+                httponly=True,
+                samesite="Strict",
+                secure=self._setup.page.tls is not None,
+                path="/",
+            )
+        return response
+
+    async def _asset(self, request: web.Request) -> web.Response:
+        path = request.match_info["path"]
+        asset = self._assets.get(path)
+        if asset is None or path == "index.html":
+            raise web.HTTPNotFound(text="there is no such page")
+        headers = {"Content-Type": asset.content_type}
+        if path.startswith("assets/"):  # their names change with their content
+            headers["Cache-Control"] = "max-age=31536000, immutable"
+        if asset.packed is not None and "gzip" in request.headers.get("Accept-Encoding", ""):
+            return web.Response(body=asset.packed, headers={**headers, "Content-Encoding": "gzip"})
+        return web.Response(body=asset.body, headers=headers)
+
+    # --- what it reads ----------------------------------------------------------------------------
+
+    def _known(self, request: web.Request) -> Browser:
+        browser = self._browsers.find(request.cookies.get(COOKIE))
+        if browser is None:
+            raise web.HTTPUnauthorized(text="load the page first")
+        return browser
+
+    def _reader(self, request: web.Request) -> Browser:
+        browser = self._known(request)
+        if self._setup.opcua.needs_login and not browser.hand.is_connected:
+            raise web.HTTPUnauthorized(text="log in first")
+        return browser
+
+    async def _signals(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        return web.json_response({"signals": self._setup.signals})
+
+    async def _hall(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        return web.json_response({"walls": self._setup.walls, "robot": self._setup.robot})
+
+    async def _logs(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        folder = self._setup.folder
+        return web.json_response(
+            {
+                "logs": list(files_in(folder("recordings"), *LOG_SUFFIXES)),
+                "scenarios": list(files_in(folder("scenarios"), ".yaml", ".yml")),
+                "patches": list(files_in(folder("patches"), ".yaml", ".yml")),
+                "snapshots": list(files_in(folder("snapshots"))),
+                "folders": self._setup.folders,
+            }
+        )
+
+    async def _list_jobs(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        return web.json_response({"jobs": self._jobs.view()})
+
+    async def _report(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        path = self._jobs.report(request.match_info["folder"], request.match_info["name"])
+        if path is None:
+            raise web.HTTPNotFound(text="there is no such report")
+        kind = "text/html" if path.suffix == ".html" else "text/plain"
+        headers = {"Content-Security-Policy": REPORT_POLICY}
+        body = await asyncio.to_thread(path.read_bytes)
+        return web.Response(body=body, content_type=kind, charset="utf-8", headers=headers)
+
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        if request.headers.get("Origin") is None:
+            raise web.HTTPForbidden(text="no origin")
+        browser = self._reader(request)
+        return await self._live.serve(request, browser)
+
+    # --- what it does -----------------------------------------------------------------------------
+
+    async def _call(self, request: web.Request) -> web.Response:
+        browser = self._known(request)
+        if not browser.knows(request.headers.get(TOKEN_HEADER, "")):
+            raise web.HTTPForbidden(text="no valid token")
+        if request.content_type != "application/json":
+            raise web.HTTPUnsupportedMediaType(text="a call is JSON")
+        try:
+            data = await request.json()
+            name, arguments = str(data["method"]), list(data.get("arguments", ()))
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            raise web.HTTPBadRequest(text="a call has a method and arguments") from None
+        try:
+            result = await self._do(browser, name, arguments)
+        except RefusedError as error:
+            return web.json_response({"ok": False, "text": str(error)}, status=409)
+        return web.json_response({"ok": True, "result": result})
+
+    async def _do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
+        own: dict[str, Callable[..., Awaitable[Any]]] = {
+            "login": self._login,
+            "logout": self._logout,
+            "session": self._session,
+            "ticket": self._ticket,
+            "take": self._take,
+            "give": self._give,
+            "write": self._write,
+            "diagnose": self._diagnose,
+            "cancel": self._cancel,
+        }
+        if name not in own and name not in _METHODS:
+            raise RefusedError(f"there is no method '{name:.40}'")
+        if name not in ("login", "logout", "session"):
+            await self._ready(browser)
+        try:
+            if name in own:
+                return await own[name](browser, *arguments)
+            await browser.hand.call(name, arguments)
+            _log.info("page call", method=name, user=browser.user or "anonymous")
+        except TypeError:
+            raise RefusedError(f"{name}: other arguments are needed") from None
+        return None
+
+    async def _ready(self, browser: Browser) -> None:
+        async with browser.lock:
+            if browser.hand.is_connected:
+                return
+            if self._setup.opcua.needs_login:
+                browser.user = ""
+                raise RefusedError("log in first")
+            await browser.hand.connect()
+
+    async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
+        if not self._setup.opcua.needs_login:
+            raise RefusedError("nobody has to log in here")
+        async with browser.lock:
+            browser.user = ""
+            await browser.hand.connect(str(name)[:64], str(password)[:1024])
+            browser.user = str(name)[:64]
+        return await self._session(browser)
+
+    async def _logout(self, browser: Browser) -> None:
+        browser.user = ""
+        await browser.hand.close()
+
+    async def _session(self, browser: Browser) -> dict[str, Any]:
+        problem = ""
+        try:
+            await self._ready(browser)
+        except RefusedError as error:
+            problem = str(error)
+        page = self._setup.page
+        return {
+            "user": browser.user,
+            "needs_login": self._setup.opcua.needs_login and not browser.hand.is_connected,
+            "problem": problem,
+            "drive": browser.hand.rights.drive,
+            "methods": browser.hand.rights.methods,
+            "rate_hz": page.rate_hz,
+            "deadman_ms": page.deadman_ms,
+        }
+
+    async def _ticket(self, browser: Browser) -> str:
+        return browser.new_ticket()
+
+    async def _take(self, browser: Browser, number: int) -> None:
+        client = self._live.find(number)
+        if client is None or client.browser is not browser:
+            raise RefusedError("this page has no live connection")
+        await self._driving.take(client)
+
+    async def _give(self, browser: Browser, source: str) -> None:
+        await browser.hand.write({"control.source": str(source)[:20]})
+
+    async def _write(self, browser: Browser, name: str, value: float) -> None:
+        known = next((s for s in self._setup.signals if s["name"] == name), None)
+        if known is None or not known["writable"]:
+            raise RefusedError(f"'{name!s:.60}' cannot be written")
+        await browser.hand.write({name: value})
+
+    def _may_work(self, browser: Browser) -> None:
+        if "Start" not in browser.hand.rights.methods:
+            raise RefusedError("your role does not allow this")
+
+    async def _diagnose(self, browser: Browser, log: str) -> int:
+        self._may_work(browser)
+        return self._jobs.diagnose(log)
+
+    async def _cancel(self, browser: Browser, number: int) -> None:
+        self._may_work(browser)
+        self._jobs.cancel(number)
+
+
+class _Refusal(asyncio.Protocol):
+    """Answers nobody: there are too many connections already."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Close at once."""
+        transport.close()
+
+
+def _allow_connections() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = 4 * MAX_CONNECTIONS
+    if soft < wanted:
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (min(wanted, hard), hard))

@@ -1,0 +1,80 @@
+"""What the page's process has to know of the daemon; handed over as JSON at its start."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hilserver.config.page import PageConfig
+
+
+@dataclass(frozen=True)
+class OpcUaAccess:
+    """How the page reaches the daemon's OPC UA server.
+
+    Attributes
+    ----------
+    endpoint : str
+        Empty where the server is off: the page then shows and does nothing.
+    secret : str
+        Marks the page's sessions; empty: they are those of any client.
+    needs_login : bool
+        Whether a name and a password are needed.
+    policy, certificate, key : str
+        Security policy, and the files that the page shows there; empty in the clear.
+    """
+
+    endpoint: str = ""
+    secret: str = field(default="", repr=False)
+    needs_login: bool = False
+    policy: str = ""
+    certificate: str = ""
+    key: str = ""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that does not change while the daemon runs.
+
+    Attributes
+    ----------
+    image : str
+        Name of the process image.
+    signals : list of dict
+        Name, unit, type, writable, low, high, description and slot of every scalar.
+    robot : dict
+        Dimensions [m] and largest speeds.
+    walls : list of list of float
+        x1, y1, x2, y2 [m] of each.
+    folders : dict of str
+        Absolute paths: recordings, scenarios, patches, reports, snapshots.
+    config_file : str
+        The configuration that a diagnosis is to use; empty: the defaults.
+    base_folder : str
+        Folder that certificate and key of `page` are relative to.
+    """
+
+    image: str
+    page: PageConfig
+    opcua: OpcUaAccess
+    signals: list[dict[str, Any]]
+    robot: dict[str, Any]
+    walls: list[list[float]]
+    folders: dict[str, str]
+    config_file: str = ""
+    base_folder: str = "."
+
+    def to_json(self) -> str:
+        """Return one line of JSON."""
+        return json.dumps(asdict(self) | {"page": self.page.model_dump(mode="json")})
+
+    @classmethod
+    def from_json(cls, text: str) -> "Setup":
+        """Return what `to_json` wrote."""
+        data = json.loads(text)
+        page, opcua = PageConfig.model_validate(data.pop("page")), OpcUaAccess(**data.pop("opcua"))
+        return cls(page=page, opcua=opcua, **data)
+
+    def folder(self, name: str) -> Path:
+        """Return one of the folders."""
+        return Path(self.folders[name])

@@ -1,0 +1,34 @@
+/** What does not change while the page is open, and what a view looks like from outside. */
+
+import type { Session, Signal } from "./net";
+
+export interface Robot {
+  wheel_radius_m: number;
+  wheelbase_m: number | null;
+  track_m: number;
+  max_rpm: number;
+  max_linear_m_s: number;
+  max_angular_rad_s: number;
+  tof_x_m: number;
+  tof_y_m: number;
+  tof_field_rad: number;
+}
+
+export interface Context {
+  session: Session;
+  signals: Signal[];
+  robot: Robot;
+  walls: [number, number, number, number][];
+}
+
+export interface View {
+  element: HTMLElement;
+  /** Called once when the view goes. */
+  close(): void;
+}
+
+export const WHEELS = ["fl", "rl", "fr", "rr"] as const;
+
+export function may(context: Context, method: string): boolean {
+  return context.session.methods.includes(method);
+}

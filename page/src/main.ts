@@ -1,0 +1,242 @@
+/** The frame around the views: state, who drives, emergency stop, and the way between views. */
+
+import "./style.css";
+import type { Context, Robot, View } from "./context";
+import { may } from "./context";
+import { call, get, live, type Session, type Signal } from "./net";
+import { action, field, h, micros, number, setText, svg, toast } from "./ui";
+import { diagnosisView } from "./views/diagnosis";
+import { driveView } from "./views/drive";
+import { signalsView } from "./views/signals";
+import { timeView } from "./views/time";
+import { watchView } from "./views/watch";
+
+const VIEWS: { id: string; name: string; icon: string; make: (context: Context) => View }[] = [
+  { id: "drive", name: "Drive", icon: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18m0 6v12M3.5 10h17", make: driveView },
+  { id: "watch", name: "Watch", icon: "M3 17l5-7 4 4 4-8 5 7M3 21h18", make: watchView },
+  { id: "signals", name: "Signals", icon: "M4 6h16M4 12h16M4 18h16M8 4v4M15 10v4M10 16v4", make: signalsView },
+  { id: "time", name: "Time", icon: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18m0 4v5l4 2", make: timeView },
+  { id: "diagnosis", name: "Diagnosis", icon: "M11 4a7 7 0 1 0 0 14 7 7 0 0 0 0-14m5 12l5 5M8 11h2l1-3 2 5 1-2", make: diagnosisView },
+];
+
+function icon(path: string): SVGElement {
+  return svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true", class: "icon" }, svg("path", { d: path }));
+}
+
+const stateChip = h("span", { class: "chip state" });
+const owner = h("span", { class: "owner" });
+const figures = h("dl", { class: "figures" });
+const wheel = h("button", { type: "button", class: "wheel" });
+const main = h("main", { id: "main", tabindex: "-1" });
+const banner = h("div", { class: "banner", role: "alert", hidden: true });
+const links = VIEWS.map((view) =>
+  h("a", { href: `#${view.id}` }, icon(view.icon), h("span", {}, view.name)),
+);
+
+/** The emergency stop: a plain request, whatever else of the page works. */
+export async function emergencyStop(): Promise<void> {
+  try {
+    await call("Stop");
+    toast("Emergency stop: the safe state holds until you reset it.");
+  } catch (error) {
+    toast(`Emergency stop failed: ${(error as Error).message}`, "error");
+  }
+}
+
+const stop = h(
+  "button",
+  { type: "button", class: "estop", "aria-keyshortcuts": "X", onclick: () => void emergencyStop() },
+  h("strong", {}, "Stop"),
+  h("small", {}, "emergency"),
+);
+
+function figure(name: string): HTMLElement {
+  const value = h("dd", {}, "–");
+  figures.append(h("div", {}, h("dt", {}, name), value));
+  return value;
+}
+
+const factor = figure("Real time");
+const margin = figure("Margin");
+const battery = figure("Battery");
+
+function header(context: Context): HTMLElement {
+  const theme = h("button", { type: "button", class: "quiet theme", "aria-label": "Light or dark" }, "◐");
+  theme.addEventListener("click", () => {
+    const now = document.documentElement.dataset.theme;
+    const dark = now ? now === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+    document.documentElement.dataset.theme = dark ? "light" : "dark";
+    store("theme", document.documentElement.dataset.theme);
+    window.dispatchEvent(new Event("themechange"));
+  });
+  wheel.addEventListener("click", async () => {
+    try {
+      if (live.drives) await call("give", giveTo());
+      else await call("take", live.you);
+    } catch (error) {
+      toast((error as Error).message, "error");
+    }
+  });
+  const user = context.session.user;
+  return h(
+    "header",
+    { class: "bar" },
+    h("a", { class: "skip", href: "#main", onclick: (event: Event) => { event.preventDefault(); main.focus(); } }, "Skip to the view"),
+    h("div", { class: "brand" }, h("img", { src: "./icon.svg", alt: "", width: 28, height: 28 }), h("b", {}, "hilserver")),
+    stateChip,
+    h("div", { class: "control" }, owner, wheel),
+    figures,
+    user ? action(`Log out ${user}`, logOut, { class: "quiet" }) : "",
+    theme,
+    stop,
+  );
+}
+
+async function logOut(): Promise<void> {
+  await call("logout");
+  location.reload();
+}
+
+function giveTo(): string {
+  const { board } = live.slow;
+  return Object.keys(board.peers ?? {}).length ? "peer" : "opcua";
+}
+
+function showBoard(context: Context): void {
+  const { board, driver } = live.slow;
+  const state = live.connected ? (board.state ?? "starting") : "offline";
+  stateChip.dataset.state = state;
+  setText(stateChip, state);
+  stateChip.title = board.reason ?? "";
+  const names: Record<string, string> = { peer: "the controller", opcua: "an OPC UA client", page: "another browser" };
+  const who = live.drives ? "You drive" : `${names[board.owner ?? ""] ?? board.owner ?? "nobody"} drives`;
+  const nobody = board.owner === "page" && driver === null;
+  setText(owner, nobody ? "Nobody drives" : who.charAt(0).toUpperCase() + who.slice(1));
+  owner.classList.toggle("you", live.drives);
+  setText(wheel, live.drives ? "Give back" : "Take control");
+  wheel.disabled = !live.connected || !context.session.drive;
+  setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
+  const plant = board.slices?.["plant"];
+  const least = plant?.["margin_min_us"] as number | null | undefined;
+  setText(margin, micros(least));
+  margin.classList.toggle("warn", least != null && least < 0);
+}
+
+function showAge(): void {
+  document.body.classList.toggle("stale", live.stale);
+  const volts = live.value("battery.voltage_v");
+  setText(battery, Number.isFinite(volts) ? `${number(volts)} V` : "–");
+  const { board } = live.slow;
+  let text = "";
+  if (!live.connected) text = "No connection to the page's server: what you see is old. Trying again …";
+  else if (live.stale && board.state !== "paused" && live.lastFrame > 0)
+    text = `No fresh picture for ${(live.ageMs / 1000).toFixed(1)} s.`;
+  else if (board.state === "safe") text = `Safe state: ${board.reason ?? ""}. The drive is off.`;
+  if (banner.dataset.text !== text) {
+    banner.dataset.text = text;
+    banner.hidden = !text;
+    banner.classList.toggle("safe", live.connected && board.state === "safe");
+    banner.replaceChildren(h("span", {}, text));
+    if (board.state === "safe" && live.connected) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
+  }
+}
+
+let current: View | null = null;
+
+function show(context: Context): void {
+  const id = location.hash.slice(1) || "drive";
+  const view = VIEWS.find((each) => each.id === id) ?? VIEWS[0]!;
+  current?.close();
+  current = view.make(context);
+  main.replaceChildren(h("h1", { class: "hidden" }, view.name), current.element);
+  main.dataset.view = view.id;
+  document.title = `${view.name} – hilserver`;
+  links.forEach((link, i) => {
+    if (VIEWS[i] === view) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  });
+}
+
+function keys(event: KeyboardEvent): void {
+  const target = event.target as HTMLElement;
+  if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input, textarea, select")) return;
+  if (event.key === "x" || event.key === "X") void emergencyStop();
+  const place = "12345".indexOf(event.key);
+  if (place >= 0) location.hash = VIEWS[place]!.id;
+}
+
+function store(key: string, value: string): void {
+  try {
+    localStorage.setItem(key, value);
+  } catch {
+    /* a private window keeps nothing */
+  }
+}
+
+function login(session: Session): Promise<Session> {
+  const name = h("input", { name: "name", autocomplete: "username", required: true });
+  const password = h("input", { name: "password", type: "password", autocomplete: "current-password" });
+  const problem = h("p", { class: "problem", role: "alert" });
+  const form = h(
+    "form",
+    { class: "login panel" },
+    h("h1", {}, "hilserver"),
+    field("Name", name),
+    field("Password", password),
+    problem,
+    h("button", { class: "primary", type: "submit" }, "Log in"),
+  );
+  document.body.replaceChildren(h("main", {}, form));
+  name.focus();
+  setText(problem, session.problem === "log in first" ? "" : session.problem);
+  return new Promise((resolve) => {
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      try {
+        resolve(await call<Session>("login", name.value, password.value));
+      } catch (error) {
+        setText(problem, (error as Error).message);
+        password.value = "";
+      }
+    });
+  });
+}
+
+async function start(): Promise<void> {
+  try {
+    const theme = localStorage.getItem("theme");
+    if (theme) document.documentElement.dataset.theme = theme;
+  } catch {
+    /* nothing kept */
+  }
+  let session = await call<Session>("session");
+  if (session.needs_login) session = await login(session);
+  const [table, hall] = await Promise.all([
+    get<{ signals: Signal[] }>("signals"),
+    get<{ walls: Context["walls"]; robot: Robot }>("hall"),
+  ]);
+  const context: Context = { session, signals: table.signals, ...hall };
+  document.body.replaceChildren(
+    header(context),
+    banner,
+    h("nav", { "aria-label": "Views", class: "rail" }, ...links),
+    main,
+  );
+  if (session.problem) toast(session.problem, "error");
+  stop.disabled = !may(context, "Stop");
+  live.onRefused = (text) => toast(text, "error");
+  live.onSlow(() => showBoard(context));
+  live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s"]);
+  window.setInterval(showAge, 200);
+  window.addEventListener("hashchange", () => show(context));
+  window.addEventListener("keydown", keys);
+  showBoard(context);
+  show(context);
+  await live.connect();
+}
+
+start().catch((error: Error) => {
+  document.body.replaceChildren(
+    h("main", {}, h("div", { class: "login panel" }, h("h1", {}, "hilserver"), h("p", { role: "alert" }, error.message), action("Try again", async () => location.reload()))),
+  );
+});

@@ -1,0 +1,249 @@
+/** The way to the daemon: calls, the live socket, frames. */
+
+export interface Signal {
+  name: string;
+  unit: string;
+  type: string;
+  writable: boolean;
+  low: number;
+  high: number;
+  description: string;
+}
+
+export interface Session {
+  user: string;
+  needs_login: boolean;
+  problem: string;
+  drive: boolean;
+  methods: string[];
+  rate_hz: number;
+  deadman_ms: number;
+}
+
+export type Figures = Record<string, number | string | boolean | null>;
+
+export interface Slice extends Record<string, unknown> {
+  period_ms: number;
+  count: number;
+  latency_counts: number[];
+}
+
+export interface Board {
+  version: string;
+  state: string;
+  reason: string;
+  speed: number;
+  owner: string;
+  realtime_factor: number | null;
+  bounds_us: number[];
+  slices: Record<string, Slice>;
+  peers: Record<string, Figures>;
+  audit: Record<string, Figures>;
+  faults: { name: string; fault: string; place: string; acts: boolean }[];
+  gaps: Record<string, number>;
+  patch: string | null;
+  recording?: { name: string; bytes: number } | null;
+  scenario?: { name: string; seconds: number; length_s: number } | null;
+  events: { age_s: number; kind: string; severity: number; source: string; text: string }[];
+}
+
+export interface Job {
+  number: number;
+  log: string;
+  state: string;
+  share: number;
+  stage: string;
+  text: string;
+  folder: string;
+  files: string[];
+}
+
+export interface Slow {
+  board: Partial<Board>;
+  driver: number | null;
+  clients: number;
+  jobs: Job[];
+}
+
+export interface Reading {
+  value: number;
+  status: number;
+}
+
+const token = document.querySelector<HTMLMetaElement>('meta[name="token"]')?.content ?? "";
+
+/** Ask the server to do something; throws with the sentence that says why not. */
+export async function call<T = unknown>(method: string, ...args: unknown[]): Promise<T> {
+  const response = await fetch("./api/call", {
+    method: "POST",
+    headers: { "Content-Type": "application/json", "X-Hilserver-Token": token },
+    body: JSON.stringify({ method, arguments: args }),
+  }).catch(() => {
+    throw new Error("The page's server does not answer.");
+  });
+  if (response.status === 401 || response.status === 403) {
+    throw new Error("This page is out of date: load it again.");
+  }
+  const answer = (await response.json()) as { ok: boolean; text?: string; result?: T };
+  if (!answer.ok) throw new Error(answer.text ?? "refused");
+  return answer.result as T;
+}
+
+export async function get<T>(path: string): Promise<T> {
+  const response = await fetch(`./api/${path}`);
+  if (!response.ok) throw new Error(await response.text());
+  return (await response.json()) as T;
+}
+
+const VERSION = 1;
+const HEAD_BYTES = 16;
+const STALE_MS = 700;
+
+type Listener = () => void;
+
+/** Everything live: one socket that comes back by itself. */
+export class Live {
+  readonly values = new Map<string, Reading>();
+  slow: Slow = { board: {}, driver: null, clients: 0, jobs: [] };
+  you = 0;
+  tick = 0;
+  connected = false;
+  lastFrame = 0;
+  onRefused: (text: string) => void = () => {};
+  private socket: WebSocket | null = null;
+  private stamp = 0;
+  private wanted = new Map<string, Set<string>>();
+  private names: string[] = [];
+  private number = 0;
+  private pending = 0;
+  private retryMs = 250;
+  private frameListeners = new Set<Listener>();
+  private slowListeners = new Set<Listener>();
+
+  /** Call `listener` after every frame; returns what ends that. */
+  onFrame(listener: Listener): Listener {
+    this.frameListeners.add(listener);
+    return () => this.frameListeners.delete(listener);
+  }
+
+  onSlow(listener: Listener): Listener {
+    this.slowListeners.add(listener);
+    return () => this.slowListeners.delete(listener);
+  }
+
+  /** What one part of the page wants to see; an empty list lets go. */
+  want(part: string, names: Iterable<string>): void {
+    const set = new Set(names);
+    if (set.size) this.wanted.set(part, set);
+    else this.wanted.delete(part);
+    window.clearTimeout(this.pending);
+    this.pending = window.setTimeout(() => this.subscribe(), 20);
+  }
+
+  get(name: string): Reading | undefined {
+    return this.values.get(name);
+  }
+
+  /** Value of a signal, `NaN` while it has none. */
+  value(name: string): number {
+    const reading = this.values.get(name);
+    return reading === undefined || reading.status >= 0x80000000 ? NaN : reading.value;
+  }
+
+  get ageMs(): number {
+    return performance.now() - this.lastFrame;
+  }
+
+  get stale(): boolean {
+    return !this.connected || this.ageMs > STALE_MS;
+  }
+
+  get drives(): boolean {
+    return this.connected && this.slow.driver === this.you && this.slow.board.owner === "page";
+  }
+
+  drive(command: Record<string, unknown>): void {
+    if (this.socket?.readyState === WebSocket.OPEN) {
+      this.socket.send(JSON.stringify({ drive: { ...command, seen: this.stamp } }));
+    }
+  }
+
+  async connect(): Promise<void> {
+    try {
+      const ticket = await call<string>("ticket");
+      const url = new URL("./api/live", location.href);
+      url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+      const socket = new WebSocket(url);
+      socket.binaryType = "arraybuffer";
+      socket.onopen = () => socket.send(JSON.stringify({ ticket }));
+      socket.onmessage = (event) => this.receive(event.data);
+      socket.onclose = () => this.lost();
+      this.socket = socket;
+    } catch {
+      this.again();
+    }
+  }
+
+  private lost(): void {
+    this.connected = false;
+    this.socket = null;
+    this.tell(this.slowListeners);
+    this.again();
+  }
+
+  private again(): void {
+    window.setTimeout(() => void this.connect(), this.retryMs);
+    this.retryMs = Math.min(this.retryMs * 2, 5000);
+  }
+
+  private receive(data: ArrayBuffer | string): void {
+    if (typeof data !== "string") return this.frame(data);
+    const message = JSON.parse(data);
+    if (message.type === "welcome") {
+      this.you = message.you;
+      this.connected = true;
+      this.retryMs = 250;
+      this.subscribe();
+    } else if (message.type === "refused") {
+      this.onRefused(message.text);
+    } else {
+      this.slow = message as Slow;
+    }
+    this.tell(this.slowListeners);
+  }
+
+  private subscribe(): void {
+    const names = new Set<string>();
+    for (const set of this.wanted.values()) for (const name of set) names.add(name);
+    this.names = [...names].sort();
+    this.number = (this.number + 1) & 0xff;
+    if (this.socket?.readyState === WebSocket.OPEN && this.connected) {
+      this.socket.send(JSON.stringify({ subscribe: this.names, number: this.number }));
+    }
+  }
+
+  private frame(data: ArrayBuffer): void {
+    const view = new DataView(data);
+    const n = view.getUint16(2, true);
+    if (view.getUint8(0) !== VERSION || view.getUint8(1) !== this.number) return;
+    if (n !== this.names.length || data.byteLength !== HEAD_BYTES + 12 * n) return;
+    this.stamp = view.getUint32(4, true);
+    this.tick = view.getFloat64(8, true);
+    const values = new Float64Array(data, HEAD_BYTES, n);
+    const status = new Uint32Array(data, HEAD_BYTES + 8 * n, n);
+    for (let i = 0; i < n; i++) {
+      const name = this.names[i]!;
+      const old = this.values.get(name);
+      if (old) [old.value, old.status] = [values[i]!, status[i]!];
+      else this.values.set(name, { value: values[i]!, status: status[i]! });
+    }
+    this.lastFrame = performance.now();
+    this.tell(this.frameListeners);
+  }
+
+  private tell(listeners: Set<Listener>): void {
+    for (const listener of [...listeners]) listener();
+  }
+}
+
+export const live = new Live();

@@ -1,0 +1,55 @@
+/** A stick for a thumb, also for keys when it has the focus. */
+
+import { h } from "./ui";
+
+export interface Stick {
+  element: HTMLElement;
+  show(x: number, y: number): void;
+}
+
+/** `move` is told x (right positive) and y (forward positive), both -1 .. 1; zero when let go. */
+export function makeStick(move: (x: number, y: number) => void): Stick {
+  const knob = h("div", { class: "knob" });
+  const base = h(
+    "div",
+    { class: "stick", role: "application", tabindex: "0", "aria-label": "Stick: drag, or hold the arrow keys" },
+    h("div", { class: "cross", "aria-hidden": "true" }),
+    knob,
+  );
+  let pointer: number | null = null;
+
+  function show(x: number, y: number): void {
+    knob.style.transform = `translate(${(x * 62).toFixed(1)}%, ${(-y * 62).toFixed(1)}%)`;
+  }
+
+  function follow(event: PointerEvent): void {
+    const box = base.getBoundingClientRect();
+    const radius = box.width / 2;
+    let x = (event.clientX - box.left - radius) / (radius * 0.7);
+    let y = -(event.clientY - box.top - radius) / (radius * 0.7);
+    const length = Math.hypot(x, y);
+    if (length > 1) [x, y] = [x / length, y / length];
+    if (Math.abs(x) < 0.06) x = 0;
+    if (Math.abs(y) < 0.06) y = 0;
+    move(x, y);
+  }
+
+  base.addEventListener("pointerdown", (event) => {
+    if (pointer !== null) return;
+    pointer = event.pointerId;
+    base.setPointerCapture(pointer);
+    follow(event);
+  });
+  base.addEventListener("pointermove", (event) => {
+    if (event.pointerId === pointer) follow(event);
+  });
+  const letGo = (event: PointerEvent): void => {
+    if (event.pointerId !== pointer) return;
+    pointer = null;
+    move(0, 0);
+  };
+  base.addEventListener("pointerup", letGo);
+  base.addEventListener("pointercancel", letGo);
+  base.addEventListener("lostpointercapture", letGo);
+  return { element: base, show };
+}

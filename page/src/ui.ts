@@ -1,0 +1,125 @@
+/** Elements, messages and numbers: what every view is made of. */
+
+type Child = Node | string | null | false | undefined;
+type Attributes = Record<string, unknown>;
+
+/** Make an element; `on...` are listeners, `true` a bare attribute. */
+export function h<K extends keyof HTMLElementTagNameMap>(
+  tag: K,
+  attributes: Attributes = {},
+  ...children: Child[]
+): HTMLElementTagNameMap[K] {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === false || value === null || value === undefined) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value as EventListener);
+    else element.setAttribute(name, value === true ? "" : String(value));
+  }
+  element.append(...children.filter((child): child is Node | string => !!child));
+  return element;
+}
+
+export function svg(tag: string, attributes: Attributes, ...children: Node[]): SVGElement {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
+  element.append(...children);
+  return element;
+}
+
+/** Write text only when it is another one: nothing is drawn when nothing changes. */
+export function setText(element: Element, text: string): void {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+const shelf = h("div", { class: "toasts", role: "status", "aria-live": "polite" });
+
+/** Say something for some seconds; errors are read out at once. */
+export function toast(text: string, kind: "info" | "error" = "info"): void {
+  if (!shelf.isConnected) document.body.append(shelf);
+  for (const old of [...shelf.children]) if (old.textContent === text) old.remove();
+  while (shelf.children.length > 3) shelf.firstElementChild?.remove();
+  const note = h("div", { class: `toast ${kind}` }, text);
+  if (kind === "error") note.setAttribute("role", "alert");
+  shelf.append(note);
+  window.setTimeout(() => note.remove(), kind === "error" ? 6000 : 3000);
+}
+
+const integers = new Set(["Byte", "UInt32", "Int64"]);
+
+/** A number as an instrument shows it: four significant digits, steady width. */
+export function number(value: number | null | undefined, type = "Double"): string {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (type === "Boolean") return value ? "on" : "off";
+  if (integers.has(type)) return String(Math.round(value));
+  const size = Math.abs(value);
+  if (size >= 100000) return value.toExponential(2);
+  const digits = size >= 1000 ? 0 : size >= 100 ? 1 : size >= 10 ? 2 : 3;
+  return value.toFixed(digits).replace("-", "\u2212");
+}
+
+/** Microseconds in the unit a reader expects. */
+export function micros(value: number | null | undefined): string {
+  if (value === null || value === undefined) return "–";
+  const size = Math.abs(value);
+  if (size >= 1e6) return `${number(value / 1e6)} s`;
+  if (size >= 1000) return `${number(value / 1000)} ms`;
+  return `${number(value)} µs`;
+}
+
+export function bytes(value: number): string {
+  if (value < 1024) return `${value} B`;
+  if (value < 1 << 20) return `${(value / 1024).toFixed(0)} kB`;
+  return `${(value / (1 << 20)).toFixed(1)} MB`;
+}
+
+export function seconds(value: number): string {
+  if (value < 10) return `${value.toFixed(1)} s`;
+  if (value < 120) return `${value.toFixed(0)} s`;
+  return value < 7200 ? `${(value / 60).toFixed(0)} min` : `${(value / 3600).toFixed(0)} h`;
+}
+
+export type Quality = "good" | "forced" | "uncertain" | "bad";
+
+const NAMES: Record<number, string> = {
+  0x00000000: "Good",
+  0x00960000: "Forced",
+  0x40000000: "Uncertain",
+  0x408f0000: "No contact",
+  0x40900000: "Last known",
+  0x80320000: "Waiting",
+  0x808d0000: "Off",
+};
+
+export function quality(status: number): Quality {
+  if (status === 0x00960000) return "forced";
+  return status >= 0x80000000 ? "bad" : status >= 0x40000000 ? "uncertain" : "good";
+}
+
+export function qualityName(status: number): string {
+  return NAMES[status] ?? (status >= 0x80000000 ? "Bad" : status >= 0x40000000 ? "Uncertain" : "Good");
+}
+
+/** A button that is busy while its work runs, and says why it failed. */
+export function action(
+  label: string,
+  work: () => Promise<unknown>,
+  attributes: Attributes = {},
+): HTMLButtonElement {
+  const button = h("button", { type: "button", ...attributes }, label);
+  button.addEventListener("click", async () => {
+    if (button.getAttribute("aria-busy") === "true") return;
+    button.setAttribute("aria-busy", "true");
+    try {
+      await work();
+    } catch (error) {
+      toast((error as Error).message, "error");
+    } finally {
+      button.removeAttribute("aria-busy");
+    }
+  });
+  return button;
+}
+
+export function field(label: string, control: HTMLElement, hint = ""): HTMLElement {
+  return h("label", { class: "field" }, h("span", {}, label), control, hint && h("small", {}, hint));
+}

@@ -1,0 +1,301 @@
+/** Drive: the robot in its hall, and everything to drive it by. */
+
+import { Commander } from "../command";
+import { WHEELS, type Context, type View } from "../context";
+import { call, live } from "../net";
+import type { Camera, Scene } from "../scene";
+import { makeStick } from "../stick";
+import { field, h, number, quality, setText, toast } from "../ui";
+
+const LIGHTS = ["off", "dim", "high beam", "flash all", "flash left", "flash right", "pulsation", "rotation", "running"];
+const KEYS: Record<string, [number, number]> = {
+  ArrowUp: [0, 1],
+  ArrowDown: [0, -1],
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+};
+const DEAD_ZONE = 0.12;
+const WHEEL_NAMES: Record<string, string> = { fl: "front left", rl: "rear left", fr: "front right", rr: "rear right" };
+
+let share = 0.5;
+
+export function driveView(context: Context): View {
+  const { robot } = context;
+  const commander = new Commander();
+  const pressed = new Set<string>();
+  let gamepadHeld = false;
+
+  function twist(x: number, y: number): void {
+    stick.show(x, y);
+    commander.hold({
+      mode: "twist",
+      linear: y * share * robot.max_linear_m_s,
+      turn: -x * share * robot.max_angular_rad_s,
+    });
+  }
+
+  const stick = makeStick((x, y) => {
+    if ((x || y) && !live.drives) return void toast("Take control first.");
+    twist(x, y);
+  });
+
+  // --- the picture ------------------------------------------------------------------------------
+
+  const stage = h("div", { class: "stage" });
+  let scene: Scene | null = null;
+  let closed = false;
+  import("../scene")
+    .then(({ Scene }) => {
+      if (closed) return;
+      scene = new Scene(context);
+      stage.prepend(scene.element);
+      scene.watch(stage);
+      live.want("scene", Scene.signals());
+    })
+    .catch(() => {
+      stage.classList.add("plain");
+      stage.prepend(h("p", { class: "note" }, "This browser shows no 3D picture (WebGL is off). Driving and the emergency stop work all the same."));
+    });
+
+  const cameras = h("div", { class: "segments", role: "group", "aria-label": "Camera" });
+  for (const name of ["orbit", "follow", "top"] as Camera[]) {
+    cameras.append(
+      h("button", { type: "button", "aria-pressed": String(name === "orbit"), onclick: (event: Event) => {
+        for (const other of cameras.children) other.setAttribute("aria-pressed", String(other === event.currentTarget));
+        scene?.look(name);
+      } }, name.charAt(0).toUpperCase() + name.slice(1)),
+    );
+  }
+  const clear = h("button", { type: "button", class: "quiet", onclick: () => scene?.clearTrail() }, "Clear trail");
+
+  // --- twist or single wheels -------------------------------------------------------------------
+
+  const sliders = WHEELS.map((wheel) => {
+    const input = h("input", { type: "range", min: -100, max: 100, value: 0, step: 5, "aria-label": `${WHEEL_NAMES[wheel]} wheel, per cent forward; springs back` });
+    const shown = h("output", {}, "0");
+    const spring = (): void => {
+      input.value = "0";
+      wheels();
+    };
+    input.addEventListener("input", wheels);
+    for (const name of ["pointerup", "pointercancel", "blur", "keyup"]) input.addEventListener(name, spring);
+    return { wheel, input, shown };
+  });
+
+  function wheels(): void {
+    const rpm = sliders.map(({ wheel, input, shown }) => {
+      const forward = (Number(input.value) / 100) * share * robot.max_rpm;
+      setText(shown, number(forward));
+      return wheel[1] === "l" ? forward : -forward;
+    });
+    if (rpm.some(Boolean) && !live.drives) return void toast("Take control first.");
+    commander.hold({ mode: "wheels", rpm: rpm as [number, number, number, number] });
+  }
+
+  const wheelBox = h(
+    "div",
+    { class: "wheels", hidden: true },
+    ...sliders.map(({ wheel, input, shown }) => h("label", {}, h("span", {}, wheel.toUpperCase()), input, shown)),
+  );
+  const modes = h("div", { class: "segments", role: "group", "aria-label": "Command" });
+  for (const [name, one] of [["Twist", true], ["Single wheels", false]] as const) {
+    modes.append(
+      h("button", { type: "button", "aria-pressed": String(one), onclick: (event: Event) => {
+        for (const other of modes.children) other.setAttribute("aria-pressed", String(other === event.currentTarget));
+        if (live.drives) commander.stop();
+        wheelBox.hidden = one;
+        stick.element.hidden = !one;
+      } }, name),
+    );
+  }
+
+  const limit = h("input", { type: "range", min: 5, max: 100, step: 5, value: share * 100 });
+  const limitShown = h("output", {}, `${share * 100} %`);
+  limit.addEventListener("input", () => {
+    share = Number(limit.value) / 100;
+    setText(limitShown, `${limit.value} %`);
+  });
+
+  const halt = h("button", { type: "button", class: "halt", "aria-keyshortcuts": "S", onclick: halted }, "Stop driving ", h("kbd", {}, "S"));
+  function halted(): void {
+    pressed.clear();
+    stick.show(0, 0);
+    for (const { input, shown } of sliders) [input.value, shown.textContent] = ["0", "0"];
+    commander.stop();
+  }
+
+  // --- lights -----------------------------------------------------------------------------------
+
+  const light = h("select", {}, ...LIGHTS.map((name, i) => h("option", { value: i }, name)));
+  light.addEventListener("change", () => void write("lights.command", Number(light.value)));
+  const colour = h("input", { type: "color", value: "#ffd080", "aria-label": "Colour of the lights" });
+  colour.addEventListener("change", async () => {
+    const value = parseInt(colour.value.slice(1), 16);
+    await write("lights.red", value >> 16);
+    await write("lights.green", (value >> 8) & 255);
+    await write("lights.blue", value & 255);
+  });
+  async function write(name: string, value: number): Promise<void> {
+    await call("write", name, value).catch((error: Error) => toast(error.message, "error"));
+  }
+
+  // --- instruments ------------------------------------------------------------------------------
+
+  const rows: [string, string, string, () => number][] = [
+    ["velocity.linear_m_s", "Speed", "m/s", () => live.value("velocity.linear_m_s")],
+    ["velocity.angular_rad_s", "Turn rate", "rad/s", () => live.value("velocity.angular_rad_s")],
+    ["pose.x_m", "x", "m", () => live.value("pose.x_m")],
+    ["pose.y_m", "y", "m", () => live.value("pose.y_m")],
+    ["pose.yaw_rad", "Heading", "°", () => (live.value("pose.yaw_rad") * 180) / Math.PI],
+    ["sim.time_s", "Time", "s", () => live.value("sim.time_s")],
+  ];
+  const dials = rows.map(([name, label, unit, read]) => {
+    const value = h("b", {}, "–");
+    return { name, read, value, element: h("div", { class: "dial" }, h("span", {}, label), h("span", {}, value, h("i", {}, unit))) };
+  });
+  const bars = WHEELS.map((wheel) => {
+    const actual = h("div", { class: "actual" });
+    const wanted = h("div", { class: "wanted" });
+    const value = h("b", {}, "–");
+    return { wheel, actual, wanted, value, element: h("div", { class: "bar-row" }, h("span", {}, wheel.toUpperCase()), h("div", { class: "track", "aria-hidden": "true" }, actual, wanted), value) };
+  });
+  const finders = ["fl", "fr", "rl", "rr"].map((place) => {
+    const value = h("b", {}, "–");
+    return { place, value, element: h("div", { class: "dial small" }, h("span", {}, `ToF ${place.toUpperCase()}`), h("span", {}, value, h("i", {}, "m"))) };
+  });
+
+  function instruments(): void {
+    for (const { name, read, value } of dials) {
+      setText(value, number(read()));
+      const kind = quality(live.get(name)?.status ?? 0x80000000);
+      if (value.dataset.quality !== kind) value.dataset.quality = kind;
+    }
+    for (const { wheel, actual, wanted, value } of bars) {
+      const sign = wheel[1] === "l" ? 1 : -1;
+      const speed = sign * live.value(`wheel.${wheel}.speed_rpm`);
+      place(actual, speed / robot.max_rpm);
+      place(wanted, (sign * live.value(`wheel.${wheel}.setpoint_rpm`)) / robot.max_rpm, true);
+      setText(value, Number.isFinite(speed) ? speed.toFixed(0).replace(/^-0$/, "0") : "–");
+    }
+    for (const { place: at, value } of finders) {
+      const reading = live.get(`tof.${at}_m`);
+      setText(value, reading && reading.value < 4.99 ? number(reading.value) : "> 5");
+    }
+    const pattern = live.value("lights.command");
+    if (Number.isFinite(pattern) && document.activeElement !== light) light.value = String(pattern);
+  }
+
+  function place(bar: HTMLElement, part: number, mark = false): void {
+    const value = Math.max(-1, Math.min(1, Number.isFinite(part) ? part : 0));
+    const transform = mark ? `translateX(${(value * 50).toFixed(1)}cqw)` : `scaleX(${value.toFixed(3)})`;
+    if (bar.style.transform !== transform) bar.style.transform = transform;
+  }
+
+  live.want("drive", [
+    ...rows.map(([name]) => name),
+    ...WHEELS.flatMap((wheel) => [`wheel.${wheel}.speed_rpm`, `wheel.${wheel}.setpoint_rpm`]),
+    ...["fl", "fr", "rl", "rr"].map((at) => `tof.${at}_m`),
+    "lights.command",
+  ]);
+
+  // --- keys, gamepad, letting go ----------------------------------------------------------------
+
+  function steer(): void {
+    let [x, y] = [0, 0];
+    for (const key of pressed) {
+      x += KEYS[key]![0];
+      y += KEYS[key]![1];
+    }
+    twist(x, y);
+  }
+
+  const onDown = (event: KeyboardEvent): void => {
+    const target = event.target as HTMLElement;
+    if (target.matches("input, textarea, select") || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "s" || event.key === "S") return halted();
+    if (!(event.key in KEYS)) return;
+    event.preventDefault();
+    if (!live.drives) return void (event.repeat || toast("Take control first."));
+    if (!pressed.has(event.key)) {
+      pressed.add(event.key);
+      steer();
+    }
+  };
+  const onUp = (event: KeyboardEvent): void => {
+    if (pressed.delete(event.key)) steer();
+  };
+  const letGo = (): void => {
+    if (pressed.size || commander.active) halted();
+  };
+  const onHide = (): void => {
+    if (document.hidden) letGo();
+  };
+  const stopSlow = live.onSlow(() => {
+    if (!live.drives && commander.active) {
+      pressed.clear();
+      commander.hold({ mode: "twist", linear: 0, turn: 0 });
+      stick.show(0, 0);
+    }
+  });
+  const gamepad = window.setInterval(() => {
+    const pad = navigator.getGamepads?.().find((each) => each?.connected);
+    if (!pad || !live.drives) return;
+    const dead = (value: number | undefined): number => (Math.abs(value ?? 0) < DEAD_ZONE ? 0 : value!);
+    const [x, y] = [dead(pad.axes[0]), -dead(pad.axes[1])];
+    if (x || y) {
+      gamepadHeld = true;
+      twist(x, y);
+    } else if (gamepadHeld) {
+      gamepadHeld = false;
+      twist(0, 0);
+    }
+  }, 50);
+  window.addEventListener("keydown", onDown);
+  window.addEventListener("keyup", onUp);
+  window.addEventListener("blur", letGo);
+  document.addEventListener("visibilitychange", onHide);
+  const stopFrames = live.onFrame(instruments);
+
+  const element = h(
+    "div",
+    { class: "drive" },
+    stage,
+    h("div", { class: "overlay cameras" }, cameras, clear),
+    h(
+      "section",
+      { class: "panel instruments", "aria-label": "Instruments" },
+      h("div", { class: "dials" }, ...dials.map((dial) => dial.element)),
+      h("div", { class: "bars" }, h("h2", {}, "Wheels, rpm forward"), ...bars.map((bar) => bar.element)),
+      h("div", { class: "dials finders" }, ...finders.map((finder) => finder.element)),
+    ),
+    h(
+      "section",
+      { class: "panel steering", "aria-label": "Steering" },
+      modes,
+      stick.element,
+      wheelBox,
+      h("label", { class: "limit" }, h("span", {}, "Speed limit"), limit, limitShown),
+      halt,
+      h("div", { class: "lights" }, field("Lights", light), colour),
+      h("p", { class: "hint" }, h("kbd", {}, "↑"), h("kbd", {}, "↓"), h("kbd", {}, "←"), h("kbd", {}, "→"), " drive while held, ", h("kbd", {}, "S"), " stops, ", h("kbd", {}, "X"), " emergency stop"),
+    ),
+  );
+
+  return {
+    element,
+    close() {
+      closed = true;
+      letGo();
+      scene?.close();
+      stopFrames();
+      stopSlow();
+      window.clearInterval(gamepad);
+      window.removeEventListener("keydown", onDown);
+      window.removeEventListener("keyup", onUp);
+      window.removeEventListener("blur", letGo);
+      document.removeEventListener("visibilitychange", onHide);
+      live.want("drive", []);
+      live.want("scene", []);
+    },
+  };
+}

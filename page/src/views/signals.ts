@@ -1,0 +1,206 @@
+/** Signals: every value with unit, quality and age; forces, faults, scenarios. */
+
+import { may, type Context, type View } from "../context";
+import { call, get, live, type Signal } from "../net";
+import { action, field, h, number, quality, qualityName, seconds, setText, toast } from "../ui";
+
+const FAULTS: Record<string, Record<string, number>> = {
+  bias: { offset: 1 },
+  noise: { sd: 0.1 },
+  scale: { factor: 1.1 },
+  stuck: {},
+  delay: { delay_s: 0.1 },
+  jitter: { jitter_s: 0.05 },
+  drop: { probability: 0.2 },
+  hold: { every_s: 0.1 },
+  quantise: { step: 0.1 },
+  spike: { size: 10, probability: 0.01 },
+  disconnect: {},
+  "shield.dead_command_timeout": {},
+  "shield.yaw_rate_without_60_2pi": {},
+  "shield.front_wheels_swapped": {},
+  "shield.rpm_unsigned": {},
+  "shield.imu_raw_units": {},
+};
+
+interface Row {
+  signal: Signal;
+  element: HTMLTableRowElement;
+  value: HTMLElement;
+  quality: HTMLElement;
+  age: HTMLElement;
+  act: HTMLElement;
+  last: number;
+  status: number;
+  changed: number;
+}
+
+export function signalsView(context: Context): View {
+  const rows: Row[] = context.signals.map((signal) => makeRow(context, signal));
+  const body = h("tbody", {}, ...rows.map((row) => row.element));
+  const count = h("span", { class: "hint", role: "status" });
+  const search = h("input", { type: "search", placeholder: "Find a signal", "aria-label": "Find a signal" });
+  search.addEventListener("input", filter);
+
+  function filter(): void {
+    const words = search.value.toLowerCase().split(/\s+/);
+    let n = 0;
+    for (const row of rows) {
+      const text = `${row.signal.name} ${row.signal.description}`.toLowerCase();
+      row.element.hidden = !words.every((word) => text.includes(word));
+      if (!row.element.hidden) n += 1;
+    }
+    setText(count, `${n} of ${rows.length}`);
+  }
+  filter();
+
+  // --- faults -----------------------------------------------------------------------------------
+
+  const active = h("ul", { class: "list" });
+  const kind = h("select", {}, ...Object.keys(FAULTS).map((name) => h("option", {}, name)));
+  const on = h("input", { list: "signal-names", value: "imu.gyro_z_rad_s" });
+  const parameters = h("div", { class: "parameters" });
+  const lasts = h("input", { type: "number", min: 0, step: 0.1, value: 5 });
+  const inputs = new Map<string, HTMLInputElement>();
+
+  function showKeys(): void {
+    inputs.clear();
+    const wanted = FAULTS[kind.value] ?? {};
+    for (const [key, value] of Object.entries(wanted)) inputs.set(key, h("input", { type: "number", step: "any", value }));
+    parameters.replaceChildren(...[...inputs].map(([key, input]) => field(key, input)));
+    on.disabled = kind.value.startsWith("shield.");
+  }
+  kind.addEventListener("change", showKeys);
+  showKeys();
+
+  async function inject(): Promise<void> {
+    const fault: Record<string, unknown> = { fault: kind.value };
+    if (!on.disabled) fault["signal"] = on.value;
+    for (const [key, input] of inputs) fault[key] = Number(input.value);
+    if (Number(lasts.value) > 0) fault["for_s"] = Number(lasts.value);
+    await call("InjectFault", JSON.stringify(fault));
+  }
+
+  // --- scenarios --------------------------------------------------------------------------------
+
+  const scenarios = h("ul", { class: "list" });
+  const running = h("p", { class: "hint", role: "status" });
+  async function loadScenarios(): Promise<void> {
+    const { scenarios: files, folders } = await get<{ scenarios: { name: string }[]; folders: Record<string, string> }>("logs");
+    scenarios.replaceChildren(
+      ...(files.length
+        ? files.map(({ name }) => h("li", {}, h("code", {}, name), action("Start", () => call("StartScenario", name), { disabled: !may(context, "StartScenario"), "aria-label": `Start ${name}` })))
+        : [h("li", { class: "note" }, `No scenarios in ${folders["scenarios"] ?? "the folder"}.`)]),
+    );
+  }
+  loadScenarios().catch((error: Error) => toast(error.message, "error"));
+
+  let shownFaults = "";
+  function slow(): void {
+    const { faults = [], scenario } = live.slow.board;
+    const text = JSON.stringify(faults);
+    if (text !== shownFaults || !active.children.length) {
+      shownFaults = text;
+      active.replaceChildren(
+        ...(faults.length
+          ? faults.map((fault) =>
+              h("li", { class: fault.acts ? "acts" : "" }, h("code", {}, fault.name), h("span", { class: "hint" }, fault.acts ? "acts" : "waits"),
+                fault.fault === "force" && action("Release", () => call("Unforce", fault.place), { "aria-label": `Release ${fault.place}` })),
+            )
+          : [h("li", { class: "note" }, "No fault, no forced signal.")]),
+      );
+    }
+    setText(running, scenario ? `${scenario.name}: ${seconds(scenario.seconds)} of ${seconds(scenario.length_s)}` : "No scenario is playing.");
+  }
+  slow();
+
+  live.want("signals", context.signals.map((signal) => signal.name));
+  let due = 0;
+  const stopFrames = live.onFrame(() => {
+    const now = performance.now();
+    for (const row of rows) {
+      const reading = live.get(row.signal.name);
+      if (reading && (reading.value !== row.last || reading.status !== row.status)) {
+        [row.last, row.status, row.changed] = [reading.value, reading.status, now];
+      }
+    }
+    if (now < due) return; // ten times a second is as fast as one can read
+    due = now + 100;
+    for (const row of rows) if (!row.element.hidden) show(row, now);
+  });
+  const stopSlow = live.onSlow(slow);
+
+  const element = h(
+    "div",
+    { class: "signals" },
+    h(
+      "section",
+      { class: "panel table" , "aria-label": "All signals" },
+      h("div", { class: "tools" }, search, count),
+      h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Table of signals" },
+        h("table", {}, h("thead", {}, h("tr", {}, ...["Signal", "Value", "Unit", "Quality", "Age", "Force"].map((name) => h("th", { scope: "col" }, name)))), body)),
+    ),
+    h(
+      "div",
+      { class: "column" },
+      h("section", { class: "panel", "aria-label": "Faults" }, h("h2", {}, "Faults and forces"), active,
+        h("div", { class: "form" }, field("Kind", kind), field("Signal", on), parameters, field("Lasts [s]", lasts, "0: until cleared"),
+          h("div", { class: "buttons" }, action("Inject", inject, { class: "primary", disabled: !may(context, "InjectFault") }), action("Clear all", () => call("ClearFaults"), { disabled: !may(context, "ClearFaults") })))),
+      h("section", { class: "panel", "aria-label": "Scenarios" }, h("h2", {}, "Scenarios"), running, scenarios, action("Stop", () => call("StopScenario"), { disabled: !may(context, "StopScenario") })),
+      h("datalist", { id: "signal-names" }, ...context.signals.map((signal) => h("option", { value: signal.name }))),
+    ),
+  );
+  return {
+    element,
+    close() {
+      stopFrames();
+      stopSlow();
+      live.want("signals", []);
+    },
+  };
+}
+
+function makeRow(context: Context, signal: Signal): Row {
+  const value = h("td", { class: "number" }, "–");
+  const kind = h("td", {}, h("span", { class: "quality" }, "–"));
+  const age = h("td", { class: "number" }, "–");
+  const act = h("td", {});
+  const row: Row = {
+    signal, value, quality: kind.firstElementChild as HTMLElement, age, act,
+    element: h("tr", {}, h("th", { scope: "row", title: signal.description }, h("code", {}, signal.name)), value, h("td", { class: "unit" }, signal.unit), kind, age, act),
+    last: NaN, status: -1, changed: performance.now(),
+  };
+  if (may(context, "Force") && !signal.name.startsWith("sim.")) offerForce(row);
+  return row;
+}
+
+function offerForce(row: Row): void {
+  const { name } = row.signal;
+  const begin = h("button", { type: "button", class: "quiet", "aria-label": `Force ${name}` }, "Force");
+  begin.addEventListener("click", () => {
+    const input = h("input", { type: "number", step: "any", value: Number.isFinite(row.last) ? Number(row.last.toPrecision(5)) : 0, "aria-label": `Value for ${name}` });
+    const hold = action("Hold", async () => {
+      await call("Force", name, Number(input.value));
+      back();
+    }, { class: "primary" });
+    const back = (): void => row.act.replaceChildren(begin);
+    input.addEventListener("keydown", (event) => {
+      if (event.key === "Enter") hold.click();
+      if (event.key === "Escape") back();
+    });
+    row.act.replaceChildren(h("span", { class: "inline" }, input, hold));
+    input.focus();
+    input.select();
+  });
+  row.act.replaceChildren(begin);
+  row.element.addEventListener("release", () => row.act.replaceChildren(begin));
+}
+
+function show(row: Row, now: number): void {
+  const bad = row.status >= 0x80000000;
+  setText(row.value, bad || row.status < 0 ? "–" : number(row.last, row.signal.type));
+  setText(row.quality, row.status < 0 ? "–" : qualityName(row.status));
+  const kind = row.status < 0 ? "bad" : quality(row.status);
+  if (row.quality.dataset.quality !== kind) row.quality.dataset.quality = kind;
+  setText(row.age, seconds(Math.max(0, now - row.changed) / 1000));
+}

@@ -1,0 +1,107 @@
+/** Time: pause, step, reset, speed, snapshots, recording, and what has happened. */
+
+import { may, type Context, type View } from "../context";
+import { call, get, live } from "../net";
+import { action, bytes, field, h, seconds, setText, toast } from "../ui";
+
+interface File {
+  name: string;
+  bytes: number;
+  modified_s: number;
+}
+
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
+
+export function timeView(context: Context): View {
+  const clock = h("output", { class: "clock", "aria-label": "Simulated time" }, "0.000 s");
+  const tick = h("span", { class: "hint" });
+  const run = action("Pause", () => call(paused() ? "Start" : "Pause"), { class: "primary large" });
+  const steps = h("input", { type: "number", min: 1, max: 1000000, value: 100, "aria-label": "Ticks to step" });
+  const step = action("Step", () => call("Step", Number(steps.value)), {});
+  const reset = action("Reset", () => call("Reset"), {});
+  const resetNumbers = action("Reset timing figures", () => call("ResetStatistics"), { class: "quiet" });
+  const speeds = h("div", { class: "segments", role: "group", "aria-label": "Speed" });
+  for (const speed of SPEEDS) speeds.append(action(`${speed}×`, () => call("SetSpeed", speed), { "data-speed": speed }));
+
+  function paused(): boolean {
+    return live.slow.board.state === "paused";
+  }
+
+  // --- snapshots and recording ------------------------------------------------------------------
+
+  const snapshots = h("ul", { class: "list" });
+  const name = h("input", { value: "snapshot-1", pattern: "[A-Za-z0-9_][A-Za-z0-9_.\\-]*", "aria-label": "Name of the snapshot" });
+  const save = action("Save", async () => {
+    await call("SaveSnapshot", name.value);
+    name.value = name.value.replace(/(\d+)?$/, (digits) => String(Number(digits || 0) + 1));
+    await load();
+  }, { disabled: !may(context, "SaveSnapshot") });
+  const recordings = h("ul", { class: "list" });
+  const file = h("input", { value: `run-${new Date().toISOString().slice(0, 16).replace(/[T:]/g, "-")}.mcap`, "aria-label": "Name of the recording" });
+  const record = action("Record", async () => {
+    await call(live.slow.board.recording ? "StopRecording" : "StartRecording", ...(live.slow.board.recording ? [] : [file.value]));
+    await load();
+  }, { disabled: !may(context, "StartRecording") });
+  const recording = h("p", { class: "hint", role: "status" });
+
+  async function load(): Promise<void> {
+    const files = await get<{ snapshots: File[]; logs: File[]; folders: Record<string, string> }>("logs");
+    snapshots.replaceChildren(...entries(files.snapshots, `No snapshots in ${files.folders["snapshots"]}.`, (each) =>
+      action("Load", () => call("LoadSnapshot", each.name), { disabled: !may(context, "LoadSnapshot"), "aria-label": `Load ${each.name}` })));
+    recordings.replaceChildren(...entries(files.logs, `No recordings in ${files.folders["recordings"]}.`, () => null));
+  }
+  load().catch((error: Error) => toast(error.message, "error"));
+
+  // --- what has happened ------------------------------------------------------------------------
+
+  const events = h("ol", { class: "events", tabindex: "0", "aria-label": "Events, the newest first" });
+
+  function slow(): void {
+    const { board } = live.slow;
+    setText(run, paused() ? "Run on" : "Pause");
+    run.disabled = !may(context, "Pause") || board.state === "safe";
+    step.disabled = !may(context, "Step") || !paused();
+    reset.disabled = !may(context, "Reset");
+    for (const button of speeds.children) {
+      button.setAttribute("aria-pressed", String(Number((button as HTMLElement).dataset.speed) === board.speed));
+      (button as HTMLButtonElement).disabled = !may(context, "SetSpeed");
+    }
+    setText(record, board.recording ? "Stop" : "Record");
+    setText(recording, board.recording ? `${board.recording.name}: ${bytes(board.recording.bytes)}` : "Nothing is being recorded.");
+    events.replaceChildren(...(board.events ?? []).map((event) =>
+      h("li", { class: event.severity >= 500 ? "severe" : "" }, h("time", {}, `${seconds(event.age_s)} ago`), h("span", {}, h("b", {}, event.source), ` ${event.text}`))));
+  }
+  slow();
+  live.want("time", ["sim.time_s", "sim.tick"]);
+  const stopFrames = live.onFrame(() => {
+    const t = live.value("sim.time_s");
+    setText(clock, Number.isFinite(t) ? `${t.toFixed(3)} s` : "–");
+    setText(tick, `tick ${live.tick}`);
+  });
+  const stopSlow = live.onSlow(slow);
+
+  const element = h(
+    "div",
+    { class: "time" },
+    h("section", { class: "panel", "aria-label": "Clock" }, clock, tick,
+      h("div", { class: "buttons" }, run, reset),
+      h("div", { class: "buttons" }, steps, step, h("span", { class: "hint" }, "ticks, while paused")),
+      h("h2", {}, "Speed"), speeds, resetNumbers),
+    h("section", { class: "panel", "aria-label": "Snapshots" }, h("h2", {}, "Snapshots"), h("div", { class: "buttons" }, field("Name", name), save), snapshots),
+    h("section", { class: "panel", "aria-label": "Recording" }, h("h2", {}, "Recording"), recording, h("div", { class: "buttons" }, field("File", file), record), recordings),
+    h("section", { class: "panel wide", "aria-label": "Events" }, h("h2", {}, "Events"), events),
+  );
+  return {
+    element,
+    close() {
+      stopFrames();
+      stopSlow();
+      live.want("time", []);
+    },
+  };
+}
+
+function entries(files: File[], none: string, act: (file: File) => HTMLElement | null): HTMLElement[] {
+  if (!files.length) return [h("li", { class: "note" }, none)];
+  return files.slice(0, 50).map((file) => h("li", {}, h("code", {}, file.name), h("span", { class: "hint" }, bytes(file.bytes)), act(file)));
+}

@@ -1,0 +1,83 @@
+"""A daemon with its page, the plant behind it, and a browser."""
+
+import contextlib
+import json
+import re
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+from hilserver.image import ImageReader
+
+HERE = Path(__file__).parent
+SETPOINTS = tuple(f"wheel.{wheel}.setpoint_rpm" for wheel in ("fl", "rl", "fr", "rr"))
+DEADMAN_MS = 300
+
+
+class Plant:
+    """What the plant has latched, read where the page reads it."""
+
+    def __init__(self, image):
+        self.reader = ImageReader.attach(image)
+        self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
+
+    def value(self, name):
+        return float(self.reader.latest().values[self.slots[name]])
+
+    def command(self):
+        """The largest set-point, twist or wheel."""
+        names = ("twist.linear_m_s", "twist.angular_rad_s", *SETPOINTS)
+        return max(abs(self.value(name)) for name in names)
+
+    def wait(self, condition, timeout_s=20.0):
+        """Wait until `condition()`; return the seconds that it took."""
+        start_s = time.monotonic()
+        while not condition():
+            assert time.monotonic() - start_s < timeout_s, "it did not come"
+            time.sleep(0.005)
+        return time.monotonic() - start_s
+
+
+def page_url(daemon):
+    """The address that `hilserver run` prints as its first line."""
+    first = (daemon.folder / "daemon.log").read_text(encoding="utf-8").splitlines()[0]
+    match = re.fullmatch(r"operator page: (http://\S+)", first)
+    assert match, first
+    return match.group(1)
+
+
+class Browser:
+    """Chromium, by one line of JSON after the other."""
+
+    def __init__(self, *, webgl):
+        node, chromium = shutil.which("node"), shutil.which("chromium")
+        assert node, "Node.js is needed"
+        assert chromium, "chromium is needed (Debian package chromium)"
+        self.process = subprocess.Popen(
+            [node, "browser.mjs", chromium, "webgl" if webgl else "plain"],
+            cwd=HERE,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert json.loads(self.process.stdout.readline())["ready"]
+
+    def do(self, what, **more):
+        self.send(what, **more)
+        answer = json.loads(self.process.stdout.readline())
+        assert "error" not in answer, f"{what}: {answer['error']}"
+        return answer["result"]
+
+    def send(self, what, **more):
+        """Ask without waiting for the answer."""
+        self.process.stdin.write(json.dumps({"do": what, **more}) + "\n")
+        self.process.stdin.flush()
+
+    def close(self):
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            self.process.stdin.close()
+            self.process.wait(20)
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
