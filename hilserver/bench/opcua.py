@@ -9,7 +9,6 @@ servers alternate.
 import argparse
 import asyncio
 import contextlib
-import json
 import os
 import statistics
 import sys
@@ -29,21 +28,18 @@ from hilserver.program.children import piped, python
 _RATE_HZ = 50.0
 _QUEUE_SIZE = 10
 _IDLE_S = 3.0
-_WHEELS = ("fl", "rl", "fr", "rr")
-WATCHED = (
-    *(
-        f"wheel.{wheel}.{what}"
-        for what in ("speed_rpm", "duty_pct", "angle_rad")
-        for wheel in _WHEELS
-    ),
-    *(f"pose.{what}" for what in ("x_m", "y_m", "yaw_rad")),
-    *(f"nav.{what}" for what in ("x_m", "y_m", "yaw_rad")),
-    *(f"velocity.{what}" for what in ("linear_m_s", "lateral_m_s", "angular_rad_s")),
-    *(f"imu.{what}" for what in ("gyro_z_rad_s", "yaw_rad", "accel_x_m_s2", "accel_y_m_s2")),
-    *(f"tof.{wheel}_m" for wheel in _WHEELS),
-    "battery.voltage_v",
+_ITEMS_PER_SIGNAL = 3
+CHANGING = (
+    *(f"wheel.{wheel}.angle_rad" for wheel in ("fl", "rl", "fr", "rr")),
+    *("pose.x_m", "pose.y_m", "pose.yaw_rad", "imu.yaw_rad", "sim.tick", "sim.time_s"),
 )
-"""Signals that change all the time, thanks to injected noise."""
+"""Signals that change in every tick while the robot drives an arc."""
+_COMMANDS = (
+    ("control.mode", 1, ua.VariantType.Byte),
+    ("twist.linear_m_s", 0.2, ua.VariantType.Double),
+    ("twist.angular_rad_s", 0.4, ua.VariantType.Double),
+    ("drive.enable", True, ua.VariantType.Boolean),
+)
 
 
 @dataclass
@@ -123,36 +119,28 @@ async def _ours() -> AsyncIterator[Subject]:
     async with running_daemon({}, f"bench-opcua-{os.getpid()}") as (url, daemon):
         async with Wire(url) as wire:
             await wire.log_in()
-            request = ua.CallRequest()
-            faults = [{"fault": "noise", "signal": name, "sd": 0.01} for name in WATCHED]
-            request.Parameters.MethodsToCall = [
-                ua.CallMethodRequest(
-                    ua.NodeId("methods", 2),
-                    ua.NodeId("methods.InjectFault", 2),
-                    [ua.Variant(json.dumps(fault), ua.VariantType.String)],
-                )
-                for fault in faults
-            ]
-            for result in (await wire.ask(request, ua.CallResponse)).Results:
-                result.StatusCode.check()
-        yield Subject("hilserver", url, daemon.pid, [ua.NodeId(name, 2) for name in WATCHED])
+            for name, value, kind in _COMMANDS:
+                await wire.write(ua.NodeId(name, 2), value, kind)
+        nodes = [ua.NodeId(name, 2) for name in CHANGING] * _ITEMS_PER_SIGNAL
+        yield Subject("hilserver", url, daemon.pid, nodes)
 
 
 @contextlib.asynccontextmanager
 async def _stock() -> AsyncIterator[Subject]:
     port = free_port()
-    arguments = ["-m", "hilserver.bench.opcua_stock", str(port), str(len(WATCHED)), str(_RATE_HZ)]
+    arguments = ["-m", "hilserver.bench.opcua_stock", str(port), str(len(CHANGING)), str(_RATE_HZ)]
     with piped(python(*arguments), name="the stock server") as process:
         assert process.stdout is not None
         await asyncio.to_thread(process.stdout.readline)
-        nodes = [ua.NodeId(f"n{number}", 2) for number in range(len(WATCHED))]
+        nodes = [ua.NodeId(f"n{number}", 2) for number in range(len(CHANGING))]
+        nodes *= _ITEMS_PER_SIGNAL
         yield Subject("asyncua", f"opc.tcp://127.0.0.1:{port}/stock", process.pid, nodes)
 
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure, and return the figures."""
     ours, stock = asyncio.run(_measure(args))
-    expected = args.clients * len(WATCHED) * _RATE_HZ * args.block_s
+    expected = args.clients * len(CHANGING) * _ITEMS_PER_SIGNAL * _RATE_HZ * args.block_s
     costs = [subject.cpu_per_value_us for subject in (ours, stock)]
     name = "stock asyncua"
     raw = {
