@@ -13,6 +13,7 @@ from hilserver.errors import FailedError
 from hilserver.monitoring.health import HealthSources
 from hilserver.monitoring.health_http import CONNECTIONS_MAX, REQUEST_BYTES_MAX, HttpServer
 from hilserver.monitoring.metrics import Metrics
+from hilserver.signals import State
 from tests.helpers.prom_diff import PromDiff, series_of_text
 from tests.monitoring.figures import FakeDaemon
 
@@ -27,13 +28,13 @@ class Endpoint:
         self.heartbeat_ns = 10**9
         self.first_ticks_met = True
         self.daemon = FakeDaemon()
-        self.daemon.state = "running"
+        self.daemon.state = State.RUNNING
         metrics = Metrics(*self.daemon.sources())
         self.server = HttpServer(
             port=0,
             render=metrics.render,
             health=HealthSources(
-                state=lambda: self.daemon.state,
+                state=lambda: self.daemon.state.word,
                 heartbeat_ns=lambda: self.heartbeat_ns,
                 first_ticks_met=lambda: self.first_ticks_met,
             ),
@@ -109,7 +110,7 @@ async def test_a_scrape_over_http_shows_what_moved(endpoint: Endpoint) -> None:
 
 async def test_a_flood_of_scrapes_is_rendered_once_per_interval(endpoint: Endpoint) -> None:
     await endpoint.get("/metrics")
-    endpoint.daemon.state = "paused"
+    endpoint.daemon.state = State.PAUSED
     endpoint.now_ns += 49_000_000
     stale = (await endpoint.get("/metrics"))[2]
     endpoint.now_ns += 1_000_000
@@ -124,7 +125,7 @@ async def test_probes_answer_with_status_and_reason(endpoint: Endpoint) -> None:
         assert (status, headers["Content-Type"]) == (200, "application/json")
         assert json.loads(body)["ok"] is True
 
-    endpoint.daemon.state = "safe"
+    endpoint.daemon.state = State.SAFE
     assert (await endpoint.get("/healthz"))[0] == 200
     status, _, body = await endpoint.get("/readyz")
     assert status == 503
