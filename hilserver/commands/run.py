@@ -100,7 +100,9 @@ async def _run(
     assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
 ) -> int:
     listener = _listen(assembly.config.page)
-    starting = Daemon(assembly, limiter, play=play)  # compiles: a signal ends that at once
+    virtual = assembly.config.scheduler.backend == "virtual"
+    waits = virtual and duration_s is not None  # its first tick is that of the duration
+    starting = Daemon(assembly, limiter, play=play, paused=waits)  # compiles: a signal ends that
     asked = event_loop.end_event()
     if asked.is_set():
         return EXIT_DONE

@@ -37,6 +37,8 @@ from hilserver.scheduler import (
 from hilserver.signals import SignalTable
 
 LINEAR_BINS = 10_000
+VIRTUAL_RING = 2048
+"""Frames that are read between two batches of virtual time."""
 UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
 """Asks nothing of the operating system."""
 
@@ -70,11 +72,12 @@ class Pace:
     def configured(cls, assembly: Assembly, *, paused: bool = False) -> Self:
         """Return what the configuration asks for."""
         config, scheduler = assembly.config, assembly.config.scheduler
+        least = VIRTUAL_RING if scheduler.backend == "virtual" else 0
         realtime, timeout_ms = scheduler.realtime, config.control.command_timeout_ms
         return cls(
             backend=scheduler.backend,
             image=config.image.name,
-            ring_frames=config.image.ring_frames,
+            ring_frames=max(config.image.ring_frames, least),
             policy=OverrunPolicy(scheduler.policy, scheduler.catch_up_limit),
             limits=overrun_limits(scheduler.limits),
             realtime=RealtimeSettings(

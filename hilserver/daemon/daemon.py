@@ -8,7 +8,7 @@ publishes a frame, the publish slice hands the frame to OPC UA and the peers.
 import asyncio
 import dataclasses
 from contextlib import AsyncExitStack
-from typing import Self
+from typing import Any, Self
 
 import structlog
 
@@ -32,14 +32,14 @@ from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Play
 from hilserver.faults.scenario import Stage
-from hilserver.io.recorder.launch import running_recorder
+from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.state_service import StateService
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
 from hilserver.scheduler import StopReason
 
 _log = structlog.get_logger(__name__)
-IDLE_PERIOD_S = 0.1
+IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
 
 
 class Daemon:
@@ -164,11 +164,14 @@ class Daemon:
 
     async def _start_recorder(self) -> None:
         """Attach the recorder before the first tick; it ends after the last one."""
-        if self.config.recording.file is not None:
-            recorder = running_recorder(
-                self.config.recording, self.image.name, self.assembly.folder
-            )
-            await self._resources.enter_async_context(recorder)
+        if self.config.recording.file is None:
+            return
+        what = (self.config.recording, self.image.name, self.assembly.folder)
+        if self.clock.simulated:
+            look = self._resources.enter_context(recorder_inside(*what))
+            self.scheduler.after_batch.append(look)
+        else:
+            await self._resources.enter_async_context(running_recorder(*what))
 
     def _take_audit(self) -> None:
         """Look at what the system granted, show it and say what is missing."""
@@ -185,16 +188,23 @@ class Daemon:
                 )
 
     async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
-        """Run until `asked` is set, time is over or the scheduler ends; return the exit code."""
-        until = asyncio.create_task(asked.wait())
+        """Run until `asked` is set, time is over or the scheduler ends; return the exit code.
+
+        In virtual time `duration_s` is simulated time, for a daemon that stands still.
+        """
+        until: list[asyncio.Future[Any]] = [asyncio.ensure_future(asked.wait())]
+        if self.clock.simulated and duration_s is not None:
+            until.append(asyncio.ensure_future(self._simulate(duration_s)))
+            duration_s = None
         try:
             await asyncio.wait(
-                (until, self.scheduler.finished),
+                (*until, self.scheduler.finished),
                 timeout=duration_s,
                 return_when=asyncio.FIRST_COMPLETED,
             )
         finally:
-            until.cancel()
+            for task in until:
+                task.cancel()
         if not self.scheduler.finished.done():
             return EXIT_DONE
         reason = self.scheduler.finished.result()
@@ -202,6 +212,14 @@ class Daemon:
             _log.error("stopped by policy 'fail': a tick did not meet its deadline")
             return EXIT_SAFETY_LIMIT
         return EXIT_DONE if reason is StopReason.STOPPED else EXIT_FAILED
+
+    async def _simulate(self, duration_s: float) -> None:
+        """Run so much simulated time, however often somebody pauses it."""
+        n_ticks = max(round(duration_s * 1e9 / self.assembly.base_period_ns), 1)
+        self.scheduler.step(n_ticks)
+        await self.scheduler.wait_paused()
+        while self.scheduler.ticks_done < n_ticks:  # noqa: ASYNC110 - paused, by anybody
+            await asyncio.sleep(SIMULATED_POLL_S)
 
     # --- communication slices ---------------------------------------------------------------------
 

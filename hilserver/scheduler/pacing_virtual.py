@@ -5,6 +5,7 @@ Every communication slice runs at its own tick, so a run in virtual time is the 
 
 import asyncio
 import time
+from collections.abc import Callable, Sequence
 
 from hilserver.scheduler.law import begin
 from hilserver.scheduler.machine import Machine
@@ -13,15 +14,25 @@ from hilserver.scheduler.pacing_batch import run_batch
 from hilserver.scheduler.realtime import Grant
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 
-_BATCH_TICKS = 1000
+BATCH_TICKS = 1000
 _PAUSED_POLL_S = 0.01
 """While paused, inputs are latched at least this often."""
 
 
 class VirtualPacing:
-    """Runs the machine in virtual time; `thread_id` is 0: there is nothing to attribute."""
+    """Runs the machine in virtual time; `thread_id` is 0: there is nothing to attribute.
 
-    def __init__(self, machine: Machine, rung: Rung, ended: Ended) -> None:
+    Time waits for whoever is called in `after_batch`, at least every `BATCH_TICKS`.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        rung: Rung,
+        ended: Ended,
+        after_batch: Sequence[Callable[[], None]] = (),
+    ) -> None:
+        self._after_batch = after_batch
         self._machine = machine
         self._rung = rung
         self._ended = ended
@@ -51,9 +62,11 @@ class VirtualPacing:
         reason = StopReason.CRASHED
         try:
             while not self._stopping:
-                flags = run_batch(*self._machine.arguments, _BATCH_TICKS)
+                flags = run_batch(*self._machine.arguments, BATCH_TICKS)
                 if flags & RING:
                     self._rung()
+                for look in self._after_batch:
+                    look()
                 if flags & ENDED:
                     reason = StopReason.OVERRUN
                     return

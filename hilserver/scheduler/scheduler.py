@@ -72,6 +72,11 @@ class Scheduler:
         Collect once at the start and freeze what is alive.
     statistics_array, linear_bins
         See `Statistics`: an array in shared memory lets other processes read along.
+
+    Attributes
+    ----------
+    after_batch : list of callable
+        Called in virtual time after every batch of ticks; time waits for them.
     """
 
     def __init__(
@@ -124,6 +129,7 @@ class Scheduler:
             simulated=backend == "virtual",
             on_overrun=self._overruns.communication,
         )
+        self.after_batch: list[Callable[[], None]] = []
         self._pacing = self._make_pacing(realtime or RealtimeSettings())
         self._waiters: list[asyncio.Future[None]] = []
         self._started = False
@@ -133,7 +139,7 @@ class Scheduler:
             return ThreadPacing(self._machine, realtime, self._rung, self._ended)
         if self.backend == "timerfd":
             return TimerfdPacing(self._machine, realtime, self._rung, self._ended)
-        return VirtualPacing(self._machine, self._rung, self._ended)
+        return VirtualPacing(self._machine, self._rung, self._ended, self.after_batch)
 
     @property
     def statistics(self) -> Statistics:

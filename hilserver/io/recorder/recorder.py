@@ -34,6 +34,8 @@ class Settings:
         See `FileSeries`.
     buffer_bytes : int
         See `WriteBehind`.
+    waits : bool
+        True: the reader waits for a slow disk; False: frames are dropped and counted.
     """
 
     path: Path
@@ -41,6 +43,7 @@ class Settings:
     rotate_bytes: int | None = None
     keep: int | None = None
     buffer_bytes: int = 64_000_000
+    waits: bool = False
 
 
 class Recorder:
@@ -55,7 +58,7 @@ class Recorder:
     def __init__(self, name: str, settings: Settings) -> None:
         check_suffix(settings.path)
         self.stop = threading.Event()
-        self._source = Source(name)
+        self._source, self._waits = Source(name), settings.waits
         self._run = make_run(self._source.description)
         self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
@@ -70,6 +73,7 @@ class Recorder:
         )
         self._asked_s: float | None = None
         self._told = (0, 0)
+        self._next_s = 0.0
         self._told_s = 0.0
         first = self._source.first_state()
         if first is None:
@@ -125,13 +129,34 @@ class Recorder:
         self._read()
         return self._close()
 
+    def look(self) -> None:
+        """Take what is new, between two batches of simulated time; nothing once writing failed."""
+        now_s = time.monotonic()
+        if self._writing.error is None:
+            self._read()
+            if now_s >= self._next_s:
+                self._supervise(now_s)
+                self._next_s = now_s + SUPERVISE_S
+
+    def close(self) -> str:
+        """Complete the file; return one line that says what was recorded.
+
+        Raises
+        ------
+        FailedError
+            If the disk is full or the file cannot be written any more.
+        """
+        if self._writing.error is None:
+            self._read()
+        return self._close()
+
     def _read(self) -> None:
         if (state := self._source.state()) is not None:
             self._asked_s = None
             self._writing.put(state)
         dropped = False
         while (batch := self._source.frames()) is not None:
-            dropped |= not self._writing.put(batch)
+            dropped |= not self._writing.put(batch, wait=self._waits)
         if dropped or self._source.lost > self._told[0]:
             self._want_state()
 

@@ -55,10 +55,17 @@ class WriteBehind:
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
         self._thread.start()
 
-    def put(self, item: Item) -> bool:
-        """Hand over an item; False: the buffer is full, the item was dropped."""
+    def put(self, item: Item, *, wait: bool = False) -> bool:
+        """Hand over an item; False: the buffer is full, the item was dropped.
+
+        With `wait` it is handed over as soon as there is room.
+        """
         size = item.frames.n_bytes if isinstance(item, Segmented) else 0
         with self._news:
+            while wait and self._held_bytes and self._held_bytes + size > self._limit_bytes:
+                if self.error is not None:
+                    return False
+                self._news.wait(FLUSH_EVERY_S)
             if size and self._held_bytes + size > self._limit_bytes:
                 self.dropped += len(item.frames) if isinstance(item, Segmented) else 0
                 return False
@@ -120,6 +127,7 @@ class WriteBehind:
             self._writer.write(item)
             with self._news:
                 self._held_bytes -= item.frames.n_bytes
+                self._news.notify_all()
             self.written += len(item.frames)
         else:
             self._writer.tell(item)
