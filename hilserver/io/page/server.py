@@ -182,7 +182,7 @@ class PageServer:
                 "scenarios": list(files_in(folder("scenarios"), ".yaml", ".yml")),
                 "patches": list(files_in(folder("patches"), ".yaml", ".yml")),
                 "snapshots": list(files_in(folder("snapshots"))),
-                "folders": self._setup.folders,
+                "folders": {name: folder(name).name for name in self._setup.folders},
             }
         )
 
