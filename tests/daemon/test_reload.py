@@ -66,7 +66,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
         with structlog.testing.capture_logs() as said:
             assert not await reloader.reload()
         [line] = about_reload(said)
-        assert "config.yaml:4: unknown key 'plant.max_rmp'" in line["reason"]
+        assert "config.yaml:5: unknown key 'plant.max_rmp'" in line["reason"]
         assert reloader.from_file == daemon.config
 
         path.write_text(

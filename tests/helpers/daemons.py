@@ -36,8 +36,9 @@ def running_daemon(folder, *options, config=""):
     """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml."""
     image = image_name()
     text = f"image: {{name: {image}}}\nopcua: {{endpoint: 'opc.tcp://127.0.0.1:0/h'}}\n"
-    text += "metrics: {port: 0}\n" + ("" if "page:" in config else "page: {enabled: false}\n")
-    (folder / "config.yaml").write_text(f"{text}{config}", encoding="utf-8")
+    page = "" if "page:" in config else "\npage: {enabled: false}\n"
+    text += f"metrics: {{port: 0}}\n{config}{page}"
+    (folder / "config.yaml").write_text(text, encoding="utf-8")
     errors = (folder / "daemon.log").open("w+", encoding="utf-8")
     command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *options]
     with errors, subprocess.Popen(command, stderr=errors, cwd=folder) as process:
