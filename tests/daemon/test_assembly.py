@@ -30,8 +30,8 @@ ONE = "name: {}, function: 'own.py:follow', slice: sensors, inputs: {{u: pose.x_
     ("blocks", "complaint"),
     [
         ([ONE.format("a"), ONE.format("a")], ":1: blocks: two blocks have the name 'a'"),
-        ([ONE.format("audit")], ":2: blocks[0].name: 'audit' is a name of"),
-        ([ONE.format("pose")], ":2: blocks[0].name: 'pose' is a name of"),
+        ([ONE.format("audit")], ":2: blocks[0].name: 'audit' is reserved"),
+        ([ONE.format("pose")], ":2: blocks[0].name: 'pose' is reserved"),
         ([ONE.format("a").replace("pose.x_m", "pose.z_m")], ":2: blocks[0].inputs.u: there is no"),
         ([ONE.format("a").replace("inputs: {u", "inputs: {v")], ":2: blocks[0].inputs: input 'u'"),
         (
