@@ -7,7 +7,7 @@ import dataclasses
 import json
 import socket
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 from hilserver.commands.demo import demo_assembly, running_controller
@@ -99,35 +99,39 @@ async def _demo(
 async def _run(
     assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
 ) -> int:
-    listener = _listen(assembly.config.page)
     virtual = assembly.config.scheduler.backend == "virtual"
     waits = virtual and duration_s is not None  # its first tick is that of the duration
     starting = Daemon(assembly, limiter, play=play, paused=waits)  # compiles: a signal ends that
     asked = event_loop.end_event()
     if asked.is_set():
         return EXIT_DONE
-    async with starting as daemon:
-        watchdog = _make_watchdog(daemon)
-        _print_addresses(daemon)
-        page = _page(daemon, listener)
-        async with watchdog.watching(), _reload_on_hangup(daemon, watchdog), page:
-            code = await daemon.wait(duration_s, asked)
+    with _listening(assembly.config.page) as listener:
+        async with starting as daemon:
+            watchdog = _make_watchdog(daemon)
+            _print_addresses(daemon)
+            page = _page(daemon, listener)
+            async with watchdog.watching(), _reload_on_hangup(daemon, watchdog), page:
+                code = await daemon.wait(duration_s, asked)
     report_repeats(daemon.limiter or limiter, at_end=True)
     return code
 
 
-def _listen(page: PageConfig) -> socket.socket | None:
+@contextlib.contextmanager
+def _listening(page: PageConfig) -> Iterator[socket.socket | None]:
     """Listen for the page and say where; a page that cannot is no reason not to run."""
     if not page.enabled:
-        return None
+        yield None
+        return
     try:
         listener = listen(page.host, page.port)
     except FailedError as error:
         print(f"hilserver: {error}; running without the page", file=sys.stderr)
-        return None
-    url = url_of(listener, page.host, is_encrypted=page.tls is not None)
-    print(f"operator page: {url}", file=sys.stderr, flush=True)
-    return listener
+        yield None
+        return
+    with listener:
+        url = url_of(listener, page.host, is_encrypted=page.tls is not None)
+        print(f"operator page: {url}", file=sys.stderr, flush=True)
+        yield listener
 
 
 def _page(
