@@ -8,7 +8,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hilserver.errors import LogError, meant
+from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
 from hilserver.measured.data import Array
@@ -87,11 +87,15 @@ def refuse_foreign(path: Path) -> None:
     elif path.suffix == ".csv":
         with path.open("rb") as file:
             row = file.readline(1 << 20)
-        names = row.decode("utf-8-sig", errors="replace").strip().split(",")
+        try:
+            names = row.decode("utf-8-sig").strip().split(",")
+        except UnicodeDecodeError:
+            return  # the reader says what it is
         header = [name.strip().strip('"') for name in names]
     else:
         return
-    if {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
+    is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
+    if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
         foreign = ForeignTable(path, header)
         if foreign.proposal:  # else the reader says what is wrong
             raise foreign

@@ -267,7 +267,7 @@ KINDS = {
     "field missing": (
         bag(),
         TOPICS.replace("front_left_rpm", "left_front_rpm"),
-        "topic '/iotbot/rpm': there is no field 'left_front_rpm'; did you mean",
+        "topic '/iotbot/rpm': there is no field 'left_front_rpm'; it has front_left_rpm",
     ),
     "field no number": (
         bag(),

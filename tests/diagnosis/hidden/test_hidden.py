@@ -190,13 +190,6 @@ def test_the_verdict_does_not_hang_on_the_seed_of_the_draws():
     assert other.seed == 77
 
 
-def test_every_finding_has_a_verdict_of_its_own_kind():
-    for log in ([*case[:3]] for case in (*NAMED, *GROUPS)):
-        for finding in diagnosis(*log).findings.findings:
-            grouped = len(finding.causes) > 1
-            assert finding.verdict == (Verdict.NAMED_GROUP if grouped else Verdict.NAMED)
-
-
 @pytest.mark.parametrize("manoeuvre", ["spins", "ramps", "straights"])
 def test_drives_that_excite_little_are_judged_and_found_sound(manoeuvre):
     """On the spot no forward speed, in ramps no step of a set-point, on straights no turn."""
