@@ -18,7 +18,7 @@ RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", 
 """First parts of names that belong to the daemon itself; no block may have them."""
 
 RANGE_FINDERS = ("fl", "fr", "rl", "rr")
-"""Range finders in EduArt's order."""
+"""Range finders and lamps in EduArt's order."""
 
 LIGHTS = (
     "off",
@@ -31,6 +31,7 @@ LIGHTS = (
     "rotation",
     "running",
 )
+COLOURS = ("red", "green", "blue")
 
 
 class State(IntEnum):
@@ -48,8 +49,8 @@ class State(IntEnum):
         return self.name.lower()
 
 
-Source = Literal["scenario", "page", "opcua", "ros2", "peer"]
-SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "ros2", "peer")
+Source = Literal["scenario", "page", "opcua", "shield", "ros2", "peer"]
+SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""
 
 MEASURED = "measured."
@@ -235,15 +236,18 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     linear, angular = ranges.max_linear_m_s, ranges.max_angular_rad_s
     b.add("twist.linear_m_s", "m/s", in_, -linear, linear, "Commanded forward speed")
     b.add("twist.angular_rad_s", "rad/s", in_, -angular, angular, "Commanded turn rate, left +")
+    for wheel in WHEELS:
+        text = f"Duty of the {wheel} wheel straight to the process, past the speed controller"
+        b.add(f"wheel.{wheel}.duty_command_pct", "%", in_, -100.0, 100.0, text)
     byte, boolean = ValueType.BYTE, ValueType.BOOLEAN
-    modes, enabled = ("wheels", "twist"), ("disabled", "enabled")
-    text = "0 wheel set-points, 1 twist"
-    b.add("control.mode", "1", in_, 0, 1, text, type_=byte, labels=modes)
+    modes, enabled = ("wheels", "twist", "duty"), ("disabled", "enabled")
+    text = "0 wheel set-points, 1 twist, 2 wheel duties"
+    b.add("control.mode", "1", in_, 0, len(modes) - 1, text, type_=byte, labels=modes)
     text = "Drive enabled"
     b.add("drive.enable", "1", in_, 0, 1, text, type_=boolean, initial=1.0, labels=enabled)
     text = f"Light pattern: {', '.join(f'{i} {name}' for i, name in enumerate(LIGHTS))}"
     b.add("lights.command", "1", in_, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
-    for colour in ("red", "green", "blue"):
+    for colour in COLOURS:
         b.add(f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte)
     b.add(
         "input.sequence", "1", in_, 0, 2**32 - 1, "The controller's counter", type_=ValueType.UINT32
@@ -258,6 +262,9 @@ def _add_hidden(b: _Builder) -> None:
     b.add("internal.pose_x_m", "m", in_, -1e6, 1e6, "SetPose x", hidden=True)
     b.add("internal.pose_y_m", "m", in_, -1e6, 1e6, "SetPose y", hidden=True)
     b.add("internal.pose_yaw_rad", "rad", in_, -math.pi, math.pi, "SetPose yaw", hidden=True)
+    b.add("internal.gains", "1", in_, 0, 1, "1: the shield's host sets the gains", hidden=True)
+    b.add("internal.k_p", "1", in_, 0, 1e4, "Gain that the shield's host set", hidden=True)
+    b.add("internal.k_i", "1", in_, 0, 1e6, "Gain that the shield's host set", hidden=True)
 
 
 def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
@@ -294,8 +301,20 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
         ("nav.x_m", "m", -1e6, 1e6, "Navigation tag, position"),
         ("nav.y_m", "m", -1e6, 1e6, "Navigation tag, position"),
         ("nav.yaw_rad", "rad", -math.pi, math.pi, "Navigation tag, heading"),
+        ("battery.current_a", "A", 0.0, 50.0, "Current that the robot draws from the battery"),
+        ("shield.temperature_degc", "°C", -40.0, 125.0, "Temperature of the shield"),
     ]
     return rows
+
+
+def _add_lights(b: _Builder) -> None:
+    out, byte = Direction.OUT, ValueType.BYTE
+    text = "Light pattern that is shown"
+    b.add("lights.state", "1", out, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
+    for place in RANGE_FINDERS:
+        for colour in COLOURS:
+            text = f"Lamp {place} as it blinks, {colour}"
+            b.add(f"lights.{place}.{colour}", "1", out, 0, 255, text, type_=byte)
 
 
 def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTable:
@@ -306,6 +325,7 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     outputs = _robot_outputs()
     for name, unit, low, high, text in outputs:
         b.add(name, unit, Direction.OUT, low, high, text)
+    _add_lights(b)
     out = Direction.OUT
     b.add("sim.tick", "1", out, 0, 2**53, "Tick that made these values", type_=ValueType.INT64)
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")

@@ -10,6 +10,7 @@ BEGIN = {
     "wheel.fl.setpoint_rpm": layout.U_SETPOINT,
     "twist.linear_m_s": layout.U_TWIST_LINEAR,
     "twist.angular_rad_s": layout.U_TWIST_ANGULAR,
+    "wheel.fl.duty_command_pct": layout.U_DUTY,
     "control.mode": layout.U_MODE,
     "drive.enable": layout.U_ENABLE,
     "lights.command": layout.U_LIGHTS,
@@ -17,6 +18,7 @@ BEGIN = {
     "internal.command": layout.U_COMMAND,
     "internal.pose_request": layout.U_POSE_REQUEST,
     "internal.pose_x_m": layout.U_POSE,
+    "internal.gains": layout.U_GAINS,
     "wheel.fl.speed_rpm": layout.N_U + layout.Y_SPEED,
     "wheel.fl.duty_pct": layout.N_U + layout.Y_DUTY,
     "wheel.fl.angle_rad": layout.N_U + layout.Y_ANGLE,
@@ -26,6 +28,9 @@ BEGIN = {
     "battery.voltage_v": layout.N_U + layout.Y_BATTERY,
     "tof.fl_m": layout.N_U + layout.Y_TOF,
     "nav.x_m": layout.N_U + layout.Y_NAV,
+    "battery.current_a": layout.N_U + layout.Y_CURRENT,
+    "shield.temperature_degc": layout.N_U + layout.Y_TEMPERATURE,
+    "lights.state": layout.N_U + layout.Y_LIGHTS,
     "sim.tick": layout.N_U + layout.N_Y,
 }
 """First signal of each group in the plant's arrays; the last one: nothing lies between."""

@@ -15,6 +15,7 @@ from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
+from hilserver.config.shield import ShieldConfig
 from hilserver.config.timing import (
     BlockConfig,
     ControlConfig,
@@ -23,6 +24,7 @@ from hilserver.config.timing import (
     Section,
     SnapshotConfig,
 )
+from hilserver.signals import Source
 
 
 class Config(Section):
@@ -36,6 +38,7 @@ class Config(Section):
     image: ImageConfig = Field(default_factory=ImageConfig)
     opcua: OpcUaConfig = Field(default_factory=OpcUaConfig)
     peers: tuple[PeerConfig, ...] = ()
+    shield: ShieldConfig = Field(default_factory=ShieldConfig)
     blocks: tuple[BlockConfig, ...] = ()
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
@@ -47,14 +50,22 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        source = self.control.source or ("peer" if self.peers else "opcua")
-        if source not in self.control.priority:
-            raise ValueError(f"control: source '{source}' is not in priority")
+        if self.first_source not in self.control.priority:
+            raise ValueError(f"control: source '{self.first_source}' is not in priority")
         names = [block.name for block in self.blocks]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise ValueError(f"blocks: two blocks have the name '{twice[0]}'")
         return self
+
+    @property
+    def first_source(self) -> Source:
+        """Kind of source that has control at the start."""
+        if self.control.source is not None:
+            return self.control.source
+        if self.peers:
+            return "peer"
+        return "shield" if self.shield.enabled else "opcua"
 
     @property
     def sha256(self) -> str:

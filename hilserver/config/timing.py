@@ -109,7 +109,9 @@ class ControlConfig(Section):
     """Who commands."""
 
     source: Source | None = Field(
-        None, description="Who has control at start; null: peer if there are peers, else opcua"
+        None,
+        description="Who has control at start; null: peer if there are peers, else shield if"
+        " enabled, else opcua",
     )
     priority: tuple[Source, ...] = Field(
         SOURCES, description="Who may take control from whom, highest first"

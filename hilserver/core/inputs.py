@@ -26,6 +26,7 @@ SETPOINTS = (
     *(f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS),
     "twist.linear_m_s",
     "twist.angular_rad_s",
+    *(f"wheel.{wheel}.duty_command_pct" for wheel in WHEELS),
 )
 """What a stop sets to zero."""
 
@@ -123,7 +124,7 @@ class InputGate:
         Parameters
         ----------
         source : str
-            ``opcua``, ``page``, ``scenario``, ``ros2`` or ``peer:<name>``.
+            ``opcua``, ``page``, ``scenario``, ``shield``, ``ros2`` or ``peer:<name>``.
         values : mapping
             Signal name to number, Boolean, or four numbers for an array.
         received_ns : int, optional

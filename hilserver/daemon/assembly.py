@@ -187,6 +187,8 @@ class _Builder:
             slice_name = getattr(sensors, name).slice
             self._need_compiled(("sensors", name, "slice"), slice_name, slices)
             parts.append(Part(name, slice_name))
+            if name == "battery":
+                parts.append(Part("shield", slice_name))
         return parts
 
     def _need_compiled(

@@ -186,7 +186,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         table,
         image,
         events,
-        owner=config.control.source or ("peer" if config.peers else "opcua"),
+        owner=config.first_source,
         priority=config.control.priority,
     )
     folder = assembly.folder / config.snapshots.folder

@@ -14,7 +14,7 @@ from hilserver.signals import SignalTable
 
 @dataclass(frozen=True)
 class Part:
-    """One of the robot's own parts and the slice it runs in: robot, imu, battery, tof or nav."""
+    """One of the robot's own parts (robot, imu, battery, shield, tof, nav) and its slice."""
 
     name: str
     slice: str

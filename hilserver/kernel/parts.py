@@ -16,6 +16,7 @@ from hilserver.plant.kernels import inlined
 from hilserver.plant.layout import N_P, N_U, N_X, N_Y
 from hilserver.plant.nav import nav_step
 from hilserver.plant.robot import robot_step
+from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
 
 # --- the robot ------------------------------------------------------------------------------------
@@ -52,6 +53,13 @@ def battery(at: Places, values: Any, words: Any) -> None:
     """Take the charge of this run from the battery and show its voltage."""
     p, x, u, y, q = _pieces(at, values, words)
     battery_step(p, x, u, y, q)
+
+
+@inlined
+def shield(at: Places, values: Any, words: Any) -> None:
+    """Show the lamps as they blink, and the temperature."""
+    p, x, u, y, q = _pieces(at, values, words)
+    shield_step(p, x, u, y, q)
 
 
 @inlined

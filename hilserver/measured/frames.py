@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hilserver.config.root import Config
 from hilserver.logs import Log
+from hilserver.measured.channels import DUTY_COMMANDS, SETPOINTS, TWIST
 from hilserver.measured.data import Array
 from hilserver.measured.names import is_input, known_signals
 from hilserver.signals import MEASURED
@@ -61,6 +62,7 @@ class Sampling:
         samples = max(round(1e3 / (sensors.nav.rate_hz * nav * base_ms)), 1)
         ticks = dict.fromkeys(("wheel", "pose", "velocity"), robot) | {"nav": nav * samples}
         ticks |= {name: every(getattr(sensors, name).slice) for name in ("imu", "battery", "tof")}
+        ticks |= dict.fromkeys(("shield", "lights"), ticks["battery"])
         return cls(base_ms * 1e-3, ticks)
 
     def period(self, name: str) -> int:
@@ -190,11 +192,13 @@ def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
     """Return the inputs without set-points of the mode that is not in force."""
     if MODE not in inputs:
         return inputs
-    twist = inputs[MODE] == 1.0
+    mode_of = {
+        name: mode
+        for mode, names in ((0.0, SETPOINTS), (1.0, TWIST), (2.0, DUTY_COMMANDS))
+        for name in names
+    }
     return {
-        name: np.where(twist == name.startswith("twist."), values, np.nan)
-        if name.startswith(("wheel.", "twist."))
-        else values
+        name: np.where(inputs[MODE] == mode_of[name], values, np.nan) if name in mode_of else values
         for name, values in inputs.items()
     }
 

@@ -22,6 +22,7 @@ from hilserver.plant.layout import (
     X_BATTERY_V,
     X_CHARGE,
     Y_BATTERY,
+    Y_CURRENT,
     Y_DUTY,
 )
 
@@ -43,16 +44,23 @@ def open_circuit_voltage(charge: float) -> float:
 
 
 @part
-def battery_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
-    """Publish the voltage under the load of this tick and take the charge of one run."""
-    if p[P_BATTERY_ENABLED] == 0.0:
-        q[Y_BATTERY] = BAD_OUT_OF_SERVICE
-        return
+def drawn_current(p: Any, y: Any) -> float:
+    """Return the current [A] of electronics and wheels under the duties of this tick."""
     current = p[P_IDLE_CURRENT]
     for i in range(N_WHEELS):
         current += p[P_DUTY_CURRENT] * abs(y[Y_DUTY + i])
+    return float(current)
+
+
+@part
+def battery_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+    """Publish the voltage under the load of this tick and take the charge of one run."""
+    if p[P_BATTERY_ENABLED] == 0.0:
+        q[Y_BATTERY] = q[Y_CURRENT] = BAD_OUT_OF_SERVICE
+        return
+    current = drawn_current(p, y)
     voltage = open_circuit_voltage(x[X_CHARGE]) - p[P_RESISTANCE] * current
     x[X_BATTERY_V] = min(max(voltage, LOWEST_V), HIGHEST_V)
-    y[Y_BATTERY] = x[X_BATTERY_V]
-    q[Y_BATTERY] = GOOD
+    y[Y_BATTERY], y[Y_CURRENT] = x[X_BATTERY_V], current
+    q[Y_BATTERY] = q[Y_CURRENT] = GOOD
     x[X_CHARGE] = max(x[X_CHARGE] - p[P_CHARGE_PER_A] * current, 0.0)

@@ -6,6 +6,8 @@ from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     COMMAND_NORMAL,
     COMMAND_SAFE,
+    MODE_DUTY,
+    MODE_WHEELS,
     N_WHEELS,
     P_COMMAND_TERMS,
     P_DELAY_TICKS,
@@ -18,12 +20,17 @@ from hilserver.plant.layout import (
     P_RPM_PER_RAD_S,
     RING,
     U_COMMAND,
+    U_DUTY,
     U_ENABLE,
+    U_GAINS,
     U_MODE,
     U_SETPOINT,
     U_TWIST_ANGULAR,
     U_TWIST_LINEAR,
     X_COMMANDED,
+    X_DIRECT,
+    X_DUTY_COMMAND,
+    X_GAINS,
     X_LAST_COMMAND,
     X_RAMP_START,
     X_RAMP_TICKS,
@@ -31,6 +38,7 @@ from hilserver.plant.layout import (
     X_SETPOINT,
     X_SETPOINT_HEAD,
     X_SETPOINT_RING,
+    X_SPEED,
     X_TWIST_REDUCED,
 )
 
@@ -66,6 +74,15 @@ def inverse_kinematics(p: Any, x: Any, linear_m_s: float, angular_rad_s: float) 
     x[X_COMMANDED + 1] = turning + straight
     x[X_COMMANDED + 2] = turning - straight
     x[X_COMMANDED + 3] = turning - straight
+
+
+@part
+def direct_duty(x: Any, u: Any) -> None:
+    """Drive with commanded duties; the speed loop follows, so that it can take over at any tick."""
+    x[X_DIRECT] = 1.0
+    for i in range(N_WHEELS):
+        x[X_DUTY_COMMAND + i] = u[U_DUTY + i]
+        x[X_COMMANDED + i] = x[X_SPEED + i]
 
 
 @inlined
@@ -109,13 +126,18 @@ def command(p: Any, x: Any, u: Any) -> None:
     wish = u[U_COMMAND]
     x[X_TWIST_REDUCED] = 0.0
     x[X_SCALED] = 0.0
+    x[X_DIRECT] = 0.0
+    for i in range(3):
+        x[X_GAINS + i] = u[U_GAINS + i]
     if wish == COMMAND_SAFE:
         safe_ramp(p, x)
     elif wish != COMMAND_NORMAL or u[U_ENABLE] == 0.0:
         for i in range(N_WHEELS):
             x[X_COMMANDED + i] = 0.0
+    elif u[U_MODE] == MODE_DUTY:
+        direct_duty(x, u)
     else:
-        if u[U_MODE] == 0.0:
+        if u[U_MODE] == MODE_WHEELS:
             for i in range(N_WHEELS):
                 x[X_COMMANDED + i] = u[U_SETPOINT + i]
         else:

@@ -45,8 +45,11 @@ from hilserver.plant.layout import (
     X_BATTERY_V,
     X_CONTROL_PHASE,
     X_DERIVATIVE,
+    X_DIRECT,
     X_DUTY,
+    X_DUTY_COMMAND,
     X_ENCODER,
+    X_GAINS,
     X_GAP,
     X_INTEGRAL,
     X_LAST_ERROR,
@@ -68,6 +71,8 @@ Sums = tuple[float, float, float, float, float, float]
 @inlined
 def drive_base(p: Any, x: Any, y: Any) -> Sums:
     """All drive terms at null: the controller at the plant slice, the exact joint solution."""
+    if x[X_DIRECT] + x[X_GAINS] != 0.0:
+        return drive_terms(p, x, y)  # type: ignore[no-any-return]
     kp, ki_step, anti_windup, limit = p[P_KP], p[P_KI_STEP], p[P_ANTI_WINDUP_STEP], p[P_LIMIT]
     a00, a01, a10, a11, b0, b1 = p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0], p[P_B1]
     half_turn = p[P_DT] * (0.5 * RAD_PER_RPM_S)
@@ -113,8 +118,11 @@ def encoder(p: Any, x: Any, i: int) -> float:
 @part
 def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
     """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; sets the held duty."""
+    kp, ki_step = p[P_KP], p[P_KI_STEP]
+    if x[X_GAINS] != 0.0:
+        kp, ki_step = x[X_GAINS + 1], x[X_GAINS + 2] * p[P_CONTROL_TICKS] * p[P_DT]
     error = x[X_SETPOINT + i] - seen_rpm
-    wanted = p[P_KP] * error + x[X_INTEGRAL + i]
+    wanted = kp * error + x[X_INTEGRAL + i]
     if p[P_DERIVATIVE_GAIN] != 0.0:
         x[X_DERIVATIVE + i] = p[P_DERIVATIVE_KEEP] * x[X_DERIVATIVE + i] + p[P_DERIVATIVE_GAIN] * (
             error - x[X_LAST_ERROR + i]
@@ -123,8 +131,17 @@ def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
         wanted += x[X_DERIVATIVE + i]
     limit = p[P_LIMIT]
     duty = min(max(wanted, -limit), limit)
-    x[X_INTEGRAL + i] += p[P_KI_STEP] * error + p[P_ANTI_WINDUP_STEP] * (duty - wanted)
+    x[X_INTEGRAL + i] += ki_step * error + p[P_ANTI_WINDUP_STEP] * (duty - wanted)
     x[X_DUTY + i] = duty
+
+
+@part
+def pass_duty(p: Any, x: Any, i: int) -> None:
+    """Take the commanded duty of wheel `i` instead of the controller's, which takes note of it."""
+    limit = p[P_LIMIT]
+    duty = min(max(x[X_DUTY_COMMAND + i], -limit), limit)
+    x[X_DUTY + i] = x[X_INTEGRAL + i] = duty
+    x[X_DERIVATIVE + i] = x[X_LAST_ERROR + i] = 0.0
 
 
 @part
@@ -229,7 +246,9 @@ def drive_terms(p: Any, x: Any, y: Any) -> Sums:
     for i in range(N_WHEELS):
         speed, motor = x[X_SPEED + i], x[X_MOTOR + i]
         seen = encoder(p, x, i)
-        if runs:
+        if x[X_DIRECT] != 0.0:
+            pass_duty(p, x, i)
+        elif runs:
             controller(p, x, i, seen)
         y[Y_SPEED + i] = seen
         y[Y_DUTY + i] = x[X_DUTY + i]

@@ -29,14 +29,21 @@ BAD_OUT_OF_SERVICE: Final = 0x808D0000
 U_SETPOINT: Final = 0  # 4 wheels [rpm]
 U_TWIST_LINEAR: Final = 4  # [m/s]
 U_TWIST_ANGULAR: Final = 5  # [rad/s]
-U_MODE: Final = 6  # 0 wheels, 1 twist
-U_ENABLE: Final = 7
-U_LIGHTS: Final = 8  # command, red, green, blue
-U_SEQUENCE: Final = 12
-U_COMMAND: Final = 13  # hidden: COMMAND_*
-U_POSE_REQUEST: Final = 14  # hidden: a counter; when it changes, the pose is set
-U_POSE: Final = 15  # hidden: x [m], y [m], yaw [rad]
-N_U: Final = 18
+U_DUTY: Final = 6  # 4 wheels [%]
+U_MODE: Final = 10  # MODE_*; what stands before it is a set-point
+U_ENABLE: Final = 11
+U_LIGHTS: Final = 12  # command, red, green, blue
+U_SEQUENCE: Final = 16
+U_COMMAND: Final = 17  # hidden: COMMAND_*
+U_POSE_REQUEST: Final = 18  # hidden: a counter; when it changes, the pose is set
+U_POSE: Final = 19  # hidden: x [m], y [m], yaw [rad]
+U_GAINS: Final = 22  # hidden: 1 while the next two replace the controller's, K_P, K_I
+N_U: Final = 25
+
+# values of u[U_MODE]
+MODE_WHEELS: Final = 0
+MODE_TWIST: Final = 1
+MODE_DUTY: Final = 2
 
 # values of u[U_COMMAND]
 COMMAND_NORMAL: Final = 0
@@ -54,7 +61,10 @@ Y_IMU: Final = 18  # gyro_z [rad/s], yaw [rad], accel_x, accel_y [m/s2]
 Y_BATTERY: Final = 22  # [V]
 Y_TOF: Final = 23  # fl, fr, rl, rr [m]: EduArt's order
 Y_NAV: Final = 27  # x [m], y [m], yaw [rad]
-N_Y: Final = 30
+Y_CURRENT: Final = 30  # [A]
+Y_TEMPERATURE: Final = 31  # [degC]
+Y_LIGHTS: Final = 32  # pattern, then red, green, blue of fl, fr, rl, rr
+N_Y: Final = 45
 
 # --- state x --------------------------------------------------------------------------------------
 RING: Final = 1024  # samples that a delay can reach back
@@ -91,7 +101,13 @@ X_NAV_SAMPLES: Final = 67
 X_NAV_OU: Final = 68  # 3: x [m], y [m], yaw [rad]
 X_IMU_RUNS: Final = 71
 X_NAV_SHOWN: Final = 72  # 3: the last sample, shown until the next
-X_SETPOINT_RING: Final = 75  # RING x 4
+X_DIRECT: Final = 75  # 1 while duties are commanded
+X_DUTY_COMMAND: Final = 76  # 4 [%]
+X_TEMPERATURE: Final = 80  # [degC]
+X_LIGHT_PATTERN: Final = 81
+X_LIGHT_TIME: Final = 82  # [s] since the pattern began
+X_GAINS: Final = 83  # 3: as the input
+X_SETPOINT_RING: Final = 86  # RING x 4
 X_IMU_RING: Final = X_SETPOINT_RING + 4 * RING  # RING x 4
 X_NAV_RING: Final = X_IMU_RING + 4 * RING  # RING x 3
 N_X: Final = X_NAV_RING + 3 * RING
@@ -178,6 +194,8 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_RESISTANCE,
     P_IDLE_CURRENT,
     P_DUTY_CURRENT,  # [A/%] per wheel
+    P_SHIELD_PERIOD,  # slice of the shield [s]
+    P_SHIELD_KEEP,  # share of its warming that is left after a run
     P_TOF_ENABLED,
     P_TOF_X,
     P_TOF_Y,
@@ -207,5 +225,5 @@ N_X: Final = X_NAV_RING + 3 * RING
     # initial values of the state that are not zero
     P_CHARGE_0,
     N_P,
-) = range(105)  # one more than there are parameters
+) = range(107)  # one more than there are parameters
 P_WHEEL_LOAD: Final = P_LOAD  # 4 [%], contiguous

@@ -11,6 +11,7 @@ from hilserver.plant.battery import DUTY_FULL_PCT, HIGHEST_V, LOWEST_V, open_cir
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.shield import AMBIENT_DEGC, WARMING_S
 from hilserver.plant.terms import TERMS, complete
 
 Array = NDArray[np.float64]
@@ -233,6 +234,8 @@ def _pack_body_sensors(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_IDLE_CURRENT] = battery.idle_current_a
     p[at.P_DUTY_CURRENT] = battery.full_duty_current_a / DUTY_FULL_PCT
     p[at.P_CHARGE_0] = battery.initial_charge
+    p[at.P_SHIELD_PERIOD] = battery.period_s
+    p[at.P_SHIELD_KEEP] = math.exp(-battery.period_s / WARMING_S)
     p[at.P_TOF_ENABLED] = tof.enabled
     p[at.P_TOF_X], p[at.P_TOF_Y] = tof.mount_x_m, tof.mount_y_m
     p[at.P_TOF_SIN] = math.sin(tof.field_of_view_rad / 2.0)
@@ -281,6 +284,7 @@ def initial_state(robot: RobotParameters) -> Array:
     x = np.zeros(at.N_X)
     charge = float(p[at.P_CHARGE_0])
     x[at.X_CHARGE] = charge
+    x[at.X_TEMPERATURE] = AMBIENT_DEGC
     rest_v = open_circuit_voltage.py_func(charge) - p[at.P_RESISTANCE] * p[at.P_IDLE_CURRENT]
     x[at.X_BATTERY_V] = min(max(rest_v, LOWEST_V), HIGHEST_V)
     return x

@@ -91,7 +91,7 @@ def test_a_wrong_type_names_the_type_wanted(world, name, value, wanted):
         ("wheels.setpoints_rpm", 1.0, Refusal.TYPE_MISMATCH),
         ("wheels.setpoints_rpm", [1.0, 2.0, 3.0, math.nan], Refusal.NOT_FINITE),
         ("drive.enable", 1, Refusal.TYPE_MISMATCH),
-        ("control.mode", 2, Refusal.OUT_OF_RANGE),
+        ("control.mode", 3, Refusal.OUT_OF_RANGE),
         ("control.mode", 0.5, Refusal.TYPE_MISMATCH),
         ("pose.x_m", 1.0, Refusal.NOT_WRITABLE),
         ("internal.command", 1.0, Refusal.UNKNOWN_SIGNAL),

@@ -6,7 +6,7 @@ import hilserver.plant.layout as at
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.robot import robot_step
-from hilserver.plant.sensors import battery_step, imu_step, nav_step, tof_step
+from hilserver.plant.sensors import battery_step, imu_step, nav_step, shield_step, tof_step
 
 SENSOR_TICKS = 10
 
@@ -33,6 +33,11 @@ class Rig:
         self.u[at.U_TWIST_ANGULAR] = angular_rad_s
         return self
 
+    def duties(self, *pct):
+        self.u[at.U_MODE] = at.MODE_DUTY
+        self.u[at.U_DUTY : at.U_DUTY + 4] = pct
+        return self
+
     def step(self, ticks=1):
         for _ in range(ticks):
             robot_step(self.p, self.x, self.u, self.y, self.q)
@@ -42,6 +47,7 @@ class Rig:
     def sense(self):
         imu_step(self.p, self.x, self.u, self.y, self.q)
         battery_step(self.p, self.x, self.u, self.y, self.q)
+        shield_step(self.p, self.x, self.u, self.y, self.q)
         tof_step(self.p, self.x, self.u, self.y, self.q, self.robot.hall)
         nav_step(self.p, self.x, self.u, self.y, self.q)
         return self

@@ -98,6 +98,57 @@ def test_second_ramp_starts_anew():
     assert ramp(rig, 1)[0][0] == pytest.approx(49.5)
 
 
+# --- duties straight to the process ---------------------------------------------------------------
+
+
+def test_commanded_duty_reaches_the_process_unchanged():
+    rig = Rig().duties(20, -30, 40, 0).step(1000)
+    assert rig.y[at.Y_DUTY : at.Y_DUTY + 4].tolist() == [20, -30, 40, 0]
+    gain = rig.robot.process.gain
+    assert rig.y[:4] == pytest.approx(gain * np.array([20, -30, 40, 0]), abs=1e-4)
+
+
+def test_commanded_duty_ends_at_the_limit():
+    rig = Rig(terms={"saturation_limit": 60.0}).duties(100, -100, 5, 0).step()
+    assert rig.y[at.Y_DUTY : at.Y_DUTY + 4].tolist() == [60, -60, 5, 0]
+
+
+def test_speed_loop_takes_over_without_a_jump():
+    rig = Rig().duties(50, 50, -50, -50).step(1000)
+    before = rig.y[:4].copy()
+    duty = rig.wheels(*before).step().y[at.Y_DUTY : at.Y_DUTY + 4]
+    assert duty == pytest.approx([50, 50, -50, -50], abs=0.1)
+
+
+def test_safe_ramp_and_disabling_end_commanded_duties():
+    rig = Rig(safe_ramp_s=0.1).duties(50, 50, -50, -50).step(1000)
+    rows = ramp(rig, 150)
+    assert rows[0] == pytest.approx(0.99 * 1.11 * np.array([50, 50, -50, -50]), rel=1e-3)
+    assert not rows[99:].any()
+    rig = Rig().duties(50, 50, -50, -50).step(1000)
+    rig.u[at.U_ENABLE] = 0.0
+    assert abs(rig.step(2000).y[:4]).max() < 1e-3
+
+
+# --- gains that come in as inputs -----------------------------------------------------------------
+
+
+def test_gains_of_the_configuration_given_as_inputs_change_nothing():
+    plain, given = Rig().wheels(30, 30, -30, -30), Rig().wheels(30, 30, -30, -30)
+    c = given.robot.controller
+    given.u[at.U_GAINS : at.U_GAINS + 3] = (1.0, c.k_p, c.k_i)
+    for _ in range(300):
+        assert given.step().y == pytest.approx(plain.step().y, abs=1e-9)
+
+
+def test_smaller_gains_make_a_slower_robot_until_they_are_withdrawn():
+    plain, soft = Rig().wheels(60, 60, -60, -60), Rig().wheels(60, 60, -60, -60)
+    soft.u[at.U_GAINS : at.U_GAINS + 3] = (1.0, 0.5, 10.0)
+    assert soft.step(50).y[0] < 0.6 * plain.step(50).y[0]
+    soft.u[at.U_GAINS] = 0.0
+    assert soft.step(1000).y[0] == pytest.approx(60, abs=0.01)
+
+
 def test_pose_request_acts_once_at_the_start_of_the_tick():
     rig = Rig().wheels(50, 50, -50, -50).step(300)
     rig.u[at.U_POSE_REQUEST] = 1.0

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
-from hilserver.measured.channels import DUTIES, SETPOINTS, SPEEDS, TWIST
+from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import (
     N_U,
     N_Y,
     U_COMMAND,
+    U_DUTY,
     U_ENABLE,
     U_MODE,
     U_SETPOINT,
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 INPUTS: Final[Mapping[str, int]] = {
     **{name: U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
+    **{name: U_DUTY + i for i, name in enumerate(DUTY_COMMANDS)},
     "twist.linear_m_s": U_TWIST_LINEAR,
     "twist.angular_rad_s": U_TWIST_ANGULAR,
     "control.mode": U_MODE,

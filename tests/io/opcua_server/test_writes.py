@@ -75,7 +75,7 @@ async def test_array_write_maps_to_four_slots_and_later_wins(rig: Rig, client: R
         (ARRAY, [1.0, 2.0, 3.0, 91.0], T.Double, "BadOutOfRange"),
         (ARRAY, [[1.0, 2.0], [3.0, 4.0]], T.Double, "BadTypeMismatch"),
         ("drive.enable", 1, T.Byte, "BadTypeMismatch"),
-        ("control.mode", 2, T.Byte, "BadOutOfRange"),
+        ("control.mode", 3, T.Byte, "BadOutOfRange"),
         ("lights.command", 9, T.Byte, "BadOutOfRange"),
         ("pose.x_m", 1.0, T.Double, "BadNotWritable"),
         ("slices", 1.0, T.Double, "BadAttributeIdInvalid"),

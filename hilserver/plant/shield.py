@@ -1,0 +1,77 @@
+"""The extension shield: lamps as they blink, and its temperature.
+
+The temperature follows the current with one time constant. How warm the real one gets, and how fast
+its lamps blink, is not published: the figures here are assumptions.
+"""
+
+import math
+from typing import Any, Final
+
+from hilserver.plant.battery import drawn_current
+from hilserver.plant.kernels import part
+from hilserver.plant.layout import (
+    GOOD,
+    P_SHIELD_KEEP,
+    P_SHIELD_PERIOD,
+    U_LIGHTS,
+    X_LIGHT_PATTERN,
+    X_LIGHT_TIME,
+    X_TEMPERATURE,
+    Y_LIGHTS,
+    Y_TEMPERATURE,
+)
+
+AMBIENT_DEGC: Final = 25.0
+WARMING_DEGC_PER_A: Final = 2.5
+WARMING_S: Final = 300.0
+BLINK_S: Final = 0.8  # on for one half of it
+TURN_S: Final = 0.72  # once round the four lamps
+WAVE_S: Final = 1.9
+
+DIM, HIGH_BEAM, FLASH_ALL, FLASH_LEFT, FLASH_RIGHT, PULSATION, ROTATION, RUNNING = range(1, 9)
+
+
+@part
+def brightness(pattern: float, lamp: int, time_s: float) -> float:
+    """Return 0 .. 1 of a lamp (fl, fr, rl, rr) at a time since the pattern began."""
+    blink = 1.0 if time_s % BLINK_S < 0.5 * BLINK_S else 0.0
+    quarter = int(time_s % TURN_S * 4.0 / TURN_S)
+    if pattern == DIM:
+        return 0.35
+    if pattern == HIGH_BEAM:
+        return 1.0
+    if pattern == FLASH_ALL:
+        return blink
+    if pattern == FLASH_LEFT:
+        return blink if lamp % 2 == 0 else 0.0
+    if pattern == FLASH_RIGHT:
+        return blink if lamp % 2 == 1 else 0.0
+    if pattern == PULSATION:
+        return 0.5 - 0.5 * math.cos(2.0 * math.pi * time_s / WAVE_S)
+    if pattern == ROTATION:
+        turn = lamp if lamp < 2 else 5 - lamp  # fl, fr, rr, rl
+        return 1.0 if turn == quarter else 0.0
+    if pattern == RUNNING:
+        return 1.0 if lamp % 2 == quarter % 2 else 0.0
+    return 0.0
+
+
+@part
+def shield_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
+    """Publish lamps and temperature, and move on by one run."""
+    pattern = u[U_LIGHTS]
+    if pattern != x[X_LIGHT_PATTERN]:
+        x[X_LIGHT_PATTERN], x[X_LIGHT_TIME] = pattern, 0.0
+    y[Y_LIGHTS] = pattern
+    q[Y_LIGHTS] = GOOD
+    for lamp in range(4):
+        share = brightness(pattern, lamp, x[X_LIGHT_TIME])
+        for colour in range(3):
+            place = Y_LIGHTS + 1 + 3 * lamp + colour
+            y[place] = math.floor(u[U_LIGHTS + 1 + colour] * share + 0.5)
+            q[place] = GOOD
+    y[Y_TEMPERATURE] = x[X_TEMPERATURE]
+    q[Y_TEMPERATURE] = GOOD
+    x[X_LIGHT_TIME] += p[P_SHIELD_PERIOD]
+    warm = AMBIENT_DEGC + WARMING_DEGC_PER_A * drawn_current(p, y)
+    x[X_TEMPERATURE] = warm + (x[X_TEMPERATURE] - warm) * p[P_SHIELD_KEEP]
