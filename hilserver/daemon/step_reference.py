@@ -44,7 +44,7 @@ over functions. So a set-point can be followed from file to file:
 | | `command` in `plant/command.py` | enabled, limited, delayed: what the wheel loops follow |
 | | `drive_base` in `plant/drive.py` | controller, motor, wheel: it becomes a speed |
 | | `velocity_base` in `plant/kinematics.py`, `move` in `plant/pose.py` | and a change of the pose |
-| sensor slice | `imu`, `battery`, `shield`, `tof`, `nav` in `kernel/parts.py` | what they show of it |
+| sensor slice | `imu`, `battery`, `shield`, `tof`, `nav` in `kernel/parts.py` | they show it |
 | `PUBLISH` | `publish` in `kernel/phases.py` | stamps the frame, then: |
 | | `modify_outputs` in `kernel/modifiers.py` | changed by injected faults and forces |
 | | `publish_frame` in `image/ring.py` | the frame is in the ring, for everybody to read |
