@@ -19,6 +19,8 @@ from hilserver.program import children
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 5.0
+STALE_AFTER_MS = 2000.0
+"""A controller that shares a busy computer's cores may pause without being lost."""
 
 
 @contextlib.asynccontextmanager
@@ -60,7 +62,6 @@ async def running_controller(
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
     """Return the same robot with the embedded controller as its only peer."""
     control = assembly.config.control.model_copy(update={"source": "peer"})
-    config = assembly.config.model_copy(
-        update={"peers": (demo_peer(endpoint),), "control": control}
-    )
+    peer = demo_peer(endpoint).model_copy(update={"stale_after_ms": STALE_AFTER_MS})
+    config = assembly.config.model_copy(update={"peers": (peer,), "control": control})
     return dataclasses.replace(assembly, config=config)

@@ -16,10 +16,10 @@ from hilserver.controller.path import Eight
 from tests.commands.test_cli import write_config
 
 CLIENT = Path(__file__).parents[1] / "foreign_client"
-WATCH_S = 30.0
-"""One lap takes 26 s."""
+WATCH_S = 90.0
+"""A lap takes 26 s; longer where the computer is busy."""
 
-pytestmark = [pytest.mark.node_red, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.node_red, pytest.mark.timeout(200)]
 
 
 def distance_to(eight, x, y):
@@ -43,8 +43,10 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
     process, endpoint = demo
     node = shutil.which("node")
     assert node, "Node.js 20 is needed (make test installs its packages)"
+    eight = Eight()
+    end_m = 0.8 * eight.half_width_m
     watch = subprocess.run(
-        [node, "watch_demo.cjs", endpoint, str(WATCH_S), "40"],
+        [node, "watch_demo.cjs", endpoint, str(WATCH_S), str(end_m), "40"],
         cwd=CLIENT,
         capture_output=True,
         text=True,
@@ -53,13 +55,12 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
     )
     assert watch.returncode == 0, watch.stderr
     seen = json.loads(watch.stdout.strip().splitlines()[-1])  # node-opcua warns before it
-    eight = Eight()
-    settled = seen["poses"][50:]
-    assert max(distance_to(eight, x, y) for x, y, _ in settled) < 0.25
-    xs = [x for x, _, _ in settled]
-    assert min(xs) < -0.8 * eight.half_width_m
-    assert max(xs) > 0.8 * eight.half_width_m
-    turns = [b - a for (_, _, a), (_, _, b) in itertools.pairwise(settled)]
+    poses = seen["poses"]
+    assert max(distance_to(eight, x, y) for x, y, _ in poses[50:]) < 0.25
+    xs = [x for x, _, _ in poses]
+    assert min(xs) < -end_m
+    assert max(xs) > end_m
+    turns = [b - a for (_, _, a), (_, _, b) in itertools.pairwise(poses)]
     wrapped = [math.remainder(turn, 2 * math.pi) for turn in turns]
     assert max(wrapped) > 0.02, "no left turn"
     assert min(wrapped) < -0.02, "no right turn"

@@ -1,11 +1,12 @@
 // Watches the demonstration, then takes over: samples the pose, takes control, writes set-points.
-// usage: node watch_demo.cjs <endpoint> <seconds> <set-point rpm>; prints one JSON object.
+// The pose is watched until the robot was at both ends of its figure, or for the given time.
+// usage: node watch_demo.cjs <endpoint> <seconds> <end m> <set-point rpm>; prints one JSON object.
 "use strict";
 const {
   AttributeIds, DataType, MessageSecurityMode, OPCUAClient, SecurityPolicy, Variant,
 } = require("node-opcua-client");
 
-const [endpoint, secondsText, setpointText] = process.argv.slice(2);
+const [endpoint, secondsText, endText, setpointText] = process.argv.slice(2);
 const NAMESPACE = "urn:hilserver:robot";
 const SAMPLE_MS = 100;
 const WHEELS = ["fl", "rl", "fr", "rr"];
@@ -28,7 +29,9 @@ async function main() {
 
   const poses = [];
   const until = Date.now() + Number(secondsText) * 1000;
-  while (Date.now() < until) {
+  const end = Number(endText);
+  const seen = () => poses.some(([x]) => x > end) && poses.some(([x]) => x < -end);
+  while (Date.now() < until && !seen()) {
     poses.push(await values(["pose.x_m", "pose.y_m", "pose.yaw_rad"]));
     await sleep(SAMPLE_MS);
   }
