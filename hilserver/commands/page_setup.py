@@ -1,5 +1,9 @@
 """From an assembly to what the operator page has to know of it."""
 
+from dataclasses import replace
+from pathlib import Path
+
+from hilserver.config.server import SECURE_POLICIES, OpcUaConfig, default_application_uri
 from hilserver.daemon.assembly import Assembly
 from hilserver.io.page.setup import OpcUaAccess, Setup
 
@@ -9,22 +13,11 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
     config, folder, robot = assembly.config, assembly.folder, assembly.robot
     tof, opcua = robot.tof, config.opcua
     paths = config.folders.model_dump() | {"snapshots": config.snapshots.folder}
-    own = folder / opcua.certificates / "own"
-    policy = opcua.offered_policies[0] if opcua.is_secure else ""
     walls = assembly.composition.hall.reshape(-1, 4).tolist()
     return Setup(
         image=image,
         page=config.page,
-        opcua=OpcUaAccess(
-            endpoint=endpoint if opcua.enabled else "",
-            secret=secret,
-            needs_login=opcua.anonymous_role is None,
-            policy=policy,
-            certificate=str(own / "cert.pem") if policy else "",
-            key=str(folder / opcua.private_key if opcua.private_key else own / "key.pem")
-            if policy
-            else "",
-        ),
+        opcua=_access(opcua, folder, endpoint, secret),
         signals=[
             {
                 "name": s.name,
@@ -54,4 +47,24 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
         folders={name: str((folder / path).absolute()) for name, path in paths.items()},
         config_file="" if assembly.path is None else str(assembly.path.absolute()),
         base_folder=str(folder),
+    )
+
+
+def _access(opcua: OpcUaConfig, folder: Path, endpoint: str, secret: str) -> OpcUaAccess:
+    """Return how the page logs in: encrypted wherever a password travels."""
+    access = OpcUaAccess(
+        endpoint=endpoint if opcua.enabled else "",
+        secret=secret,
+        needs_login=opcua.anonymous_role is None,
+    )
+    secure = [policy for policy in opcua.offered_policies if policy in SECURE_POLICIES]
+    if not secure or not (opcua.is_secure or access.needs_login):
+        return access
+    own = folder / opcua.certificates / "own"
+    return replace(
+        access,
+        policy=secure[0],
+        certificate=str(own / "certificate.der"),
+        key=str(folder / (opcua.private_key or own / "key.pem")),
+        application_uri=opcua.application_uri or default_application_uri(),
     )

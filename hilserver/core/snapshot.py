@@ -21,7 +21,7 @@ from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
-from hilserver.image.layout import REQUEST_LOAD, REQUEST_SAVE
+from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS, REQUEST_SAVE
 from hilserver.image.requests import is_done, post_request
 
 SCHEMA = "hilserver.core.snapshot/1"
@@ -53,12 +53,12 @@ class SnapshotStore:
         self._image = image
         self._folder = folder
         layout = json.dumps(image.description["signals"], sort_keys=True).encode()
-        self.identity: dict[str, Any] = {
+        self._program = {
             "version": __version__,
             "kernels": kernel_hash(),
             "signals": hashlib.sha256(layout).hexdigest(),
-            **parameters,
         }
+        self.identity: dict[str, Any] = self._program | parameters
         self.initial = self._image.live.copy()
         self._lock = asyncio.Lock()
 
@@ -129,6 +129,28 @@ class SnapshotStore:
         async with self._lock:
             self._image.shadow[:] = state
             await self._serve(REQUEST_LOAD, tick)
+
+    async def exchange(
+        self, numbers: Mapping[str, NDArray[np.float64]], parameters: Mapping[str, Any]
+    ) -> int:
+        """Go on with other parameters of the plant from one tick on; return that tick.
+
+        Parameters
+        ----------
+        numbers : mapping of ndarray
+            Every region of the image that belongs to the parameters, by name.
+        parameters : mapping
+            As at the start: what snapshots have to agree in from now on.
+        """
+        async with self._lock:
+            for name, values in numbers.items():
+                region = self._image.layout.regions[name]
+                first = region.base - self._image.control.live_base
+                self._image.shadow[first : first + region.length] = values.view(np.int64)
+                self.initial[first : first + region.length] = values.view(np.int64)
+            await self._serve(REQUEST_PARAMETERS, 0)
+            self.identity = self._program | dict(parameters)
+            return self._image.control.request_tick
 
     def differs_in(self, identity: Mapping[str, Any]) -> str | None:
         """Return the first key in which another run's identity differs, None if none does."""

@@ -5,8 +5,8 @@ through here, so that what `check` accepts, `run` can start.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -80,6 +80,23 @@ class Assembly:
             "slices": repr(periods),
         } | ({} if self.patch is None else {"patch": self.patch.sha256})
 
+    def patched(self, patch: Patch | None) -> "Assembly":
+        """Return the same with another patch, or none, over the plant.
+
+        Raises
+        ------
+        ConfigError
+            If the patch does not fit the configuration.
+        """
+        robot = _Builder(self.config, self.path, patch).robot(self._periods_s)
+        fitted = fitted_limits(None if patch is None else patch.model)
+        composition = replace(self.composition, parameters=pack(robot), fitted=fitted)
+        return replace(self, robot=robot, composition=composition, patch=patch)
+
+    @property
+    def _periods_s(self) -> dict[str, float]:
+        return {s.name: s.period_ticks * self.base_period_ns * 1e-9 for s in self.slices}
+
     @property
     def provenance(self) -> dict[str, Any]:
         """What every recording says about the run that made it."""
@@ -138,7 +155,7 @@ class _Builder:
         slices = self._slices(base_ns)
         periods_s = {s.name: s.period_ticks * base_ns * 1e-9 for s in slices}
         parts = self._parts(slices)
-        robot = self._robot(periods_s)
+        robot = self.robot(periods_s)
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
         outputs = [output for block in blocks for output in _outputs(block)]
         table = self._checked(("blocks",), lambda: robot_table(_ranges(robot), outputs))
@@ -152,13 +169,14 @@ class _Builder:
             parameters=pack(robot),
             state=initial_state(robot),
             hall=robot.hall,
-            fitted=None if self._patch is None else fitted_limits(self._patch.model),
+            fitted=fitted_limits(None if self._patch is None else self._patch.model),
         )
         return Assembly(
             config, config, self._path, robot, table, base_ns, slices, composition, self._patch
         )
 
-    def _robot(self, periods_s: dict[str, float]) -> RobotParameters:
+    def robot(self, periods_s: Mapping[str, float]) -> RobotParameters:
+        """Return the plant of the configuration, with the patch over it."""
         config = self._config
         plant = config.plant if self._patch is None else self._patch.applied(config.plant)
         try:

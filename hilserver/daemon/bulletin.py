@@ -36,7 +36,7 @@ class Bulletin:
     peers: Callable[[], Sequence[PeerStatus]]
     audit: Callable[[], Sequence[AuditItem]]
     gaps: Callable[[], Mapping[str, float]]
-    patch: str | None
+    patch: Callable[[], str | None]
     scenario: Callable[[], dict[str, Any] | None]
     recording: Callable[[], dict[str, Any] | None]
 
@@ -58,7 +58,7 @@ class Bulletin:
                 for f in self.faults.active()
             ],
             "gaps": _finite(self.gaps()),
-            "patch": self.patch,
+            "patch": self.patch(),
             "scenario": self.scenario(),
             "recording": self.recording(),
             "events": self._events(),

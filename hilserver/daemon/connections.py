@@ -12,6 +12,7 @@ from hilserver.daemon.builder import Core
 from hilserver.daemon.bulletin import Bulletin, Notice
 from hilserver.daemon.desk import Desk, Recordings, Scenarios
 from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.patches import Patches
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
@@ -50,7 +51,7 @@ def make_peers(
 
 
 def make_desk(core: Core, stage: Stage) -> Desk:
-    """Return what starts scenarios and recordings by name."""
+    """Return what starts scenarios, recordings and patches by name."""
     assembly, scheduler = core.assembly, core.scheduler
     folders, config = assembly.config.folders, assembly.config
     return Desk(
@@ -63,6 +64,7 @@ def make_desk(core: Core, stage: Stage) -> Desk:
             assembly.base_period_ns * 1e-9,
         ),
         Recordings(assembly.folder / folders.recordings, config.recording, core.image.name),
+        Patches(assembly.folder / folders.patches, core),
     )
 
 
@@ -75,7 +77,6 @@ def make_notice(
     desk: Desk,
 ) -> Notice:
     """Return what keeps the board of the image up to date."""
-    patch = core.assembly.patch
     bulletin = Bulletin(
         control,
         core.gate,
@@ -85,7 +86,7 @@ def make_notice(
         peers=lambda: [peer.status for peer in peers],
         audit=lambda: audit,
         gaps=outputs.model_gap,
-        patch=None if patch is None or patch.path is None else patch.path.name,
+        patch=lambda: desk.patches.loaded,
         scenario=desk.scenarios.view,
         recording=desk.recordings.view,
     )

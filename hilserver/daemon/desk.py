@@ -1,4 +1,4 @@
-"""What users start and stop by the name of a file: scenarios and recordings.
+"""What users start and stop by the name of a file: scenarios, recordings, patches.
 
 Names are plain and within the configured folders; nothing that exists is written over.
 """
@@ -14,6 +14,7 @@ import structlog
 
 from hilserver.config.recording import RecordingConfig
 from hilserver.core.inputs import InputGate
+from hilserver.daemon.patches import Patches
 from hilserver.errors import ControlRefused, UserError
 from hilserver.faults import Faults, Play, Scenario, load_scenario
 from hilserver.faults.scenario import Stage
@@ -177,10 +178,10 @@ class Recordings:
 
 
 class Desk:
-    """Scenarios and recordings, as the OPC UA methods start and stop them."""
+    """Scenarios, recordings and patches, as the OPC UA methods start and stop them."""
 
-    def __init__(self, scenarios: Scenarios, recordings: Recordings) -> None:
-        self.scenarios, self.recordings = scenarios, recordings
+    def __init__(self, scenarios: Scenarios, recordings: Recordings, patches: Patches) -> None:
+        self.scenarios, self.recordings, self.patches = scenarios, recordings, patches
 
     async def start_scenario(self, name: str) -> None:
         """Play a scenario from now on."""
@@ -197,3 +198,11 @@ class Desk:
     def stop_recording(self) -> None:
         """Complete it."""
         self.recordings.stop()
+
+    async def load_patch(self, name: str) -> None:
+        """Lay a patch over the plant."""
+        await self.patches.load(name)
+
+    async def remove_patch(self) -> None:
+        """Go on without it."""
+        await self.patches.remove()

@@ -64,5 +64,5 @@ class Outputs:
     def measured_pose(self) -> Pose | None:
         """Return where the real robot is, None while nothing measures it."""
         core = self._core
-        parameters = core.assembly.composition.parameters
+        parameters, _ = core.image.region("p")
         return measured_pose(core.gate.newest, core.table, core.image.latest(), parameters)

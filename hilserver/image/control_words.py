@@ -50,6 +50,8 @@ class ControlWords:
     heartbeat = _Word(word.HEARTBEAT)
     heartbeat_limit = _Word(word.HEARTBEAT_LIMIT)
     heartbeat_age = _Word(word.HEARTBEAT_AGE)
+    parameters_base = _Word(word.PARAMETERS_BASE)
+    parameters_length = _Word(word.PARAMETERS_LENGTH)
     modifiers = _Word(word.MODIFIERS)
     mail_base = _Word(word.MAIL_BASE)
     mail_head = _Word(word.MAIL_HEAD)

@@ -48,6 +48,9 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     image.control.modifiers = regions["modifiers"].base
     image.control.mail_base = regions["modifier_mail"].base
     image.control.setpoint_slots = robot.U_MODE
+    first, last = regions["p"], regions["edition"]
+    image.control.parameters_base = first.base
+    image.control.parameters_length = last.base + last.length - first.base
 
     def put(name: str, numbers: Any) -> None:
         region = regions[name]
@@ -56,8 +59,7 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     put("p", composition.parameters)
     put("x", composition.state)
     put("hall", composition.hall.ravel())
-    if composition.fitted is not None:
-        put("fitted", composition.fitted)
+    put("fitted", composition.fitted)
     for block in composition.blocks:
         values = {**block.declaration.parameters, **block.parameters}
         put(f"{block.name}.p", [values[name] for name in block.declaration.parameters])

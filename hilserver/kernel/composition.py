@@ -2,14 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.kernel.fitted import N_LIMITS, fitted_limits
 from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
 from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
 from hilserver.signals import SignalTable
+
+PARAMETERS: Final = {"p": robot.N_P, "fitted": N_LIMITS, "edition": 1}
+"""Regions that a patch replaces, in one piece."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +70,8 @@ class Composition:
         Period of each slice [s].
     hall : ndarray of float64
         Line segments for the range finders, as `tof_step` takes them, flattened.
-    fitted : ndarray of float64 or None
-        Ranges in which the terms of a patch were fitted; None without a patch.
+    fitted : ndarray of float64
+        Ranges in which the terms of a patch were fitted, see `fitted_limits`.
     """
 
     table: SignalTable
@@ -77,12 +82,15 @@ class Composition:
     parameters: NDArray[np.float64]
     state: NDArray[np.float64]
     hall: NDArray[np.float64]
-    fitted: NDArray[np.float64] | None = None
+    fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
 
     @property
     def live_regions(self) -> dict[str, int]:
-        """Regions of the arena that a snapshot holds, with their lengths in words."""
-        regions = {"x": robot.N_X} | REGIONS_LIVE
+        """Regions of the arena that a snapshot holds, with their lengths in words.
+
+        The parameters are among them: a recording in which a patch was loaded can be replayed.
+        """
+        regions = {"x": robot.N_X, **PARAMETERS} | REGIONS_LIVE
         for block in self.blocks:
             regions |= block.regions
         return regions
@@ -90,9 +98,7 @@ class Composition:
     @property
     def fixed_regions(self) -> dict[str, int]:
         """Regions of the arena that a run does not change."""
-        regions = {"p": robot.N_P, "hall": self.hall.size} | REGIONS_FIXED
-        if self.fitted is not None:
-            regions["fitted"] = self.fitted.size
+        regions = {"hall": self.hall.size} | REGIONS_FIXED
         for block in self.blocks:
             regions[f"{block.name}.p"] = len(block.declaration.parameters)
         return regions

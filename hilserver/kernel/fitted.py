@@ -1,6 +1,6 @@
 """Outside the range in which a term was fitted, the outputs that it changes are Uncertain.
 
-A run without a patch has none of this: neither the region nor the call is in its step.
+The ranges are parameters of the plant like others: a patch brings them with its terms.
 """
 
 import math
@@ -19,6 +19,7 @@ from hilserver.plant.terms import TERMS, main_part
 
 BLOCKS: Final = ("drive", "kinematics", "navigation", "inertial")
 N_ROW: Final = 6  # low and high of speed [m/s], turn rate [rad/s], wheel speed [rpm]
+N_LIMITS: Final = 1 + len(BLOCKS) * N_ROW  # the first says whether there is a patch
 TOLERANCE: Final = 0.02
 """Share of a range by which it may be left: the plant's ripple is no other condition."""
 
@@ -44,16 +45,16 @@ N_OUTPUTS: Final = robot.N_Y
 FIRST_OUTPUT: Final = robot.N_U
 
 
-def fitted_limits(patch: ModelPatch) -> NDArray[np.float64]:
+def fitted_limits(patch: ModelPatch | None = None) -> NDArray[np.float64]:
     """Return the range of each block: where all of its terms were fitted.
 
     Returns
     -------
-    ndarray of float64, shape (4 * N_ROW,)
-        A row per block of `BLOCKS`; infinite where nothing is said.
+    ndarray of float64, shape (N_LIMITS,)
+        1 with a patch, else 0; then a row per block of `BLOCKS`, infinite where nothing is said.
     """
     limits = np.tile([-math.inf, math.inf], (len(BLOCKS), N_ROW // 2))
-    for name, term in patch.terms.items():
+    for name, term in {} if patch is None else patch.terms.items():
         row = limits[BLOCKS.index(TERMS[main_part(name)].block)]
         where = term.fitted_in
         ranges = (where.speed_m_s, where.turn_rate_rad_s, where.wheel_speed_rpm)
@@ -61,7 +62,7 @@ def fitted_limits(patch: ModelPatch) -> NDArray[np.float64]:
             low, high = _widened(interval)
             row[2 * at] = max(row[2 * at], low)
             row[2 * at + 1] = min(row[2 * at + 1], high)
-    return limits.ravel()
+    return np.concatenate([[float(patch is not None)], limits.ravel()])
 
 
 def _widened(interval: Interval | None) -> Interval:
@@ -92,10 +93,12 @@ def flag_unfitted(limits: int, values: Any, words: Any) -> None:
     limits : int
         Base of the region with the ranges, see `fitted_limits`.
     """
+    if values[limits] == 0.0:
+        return
     outputs = words[word.FRAME_BASE] + FIRST_OUTPUT
     status = words[word.STATUS_BASE] + FIRST_OUTPUT
     for block in range(AFFECTED.shape[0]):
-        if _is_outside(limits + block * N_ROW, outputs, values):
+        if _is_outside(limits + 1 + block * N_ROW, outputs, values):
             for i in range(N_OUTPUTS):
                 if AFFECTED[block, i] and words[status + i] == GOOD:
                     words[status + i] = UNCERTAIN

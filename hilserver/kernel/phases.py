@@ -63,6 +63,7 @@ def publish(tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> 
     values[frame + at.sim] = tick
     values[frame + at.sim + 1] = tick * (words[word.BASE_PERIOD_NS] * 1e-9)
     values[frame + at.sim + 2] = values[frame + at.sim + 3]
+    values[frame + at.sim + 4] = values[at.edition]
     if values[frame + at.command] == COMMAND_SAFE:
         for slot in range(N_U, N_U + N_Y):
             if words[status + slot] == GOOD:

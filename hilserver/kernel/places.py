@@ -12,15 +12,16 @@ class Places(NamedTuple):
 
     Attributes
     ----------
-    p, x, u, y, hall : int
-        Index into `values`: parameters, state, inputs, outputs, walls.
+    p, x, u, y, hall, edition : int
+        Index into `values`: parameters, state, inputs, outputs, walls, counter of the parameters.
     q : int
         Index into `words`: status codes of the outputs.
     hall_end : int
         Index into `values` behind the last wall.
     command, enable, state, sim : int
         Slots of the signals ``internal.command``, ``drive.enable``, ``internal.state`` and
-        ``sim.tick``; ``sim.time_s``, ``sim.state`` and ``internal.state`` follow the last.
+        ``sim.tick``; ``sim.time_s``, ``sim.state``, ``internal.state`` and ``internal.edition``
+        follow the last.
     """
 
     p: int
@@ -30,6 +31,7 @@ class Places(NamedTuple):
     q: int
     hall: int
     hall_end: int
+    edition: int
     command: int
     enable: int
     state: int
@@ -48,6 +50,7 @@ def find_places(layout: Layout, table: SignalTable) -> Places:
         q=status + robot.N_U,
         hall=hall.base,
         hall_end=hall.base + hall.length,
+        edition=regions["edition"].base,
         command=table.slot("internal.command"),
         enable=table.slot("drive.enable"),
         state=table.slot("internal.state"),

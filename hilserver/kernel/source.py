@@ -28,7 +28,8 @@ def step(phase, tick, planned_ns, values, words):
     if phase == LATCH:
         return phases.latch(tick, AT, values, words)
     if phase == PUBLISH:
-{before_publish}        return phases.publish(tick, planned_ns, AT, values, words)
+        fitted.flag_unfitted({limits}, values, words)
+        return phases.publish(tick, planned_ns, AT, values, words)
     if phase == FAULT:
         return phases.enter_safe(tick, AT, values, words)
 """
@@ -41,8 +42,6 @@ def step_source(composition: Composition, layout: Layout) -> str:
     lines = ["AT = Places(", *(f"    {name}={place}," for name, place in places.items()), ")"]
     for number, block in blocks:
         lines += _block_slots(number, block, composition)
-    fitted = layout.regions.get("fitted")
-    flag = "" if fitted is None else f"        fitted.flag_unfitted({fitted.base}, values, words)\n"
     body: list[str] = []
     for index, name in enumerate(composition.slices):
         period_s = composition.periods_s[name]
@@ -59,7 +58,7 @@ def step_source(composition: Composition, layout: Layout) -> str:
             body += [f"    {line}" for line in _block_call(number, block, period_s, layout)]
         body.append(f"    return {'fault' if in_slice else '0'}")
     body.append("return 0")
-    phases = _PHASES.format(before_publish=flag)
+    phases = _PHASES.format(limits=layout.regions["fitted"].base)
     return _HEAD + _text(lines) + phases + _text(f"    {line}" for line in body)
 
 

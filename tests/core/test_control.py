@@ -59,7 +59,7 @@ class World:
     @property
     def at(self):
         names = ("internal.command", "drive.enable", "internal.state", "sim.tick")
-        return Places(*[0] * 7, *map(self.table.slot, names))
+        return Places(*[0] * 8, *map(self.table.slot, names))
 
     def latch(self):
         self.pacing.tick = latch(self.pacing.tick, self.at, self.image.values, self.image.words)

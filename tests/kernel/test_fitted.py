@@ -91,5 +91,3 @@ def test_flags_change_no_value_and_no_patch_no_status():
         assert UNCERTAIN in a.status
         assert UNCERTAIN not in b.status
         assert GOOD in b.status
-        assert "fitted" in flagged.image.layout.regions
-        assert "fitted" not in plain.image.layout.regions

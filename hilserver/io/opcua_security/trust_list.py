@@ -115,10 +115,17 @@ def _load_list(path: Path) -> x509.CertificateRevocationList | None:
 
 
 class TrustList:
-    """Judges the certificates of peers."""
+    """Judges the certificates of peers.
+
+    Attributes
+    ----------
+    ours : x509.Certificate or None
+        Trusted as a client like those in the folder: the operator page shows it.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.ours: x509.Certificate | None = None
         self._trusted = _Folder(folder / "trusted")
         self._revoked = _Folder(folder / "revoked")
 
@@ -160,6 +167,8 @@ class TrustList:
         if thumbprint(certificate) in revoked.certificates:
             return Verdict.REVOKED
         known = trusted.certificates if only is None else {thumbprint(only): only}
+        if self.ours is not None and use == ExtendedKeyUsageOID.CLIENT_AUTH:
+            known = {**known, thumbprint(self.ours): self.ours}
         issuer = None
         if thumbprint(certificate) not in known:
             issuer = _issuer_of(certificate, known.values())

@@ -42,6 +42,12 @@ class Files(Protocol):
     def stop_recording(self) -> None:
         """Complete it."""
 
+    async def load_patch(self, name: str) -> None:
+        """Lay a model patch over the plant."""
+
+    async def remove_patch(self) -> None:
+        """Go on without it."""
+
 
 class Parts:
     """What the methods act on."""
@@ -65,7 +71,7 @@ class Parts:
 
     @property
     def files(self) -> Files:
-        """Scenarios and recordings.
+        """Scenarios, recordings and patches.
 
         Raises
         ------
@@ -73,7 +79,7 @@ class Parts:
             If the server has none.
         """
         if self._files is None:
-            raise NotImplementedError("this server has no scenarios and no recordings")
+            raise NotImplementedError("this server has no scenarios, no recordings and no patches")
         return self._files
 
 
@@ -108,6 +114,7 @@ def _plain(name: str) -> str:
 _SIGNAL = Argument("signal", STRING, "Name of the signal")
 _SNAPSHOT = Argument("name", STRING, "Plain file name in the snapshot directory, no path")
 _SCENARIO = Argument("name", STRING, "Plain file name in folders.scenarios, no path")
+_PATCH = Argument("name", STRING, "Plain file name in folders.patches, no path")
 _RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
 
 METHODS = (
@@ -200,4 +207,11 @@ METHODS = (
         (_RECORDING,),
     ),
     Method("StopRecording", "End the recording", lambda on: on.files.stop_recording()),
+    Method(
+        "LoadPatch",
+        "Lay a model patch over the plant, from one tick on",
+        lambda on, name: on.files.load_patch(_plain(name)),
+        (_PATCH,),
+    ),
+    Method("RemovePatch", "Go on without the model patch", lambda on: on.files.remove_patch()),
 )

@@ -238,6 +238,7 @@ class OpcUaServer:
                 "opcua certificate ends", days_left=left.days, remedy="run 'hilserver certs renew'"
             )
         iserver.certificate, iserver.private_key = certificate, private_key
+        trust.ours = certificate
 
     async def _build(self, server: RobotUaServer) -> None:
         iserver = server.iserver

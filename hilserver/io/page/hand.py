@@ -173,7 +173,10 @@ async def _secure(client: Client, access: OpcUaAccess) -> None:
     from asyncua.crypto import security_policies  # noqa: PLC0415 - most pages are in the clear
 
     policy = getattr(security_policies, f"SecurityPolicy{access.policy}")
-    await client.set_security(policy, access.certificate, access.key)
+    client.application_uri = access.application_uri
+    await client.set_security(
+        policy, access.certificate, access.key, server_certificate=access.certificate
+    )
 
 
 def _variant(kind: str, value: Any) -> ua.Variant:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import re
+import shutil
 import sys
 import time
 from collections import deque
@@ -90,7 +91,8 @@ class Jobs:
         if running is not None:
             raise RefusedError(f"the diagnosis of {running.log} is running; wait or cancel it")
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        job = Job(self._next, path.name, self._setup.folder("reports") / f"{path.stem}-{stamp}")
+        folder = self._setup.folder("reports") / f"{path.stem[:60]}-{stamp}"
+        job = Job(self._next, path.name, folder)
         self._next += 1
         self._jobs.append(job)
         task = asyncio.create_task(self._run(job, path), name=f"diagnosis {job.number}")
@@ -100,13 +102,25 @@ class Jobs:
 
     def cancel(self, number: object) -> None:
         """End a diagnosis; there is no report then."""
+        job = self._find(number, "running")
+        job.state = "cancelled"
+        _terminate(job)
+
+    def keep(self, number: object) -> str:
+        """Copy the patch of a finished diagnosis to the other patches; return its name there."""
+        job = self._find(number, "done")
+        source = job.folder / "model_patch.yaml"
+        if not source.is_file():
+            raise RefusedError(f"the diagnosis of {job.log} has no patch")
+        folder = self._setup.folder("patches")
+        folder.mkdir(parents=True, exist_ok=True)
+        return shutil.copyfile(source, folder / f"{job.folder.name}.yaml").name
+
+    def _find(self, number: object, state: str) -> Job:
         for job in self._jobs:
-            if job.number == number and job.process is not None and job.state == "running":
-                job.state = "cancelled"
-                with contextlib.suppress(ProcessLookupError):
-                    job.process.terminate()
-                return
-        raise RefusedError("there is no such diagnosis running")
+            if job.number == number and job.state == state:
+                return job
+        raise RefusedError(f"there is no such diagnosis that is {state}")
 
     def report(self, folder: str, name: str) -> Path | None:
         """Return a file of a finished diagnosis."""
@@ -119,9 +133,7 @@ class Jobs:
     async def close(self) -> None:
         """End whatever runs."""
         for job in self._jobs:
-            if job.process is not None and job.process.returncode is None:
-                with contextlib.suppress(ProcessLookupError):
-                    job.process.terminate()
+            _terminate(job)
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -139,6 +151,8 @@ class Jobs:
                 stderr=asyncio.subprocess.STDOUT,
                 start_new_session=True,
             )
+            if job.state != "running":  # cancelled meanwhile
+                _terminate(job)
             await self._follow(job, job.process)
             code = await job.process.wait()
             if job.state == "running":
@@ -159,3 +173,9 @@ class Jobs:
             else:
                 lines.append(line)
                 job.text = "\n".join(lines)
+
+
+def _terminate(job: Job) -> None:
+    if job.process is not None and job.process.returncode is None:
+        with contextlib.suppress(ProcessLookupError):
+            job.process.terminate()

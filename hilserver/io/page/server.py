@@ -236,6 +236,7 @@ class PageServer:
             "write": self._write,
             "diagnose": self._diagnose,
             "cancel": self._cancel,
+            "keep": self._keep,
         }
         if name not in own and name not in _METHODS:
             raise RefusedError(f"there is no method '{name:.40}'")
@@ -318,6 +319,11 @@ class PageServer:
     async def _cancel(self, browser: Browser, number: int) -> None:
         self._may_work(browser)
         self._jobs.cancel(number)
+
+    async def _keep(self, browser: Browser, number: int) -> str:
+        if "LoadPatch" not in browser.hand.rights.methods:
+            raise RefusedError("your role does not allow this")
+        return self._jobs.keep(number)
 
 
 class _Refusal(asyncio.Protocol):

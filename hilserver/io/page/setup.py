@@ -20,8 +20,9 @@ class OpcUaAccess:
         Marks the page's sessions; empty: they are those of any client.
     needs_login : bool
         Whether a name and a password are needed.
-    policy, certificate, key : str
-        Security policy, and the files that the page shows there; empty in the clear.
+    policy, certificate, key, application_uri : str
+        Security policy, and what the page shows there: the server's own certificate, which it
+        trusts and is known by. Empty in the clear.
     """
 
     endpoint: str = ""
@@ -30,6 +31,7 @@ class OpcUaAccess:
     policy: str = ""
     certificate: str = ""
     key: str = ""
+    application_uri: str = ""
 
 
 @dataclass(frozen=True)

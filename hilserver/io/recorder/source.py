@@ -10,7 +10,7 @@ import numpy as np
 
 from hilserver.errors import FailedError
 from hilserver.image import FrameBatch, ImageReader, read_frames
-from hilserver.image.layout import REQUEST_LOAD
+from hilserver.image.layout import REQUEST_SAVE
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
 from hilserver.logs.log import State
@@ -48,6 +48,8 @@ class Source:
         self._next = max(0, self._reader.head)
         self._last_tick: int | None = None
         self._segment = 0
+        self._edition: float | None = None
+        self._edition_slot = _slot_of("internal.edition", self.description)
         self._start_without_state: tuple[int, int] | None = None
         self._gap = False
         self.lost = 0
@@ -104,17 +106,24 @@ class Source:
         self._gap = True
 
     def _segmented(self, batch: FrameBatch, *, after_gap: bool) -> Segmented:
-        """Begin a new segment where ticks do not follow although no frame is missing."""
+        """Begin a new segment where ticks do not follow although no frame is missing.
+
+        One begins where the plant's parameters change, too.
+        """
         ticks = batch.ticks
         before = ticks[0] - 1 if self._last_tick is None else self._last_tick
         jumps = np.diff(ticks, prepend=before) != 1
         if after_gap and ticks[0] > before:
             jumps[0] = False
+        editions = batch.values[:, self._edition_slot]
+        last_edition = editions[0] if self._edition is None else self._edition
+        jumps |= np.diff(editions, prepend=last_edition) != 0
         segments = self._segment + np.cumsum(jumps)
         if jumps.any():
             last = int(np.flatnonzero(jumps)[-1])
             self._start_without_state = (int(segments[last]), int(ticks[last]))
         self._segment, self._last_tick = int(segments[-1]), int(ticks[-1])
+        self._edition = float(editions[-1])
         return Segmented(batch, segments)
 
     def state(self) -> State | None:
@@ -124,7 +133,7 @@ class Source:
             return None
         kind, tick, words = taken
         segment = self._segment
-        if kind == REQUEST_LOAD:
+        if kind != REQUEST_SAVE:
             start, self._start_without_state = self._start_without_state, None
             segment = start[0] if start is not None and start[1] == tick else segment + 1
         return State(segment, tick, words)
@@ -144,3 +153,8 @@ class Source:
         """Let go of the image, and of a request that nobody has answered."""
         take_request(self._name)
         os.close(self._fd)
+
+
+def _slot_of(name: str, description: dict[str, Any]) -> int:
+    slots = (signal["slots"] for signal in description["signals"] if signal["name"] == name)
+    return int(next(slots)[0])

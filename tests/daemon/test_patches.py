@@ -1,0 +1,149 @@
+"""A model patch is loaded and removed while the robot runs: from one tick on, and replayable."""
+
+import asyncio
+
+import numpy as np
+import pytest
+import yaml
+
+from hilserver.config.root import Config
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.builder import build
+from hilserver.daemon.patches import Patches
+from hilserver.errors import ConfigError, ControlRefused
+from hilserver.image import Row
+from hilserver.image.status import UNCERTAIN
+from hilserver.io.recorder.recorder import Recorder, Settings
+from hilserver.logs import read_log
+from hilserver.plant.layout import P_YAW_GAIN
+from tests.replay.test_recordings import replay
+
+CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
+MADE = {"findings_sha256": "", "config_sha256": CONFIG.sha256, "version": "1"}
+TURN = {"wheel.fl": 40, "wheel.rl": 40, "wheel.fr": -10, "wheel.rr": -10}
+GAIN = -0.4
+
+
+def write_patch(path, *, made=MADE, **terms):
+    data = {"schema": "hilserver.model_patch/1", "made_from": made, "terms": terms}
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    fitted = {"turn_rate_rad_s": [-0.01, 0.01]}
+    write_patch(tmp_path / "turn.yaml", rotation_gain={"value": GAIN, "unit": "1"})
+    write_patch(
+        tmp_path / "narrow.yaml",
+        made={**MADE, "config_sha256": "of another one"},
+        rotation_gain={"value": GAIN, "unit": "1", "fitted_in": fitted},
+    )
+    write_patch(tmp_path / "wrong.yaml", actuation_delay={"value": 99.0, "unit": "s"})
+    return tmp_path
+
+
+class Run:
+    """A core in virtual time with a recorder, and the patches of a folder."""
+
+    def __init__(self, core, folder):
+        self.core, self.patches = core, Patches(folder, core)
+        self.recorder = Recorder(core.image.name, Settings(folder / "run.mcap"))
+        core.scheduler.after_batch.append(self.recorder.look)
+        core.image.control.state = 1
+        rows = [Row(core.table.slot(f"{n}.setpoint_rpm"), v) for n, v in TURN.items()]
+        assert core.image.push(rows)
+
+    async def turn_rate(self):
+        """Half a second on: the rate that the wheels give."""
+        await self.core.scheduler.advance(500)
+        return self.core.image.latest().values[self.core.table.slot("velocity.angular_rad_s")]
+
+
+@pytest.fixture
+async def run(folder):
+    async with build(assemble_config(CONFIG)) as core:
+        yield Run(core, folder)
+
+
+async def test_it_acts_from_its_tick_on_and_leaves_nothing_behind(run):
+    rates = [await run.turn_rate()]
+    await run.patches.load("turn.yaml")
+    assert run.patches.loaded == "turn.yaml"
+    rates.append(await run.turn_rate())
+    await run.patches.remove()
+    rates.append(await run.turn_rate())
+    run.recorder.close()
+    assert run.patches.loaded is None
+    assert rates[1] == pytest.approx((1 + GAIN) * rates[0], rel=1e-3)
+    assert rates[2] == pytest.approx(rates[0], rel=1e-3)
+    told = [event.message for event in run.core.events.recent]
+    assert told == [
+        "model patch 'turn.yaml' is loaded from tick 500 on",
+        "the model patch is removed from tick 1000 on",
+    ]
+
+
+async def test_a_recording_goes_on_in_a_segment_and_comes_again_to_the_bit(run, folder):
+    await run.turn_rate()
+    await run.patches.load("turn.yaml")
+    await run.turn_rate()
+    await run.patches.load("narrow.yaml")
+    await run.turn_rate()
+    run.recorder._supervise(0.0)
+    run.recorder.close()
+    log = read_log(folder / "run.mcap")
+    assert np.array_equal(log.segment, np.repeat([0, 1, 2], 500))
+    assert np.array_equal(log.ticks(1_000_000), np.arange(1500)), "no tick is missing"
+    assert [(state.segment, state.tick) for state in log.states] == [(0, 0), (1, 500), (2, 1000)]
+    assert log.run["patch"]["content"]["terms"]["rotation_gain"]["value"] == GAIN
+    words = ("run.mcap", "-o", "again.mcap", "--check")
+    said = await asyncio.to_thread(replay, *words, cwd=folder)
+    assert "outputs of 1500 ticks are equal, bit for bit" in said
+
+
+async def test_where_it_was_not_fitted_outputs_are_uncertain_and_the_user_is_told(run):
+    await run.patches.load("narrow.yaml")
+    await run.turn_rate()
+    status = run.core.image.latest().status
+    assert status[run.core.table.slot("pose.x_m")] == UNCERTAIN
+    assert "another configuration" in run.core.events.recent[-1].message
+    run.recorder.close()
+
+
+async def test_snapshots_of_another_patch_are_refused_and_a_reset_keeps_it(run):
+    store: SnapshotStore = run.core.snapshots
+    await store.save("before")
+    await run.patches.load("turn.yaml")
+    with pytest.raises(ControlRefused, match="was made with parameters"):
+        await store.load("before")
+    await store.save("with")
+    await run.turn_rate()
+    store.reset()
+    await run.core.scheduler.advance(1)
+    p, _ = run.core.image.region("p")
+    assert p[P_YAW_GAIN] == run.patches._assembly.composition.parameters[P_YAW_GAIN]
+    await store.load("with")
+    await run.patches.remove()
+    with pytest.raises(ControlRefused, match="was made with parameters"):
+        await store.load("with")
+    await store.load("before")
+    run.recorder.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "text"),
+    [
+        ("no-such.yaml", ControlRefused, "there is no patch 'no-such.yaml'"),
+        ("wrong.yaml", ConfigError, r"wrong\.yaml:.*actuation_delay"),
+    ],
+)
+async def test_what_cannot_be_loaded_changes_nothing(run, name, error, text):
+    before = run.core.image.region("p")[0].copy()
+    with pytest.raises(error, match=text):
+        await run.patches.load(name)
+    with pytest.raises(ControlRefused, match="no patch is loaded"):
+        await run.patches.remove()
+    assert np.array_equal(run.core.image.region("p")[0], before)
+    assert not run.core.events.recent
+    run.recorder.close()
