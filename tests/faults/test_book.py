@@ -101,19 +101,22 @@ async def test_events_tell_what_was_done():
         assert messages == ["fault injected: bias:pose.x_m (offset 1.0)", "all faults cleared"]
 
 
-def assert_fault_or_sentence(parse):
-    sentence, faults = "", []
+def assert_faults_or_sentence(parse, given):
+    """`parse` returns as many faults as it was given, or one sentence says what is wrong."""
     try:
         faults = parse()
     except ValueError as error:
         sentence = str(error)
-    assert sentence or all(fault.title for fault in faults)
-    assert "\n" not in sentence or "not JSON" in sentence
+        assert sentence
+        assert "\n" not in sentence or "not JSON" in sentence
+        return
+    assert [type(fault) for fault in faults] == [Fault] * given
+    assert all(fault.title for fault in faults)
 
 
 @given(st.text(max_size=200) | st.binary(max_size=50).map(repr))
 def test_any_text_is_a_fault_or_one_sentence(text):
-    assert_fault_or_sentence(lambda: parse_faults(text))
+    assert_faults_or_sentence(lambda: parse_faults(text), given=0)  # only an empty list is no error
 
 
 @given(
@@ -124,7 +127,7 @@ def test_any_text_is_a_fault_or_one_sentence(text):
     )
 )
 def test_any_mapping_is_a_fault_or_one_sentence(data):
-    assert_fault_or_sentence(lambda: [parse_fault(data)])
+    assert_faults_or_sentence(lambda: [parse_fault(data)], given=1)
 
 
 def test_the_schema_agrees_with_the_model():

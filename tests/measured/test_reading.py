@@ -1,6 +1,7 @@
 """Logs that can be read: tables, recordings, bags, torn ones, several of one machine."""
 
 import math
+import re
 import sqlite3
 
 import numpy as np
@@ -234,6 +235,8 @@ def test_the_fast_parser_is_the_strict_one_or_says_nothing(tmp_path_factory, row
     end = "\r\n" if crlf else "\n"
     text = end.join(["a,b,c", *(",".join(row) for row in rows)]) + end
     found = parse_clean(text.encode())
+    plain = all(re.fullmatch(r"-?\d+(\.\d*)?(e[+-]?\d+)?", cell) for row in rows for cell in row)
+    assert found is not None or not plain, "plain numbers need no second parser"
     if found is None:
         return
     path = tmp_path_factory.mktemp("fast") / "log.csv"
