@@ -85,6 +85,8 @@ class MeasuredLog:
     on_ticks : bool
         True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that
         stands first in a row came at one of the ticks after the row before it.
+    limits : mapping of str to float
+        Largest reading of a channel whose sensor is limited, either sign.
     """
 
     sources: tuple[Source, ...]
@@ -94,6 +96,7 @@ class MeasuredLog:
     plant: Mapping[str, object] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
     on_ticks: bool = False
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def drive_is_known(self) -> bool:

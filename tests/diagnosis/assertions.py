@@ -1,6 +1,7 @@
 """What a diagnosis must satisfy, by name; `test_mutations` shows that each can fail."""
 
 import numpy as np
+import pytest
 
 from hilserver.diagnosis.findings.gain import crossed, held_out
 from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
@@ -49,11 +50,11 @@ def the_value_is_right(findings, name, true, null=0.0):
     assert close or low <= true <= high, f"{name}: {parameter}, hidden was {true}"
 
 
-def the_gain_is_honest(findings, quantity):
-    """What was named makes the held-out error smaller, and the interval holds the ratio."""
+def the_gain_is_honest(findings, quantity, left):
+    """What was named leaves the sensors' own error, `left`, and gains by what it took away."""
     gain = findings.total_gain[quantity]
-    assert gain.before > gain.after > 0.0
-    assert gain.ratio == gain.before / gain.after
+    assert gain.after == pytest.approx(left, rel=WITHIN)
+    assert gain.ratio == pytest.approx(gain.before / left, rel=WITHIN)
     low, high = gain.ci95
     assert 1.0 < low <= gain.ratio <= high
 

@@ -1,15 +1,18 @@
-"""A patch changes a replay while it is named, and leaves nothing behind, in new processes."""
+"""A patch changes a replay while it is named, and leaves nothing behind in its process."""
 
+import contextlib
+import io
 import time
 
 import pytest
 import yaml
 
+from hilserver.commands import main
 from hilserver.config.root import Config
 from hilserver.logs import read_log
 from hilserver.plant.layout import WHEELS
 from tests.helpers.daemons import running_daemon
-from tests.replay.test_recordings import outputs_from, replay
+from tests.replay.test_recordings import outputs_from
 
 PATCH = {
     "schema": "hilserver.model_patch/1",
@@ -23,6 +26,14 @@ PATCH = {
     },
 }
 ROWS = [(0.0, 0, 0), (0.1, 20, 20), (0.5, 60, 20), (1.0, 0, 0)]
+
+
+def replay(*words, cwd, code=0):
+    """`hilserver replay` in this process; returns what it says."""
+    said = io.StringIO()
+    with contextlib.chdir(cwd), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        assert main(["replay", *words]) == code, said.getvalue()
+    return said.getvalue()
 
 
 @pytest.fixture(scope="module")

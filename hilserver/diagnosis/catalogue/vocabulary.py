@@ -120,6 +120,7 @@ _DATA: Final = (
     _data("interpolated_setpoint", "data", "Hz", None, "set-points made up between samples"),
     _data("setpoint_as_measurement", "data", "1", 0.0, "a measured channel is the set-point"),
     _data("dropouts", "data", "1", 0.0, "share of samples that are missing or repeated"),
+    _data("limited_channel", "data", "1", None, "largest reading of a channel, in its unit"),
     _data("missed_ticks", "timing", "1", 0.0, "share of the recorder's ticks that did not happen"),
 )
 

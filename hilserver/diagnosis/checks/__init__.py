@@ -15,6 +15,7 @@ from hilserver.diagnosis.checks import (
     copied,
     held,
     interpolated,
+    limited,
     orientation,
     repeated,
     sparse,
@@ -43,6 +44,7 @@ ORDER: Final[tuple[Check, ...]] = (
     units.find,
     too_fast.find,
     orientation.find,
+    limited.find,
     sparse.find,
     clocks.find,
 )

@@ -25,7 +25,7 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
 
     Its kinematics cannot be judged then: they would all be wrong by the same whole.
     """
-    turn = _asked_turn(log, robot)
+    turn = asked_turn(log, robot)
     if turn is None or not _turning(turn, TURNED_RAD_S):
         return False
     return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < STANDS
@@ -33,11 +33,11 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
 
 def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
     """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
-    turn = _asked_turn(log, robot)
+    turn = asked_turn(log, robot)
     return turn is not None and not log.has(*POSITION) and not _turning(turn, MOVED_RAD_S)
 
 
-def _asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
+def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     """Return the turn rate [rad/s] that the wheels ask for at the gyro's samples."""
     if GYRO not in log or not log.has(*SPEEDS):
         return None

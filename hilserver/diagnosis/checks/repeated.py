@@ -86,7 +86,9 @@ def _repetitions(channel: Channel) -> NDArray[np.bool_] | None:
     if not alternates(steps):
         return None
     least = 0.05 * float(np.median(np.abs(steps)))
+    size = np.abs(channel.values)
     burst = ~short & (channel.values[runs.first] != 0)
+    burst &= size[runs.first] < size.max()  # a limited sensor stands there, too
     sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())
     if sudden.sum() < max(FEWEST_BURSTS, 0.7 * burst.sum()) or samples > 0.5 * len(channel):

@@ -20,10 +20,12 @@ from hilserver.diagnosis.noise.fitting import (
     short_noise,
 )
 from hilserver.diagnosis.noise.quick_noise import lonely, noise_of_neighbours, plain_noise, thrown
+from hilserver.diagnosis.noise.readings import NEAR, Reading, noise_of_readings
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stack import Stack
+from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
@@ -87,6 +89,11 @@ class Problem:
         order = np.argsort(segments, kind="stable")
         bounds = np.flatnonzero(np.diff(segments[order])) + 1
         self._members = np.split(order, bounds) if len(order) else []
+        limits = self.stage.log.limits
+        self.readings = {
+            name: Reading(*step_of(self.stack.values[edge]), limits.get(name, np.inf))
+            for name, edge in self.stack.edges.items()
+        }
 
     @property
     def stack(self) -> Stack:
@@ -95,10 +102,16 @@ class Problem:
 
     # --- predictions ------------------------------------------------------------------------------
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
-        """Return the prediction with the terms of a model."""
+        """Return what the sensors show, on average, with the terms of a model."""
         if isinstance(self.stage, PoseStage):
-            return self.stage.predict(terms, poses, keep=keep)
-        return self.stage.predict(terms)
+            exact = self.stage.predict(terms, poses, keep=keep)
+        else:
+            exact = self.stage.predict(terms)
+        for name, reading in self.readings.items():
+            if np.isfinite(reading.limit):
+                edge = self.stack.edges[name]
+                exact[edge] = reading.mean(exact[edge], self.noise.get(name))
+        return exact
 
     def residual(self, predicted: Array) -> Array:
         """Return measured minus predicted."""
@@ -229,11 +242,7 @@ class Problem:
             self._learn_short_noise(raw)
             return
         for name in self.stack.channels:
-            parts = [(self.stack.t_s[part], raw[part]) for n, _, part in self._runs if n == name]
-            if isinstance(self.stage, DriveStage) and not self.ripples:
-                self.noise[name] = noise_of_neighbours(parts)
-            else:
-                self.noise[name] = plain_noise(parts) or fit_noise(parts)
+            self.noise[name] = self._noise_of(name, raw)
         self.weights = np.ones(len(self.stack))
         for name, _, part in self._runs:
             if name in OUTLIER_CHANNELS:
@@ -244,6 +253,22 @@ class Problem:
                 if name in self.stack.edges:
                     edge = self.stack.edges[name]
                     self.weights[edge] *= ~lonely(white[edge])
+
+    def _noise_of(self, name: str, raw: Array) -> NoiseModel:
+        """Return the noise of a channel; what stands at a limit does not show any."""
+        stack, reading, parts = self.stack, self.readings[name], []
+        exact = stack.values - raw
+        for part in (part for n, _, part in self._runs if n == name):
+            free = np.abs(exact[part]) < NEAR * reading.limit
+            columns = (stack.t_s[part], raw[part], exact[part], stack.values[part])
+            parts.append(tuple(column[free] for column in columns))
+        residuals = [(t, r) for t, r, _, _ in parts]
+        if isinstance(self.stage, DriveStage) and not self.ripples:
+            rounded = None
+            if reading.step > 0.0:
+                rounded = noise_of_readings([(t, x, y) for t, _, x, y in parts], reading)
+            return rounded or noise_of_neighbours(residuals)
+        return plain_noise(residuals) or fit_noise(residuals)
 
     def _learn_short_noise(self, raw: Array) -> None:
         self.weights = np.ones(len(self.stack))

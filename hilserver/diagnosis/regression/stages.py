@@ -15,12 +15,15 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.measured.channels import SPEEDS
+from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
+
+ANSWERED = 0.5
+"""Share of the ripple of a coarse loop from which on the measured duty shows it."""
 
 
 @dataclass
@@ -160,7 +163,28 @@ def _coarse(problem: Problem, base: Point) -> float | None:
         return None
     parts = [problem.stack.edges[n] for n in names]
     values = problem.stack.values
-    return coarse_step([values[e] for e in parts], [base.predicted[e] for e in parts])
+    step = coarse_step([values[e] for e in parts], [base.predicted[e] for e in parts])
+    if step is None or not any(problem.readings[n].step for n in names):
+        return step
+    return step if _answered(problem, base, step) else None
+
+
+def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
+    """Return whether the duties answer every step of the speeds, as those of a coarse loop do.
+
+    The steps of rounded readings are those of the log alone.
+    """
+    stack = problem.stack
+    edges = [stack.edges[n] for n in DUTIES if n in stack.edges]
+    coarse = problem.predict({"encoder_quantization": step_rpm}, base.poses)
+
+    def ripple(duty: Array) -> float:
+        return float(np.mean(np.concatenate([np.abs(np.diff(duty[e])) for e in edges])))
+
+    if not edges:
+        return False
+    smooth, stepped = ripple(base.predicted), ripple(coarse)
+    return ripple(stack.values) - smooth > ANSWERED * (stepped - smooth)
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:

@@ -13,6 +13,7 @@ from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.resolution import step_of
 from hilserver.plant.layout import (
     N_U,
     N_Y,
@@ -70,6 +71,7 @@ class DriveStage:
         skips_s = self._unknown_s()
         self.settled_s = self.segments.start_s + np.minimum(skips_s, SETTLING_S)
         self.stack = make_stack(log, names, self.segments, block_s=block_s, skip_s=skips_s)
+        self._rounded = any(step_of(log[n].values)[0] > 0.0 for n in SPEEDS if n in log)
         self._inputs, self._row = self._latched()
         self._speed_0 = self._start()
         self._volts = np.full(self.segments.ticks, NOMINAL_V)
@@ -107,9 +109,15 @@ class DriveStage:
         return speed, seen, duty
 
     def predict(self, terms: Mapping[str, float]) -> Array:
-        """Return what the stack's samples would be."""
-        _, seen, duty = self.simulate(terms)
-        held = "encoder_quantization" in terms and terms["encoder_quantization"] > 0.0
+        """Return what the stack's samples would be.
+
+        Where the log itself is rounded its steps tell nothing of those that the loop sees: what the
+        loop makes of them does.
+        """
+        speed, seen, duty = self.simulate(terms)
+        held = terms.get("encoder_quantization", 0.0) > 0.0
+        if held and self._rounded:
+            return self.sampled(speed, duty)
         return self.sampled(seen, duty, held=held)
 
     def sampled(self, seen: Array, duty: Array, *, held: bool = False) -> Array:

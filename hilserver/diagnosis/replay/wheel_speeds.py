@@ -14,6 +14,7 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,10 @@ class WheelSpeeds:
     @cached_property
     def _joined(self) -> list[list[int]]:
         return neighbours(self.log)
+
+    @cached_property
+    def _steps(self) -> list[float]:
+        return [step_of(self.log[n].values)[0] if n in self.log else 0.0 for n in SPEEDS]
 
     def sides(self) -> tuple[Array, Array]:
         """Return dense sums of both sides' wheel speeds [rpm]."""
@@ -85,7 +90,8 @@ class WheelSpeeds:
         if len(t) == 0:
             return np.asarray(model)
         at_samples = _read(simulated, (t - start_s) / stage.segments.period_s, last)
-        return np.asarray(model + np.interp(times, t, steadied(t, v - at_samples)))
+        difference = beyond_rounding(v - at_samples, self._steps[wheel])
+        return np.asarray(model + np.interp(times, t, steadied(t, difference)))
 
     def _samples(self, name: str, span: int, start_s: float, end_s: float) -> tuple[Array, Array]:
         if name not in self.log:
@@ -131,6 +137,14 @@ def neighbours(log: MeasuredLog) -> list[list[int]]:
         last = i + 1 if i < len(joined) and joined[i] else i
         out.append(list(range(first, last + 1)))
     return out
+
+
+def beyond_rounding(difference: Array, step: float) -> Array:
+    """Return what of a difference rounded readings do speak for: what half a step does not cover.
+
+    The rest stays while a wheel keeps its speed, and would turn a robot that drives straight on.
+    """
+    return np.asarray(np.sign(difference) * np.maximum(np.abs(difference) - 0.5 * step, 0.0))
 
 
 def steadied(t_s: Array, difference: Array) -> Array:

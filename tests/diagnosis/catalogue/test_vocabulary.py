@@ -19,7 +19,8 @@ from hilserver.plant.terms import TERMS
 
 DATA = {
     "clock_offset", "clock_drift", "sign_flip", "swapped_sides", "unit_error", "held_samples",
-    "interpolated_setpoint", "setpoint_as_measurement", "dropouts", "missed_ticks",
+    "interpolated_setpoint", "setpoint_as_measurement", "dropouts", "limited_channel",
+    "missed_ticks",
 }  # fmt: skip
 
 

@@ -4,10 +4,12 @@ A quick sample; `hilserver bench diagnose` runs the campaign. The logs are short
 reference logs where the effect shows in less.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hilserver_injector import Noise
 from hilserver_injector.cases import cases, twins
 
 from hilserver.diagnosis.schema.findings import Verdict
@@ -40,6 +42,27 @@ GROUPS = [
     ("icr_offset", 1, 120.0, ("icr_offset", "nav_lever_arm")),
     ("wheel_misalignment", 1, 120.0, ("wheel_misalignment", "nav_frame_yaw")),
 ]
+NORMAL = math.sqrt(2.0 / math.pi)
+"""Mean size of a normal variable of deviation 1."""
+
+
+def sensors_errors(noise, horizon_s=5.0):
+    """Mean errors that sensors alone leave: of a sample, and at the end of a free run."""
+
+    def run(white, slow, tau_s):
+        return math.sqrt(2.0 * (white**2 + slow**2 * -math.expm1(-horizon_s / tau_s)))
+
+    axis = run(noise.position_white_m, noise.position_m, noise.position_correlation_s)
+    return {
+        "speed_rpm": NORMAL * noise.speed_rpm,
+        "duty_pct": NORMAL * noise.duty_pct,
+        "gyro_z_rad_s": NORMAL * noise.gyro_rad_s,
+        "yaw_rad": NORMAL * run(0.0, noise.yaw_rad, noise.yaw_correlation_s),
+        "position_m": math.sqrt(math.pi / 2.0) * axis,
+    }
+
+
+SENSORS = sensors_errors(Noise())
 IMITATED = {"icr_offset": "nav_lever_arm.x", "wheel_misalignment": "nav_frame_yaw"}
 
 
@@ -73,7 +96,7 @@ def test_the_name_comes_out_with_size_and_sign(cause, seed, duration_s, gains):
     assert finding.explanation
     assert [term.name for term in found.evidence.extension] == [hidden(cause, seed, duration_s)[0]]
     if gains is not None:
-        the_gain_is_honest(found.findings, gains)
+        the_gain_is_honest(found.findings, gains, SENSORS[gains])
         assert finding.gain == {
             k: g for k, g in found.findings.total_gain.items() if k in finding.gain
         }

@@ -1,8 +1,8 @@
-"""Recordings without an effect, and 36 with one term at its reference size."""
+"""60 recordings without an effect, and 36 with one term at its reference size."""
 
 from dataclasses import dataclass
 
-from tests.diagnosis.own_recordings.recordings import Drive, Rows
+from tests.diagnosis.own_recordings.recordings import Drive, RealDrive, Rows
 
 SECONDS = 50.0
 ROWS = {
@@ -22,6 +22,8 @@ DROVE = {
     "body, no noise": Drive("twist", SECONDS, 2, noisy=False),
     "wheels as a curve, no noise": Drive("wheel curve", SECONDS, 3, noisy=False),
     "body as a curve, noise": Drive("twist curve", SECONDS, 4),
+    "real time, demonstration, noise": RealDrive(None, SECONDS, 5),
+    "real time, wheels, no noise": RealDrive("wheels", SECONDS, 6, noisy=False),
 }
 
 

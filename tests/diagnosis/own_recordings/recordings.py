@@ -5,9 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import yaml
 
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
+from hilserver.diagnosis.engine import diagnose
 from hilserver.faults.scenario import Play, Scenario
 from hilserver.logs import open_writer, read_log
 from hilserver.logs.csv_writer import meta_path
@@ -15,6 +17,7 @@ from hilserver.logs.provenance import make_run
 from hilserver.measured.frames import Sampling
 from hilserver.measured.reading import read_measured
 from hilserver.replay.simulation import Simulation
+from tests.helpers.daemons import running_daemon
 
 QUIET = {"white_noise_m": 0.0, "correlated_noise_m": 0.0, "yaw_noise_rad": 0.0}
 NOISY = {"correlated_noise_m": 0.05, "yaw_noise_rad": 0.015}
@@ -116,6 +119,32 @@ class Drive:
         return path
 
 
+@dataclass(frozen=True)
+class RealDrive:
+    """A drive of the running daemon, at the pace of the clock; no drive: its own demonstration."""
+
+    drive: str | None
+    seconds: float
+    seed: int = 0
+    noisy: bool = True
+
+    def record(self, path):
+        """Record from the first tick to the last."""
+        config = configuration(noisy=self.noisy, seed=self.seed)
+        text = yaml.safe_dump(config.model_dump(mode="json", include={"sensors", "plant"}))
+        words = ["--duration", str(self.seconds), "--record", path.name]
+        if self.drive is None:
+            words.append("--demo")
+        else:
+            play = DRIVES[self.drive](self.seconds, self.seed)
+            plan = yaml.safe_dump(play.model_dump(mode="json", exclude_unset=True))
+            (path.parent / "scenario.yaml").write_text(plan, encoding="utf-8")
+            words += ["--scenario", "scenario.yaml"]
+        with running_daemon(path.parent, *words, config=text) as daemon:
+            assert daemon.process.wait(self.seconds + 120.0) == 0
+        return path
+
+
 async def _record(path, assembly, play, n_ticks):
     async with Simulation(assembly, play) as simulation:
         run = make_run(simulation.image.description)
@@ -150,3 +179,8 @@ def read(source, folder, rows: Rows):
     table = thinned(source, folder / f"{source.stem}-{rows.every}-{rows.first}.csv", rows)
     assert not meta_path(table).exists()
     return read_measured([table], None, sampling)
+
+
+def found_in(log):
+    """Diagnose what was read with the configuration of the recording."""
+    return diagnose(log, assemble_config(configuration(noisy=True))).findings

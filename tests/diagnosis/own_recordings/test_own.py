@@ -1,12 +1,12 @@
 """The daemon's own recordings: nothing is found in them, and a term that was on is named."""
 
+from dataclasses import replace
+
 import pytest
 
-from hilserver.daemon.assembly import assemble_config
-from hilserver.diagnosis.engine import diagnose
 from tests.diagnosis.assertions import LARGEST_GROUP, nothing_is_found, said
 from tests.diagnosis.own_recordings.cases import DROVE, HIDDEN, ROWS
-from tests.diagnosis.own_recordings.recordings import configuration, read
+from tests.diagnosis.own_recordings.recordings import found_in, read
 
 QUICK = {
     ("wheels, noise", "1 kHz"),
@@ -16,34 +16,40 @@ QUICK = {
     ("wheels, noise", "33 ms"),
     ("body, no noise", "1 kHz, the recorder's own"),
 }
-CASES = [
-    pytest.param(drive, rows, marks=[] if (drive, rows) in QUICK else [pytest.mark.long])
-    for drive in DROVE
-    for rows in ROWS
-]
+QUICK_S = 20.0
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """Return a function that gives the recording of a drive; each is driven once."""
-    folder, made = tmp_path_factory.mktemp("own"), {}
+    made = {}
 
-    def of(name):
-        if name not in made:
-            made[name] = DROVE[name].record(folder / f"{len(made)}.mcap")
-        return made[name]
+    def of(drive):
+        if drive not in made:
+            folder = tmp_path_factory.mktemp("own")
+            made[drive] = drive.record(folder / "run.mcap")
+        return made[drive]
 
     return of
 
 
-def found_in(log):
-    return diagnose(log, assemble_config(configuration(noisy=True))).findings
+def nothing_is_found_in(recording, rows, folder):
+    nothing_is_found(found_in(read(recording, folder, ROWS[rows])))
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("drive", "rows"), CASES)
-def test_nothing_is_found_in_a_recording_of_the_simulation(drive, rows, recorded, tmp_path):
-    nothing_is_found(found_in(read(recorded(drive), tmp_path, ROWS[rows])))
+@pytest.mark.parametrize(("drive", "rows"), sorted(QUICK))
+def test_nothing_is_found_in_a_short_recording(drive, rows, recorded, tmp_path):
+    short = replace(DROVE[drive], seconds=QUICK_S)
+    nothing_is_found_in(recorded(short), rows, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("rows", ROWS)
+@pytest.mark.parametrize("drive", DROVE)
+def test_nothing_is_found_in_a_recording_of_the_daemon(drive, rows, recorded, tmp_path):
+    nothing_is_found_in(recorded(DROVE[drive]), rows, tmp_path)
 
 
 @pytest.mark.long

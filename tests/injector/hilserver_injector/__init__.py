@@ -7,7 +7,7 @@ merely because both sides share a mistake.
 
 from hilserver_injector.causes import CAUSES, REQUIRED, nothing, single
 from hilserver_injector.make import make
-from hilserver_injector.recipe import Noise, Recipe, Recorder
+from hilserver_injector.recipe import Noise, Recipe, Recorder, Sensor
 from hilserver_injector.table import Table, Truth
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Noise",
     "Recipe",
     "Recorder",
+    "Sensor",
     "Table",
     "Truth",
     "make",

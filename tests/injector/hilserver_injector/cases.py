@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hilserver_injector.causes import CAUSES, REQUIRED, TWINS, nothing, single
+from hilserver_injector.ordinary import ON_A_STAND, ordinary
 from hilserver_injector.recipe import Recipe, Recorder
 
 
@@ -191,6 +192,22 @@ def faults(seed: int) -> Iterator[Case]:
         yield Case("fault", name, Recipe(seed=seed, faults=what), answer)
 
 
+def sensors(seed: int) -> Iterator[Case]:
+    """Nothing hidden but ordinary sensors: two drives, the bench, and wheels in the air."""
+    for kind, name, number, how in (
+        ("drive", "drive", 2 * seed, {}),
+        ("drive", "drive", 2 * seed + 1, {}),
+        ("bench", "bench", seed, {}),
+        ("bench", "stand", seed, {"in_the_air": True, "recorder": ON_A_STAND}),
+    ):
+        recipe = ordinary(replace(nothing(kind, number), **how))  # type: ignore[arg-type]
+        limit = recipe.sensors["gyro_z"].limit if name == "drive" else math.inf
+        answer = Answer(verdict="nothing_found")
+        if limit < math.inf:
+            answer = Answer(verdict="data_fault", causes=_only("limited_channel"))
+        yield Case("sensors", name, recipe, answer)
+
+
 _DRIFTS = {
     "rotation_gain": (0.0, 0.12),
     "wheel_radius_difference": (-0.02, 0.02),
@@ -217,6 +234,7 @@ CLASSES: Mapping[str, Callable[[int], Iterator[Case]]] = {
     "outside": outside,
     "fault": faults,
     "drift": drifts,
+    "sensors": sensors,
 }
 
 

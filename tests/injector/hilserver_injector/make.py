@@ -11,7 +11,7 @@ from hilserver_injector.faults import apply
 from hilserver_injector.manoeuvres import BENCHES, DRIVES
 from hilserver_injector.parameters import RECORD, machine
 from hilserver_injector.recipe import WHEELS, Recipe
-from hilserver_injector.sensors import tag, yaw_rate
+from hilserver_injector.sensors import as_read, tag, yaw_rate
 from hilserver_injector.table import Table, Truth
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def _record(
     if "battery" in taken.channels:
         added = noise.voltage_v * recipe.generator("battery").standard_normal(n)
         columns["battery.voltage_v"] = rows[:, 12] + added
-    return _with_gaps(recipe, Table(times.copy(), columns))
+    return _with_gaps(recipe, Table(times.copy(), as_read(recipe, columns)))
 
 
 def _with_gaps(recipe: Recipe, table: Table) -> Table:

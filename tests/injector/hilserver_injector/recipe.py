@@ -1,5 +1,6 @@
 """What a log is made from: everything is drawn from the seed, nothing else."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -51,6 +52,22 @@ class Recorder:
     channels: tuple[str, ...] = ("setpoint", "speed", "duty", "gyro", "nav", "battery")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """How a channel's reading is rounded and limited: clip(round(truth + noise)).
+
+    Attributes
+    ----------
+    step : float
+        Readings are whole multiples of it; 0: not rounded.
+    limit : float
+        Largest reading, either sign.
+    """
+
+    step: float = 0.0
+    limit: float = math.inf
+
+
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
     """One log.
@@ -63,6 +80,8 @@ class Recipe:
         Values at the start of the log, when `causes` are those at its end.
     faults : mapping of str to object
         Faults of the data, see `faults.apply`.
+    sensors : mapping of str to Sensor
+        By a part of the channels' names (``speed_rpm``); other channels are exact but for noise.
     """
 
     kind: Literal["drive", "bench"] = "drive"
@@ -76,6 +95,7 @@ class Recipe:
     in_the_air: bool = False
     noise: Noise = field(default_factory=Noise)
     recorder: Recorder | None = None
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
     @property
     def length_s(self) -> float:

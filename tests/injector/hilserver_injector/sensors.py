@@ -36,6 +36,17 @@ def _value(causes: Mapping[str, Array], name: str, n: int) -> Array:
     return causes.get(name, np.zeros(n))
 
 
+def as_read(recipe: Recipe, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the readings that the sensors of a recipe give for exact ones, by channel."""
+    readings = dict(columns)
+    for part, sensor in recipe.sensors.items():
+        for name in (name for name in columns if part in name):
+            exact = readings[name]
+            rounded = sensor.step * np.round(exact / sensor.step) if sensor.step else exact
+            readings[name] = np.clip(rounded, -sensor.limit, sensor.limit)
+    return readings
+
+
 def yaw_rate(recipe: Recipe, causes: Mapping[str, Array], dense: Array, times: Array) -> Array:
     """Return the gyro's reading [rad/s]; `causes` hold a value per instant."""
     n = len(times)

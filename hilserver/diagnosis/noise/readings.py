@@ -1,0 +1,163 @@
+"""What a sensor shows of a quantity: rounded to its resolution and held at its limits.
+
+A reading is ``y = clip(round(x + e))``. Where the noise e is smaller than the step q, the error of
+rounding depends on the quantity itself: with a sawtooth's Fourier series its mean over the noise is
+``sum_k (-1)^k q/(pi k) exp(-2 pi^2 k^2 s^2/q^2) sin(2 pi k x/q)`` (Widrow and Kollar, Quantization
+Noise, 2008), so it lasts as long as the quantity does. At a limit the mean reading stands short of
+it, as the mean of a censored normal does (Tobin 1958).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from hilserver.diagnosis.noise.whitening import NoiseModel
+
+Array = NDArray[np.float64]
+
+HARMONICS = np.arange(1, 6)
+LEAST_NOISE, MOST_NOISE = 0.02, 50.0
+"""Range of the noise by the step."""
+CALM = 0.1
+"""Share of a step by which the quantity may move between two samples that tell the noise."""
+FEWEST_CALM = 50
+LATER_S = 0.1
+NEAR = 0.99
+"""Share of a limit beyond which readings show less than the noise."""
+LEAST_SHARE = 0.01
+"""Of the variance that lasts; less is white."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How a channel shows a quantity.
+
+    Attributes
+    ----------
+    step : float
+        Readings differ by whole multiples of it; 0: they are not rounded.
+    origin : float
+        One of the readings.
+    limit : float
+        Largest reading, either sign.
+    """
+
+    step: float = 0.0
+    origin: float = 0.0
+    limit: float = math.inf
+
+    def mean(self, exact: Array, noise: NoiseModel | None) -> Array:
+        """Return the mean reading of a quantity, less what rounding adds to it, shape (n,).
+
+        Parameters
+        ----------
+        exact : ndarray, shape (n,)
+            The quantity.
+        noise : NoiseModel or None
+            Of the channel; None: not known yet.
+        """
+        shown = np.clip(exact, -self.limit, self.limit)
+        if noise is None or math.isinf(self.limit):
+            return shown
+        sd = math.sqrt(max(noise.sd**2 - self.step**2 / 12.0, 1e-12 * self.limit**2))
+        short = self._short(sd)
+        for side in (1.0, -1.0):
+            away = np.abs(side * exact - self.limit) / sd
+            near = away < 6.0
+            z = away[near]
+            bump = np.exp(-0.5 * z * z) - math.sqrt(2.0 * math.pi) * z * ndtr(-z)
+            shown[near] -= side * short * bump
+        return shown
+
+    def _short(self, sd: float) -> float:
+        """Return how far the mean reading of a quantity at the limit stands short of it."""
+        if self.step < 0.5 * sd:
+            return sd / math.sqrt(2.0 * math.pi)
+        cells = np.arange(int(6.0 * sd / self.step) + 1) + 0.5
+        return float(self.step * ndtr(-cells * self.step / sd).sum())
+
+
+def lasting(noise_sd: float, step: float) -> float:
+    """Return the variance of the mean error of rounding over all places between two steps."""
+    size = (
+        step / (math.pi * HARMONICS) * np.exp(-2.0 * (math.pi * HARMONICS * noise_sd / step) ** 2)
+    )
+    return float(0.5 * (size**2).sum())
+
+
+def noise_of_readings(
+    parts: Sequence[tuple[Array, Array, Array]], reading: Reading
+) -> NoiseModel | None:
+    """Return the noise of rounded readings: white, and what of the rounding lasts.
+
+    Neighbouring readings of a quantity that hardly moves tell the noise before the rounding, and
+    the quantity itself how long the error of rounding lasts. What the model misses enters neither.
+
+    Parameters
+    ----------
+    parts : sequence of (t_s, exact, reading), shape (n,) each
+        Of each stretch: the quantity as the model has it, and what was read.
+
+    Returns
+    -------
+    NoiseModel or None
+        None where too few samples are calm.
+    """
+    step = reading.step
+    moved = np.concatenate([np.diff(exact) for _, exact, _ in parts])
+    jumped = np.concatenate([np.diff(read) for _, _, read in parts])
+    calm = np.abs(moved) < CALM * step
+    if calm.sum() < FEWEST_CALM:
+        return None
+    square = np.square(jumped[calm] - moved[calm])
+    for _ in range(3):
+        most = 9.0 * max(float(square.mean()), step**2 / 6.0)
+        square = square[square < most]
+    seen = 0.5 * float(square.mean())
+
+    def excess(noise_sd: float) -> float:
+        return noise_sd**2 + step**2 / 12.0 - lasting(noise_sd, step) - seen
+
+    low, high = LEAST_NOISE * step, MOST_NOISE * step
+    noise_sd = low if excess(low) > 0.0 else float(brentq(excess, low, high))
+    whole = noise_sd**2 + step**2 / 12.0
+    if lasting(noise_sd, step) < LEAST_SHARE * whole:
+        return NoiseModel(math.sqrt(whole))
+    slow, tau_s = _memory([(t, _mean_error(x, reading, noise_sd)) for t, x, _ in parts])
+    slow = min(slow, 0.99 * whole)
+    if slow < LEAST_SHARE * whole:
+        return NoiseModel(math.sqrt(whole))
+    return NoiseModel(math.sqrt(whole - slow), math.sqrt(slow), tau_s)
+
+
+def _mean_error(exact: Array, reading: Reading, noise_sd: float) -> Array:
+    """Return the mean error of rounding at each value of a quantity."""
+    turn = 2.0 * math.pi * (exact - reading.origin) / reading.step
+    error = np.zeros(len(exact))
+    for k in HARMONICS.tolist():
+        size = reading.step / (math.pi * k)
+        size *= math.exp(-2.0 * (math.pi * k * noise_sd / reading.step) ** 2)
+        error += (-1.0) ** k * size * np.sin(k * turn)
+    return error
+
+
+def _memory(parts: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
+    """Return variance and correlation time of what of a series lasts from sample to sample."""
+    period_s = float(np.median(np.concatenate([np.diff(t) for t, _ in parts])))
+    far = max(round(LATER_S / max(period_s, 1e-6)), 3)
+    together = []
+    for lag in (1, far):
+        pairs = [(r[lag:], r[:-lag]) for _, r in parts if len(r) > lag]
+        count = sum(len(a) for a, _ in pairs)
+        together.append(sum(float(a @ b) for a, b in pairs) / max(count, 1))
+    soon, late = together
+    if not soon > 0.0:
+        return 0.0, 1.0
+    late = min(max(late, 1e-3 * soon), 0.999 * soon)
+    tau_s = (far - 1) * period_s / math.log(soon / late)
+    return soon * math.exp(period_s / tau_s), tau_s

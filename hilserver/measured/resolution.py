@@ -1,0 +1,35 @@
+"""The resolution of a channel: readings that are whole multiples of a step."""
+
+from typing import Final
+
+import numpy as np
+
+from hilserver.measured.data import Array
+
+FEWEST: Final = 100
+EXACT: Final = 0.02
+"""Share of a step that readings may lie beside whole multiples: files round, too."""
+OFTEN: Final = 0.5
+"""Different values by samples; where there are more, the step is far below the noise."""
+
+
+def step_of(values: Array) -> tuple[float, float]:
+    """Return the step that readings come in and one of them; (0, 0) where there is none."""
+    if len(values) < FEWEST:
+        return 0.0, 0.0
+    different = np.unique(values)
+    if len(different) < 3 or len(different) > OFTEN * len(values):
+        return 0.0, 0.0
+    gaps = np.diff(different)
+    gaps = gaps[gaps > 1e-9 * np.abs(different).max()]
+    if not len(gaps):
+        return 0.0, 0.0
+    step, origin = float(np.median(gaps[gaps < 1.5 * gaps.min()])), float(different[0])
+    for _ in range(3):  # from neighbours to the whole range: each time a longer lever
+        count = np.rint((different - origin) / step)
+        slope, origin = np.polyfit(count, different, 1)
+        step = float(slope)
+        if not step > 0.0:
+            return 0.0, 0.0
+    beside = np.abs(different - origin - step * np.rint((different - origin) / step))
+    return (step, float(origin)) if beside.max() < EXACT * step else (0.0, 0.0)
