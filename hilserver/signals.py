@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Literal
 
-from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, WHEELS
+from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, WHEEL_WORDS, WHEELS
 
 RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", "internal"))
 """First parts of names that belong to the daemon itself; no block may have them."""
@@ -112,6 +112,13 @@ class Signal:
         return len(self.slots) > 1
 
     @property
+    def range_text(self) -> str:
+        """The range in words: ``-0.8 .. 0.8 m/s``, or the only value that this robot accepts."""
+        if self.low == self.high:
+            return f"{self.low:g} {self.unit}, all that this robot's plant.drive can do"
+        return f"{self.low:g} .. {self.high:g} {self.unit}"
+
+    @property
     def writable(self) -> bool:
         """Whether a source may write it."""
         return self.direction is Direction.IN
@@ -174,6 +181,7 @@ class Ranges:
     max_rpm: float
     max_linear_m_s: float
     max_angular_rad_s: float
+    max_lateral_m_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +244,9 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     linear, angular = ranges.max_linear_m_s, ranges.max_angular_rad_s
     b.add("twist.linear_m_s", "m/s", in_, -linear, linear, "Commanded forward speed")
     b.add("twist.angular_rad_s", "rad/s", in_, -angular, angular, "Commanded turn rate, left +")
+    lateral = ranges.max_lateral_m_s
+    text = "Commanded sideways speed, left +; skid steering: only 0"
+    b.add("twist.lateral_m_s", "m/s", in_, 0.0 - lateral, lateral, text)
     for wheel in WHEELS:
         text = f"Duty of the {wheel} wheel straight to the process, past the speed controller"
         b.add(f"wheel.{wheel}.duty_command_pct", "%", in_, -100.0, 100.0, text)
@@ -317,8 +328,66 @@ def _add_lights(b: _Builder) -> None:
             b.add(f"lights.{place}.{colour}", "1", out, 0, 255, text, type_=byte)
 
 
-def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTable:
-    """Return the table of the four-wheeled robot, followed by the outputs of own blocks."""
+def _body_outputs() -> list[tuple[str, str, float, float, str]]:
+    """Return the outputs of the mechatronic model, in the order of `hilserver.body.layout`."""
+    rows = [
+        ("mech.x_m", "m", -1e6, 1e6, "Position of the body's centre of mass, world frame"),
+        ("mech.y_m", "m", -1e6, 1e6, "Position of the body's centre of mass, world frame"),
+        ("mech.z_m", "m", -1e6, 1e6, "Height of the body's centre of mass above the floor"),
+        ("mech.roll_rad", "rad", -math.pi, math.pi, "Roll of the body, right side down +"),
+        ("mech.pitch_rad", "rad", -math.pi, math.pi, "Pitch of the body, nose down +"),
+        ("mech.yaw_rad", "rad", -math.pi, math.pi, "Heading of the body, counter-clockwise +"),
+        ("mech.linear_m_s", "m/s", -100.0, 100.0, "Forward velocity of the body"),
+        ("mech.lateral_m_s", "m/s", -100.0, 100.0, "Lateral velocity of the body, left +"),
+        ("mech.angular_rad_s", "rad/s", -500.0, 500.0, "Yaw rate of the body, counter-clockwise +"),
+    ]
+    rows += [
+        (f"mech.tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place} of the body")
+        for place in RANGE_FINDERS
+    ]
+    rows += [
+        (f"mech.imu.gyro_{axis}_rad_s", "rad/s", -500.0, 500.0, f"Gyroscope of the body, {axis}")
+        for axis in "xyz"
+    ]
+    text = "Specific force of the body, +9.81 in z at rest"
+    rows += [
+        (f"mech.imu.accel_{axis}_m_s2", "m/s²", -5000.0, 5000.0, f"{text}; {axis}")
+        for axis in "xyz"
+    ]
+    for quantity, unit, size, text in (
+        ("speed_rpm", "rpm", 10_000.0, "Speed of the {} wheel of the body"),
+        ("normal_force_n", "N", 1e6, "Force with which the floor carries the {} wheel"),
+        ("slip_m_s", "m/s", 100.0, "Slip of the {} wheel: forward over the floor +"),
+        ("torque_nm", "Nm", 1e4, "Torque of the {} drive, mirrored like the speed"),
+    ):
+        low = 0.0 if unit == "N" else -size
+        rows += [
+            (f"mech.wheel.{w}.{quantity}", unit, low, size, text.format(WHEEL_WORDS[w]))
+            for w in WHEELS
+        ]
+    return [
+        *rows,
+        ("mech.gap_m", "m", 0.0, 1e6, "Distance between the body and the kinematic pose"),
+        (
+            "mech.gap_yaw_rad",
+            "rad",
+            -math.pi,
+            math.pi,
+            "Heading of the body minus the kinematic one",
+        ),
+    ]
+
+
+def robot_table(
+    ranges: Ranges, blocks: Iterable[BlockOutput] = (), *, body: bool = False
+) -> SignalTable:
+    """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
+
+    Parameters
+    ----------
+    body : bool
+        Whether the mechatronic model runs: its outputs then stand before those of own blocks.
+    """
     b = _Builder()
     _add_inputs(b, ranges)
     _add_hidden(b)
@@ -337,6 +406,8 @@ def robot_table(ranges: Ranges, blocks: Iterable[BlockOutput] = ()) -> SignalTab
     b.add("internal.edition", "1", out, 0, 2**53, text, hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
+    for name, unit, low, high, text in _body_outputs() if body else ():
+        b.add(name, unit, out, low, high, text)
     for block in blocks:
         b.add(block.name, block.unit, out, block.low, block.high, block.description)
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")

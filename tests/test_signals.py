@@ -10,6 +10,7 @@ BEGIN = {
     "wheel.fl.setpoint_rpm": layout.U_SETPOINT,
     "twist.linear_m_s": layout.U_TWIST_LINEAR,
     "twist.angular_rad_s": layout.U_TWIST_ANGULAR,
+    "twist.lateral_m_s": layout.U_TWIST_LATERAL,
     "wheel.fl.duty_command_pct": layout.U_DUTY,
     "control.mode": layout.U_MODE,
     "drive.enable": layout.U_ENABLE,

@@ -6,9 +6,9 @@ loop) `RobotParameters` refuses with one sentence.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hilserver.config.hall import load_hall
 from hilserver.plant import parts
@@ -42,10 +42,23 @@ class ProcessConfig(_Section):
     t2_s: float = Field(0.0023, gt=0, le=100, description="fast time constant")
 
 
+MECANUM_GEOMETRY: Final = {
+    "wheel_radius_m": 0.05,
+    "wheelbase_m": 0.25,
+    "track_m": 0.36,
+    "icr_offset_m": 0.0,
+}
+"""EduArt's mecanum build, edu_robot."""
+
+
 class PlantConfig(_Section):
     """The robot's drive and body."""
 
     slice: str = Field("plant", description="slice in which the plant runs")
+    drive: Literal["skid", "mecanum"] = Field(
+        "skid",
+        description="skid, or mecanum (rollers in X pattern; r 0.05, l_x 0.25, l_y 0.36)",
+    )
     wheel_radius_m: float = Field(0.085, ge=0.001, le=10, description="wheel radius r")
     wheelbase_m: float | None = Field(
         0.25, ge=0.001, le=100, description="l_x, between front and rear wheels; null: two wheels"
@@ -72,6 +85,13 @@ class PlantConfig(_Section):
     terms: dict[str, float | None] = Field(
         default_factory=dict, description="values by cause or cause.part; null: none"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _geometry_of_the_drive(cls, value: object) -> object:
+        if isinstance(value, dict) and value.get("drive") == "mecanum":
+            return MECANUM_GEOMETRY | value
+        return value
 
     @field_validator("terms")
     @classmethod

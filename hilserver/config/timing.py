@@ -172,7 +172,7 @@ class SnapshotConfig(Section):
     folder: str = Field("snapshots", description="Folder, relative to the configuration file")
 
 
-_ROBOT = robot_table(Ranges(1.0, 1.0, 1.0))
+_ROBOT = robot_table(Ranges(1.0, 1.0, 1.0), body=True)
 _TAKEN = RESERVED | {signal.name.partition(".")[0] for signal in (*_ROBOT, *_ROBOT.scalars)}
 """First parts of the robot's signals and of the folders of the address space."""
 

@@ -26,6 +26,7 @@ SETPOINTS = (
     *(f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS),
     "twist.linear_m_s",
     "twist.angular_rad_s",
+    "twist.lateral_m_s",
     *(f"wheel.{wheel}.duty_command_pct" for wheel in WHEELS),
 )
 """What a stop sets to zero."""
@@ -202,8 +203,7 @@ class InputGate:
             kind = kind_of(source)
             return f"'{self.owner}' has control; writing '{kind}' to control.source takes it"
         if reason is Refusal.OUT_OF_RANGE:
-            signal = self._table[name]
-            return f"outside {signal.low:g} .. {signal.high:g} {signal.unit}"
+            return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
             signal = self._table[name]
             wanted = f"{len(signal.slots)} values of type" if signal.is_array else "a value of type"

@@ -261,7 +261,7 @@ class _Builder:
 
 
 def _ranges(robot: RobotParameters) -> Ranges:
-    return Ranges(robot.max_rpm, robot.max_linear_m_s, robot.max_angular_rad_s)
+    return Ranges(*robot.ranges)
 
 
 def _outputs(block: BlockUse) -> list[BlockOutput]:

@@ -12,7 +12,7 @@ _OF_THE_DAEMON = ("sim.", "internal.")
 @cache
 def _table() -> SignalTable:
     ranges = RobotParameters().ranges  # names and units are those of every robot
-    return robot_table(Ranges(*ranges))
+    return robot_table(Ranges(*ranges), body=True)
 
 
 @cache

@@ -14,6 +14,7 @@ from hilserver.plant.layout import (
     P_EXCLUSIVE,
     P_HALF_TRACK,
     P_MAX_RPM,
+    P_MECANUM,
     P_RAMP_STEP,
     P_RATE_STEP,
     P_RPM_PER_M_S,
@@ -26,6 +27,7 @@ from hilserver.plant.layout import (
     U_MODE,
     U_SETPOINT,
     U_TWIST_ANGULAR,
+    U_TWIST_LATERAL,
     U_TWIST_LINEAR,
     X_COMMANDED,
     X_DIRECT,
@@ -57,10 +59,13 @@ def safe_ramp(p: Any, x: Any) -> None:
 
 
 @part
-def inverse_kinematics(p: Any, x: Any, linear_m_s: float, angular_rad_s: float) -> None:
+def inverse_kinematics(
+    p: Any, x: Any, linear_m_s: float, lateral_m_s: float, angular_rad_s: float
+) -> None:
     """Set the wheels for a twist, equation (5.25), with nominal values.
 
-    In exclusive mode (5.4) the larger of ``|v|`` and ``|om| l_y/2`` drives alone.
+    In exclusive mode (5.4) the larger of ``|v|`` and ``|om| l_y/2`` drives alone. The rollers of
+    mecanum wheels form an X seen from above: to the left, the wheels of each side turn apart.
     """
     if p[P_EXCLUSIVE] != 0.0 and linear_m_s != 0.0 and angular_rad_s != 0.0:
         x[X_TWIST_REDUCED] = 1.0
@@ -74,6 +79,12 @@ def inverse_kinematics(p: Any, x: Any, linear_m_s: float, angular_rad_s: float) 
     x[X_COMMANDED + 1] = turning + straight
     x[X_COMMANDED + 2] = turning - straight
     x[X_COMMANDED + 3] = turning - straight
+    if p[P_MECANUM] != 0.0:
+        sideways = lateral_m_s * p[P_RPM_PER_M_S]
+        x[X_COMMANDED] -= sideways
+        x[X_COMMANDED + 1] += sideways
+        x[X_COMMANDED + 2] -= sideways
+        x[X_COMMANDED + 3] += sideways
 
 
 @part
@@ -141,7 +152,7 @@ def command(p: Any, x: Any, u: Any) -> None:
             for i in range(N_WHEELS):
                 x[X_COMMANDED + i] = u[U_SETPOINT + i]
         else:
-            inverse_kinematics(p, x, u[U_TWIST_LINEAR], u[U_TWIST_ANGULAR])
+            inverse_kinematics(p, x, u[U_TWIST_LINEAR], u[U_TWIST_LATERAL], u[U_TWIST_ANGULAR])
         limit_speed(p, x)
     x[X_LAST_COMMAND] = wish
     if p[P_COMMAND_TERMS] != 0.0:

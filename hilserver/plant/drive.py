@@ -19,6 +19,7 @@ from hilserver.plant.layout import (
     P_B0,
     P_B1,
     P_BACKLASH,
+    P_BODY_WHEELS,
     P_CONTROL_TICKS,
     P_COULOMB,
     P_DEAD_ZONE,
@@ -254,8 +255,12 @@ def drive_terms(p: Any, x: Any, y: Any) -> Sums:
         y[Y_DUTY + i] = x[X_DUTY + i]
         y[Y_ANGLE + i] = x[X_ANGLE + i]
         duty = load(p, i, x[X_DUTY + i], speed)
-        x[X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
-        x[X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
+        if p[P_BODY_WHEELS] != 0.0:  # the body takes the duty and hands the speed back
+            x[X_MOTOR + i] = duty * (b0 / p[P_B0])
+            motor = speed
+        else:
+            x[X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
+            x[X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
         x[X_ANGLE + i] += half_turn * (speed + x[X_SPEED + i])
         mean = 0.5 * (speed + x[X_SPEED + i])
         accel = (motor - speed) * p[P_INVERSE_T2]

@@ -1,9 +1,30 @@
 """The hall that the range finders see: walls as line segments."""
 
+import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A box in the hall, as the mechatronic model feels it.
+
+    Attributes
+    ----------
+    centre_m, half_m : tuple of float
+        Centre in the world's frame, and half of length, width and height.
+    yaw_rad, pitch_rad : float
+        Direction of its length, and by how much it rises along it.
+    """
+
+    centre_m: tuple[float, float, float]
+    half_m: tuple[float, float, float]
+    yaw_rad: float = 0.0
+    pitch_rad: float = 0.0
+
 
 DEFAULT_WALLS: Final = (
     (-3.0, -3.0, 5.0, -3.0),  # south
@@ -32,3 +53,21 @@ of 8 m by 6 m with two pillars, a shelf and a doorway."""
 def default_hall() -> NDArray[np.float64]:
     """Return the walls of the default hall, shape (4 n,): x1, y1, x2, y2 [m] of each."""
     return np.array(DEFAULT_WALLS, dtype=np.float64).reshape(-1)
+
+
+def wall_solids(
+    segments: NDArray[np.float64], height_m: float = 1.0, thickness_m: float = 0.05
+) -> tuple[Solid, ...]:
+    """Return walls as boxes around their segments; `segments` as `default_hall` returns them."""
+    solids = []
+    for x1, y1, x2, y2 in segments.reshape(-1, 4).tolist():
+        half = 0.5 * math.hypot(x2 - x1, y2 - y1) + 0.5 * thickness_m
+        centre = (0.5 * (x1 + x2), 0.5 * (y1 + y2), 0.5 * height_m)
+        size = (half, 0.5 * thickness_m, 0.5 * height_m)
+        solids.append(Solid(centre, size, math.atan2(y2 - y1, x2 - x1)))
+    return tuple(solids)
+
+
+def default_solids() -> tuple[Solid, ...]:
+    """Return the walls of the default hall as boxes."""
+    return wall_solids(default_hall())

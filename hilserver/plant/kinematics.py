@@ -8,6 +8,7 @@ derivative ``(v, vy, om, dv, dvy, dom)`` in m/s, rad/s and their rates.
 import math
 from typing import Any
 
+from hilserver.plant.drive import RAD_PER_RPM_S
 from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     P_ACCELERATION_SLIP,
@@ -16,6 +17,7 @@ from hilserver.plant.layout import (
     P_GAIN_SPEED,
     P_HALF_TRACK,
     P_ICR,
+    P_INVERSE_T2,
     P_LONGITUDINAL_SLIP,
     P_MISALIGNMENT,
     P_RADIUS_LEFT,
@@ -24,13 +26,16 @@ from hilserver.plant.layout import (
     P_REGION_X_MIN,
     P_REGION_Y_MAX,
     P_REGION_Y_MIN,
+    P_ROLLER_KEEP,
     P_RUNOUT,
     P_RUNOUT_PHASE,
     P_SIDE_SLIP,
     P_SURFACE_GAIN,
     P_SURFACE_SPEED,
     P_YAW_GAIN,
+    X_MOTOR,
     X_POSE,
+    X_SPEED,
 )
 
 Velocity = tuple[float, float, float, float, float, float]
@@ -44,6 +49,21 @@ def velocity_base(p: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> V
     om = p[P_YAW_GAIN] * (left + right)
     dom = p[P_YAW_GAIN] * (dleft + dright)
     return 0.5 * (left - right), -p[P_ICR] * om, om, 0.5 * (dleft - dright), -p[P_ICR] * dom, dom
+
+
+@inlined
+def _apart(p: Any, x: Any, first: int) -> float:
+    """Return by how much the wheels of each side turn apart, as speed to the left."""
+    left = p[P_RADIUS_LEFT] * (x[first] - x[first + 1])
+    right = p[P_RADIUS_RIGHT] * (x[first + 2] - x[first + 3])
+    return float(-0.25 * RAD_PER_RPM_S * p[P_ROLLER_KEEP] * (left + right))
+
+
+@part
+def sideways(p: Any, x: Any) -> tuple[float, float]:
+    """Return lateral speed [m/s] and its rate [m/s2] of mecanum wheels that turn as `x` says."""
+    speed = _apart(p, x, X_SPEED)
+    return speed, (_apart(p, x, X_MOTOR) - speed) * p[P_INVERSE_T2]
 
 
 @part

@@ -29,16 +29,17 @@ BAD_OUT_OF_SERVICE: Final = 0x808D0000
 U_SETPOINT: Final = 0  # 4 wheels [rpm]
 U_TWIST_LINEAR: Final = 4  # [m/s]
 U_TWIST_ANGULAR: Final = 5  # [rad/s]
-U_DUTY: Final = 6  # 4 wheels [%]
-U_MODE: Final = 10  # MODE_*; what stands before it is a set-point
-U_ENABLE: Final = 11
-U_LIGHTS: Final = 12  # command, red, green, blue
-U_SEQUENCE: Final = 16
-U_COMMAND: Final = 17  # hidden: COMMAND_*
-U_POSE_REQUEST: Final = 18  # hidden: a counter; when it changes, the pose is set
-U_POSE: Final = 19  # hidden: x [m], y [m], yaw [rad]
-U_GAINS: Final = 22  # hidden: 1 while the next two replace the controller's, K_P, K_I
-N_U: Final = 25
+U_TWIST_LATERAL: Final = 6  # [m/s], mecanum only
+U_DUTY: Final = 7  # 4 wheels [%]
+U_MODE: Final = 11  # MODE_*; what stands before it is a set-point
+U_ENABLE: Final = 12
+U_LIGHTS: Final = 13  # command, red, green, blue
+U_SEQUENCE: Final = 17
+U_COMMAND: Final = 18  # hidden: COMMAND_*
+U_POSE_REQUEST: Final = 19  # hidden: a counter; when it changes, the pose is set
+U_POSE: Final = 20  # hidden: x [m], y [m], yaw [rad]
+U_GAINS: Final = 23  # hidden: 1 while the next two replace the controller's, K_P, K_I
+N_U: Final = 26
 
 # values of u[U_MODE]
 MODE_WHEELS: Final = 0
@@ -135,6 +136,9 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_RPM_PER_RAD_S,
     P_HALF_TRACK,
     P_EXCLUSIVE,
+    P_MECANUM,  # 1: rollers let the wheels drive sideways
+    P_ROLLER_KEEP,  # share of the lateral speed that the rollers' slip leaves
+    P_BODY_WHEELS,  # 1: the mechatronic model turns the wheels, not the process
     P_RAMP_STEP,  # share of the safe ramp per tick
     P_COMMAND_TERMS,  # 1: delay or rate limit is on
     P_DRIVE_TERMS,  # 1: drive_terms instead of drive_base
@@ -225,5 +229,5 @@ N_X: Final = X_NAV_RING + 3 * RING
     # initial values of the state that are not zero
     P_CHARGE_0,
     N_P,
-) = range(107)  # one more than there are parameters
+) = range(110)  # one more than there are parameters
 P_WHEEL_LOAD: Final = P_LOAD  # 4 [%], contiguous

@@ -103,6 +103,9 @@ def _pack_command(p: Array, robot: RobotParameters, term: _Values) -> None:
     )
     p[at.P_HALF_TRACK] = robot.track_m / 2.0
     p[at.P_EXCLUSIVE] = robot.exclusive_twist
+    p[at.P_MECANUM] = robot.is_mecanum
+    p[at.P_ROLLER_KEEP] = 1.0
+    p[at.P_BODY_WHEELS] = robot.body_wheels
     p[at.P_RAMP_STEP] = robot.period_s / max(robot.safe_ramp_s, robot.period_s)
     delay_s, rate = term("actuation_delay"), term.given("setpoint_rate_limit")
     runs = _delay_runs("actuation_delay", delay_s, robot.period_s, at.RING - 1)
@@ -134,7 +137,8 @@ def _pack_controller(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_QUANTUM] = quantum
     p[at.P_ENCODER_SHARE], p[at.P_ENCODER_KEEP] = encoder_weights(robot.period_s, filter_s)
     slower = period_s != robot.period_s
-    p[at.P_DRIVE_TERMS] = c.k_d > 0.0 or slower or any(map(term.on, _DRIVE_SWITCHES))
+    switched = slower or robot.body_wheels or any(map(term.on, _DRIVE_SWITCHES))
+    p[at.P_DRIVE_TERMS] = c.k_d > 0.0 or switched
 
 
 def _pack_process(p: Array, robot: RobotParameters, term: _Values) -> None:
@@ -200,7 +204,7 @@ def _anisotropy(robot: RobotParameters, term: _Values) -> tuple[float, float]:
 
 
 def _pack_motion_terms(p: Array, robot: RobotParameters, term: _Values) -> None:
-    p[at.P_KINEMATIC_TERMS] = any(map(term.on, _KINEMATIC_SWITCHES))
+    p[at.P_KINEMATIC_TERMS] = robot.is_mecanum or any(map(term.on, _KINEMATIC_SWITCHES))
     p[at.P_BASE_TURN] = robot.k_om * robot.wheel_radius_m
     p[at.P_GAIN_SPEED] = term("rotation_gain_speed")
     p[at.P_GAIN_RADIUS] = term("rotation_gain_radius")

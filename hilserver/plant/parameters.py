@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.plant.errors import PlantError
-from hilserver.plant.hall import default_hall
+from hilserver.plant.hall import Solid, default_hall, default_solids
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
 from hilserver.plant.stability import Loop
-from hilserver.plant.terms import complete
+from hilserver.plant.terms import TERMS, complete
 
 __all__ = [
     "GEOMETRIC_GAINS",
@@ -37,6 +37,14 @@ ROTATION_GAINS: Final[Mapping[str, float]] = {
 }
 """K_om [1/m] by name: printed values, table 5.1, section 5.2.2."""
 
+NOT_FOR_MECANUM: Final = frozenset(
+    ("friction_anisotropy", "icr_offset", "rotation_gain_radius", "side_slip", "backlash")
+)
+"""Causes that come from wheels that scrub, or are written for the two sides of such a robot."""
+
+NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load", "time_constant"))
+"""Causes in the part of the process that the mechatronic model computes."""
+
 GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")
 RPM_PER_RAD_S: Final = 60.0 / (2.0 * math.pi)
 
@@ -58,6 +66,7 @@ class Ranges(NamedTuple):
     max_rpm: float
     max_linear_m_s: float
     max_angular_rad_s: float
+    max_lateral_m_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,14 +79,22 @@ class RobotParameters:
         Plant slice T.
     slice_name : str
         Its name, for messages.
+    drive : str
+        ``skid``: four wheels that scrub when the robot turns; ``mecanum``: their rollers let it
+        drive sideways, and the centre of rotation is that of the wheels.
     wheelbase_m : float or None
         l_x; None for a robot with two wheels.
     rotation_gain : str or float
-        K_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``.
+        K_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``,
+        with mecanum wheels ``1/(l_x + l_y)``.
+    body_wheels : bool
+        The mechatronic model turns the wheels: the process of (5.23) is in its drives.
     terms : mapping of str to float or None
         Values of `terms.TERMS`; missing ones are null.
     hall : ndarray of float64, shape (4 n,)
         Walls for the range finders.
+    solids : tuple of Solid
+        What the mechatronic model can bump into.
 
     Raises
     ------
@@ -87,6 +104,7 @@ class RobotParameters:
 
     period_s: float = 0.001
     slice_name: str = "plant"
+    drive: Literal["skid", "mecanum"] = "skid"
     wheel_radius_m: float = 0.085
     wheelbase_m: float | None = 0.25
     track_m: float = 0.31
@@ -97,6 +115,7 @@ class RobotParameters:
     exclusive_twist: bool = False
     yaw_sign: int = -1
     rotation_gain: str | float = "geometric_skid"
+    body_wheels: bool = False
     seed: int = 0
     controller: Controller = field(default_factory=Controller)
     process: Process = field(default_factory=Process)
@@ -106,11 +125,12 @@ class RobotParameters:
     nav: Navigation = field(default_factory=Navigation)
     terms: Mapping[str, float | None] = field(default_factory=dict)
     hall: NDArray[np.float64] = field(default_factory=default_hall, compare=False, repr=False)
+    solids: tuple[Solid, ...] = field(default_factory=default_solids, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         _check_numbers(self)
         _check_geometry(self)
-        complete(self.terms)
+        _check_terms(self)
         _check_loop(self)
 
     @property
@@ -136,9 +156,16 @@ class RobotParameters:
             return float(gain)
         if gain in ROTATION_GAINS:
             return ROTATION_GAINS[gain]
+        if self.is_mecanum:
+            return 1.0 / ((self.wheelbase_m or 0.0) + self.track_m)
         if gain == "geometric_diff" or self.wheelbase_m is None:
             return 1.0 / self.track_m
         return self.track_m / (self.wheelbase_m**2 + self.track_m**2)
+
+    @property
+    def is_mecanum(self) -> bool:
+        """Whether rollers let the robot drive sideways."""
+        return self.drive == "mecanum"
 
     @property
     def max_linear_m_s(self) -> float:
@@ -153,7 +180,8 @@ class RobotParameters:
     @property
     def ranges(self) -> Ranges:
         """The limits that max_rpm sets."""
-        return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s)
+        lateral_m_s = self.max_linear_m_s if self.is_mecanum else 0.0
+        return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s, lateral_m_s)
 
 
 def _numbers(part: object, path: str) -> Iterator[tuple[str, str, float]]:
@@ -197,6 +225,9 @@ def _check_geometry(robot: RobotParameters) -> None:
     if robot.yaw_sign not in (-1, 1):
         msg = f"kinematics.yaw_sign: must be -1 or 1, not {robot.yaw_sign}."
         raise PlantError(msg)
+    if robot.drive not in ("skid", "mecanum"):
+        msg = f"plant.drive: must be skid or mecanum, not {robot.drive!r}."
+        raise PlantError(msg)
     if robot.discretization not in ("exact", "euler"):
         msg = f"plant.discretization: must be exact or euler, not {robot.discretization!r}."
         raise PlantError(msg)
@@ -212,6 +243,32 @@ def _check_geometry(robot: RobotParameters) -> None:
     if robot.battery.initial_charge > 1.0:
         msg = "sensors.battery.initial_charge: must lie between 0 (empty) and 1 (full)."
         raise PlantError(msg)
+
+
+def _check_terms(robot: RobotParameters) -> None:
+    """Refuse what has no meaning for the robot's wheels, and unknown terms."""
+    given = complete(robot.terms)
+    if robot.is_mecanum and robot.wheelbase_m is None:
+        msg = "plant.wheelbase_m: a mecanum robot has four wheels; give their distance."
+        raise PlantError(msg)
+    if robot.is_mecanum and robot.icr_offset_m != 0.0:
+        msg = "plant.icr_offset_m: mecanum wheels turn about their centre; leave it out."
+        raise PlantError(msg)
+    if robot.is_mecanum and robot.rotation_gain in ROTATION_GAINS:
+        msg = (
+            f"kinematics.rotation_gain: {robot.rotation_gain} was measured with scrubbing wheels; "
+            "leave it out for 1/(l_x + l_y), or give a number."
+        )
+        raise PlantError(msg)
+    groups = (
+        (robot.is_mecanum, NOT_FOR_MECANUM, "has no meaning for mecanum wheels"),
+        (robot.body_wheels, NOT_FOR_TORQUE, "is the body's when mechatronic.driven_by is torque"),
+    )
+    for applies, causes, reason in groups:
+        for name, value in given.items() if applies else ():
+            if TERMS[name].cause in causes and not TERMS[name].shape and value != TERMS[name].null:
+                msg = f"plant.terms.{name}: {reason}; leave it out."
+                raise PlantError(msg)
 
 
 def _check_loop(robot: RobotParameters) -> None:

@@ -9,13 +9,14 @@ from typing import Any
 from hilserver.plant.command import command
 from hilserver.plant.drive import RAD_PER_RPM_S, drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.kinematics import in_region, velocity_base, velocity_terms
+from hilserver.plant.kinematics import in_region, sideways, velocity_base, velocity_terms
 from hilserver.plant.layout import (
     GOOD,
     N_Y_ROBOT,
     P_DRIVE_TERMS,
     P_DT,
     P_KINEMATIC_TERMS,
+    P_MECANUM,
     P_SLOPE_X,
     P_SLOPE_Y,
     X_ACCEL,
@@ -52,20 +53,27 @@ def drive_on_with_terms(
     dw_r: float,
     mean_l: float,
     mean_r: float,
+    aside: float,
+    daside: float,
 ) -> None:
     """Publish and move as the base model does, with the kinematic terms (steps 8 to 11).
 
-    Side speeds [rad/s] and their rates at t_k, and the means over the tick. The means go with the
-    wheel angle and the acceleration in the middle of the tick.
+    Side speeds [rad/s] and their rates at t_k, the means over the tick, and the lateral speed of
+    mecanum wheels at t_k with its rate. The means go with the wheel angle and the acceleration in
+    the middle of the tick.
     """
-    dt = p[P_DT]
+    dt, is_mecanum = p[P_DT], p[P_MECANUM] != 0.0
     inside = in_region(p, x)
     angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
     v, vy, om, dv, dvy, _ = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
+    if is_mecanum:
+        vy, dvy = vy + aside, dvy + daside
     publish(x, y, v, vy, om, dv, dvy)
     angle = 0.5 * (angle + 0.5 * (x[X_ANGLE] + x[X_ANGLE + 1]))
     dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
     v, vy, om, _, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
+    if is_mecanum:
+        vy += 0.5 * (aside + sideways(p, x)[0])
     move(x, v, vy, om, dt)
     if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
         x[X_POSE] += p[P_SLOPE_X] * dt
@@ -95,6 +103,9 @@ def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
         q[i] = GOOD
     for i in range(3):
         y[Y_POSE + i] = x[X_POSE + i]
+    aside, daside = 0.0, 0.0
+    if p[P_MECANUM] != 0.0:
+        aside, daside = sideways(p, x)
     if p[P_DRIVE_TERMS] != 0.0:
         left, right, mean_left, mean_right, dleft, dright = drive_terms(p, x, y)
     else:
@@ -102,7 +113,7 @@ def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
     w_l, w_r, dw_l, dw_r = left * SIDE, right * SIDE, dleft * SIDE, dright * SIDE
     mean_l, mean_r = mean_left * SIDE, mean_right * SIDE
     if p[P_KINEMATIC_TERMS] != 0.0:
-        drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r)
+        drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, daside)
         return
     v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
     publish(x, y, v, vy, om, dv, dvy)

@@ -80,7 +80,7 @@ def test_two_wheels_have_no_wheelbase():
 
 def test_ranges_follow_max_rpm():
     robot = RobotParameters(max_rpm=90)
-    assert robot.ranges == (90, pytest.approx(0.8011, abs=1e-4), pytest.approx(3.1316, abs=1e-3))
+    assert robot.ranges == (90, pytest.approx(0.8011, abs=1e-4), pytest.approx(3.1316, abs=1e-3), 0)
     rig = Rig().twist(0.0, robot.max_angular_rad_s * (1 - 1e-12)).step()
     assert rig.x[at.X_SCALED] == 0.0
     assert max(abs(rig.x[at.X_SETPOINT :][:4])) == pytest.approx(90.0)

@@ -23,6 +23,7 @@ from hilserver.plant.layout import (
     U_MODE,
     U_SETPOINT,
     U_TWIST_ANGULAR,
+    U_TWIST_LATERAL,
     U_TWIST_LINEAR,
 )
 from hilserver.plant.packing import initial_state, pack
@@ -35,6 +36,7 @@ INPUTS: Final[Mapping[str, int]] = {
     **{name: U_DUTY + i for i, name in enumerate(DUTY_COMMANDS)},
     "twist.linear_m_s": U_TWIST_LINEAR,
     "twist.angular_rad_s": U_TWIST_ANGULAR,
+    "twist.lateral_m_s": U_TWIST_LATERAL,
     "control.mode": U_MODE,
     "drive.enable": U_ENABLE,
     "internal.command": U_COMMAND,

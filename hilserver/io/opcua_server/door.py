@@ -177,7 +177,7 @@ class WriteDoor:
             kind = kind_of(source)
             return f"'{self._gate.owner}' has control; write '{kind}' to {CONTROL_SOURCE} first"
         if reason is Refusal.OUT_OF_RANGE:
-            return f"the range is {signal.low:g} .. {signal.high:g} {signal.unit}"
+            return f"the range is {signal.range_text}"
         if reason is Refusal.TYPE_MISMATCH:
             length = f"[{len(signal.slots)}]" if signal.is_array else ""
             return f"the type is {signal.type.value}{length}"
