@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE, MODEL_SHARE
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
-from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.model import Fitted, Model
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,10 @@ def inside(point: Point) -> bool:
 
 
 def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[str, float]:
-    """Return accepted causes whose value changes along the log, with their p."""
+    """Return accepted causes whose value changes along the log, with their p.
+
+    A change within what the plant's own form of a cause may be off by is none.
+    """
     accepted = problem.accepted(point)
     if accepted is None:
         return {}
@@ -82,10 +86,16 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
     s = score((accepted * course(problem))[order], point.left[order], blocks, accepted[order])
     maxima = null_maxima([s], rng)
     p = adjusted(s.t, maxima)
+
+    def inexact(f: Fitted, mine: slice) -> float:
+        own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+        share = ABRUPT_SHARE.get(f.candidate.cause, MODEL_SHARE)
+        return (2.0 * share) ** 2 * float(own @ own)
+
     return {
-        cause: float(p[mine].min())
-        for cause, mine in zip(point.model.causes, point.model.slices, strict=True)
-        if p[mine].min() < LEVEL and s.gain[mine].max() > LEAST_GAIN
+        f.candidate.cause: float(p[mine].min())
+        for f, mine in zip(point.model.fitted, point.model.slices, strict=True)
+        if p[mine].min() < LEVEL and s.gain[mine].max() > max(LEAST_GAIN, inexact(f, mine))
     }
 
 

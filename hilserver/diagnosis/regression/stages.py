@@ -22,6 +22,8 @@ from hilserver.plant.parameters import RobotParameters
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
+SAME_STEP = 0.02
+"""Share by which the step of rounded readings may differ from that of their values' spectrum."""
 ANSWERED = 0.5
 """Share of the ripple of a coarse loop from which on the measured duty shows it."""
 
@@ -164,9 +166,11 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     parts = [problem.stack.edges[n] for n in names]
     values = problem.stack.values
     step = coarse_step([values[e] for e in parts], [base.predicted[e] for e in parts])
-    if step is None or not any(problem.readings[n].step for n in names):
+    rounded = [problem.readings[n].step for n in names if problem.readings[n].step > 0.0]
+    if step is None or not rounded:
         return step
-    return step if _answered(problem, base, step) else None
+    own = all(abs(step - one) < SAME_STEP * one for one in rounded)
+    return step if own and _answered(problem, base, step) else None
 
 
 def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:

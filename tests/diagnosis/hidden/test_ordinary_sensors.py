@@ -1,20 +1,35 @@
-"""Sensors as ordinary machines have them are no effect: rounded, limited, on a stand."""
+"""Sensors as ordinary machines have them are no effect, and hide none: rounded and limited."""
 
 from dataclasses import replace
 
 import pytest
 from hilserver_injector.cases import cases
+from hilserver_injector.ordinary import ordinary
 
-from tests.diagnosis.assertions import said
-from tests.diagnosis.hidden.logs import judged
+from tests.diagnosis.assertions import said, the_cause_is_named
+from tests.diagnosis.hidden.logs import judged, recipe
 
 SHORTER_S = {"sensors/drive/1401": 90.0, "sensors/bench/701": 15.0, "sensors/stand/700": 30.0}
 NULL = {case.key: case.recipe for case in cases("sensors", range(700, 706))}
+BESIDE = [
+    ("rotation_gain", 1, 120.0),
+    ("wheel_radius", 1, 240.0),
+    ("imu_latency", 1, 180.0),
+    ("saturation_limit", 1, 60.0),
+    ("coulomb_friction", 2, 20.0),
+    ("time_constant", 1, 20.0),
+    ("process_gain", 1, 20.0),
+    ("encoder_quantization", 1, 20.0),
+]
+IN_ANY_RUN = {("coulomb_friction", 2, 20.0)}
 
 
-@pytest.mark.long
+def some(logs, quick):
+    return [pytest.param(log, marks=[] if log in quick else [pytest.mark.long]) for log in logs]
+
+
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("key", NULL)
+@pytest.mark.parametrize("key", some(NULL, ()))
 def test_ordinary_sensors_are_no_effect(key):
     """What a sensor's limit keeps from the log is said; nothing else is."""
     findings = judged(NULL[key]).findings
@@ -25,3 +40,11 @@ def test_ordinary_sensors_are_no_effect(key):
 def test_ordinary_sensors_are_no_effect_in_a_short_log(key):
     findings = judged(replace(NULL[key], duration_s=SHORTER_S[key])).findings
     assert {*said(findings)} <= {"data_fault: limited_channel"}
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("log", some(BESIDE, IN_ANY_RUN), ids=str)
+def test_ordinary_sensors_hide_no_cause(log):
+    findings = judged(ordinary(recipe(*log))).findings
+    faults = tuple(f for f in findings.findings if f.causes != ("limited_channel",))
+    the_cause_is_named(findings.model_copy(update={"findings": faults}), log[0])
