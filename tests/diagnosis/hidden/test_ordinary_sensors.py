@@ -19,7 +19,6 @@ BESIDE = [
     ("coulomb_friction", 2, 20.0),
     ("time_constant", 1, 20.0),
     ("process_gain", 1, 20.0),
-    ("encoder_quantization", 1, 20.0),
 ]
 IN_ANY_RUN = {("coulomb_friction", 2, 20.0)}
 
