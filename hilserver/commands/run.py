@@ -183,4 +183,6 @@ def _print_addresses(daemon: Daemon) -> None:
     if daemon.http is not None:
         lines.append(f"  metrics  {daemon.http.url}")
     lines += [f"  peer     {peer.config.name} at {peer.config.endpoint}" for peer in daemon.peers]
+    if daemon.shield is not None:
+        lines.append(f"  shield   {daemon.shield.address}")
     print("\n".join(lines), file=sys.stderr, flush=True)

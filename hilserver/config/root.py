@@ -52,6 +52,8 @@ class Config(Section):
     def _whole(self) -> Self:
         if self.first_source not in self.control.priority:
             raise ValueError(f"control: source '{self.first_source}' is not in priority")
+        if self.shield.enabled and any(peer.name == "shield" for peer in self.peers):
+            raise ValueError("peers: a peer cannot be named 'shield' while shield is enabled")
         names = [block.name for block in self.blocks]
         twice = [name for name in names if names.count(name) > 1]
         if twice:

@@ -20,6 +20,9 @@ from hilserver.faults.scenario import Stage
 from hilserver.io import peer_metrics
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.io.opcua_server import OpcUaServer
+from hilserver.io.peer_status import PeerStatus
+from hilserver.io.shield import ShieldLink
+from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import Source
 from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
 from hilserver.monitoring.audit import AuditItem
@@ -72,7 +75,7 @@ def make_notice(
     core: Core,
     control: Control,
     outputs: Outputs,
-    peers: Sequence[PeerLink],
+    peers: Callable[[], Sequence[PeerStatus]],
     audit: Sequence[AuditItem],
     desk: Desk,
 ) -> Notice:
@@ -83,7 +86,7 @@ def make_notice(
         core.scheduler,
         core.events,
         core.faults,
-        peers=lambda: [peer.status for peer in peers],
+        peers=peers,
         audit=lambda: audit,
         gaps=outputs.model_gap,
         patch=lambda: desk.patches.loaded,
@@ -97,7 +100,7 @@ def make_server(
     core: Core,
     clock: UtcClock,
     control: Control,
-    peers: Sequence[PeerLink],
+    peers: Callable[[], Sequence[PeerStatus]],
     audit: Sequence[AuditItem],
     desk: Desk,
 ) -> OpcUaServer | None:
@@ -114,7 +117,7 @@ def make_server(
         core.events,
         clock,
         statistics=lambda: figures.slice_table(core.scheduler),
-        peers=lambda: figures.peer_table(peer.status for peer in peers),
+        peers=lambda: figures.peer_table(peers()),
         audit=lambda: figures.audit_table(audit),
         faults=core.faults,
         files=desk,
@@ -126,7 +129,8 @@ def make_metrics(
     core: Core,
     control: Control,
     outputs: Outputs,
-    peers: Sequence[PeerLink],
+    peers: Callable[[], Sequence[PeerStatus]],
+    shield: ShieldLink | None,
     gaps: GapWatch,
     audit: Sequence[AuditItem],
     config: Callable[[], Config],
@@ -137,7 +141,8 @@ def make_metrics(
         Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)),
         Source(core_metrics.STATE_METRICS, lambda: control.state),
         Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
-        Source(peer_metrics.METRICS, lambda: [peer.status for peer in peers]),
+        Source(peer_metrics.METRICS, peers),
+        Source(shield_metrics.METRICS, lambda: [] if shield is None else [shield.status]),
         Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
         Source(metrics.GAP_METRICS, outputs.model_gap),
         Source(metrics.ALARM_METRICS, lambda: gaps.alarms),

@@ -27,11 +27,13 @@ from hilserver.daemon.connections import (
     make_server,
 )
 from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.serial_shield import make_shield
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Play
 from hilserver.faults.scenario import Stage
+from hilserver.io.peer_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.state_service import StateService
 from hilserver.monitoring.audit import AuditItem, audit
@@ -56,6 +58,7 @@ class Daemon:
         What is in force; a reload replaces it.
     server : OpcUaServer or None
     peers : list of PeerLink
+    shield : ShieldLink or None
     """
 
     def __init__(
@@ -106,22 +109,31 @@ class Daemon:
         self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
         self._states = StateService(core.snapshots, self.image.name)
         self.peers = make_peers(core, self.clock, self.outputs, self.supervision)
+        self.shield = make_shield(core, self.supervision)
         self.deadman = DeadMan(self.gate, self.events, config.page.deadman_ms * 1e-3)
         self.desk = make_desk(core, self.stage)
         self._notice = make_notice(
-            core, self.control, self.outputs, self.peers, self.audit, self.desk
+            core, self.control, self.outputs, self._statuses, self.audit, self.desk
         )
-        self.server = make_server(core, self.clock, self.control, self.peers, self.audit, self.desk)
+        self.server = make_server(
+            core, self.clock, self.control, self._statuses, self.audit, self.desk
+        )
         self.metrics = make_metrics(
             core,
             self.control,
             self.outputs,
-            self.peers,
+            self._statuses,
+            self.shield,
             self.gaps,
             self.audit,
             lambda: self.config,
         )
         self.http = make_http(core, self.control, self.supervision, self.metrics)
+
+    def _statuses(self) -> list[PeerStatus]:
+        """Return what is known about everybody at the other end of a link."""
+        shield = [] if self.shield is None else [self.shield.status]
+        return [*(peer.status for peer in self.peers), *shield]
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -158,6 +170,9 @@ class Daemon:
             self.gate.expect(peer.config.inputs)
             await peer.start()
             self._resources.push_async_callback(peer.stop)
+        if self.shield is not None:
+            await self.shield.start()
+            self._resources.push_async_callback(self.shield.stop)
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()

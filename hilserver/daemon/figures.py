@@ -68,6 +68,7 @@ def peer_table(peers: Iterable[PeerStatus]) -> Table:
             "sequence_missed": p.sequence_missed,
             "writes": p.writes,
             "faults": "; ".join(p.faults.values()),
+            **p.figures,
         }
     return table
 

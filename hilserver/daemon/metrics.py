@@ -14,6 +14,7 @@ from hilserver.compiled.histogram import Histogram125
 from hilserver.core import metrics as core
 from hilserver.faults import metrics as faults
 from hilserver.io import peer_metrics
+from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import US, Kind, Metric, S, by_name, durations
 from hilserver.monitoring import audit
 from hilserver.scheduler import metrics as scheduler
@@ -84,6 +85,7 @@ METRICS: Final[tuple[Metric[Any], ...]] = (
     *core.STATE_METRICS,
     *core.INPUT_METRICS,
     *peer_metrics.METRICS,
+    *shield_metrics.METRICS,
     *LATENCY_METRICS,
     *GAP_METRICS,
     *ALARM_METRICS,

@@ -4,8 +4,11 @@ Peers that fall silent are acted on while peers have control, also when they get
 client in control may be given a limit as well; overruns become events.
 """
 
+from dataclasses import dataclass
+
 from hilserver.core.control import Control
 from hilserver.core.events import Event, EventKind
+from hilserver.core.inputs import kind_of
 from hilserver.daemon.builder import Core
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
@@ -17,6 +20,14 @@ NOTICES = {
     X_SCALED: "the twist asks for more than max_rpm: all wheels are scaled down together",
 }
 """Places in the plant's state that say how a command is changed, and what to tell then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """Who is silent, as messages name it, and what is to happen: its ``on_stale``."""
+
+    who: str
+    action: str
 
 
 class Supervision:
@@ -41,7 +52,7 @@ class Supervision:
         self._scheduler, self._faults = core.scheduler, core.faults
         self._control = control
         self._overruns_seen = 0
-        self._silent: dict[str, str] = {}
+        self._silent: dict[str, Silence] = {}
         self._acted: set[str] = set()
 
     def run(self) -> None:
@@ -88,29 +99,43 @@ class Supervision:
 
     def on_stale(self, peer: str, action: str) -> None:
         """Take note that a peer has fallen silent; `action` is its ``on_stale``."""
-        self._gate.mark_stale(f"peer:{peer}")
-        self._silent[peer] = action
-        self.act_on_silence()
+        self.on_silence(f"peer:{peer}", Silence(f"peer '{peer}'", action))
 
     def on_restored(self, peer: str) -> None:
         """Take note that a peer delivers again."""
-        self._silent.pop(peer, None)
-        self._forgive(peer)
+        self.on_sound(f"peer:{peer}")
+
+    def on_silence(self, source: str, silence: Silence) -> None:
+        """Take note that a source has fallen silent."""
+        self._gate.mark_stale(source)
+        self._silent[source] = silence
+        self.act_on_silence()
+
+    def on_sound(self, source: str) -> None:
+        """Take note that a source delivers again."""
+        self._silent.pop(source, None)
+        self._forgive(source)
 
     def act_on_silence(self) -> None:
-        """Act on silent peers while peers have control; called whenever control may have moved."""
+        """Act on silent sources that have control; called whenever control may have moved."""
         if not self._silent or self._faults.timeout_is_dead:
             return
-        for peer, action in self._silent.items():
-            if self._gate.owner != "peer":
-                self._forgive(peer)
-            elif peer not in self._acted:
-                self._acted.add(peer)
-                if action == "zero":
-                    self._gate.stop()
-                elif action == "ramp":
-                    self._control.enter_safe(f"peer '{peer}' is silent", cause=f"peer:{peer}")
+        for source, silence in self._silent.items():
+            if self._gate.owner != kind_of(source):
+                self._forgive(source)
+            elif source not in self._acted:
+                self._acted.add(source)
+                self._act(source, silence)
 
-    def _forgive(self, peer: str) -> None:
-        self._acted.discard(peer)
-        self._control.clear_cause(f"peer:{peer}")
+    def _act(self, source: str, silence: Silence) -> None:
+        if silence.action == "zero":
+            self._gate.stop()
+        elif silence.action == "device":
+            self._gate.stop()
+            self._gate.write(source, {"drive.enable": False})
+        elif silence.action == "ramp":
+            self._control.enter_safe(f"{silence.who} is silent", cause=source)
+
+    def _forgive(self, source: str) -> None:
+        self._acted.discard(source)
+        self._control.clear_cause(source)

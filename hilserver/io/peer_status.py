@@ -92,6 +92,11 @@ class PeerStatus:
     faults: dict[str, str] = field(default_factory=dict)
     fault_counts: Counter[str] = field(default_factory=Counter)
 
+    @property
+    def figures(self) -> dict[str, float | str | bool | int | None]:
+        """What OPC UA shows of this kind of link alone."""
+        return {}
+
     def input_age_s(self, now_ns: int) -> float | None:
         """Return the age [s] of the oldest input at `now_ns` (CLOCK_MONOTONIC); None: no input."""
         if not self.input_received_ns:

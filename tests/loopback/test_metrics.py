@@ -217,6 +217,8 @@ MOVED_ELSEWHERE = {
     "hil_peer_reconnects_total",
     "hil_clock_offset_seconds",
     "hil_input_age_seconds",
+    "hil_shield_requests_total",  # in tests/io/shield
+    "hil_shield_lateness_seconds",
 }
 
 

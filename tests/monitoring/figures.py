@@ -15,6 +15,8 @@ from hilserver.faults import metrics as faults
 from hilserver.io import peer_metrics
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_status import PeerStatus
+from hilserver.io.shield import ShieldStatus
+from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import Source
 from hilserver.monitoring import audit
 from hilserver.scheduler import metrics as scheduler
@@ -47,6 +49,7 @@ class FakeDaemon:
         self.state = State.STARTING
         self.realtime_factor = math.nan
         self.peers = [PeerStatus("iot2050")]
+        self.shields = [ShieldStatus("shield")]
         self.input_ages_s: dict[str, float] = {}
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.end_to_end = Histogram125()
@@ -64,6 +67,7 @@ class FakeDaemon:
             Source(core.STATE_METRICS, lambda: self.state),
             Source(core.INPUT_METRICS, lambda: core.Inputs(self.input_ages_s, self.rejected)),
             Source(peer_metrics.METRICS, lambda: self.peers),
+            Source(shield_metrics.METRICS, lambda: self.shields),
             Source(daemon.LATENCY_METRICS, lambda: self.end_to_end),
             Source(daemon.GAP_METRICS, lambda: self.model_gap),
             Source(daemon.ALARM_METRICS, lambda: self.gap_alarms),
@@ -81,6 +85,7 @@ class FakeDaemon:
 
     def fill(self) -> None:
         """Set everything that a daemon in its default configuration can ever show."""
+        self.shields = []
         window = Window(1000, 30e3, 9e3, 5e3, 80e3)
         self.slices = {
             name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES

@@ -13,6 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from hilserver.compiled.histogram import BOUNDS_NS, N_BUCKETS
 from hilserver.daemon.metrics import METRICS
 from hilserver.io.peer_status import PeerStatus
+from hilserver.io.shield.words import LATE_COUNTS, LATE_SUM
 from hilserver.metrics import Kind
 from hilserver.monitoring.metrics import Metrics
 from hilserver.scheduler.statistics import Window
@@ -69,6 +70,12 @@ def figures(daemon: FakeDaemon, **changed: object) -> None:
     daemon.slices["plant"] = replace(daemon.slices["plant"], **changed)
 
 
+def late_response(daemon: FakeDaemon, late_ns: int) -> None:
+    words = daemon.shields[0].words
+    words[LATE_COUNTS : LATE_COUNTS + N_BUCKETS] += counts_of(late_ns)
+    words[LATE_SUM] += late_ns
+
+
 STIMULI = {
     "hil_wake_latency_seconds_bucket": lambda d: figures(d, latency_counts=counts_of(30_000)),
     "hil_execution_seconds_bucket": lambda d: figures(d, execution_counts=counts_of(2_000)),
@@ -84,6 +91,8 @@ STIMULI = {
     "hil_peer_one_way_latency_seconds_bucket": lambda d: d.peers[0].one_way.observe(700_000),
     "hil_peer_interval_seconds_bucket": lambda d: d.peers[0].interval.observe(20_000_000),
     "hil_peer_faults_total": lambda d: d.peers[0].fault_counts.update(["nan_with_good"]),
+    "hil_shield_requests_total": lambda d: d.shields[0].requests.update(["set_rpm"]),
+    "hil_shield_lateness_seconds_bucket": lambda d: late_response(d, 30_000),
     "hil_input_age_seconds": lambda d: d.input_ages_s.update(opcua=0.3),
     "hil_rejected_values_total": lambda d: d.rejected.update([("opcua", "not_finite")]),
     "hil_end_to_end_seconds_bucket": lambda d: d.end_to_end.observe(40_000_000),

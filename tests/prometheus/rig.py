@@ -24,9 +24,10 @@ class Rig:
     prometheus: Prometheus
     port: int
     blocks: bool
+    line: Path
 
     def assembly(self, **realtime: object) -> Assembly:
-        return assembly(self.peer.endpoint, self.port, blocks=self.blocks, **realtime)
+        return assembly(self.peer.endpoint, self.port, self.line, blocks=self.blocks, **realtime)
 
     @property
     def is_connected(self) -> bool:
@@ -37,7 +38,7 @@ class Rig:
         return self.is_connected and not self.daemon.peers[0].status.stale
 
 
-def assembly(endpoint: str, port: int, *, blocks: bool, **realtime: object) -> Assembly:
+def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: object) -> Assembly:
     burn = {
         "name": "burn",
         "function": "burn.py:burn",
@@ -56,6 +57,8 @@ def assembly(endpoint: str, port: int, *, blocks: bool, **realtime: object) -> A
             },
             "peers": [demo_peer(endpoint, name="iot2050").model_dump(mode="json")],
             "blocks": [burn] if blocks else [],
+            "shield": {"enabled": True, "link": str(line)},
+            "control": {"source": "peer"},
             "shadow": {"limits": {"wheel.fl.speed_rpm": 120.0}, "after_s": 0.0},
         }
     )
@@ -66,10 +69,11 @@ def assembly(endpoint: str, port: int, *, blocks: bool, **realtime: object) -> A
 async def running_rig(peer: NodeRed, folder: Path, *, blocks: bool = False) -> AsyncIterator[Rig]:
     port = free_port()
     await peer.start()
-    built = assembly(peer.endpoint, port, blocks=blocks)
+    line = folder / "shield"
+    built = assembly(peer.endpoint, port, line, blocks=blocks)
     with running_prometheus(folder, f"127.0.0.1:{port}") as prometheus:
         async with Daemon(built) as daemon:
-            rig = Rig(daemon, peer, prometheus, port, blocks)
+            rig = Rig(daemon, peer, prometheus, port, blocks, line)
             await until(lambda: rig.is_fresh, 30, "the peer delivers")
             await until(prometheus.target_is_up, 30, "Prometheus scrapes the daemon")
             yield rig

@@ -9,6 +9,7 @@ import functools
 import gc
 import json
 import math
+import os
 import signal
 import time
 from collections.abc import Awaitable, Callable
@@ -18,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from hilserver.daemon.daemon import Daemon
+from hilserver.io.shield.protocol import Command, request
 from tests.node_red.node_red import shipped_flow, test_flow
 from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
 from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until
@@ -97,6 +99,15 @@ async def make_garbage(rig: Rig) -> None:
             rings.append(ring)
         gc.collect()
         await asyncio.sleep(0.1)
+
+
+async def ask_the_shield(rig: Rig) -> None:
+    """A host asks at 50 Hz, for as long as a stimulus lasts."""
+    host = os.open(rig.line, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    for _ in range(int(HOLD_S / 0.02)):
+        os.write(host, request(Command.SET_RPM))
+        await asyncio.sleep(0.02)
+    os.close(host)
 
 
 async def fill_memory(rig: Rig) -> None:
@@ -188,6 +199,10 @@ STIMULI = (
     Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),
     Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True),
     Stimulus(make_garbage, up=("Garbage collector",), repeatable=True),
+    Stimulus(
+        ask_the_shield,
+        up=("Requests to the shield", "Lateness of the shield"),
+    ),
     Stimulus(fill_memory, up=("Memory",)),
     Stimulus(kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected")),
     Stimulus(return_as_a_liar, up=("Reconnects and faults",)),

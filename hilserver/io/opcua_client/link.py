@@ -12,7 +12,6 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.faults.links import Lane, Line
 from hilserver.io.opcua_client.acquisition import Acquisition
-from hilserver.io.opcua_client.faults import FaultBook
 from hilserver.io.opcua_client.faulty_intake import FaultyIntake
 from hilserver.io.opcua_client.intake import Gate, Intake
 from hilserver.io.opcua_client.refusal import RefusedError
@@ -22,6 +21,7 @@ from hilserver.io.opcua_client.staleness import Staleness, Transition
 from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.opcua_client.writer import Output, Writer
+from hilserver.io.peer_faults import FaultBook
 from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.signals import MEASURED
 

@@ -10,9 +10,9 @@ from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
 from hilserver.image.status import GOOD, is_bad
 from hilserver.io.opcua_client.acquisition import every
-from hilserver.io.opcua_client.faults import FaultBook
 from hilserver.io.opcua_client.session import LinkLostError, Session
 from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.peer_faults import FaultBook
 from hilserver.io.peer_status import PeerStatus
 
 LOOK_AGAIN_S = 1.0

@@ -1,11 +1,11 @@
 """What is wrong with a peer: reported when it begins and ends, kept while it lasts."""
 
 from collections.abc import Callable
+from enum import StrEnum
 
 import structlog
 
 from hilserver.core.events import Event, EventKind
-from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_status import PeerStatus
 
 HOLD_NS = 5_000_000_000
@@ -32,8 +32,8 @@ class FaultBook:
         self._seen_ns: dict[str, int] = {}
         self._refusal: str | None = None
 
-    def report(self, kind: FaultKind, subject: str, sentence: str, now_ns: int) -> None:
-        """Note that `kind` was seen at `subject` (a node or signal)."""
+    def report(self, kind: StrEnum, subject: str, sentence: str, now_ns: int) -> None:
+        """Note that `kind` was seen at `subject` (a node, a signal, a command)."""
         self._status.fault_counts[kind] += 1
         key = f"{kind}:{subject}"
         known = key in self._seen_ns
@@ -46,7 +46,7 @@ class FaultBook:
         message = f"peer {self._status.name}: {sentence}"
         self._publish(Event(EventKind.PEER_FAULT, 500, self._status.name, message, now_ns))
 
-    def refuse(self, kind: FaultKind, subject: str, sentence: str, now_ns: int) -> None:
+    def refuse(self, kind: StrEnum, subject: str, sentence: str, now_ns: int) -> None:
         """Note why there is no session; lasts until `admit` or another reason, however long."""
         key = f"{kind}:{subject}"
         if key != self._refusal:

@@ -1,0 +1,244 @@
+"""What the shield does with a request: the plant's inputs that it writes, what it stores."""
+
+import math
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import Final
+
+from hilserver.config.shield import ShieldConfig
+from hilserver.core.inputs import Refusal
+from hilserver.io.peer_faults import FaultBook
+from hilserver.io.shield.protocol import Command, Request
+from hilserver.io.shield.status import ShieldStatus
+from hilserver.signals import LIGHTS
+
+SOURCE: Final = "shield"
+MODE_WHEELS, MODE_DUTY = 0, 2
+
+NUMBERS: Final = frozenset(
+    {
+        Command.IMU_WEIGHT,
+        Command.KP,
+        Command.KI,
+        Command.KD,
+        Command.ANTI_WINDUP,
+        Command.INPUT_FILTER,
+        Command.ENCODER_LOW_PASS,
+        Command.GEAR_RATIO,
+        Command.TICKS_PER_REVOLUTION,
+    }
+)
+"""Commands whose payload is a float to store."""
+FLAGS: Final = frozenset(
+    {
+        Command.PWM_MAX,
+        Command.SEND_RPM,
+        Command.SEND_POSITION,
+        Command.INVERT_ENCODER,
+        Command.LOW_VOLTAGE_CHECK,
+        Command.STALL_CHECK,
+        Command.AUX1,
+        Command.AUX2,
+    }
+)
+"""Commands whose payload begins with a byte to store."""
+MOTION: Final = frozenset({Command.ENABLE, Command.SET_RPM, Command.SET_PWM})
+MOST_FREQUENCY_HZ: Final = 1_000_000
+"""A greater integer is a float: one of the drivers sends the bridge frequency so."""
+
+
+class ShieldFault(StrEnum):
+    """What a host does wrong."""
+
+    UNTERMINATED = "unterminated"
+    SKIPPED_BYTES = "skipped_bytes"
+    UNANSWERED = "unanswered"
+    UNKNOWN_COMMAND = "unknown_command"
+    WHILE_DISABLED = "while_disabled"
+    TOO_FAST = "too_fast"
+    BAD_NUMBER = "bad_number"
+    FREQUENCY_FORM = "frequency_form"
+    REFUSED_VALUE = "refused_value"
+    UNHEARD = "unheard"
+
+
+Write = Callable[[str, Mapping[str, object]], Mapping[str, Refusal]]
+
+
+class Device:
+    """The shield behind its protocol.
+
+    Parameters
+    ----------
+    write : callable
+        ``write(source, values) -> refused``: the input gate.
+    max_rpm : float
+        What the plant takes; faster commands are scaled down together.
+    apply : callable
+        ``apply(k_p, k_i)`` makes them the controller's gains; raises ValueError with the reason.
+
+    Attributes
+    ----------
+    limit_ns : int
+        Silence after which enable is withdrawn; the host may change it.
+    """
+
+    def __init__(
+        self,
+        config: ShieldConfig,
+        status: ShieldStatus,
+        faults: FaultBook,
+        write: Write,
+        *,
+        max_rpm: float,
+        apply: Callable[[float, float], None],
+    ) -> None:
+        self.limit_ns = round(config.stale_after_ms * 1e6)
+        self._config, self._status, self._faults = config, status, faults
+        self._write, self._max_rpm, self._apply = write, max_rpm, apply
+        self._wheels = config.wheels
+
+    def take(self, request: Request) -> None:
+        """Do what a request says."""
+        self._status.requests[request.name] += 1
+        if not request.is_terminated:
+            self._report(
+                ShieldFault.UNTERMINATED, request, f"{request.name} ends without EE", request.name
+            )
+            if request.command in MOTION:
+                return
+        command = request.command
+        if command == Command.SET_RPM:
+            self._set_rpm(request)
+        elif command == Command.SET_PWM:
+            self._set_pwm(request)
+        elif command == Command.ENABLE:
+            self.enable(request)
+        elif command == Command.DISABLE:
+            self.disable(request)
+        elif Command.LIGHTS_OFF <= command < Command.LIGHTS_OFF + len(LIGHTS):
+            self._set_lights(request)
+        elif command == Command.UART_TIMEOUT:
+            self._set_timeout(request)
+        elif command != Command.IMU_RAW:
+            self._store(request)
+
+    # --- motion -----------------------------------------------------------------------------------
+
+    def enable(self, request: Request) -> None:
+        """Enable the motors, at rest."""
+        if not self._status.enabled:
+            self._status.enabled = True
+            self._put(request, self._at_rest(enabled=True))
+
+    def disable(self, request: Request | None = None) -> None:
+        """Disable the motors."""
+        self._status.enabled = False
+        self._put(request, self._at_rest(enabled=False))
+
+    def _at_rest(self, *, enabled: bool) -> dict[str, object]:
+        at_rest = {f"wheel.{wheel}.setpoint_rpm": 0.0 for wheel in self._wheels}
+        return {"drive.enable": enabled, "control.mode": MODE_WHEELS, **at_rest}
+
+    def _may_drive(self, request: Request, asked: tuple[float, ...]) -> bool:
+        if not self._status.enabled and any(asked):
+            text = f"{request.name} without enable: the motors stay off"
+            self._report(ShieldFault.WHILE_DISABLED, request, text)
+        return self._status.enabled
+
+    def _set_rpm(self, request: Request) -> None:
+        speeds = request.speeds_rpm
+        if not self._may_drive(request, speeds):
+            return
+        fastest = max(map(abs, speeds))
+        if fastest > self._max_rpm:
+            text = f"{fastest:g} rpm commanded, all wheels are scaled to {self._max_rpm:g} rpm"
+            self._report(ShieldFault.TOO_FAST, request, text)
+            speeds = tuple(rpm * self._max_rpm / fastest for rpm in speeds)
+        wheels = zip(self._wheels, speeds, strict=True)
+        values: dict[str, object] = {f"wheel.{wheel}.setpoint_rpm": rpm for wheel, rpm in wheels}
+        self._put(request, {"drive.enable": True, "control.mode": MODE_WHEELS, **values})
+
+    def _set_pwm(self, request: Request) -> None:
+        duties = request.duties_pct
+        if not self._may_drive(request, duties):
+            return
+        values: dict[str, object] = {
+            f"wheel.{wheel}.duty_command_pct": float(min(max(duty, -100), 100))
+            for wheel, duty in zip(self._wheels, duties, strict=True)
+        }
+        self._put(request, {"drive.enable": True, "control.mode": MODE_DUTY, **values})
+
+    def _set_lights(self, request: Request) -> None:
+        red, green, blue = request.payload[:3]
+        pattern = request.command - Command.LIGHTS_OFF
+        colours = {"lights.red": red, "lights.green": green, "lights.blue": blue}
+        self._put(request, {"lights.command": pattern, **colours})
+
+    def _put(self, request: Request | None, values: Mapping[str, object]) -> None:
+        refused = self._write(SOURCE, values)
+        if request is None:
+            return
+        taken = [name for name in values if name not in refused]
+        self._status.input_received_ns.update(dict.fromkeys(taken, request.received_ns))
+        for name, reason in refused.items():
+            if reason not in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL):
+                text = f"{name} = {values[name]!r} was refused: {reason}"
+                self._report(ShieldFault.REFUSED_VALUE, request, text, name)
+
+    # --- what is stored ---------------------------------------------------------------------------
+
+    def _set_timeout(self, request: Request) -> None:
+        seconds = self._number(request)
+        if seconds is None or seconds <= 0.0:
+            return
+        self._status.parameters["uart_timeout_s"] = seconds
+        self.limit_ns = round(min(seconds, 1e9) * 1e9)
+
+    def _store(self, request: Request) -> None:
+        self._status.without_effect += 1
+        name, parameters = request.name, self._status.parameters
+        if request.command in NUMBERS:
+            number = self._number(request)
+            if number is not None:
+                parameters[name] = number
+                self._use(request)
+        elif request.command in FLAGS:
+            parameters[name] = float(request.payload[0])
+        elif request.command == Command.FREQUENCY:
+            parameters[name] = self._frequency_hz(request)
+        elif request.command == Command.TIMEOUT:
+            parameters[name] = float(request.integer)
+        elif name == "unknown":
+            text = f"command 0x{request.command:02X} is unknown: echoed, without effect"
+            self._report(ShieldFault.UNKNOWN_COMMAND, request, text, f"{request.command:02X}")
+
+    def _frequency_hz(self, request: Request) -> float:
+        if request.integer <= MOST_FREQUENCY_HZ:
+            return float(request.integer)
+        text = f"frequency is sent as a float ({request.number:g}), the shield takes an integer"
+        self._report(ShieldFault.FREQUENCY_FORM, request, text)
+        return float(request.integer)
+
+    def _number(self, request: Request) -> float | None:
+        if math.isfinite(request.number):
+            return request.number
+        self._report(
+            ShieldFault.BAD_NUMBER, request, f"{request.name} is no finite number", request.name
+        )
+        return None
+
+    def _use(self, request: Request) -> None:
+        if self._config.parameters == "store" or request.command not in (Command.KP, Command.KI):
+            return
+        gains = [self._status.parameters.get(name, math.nan) for name in ("kp", "ki")]
+        try:
+            self._apply(*gains)
+            self._status.without_effect -= 1
+        except ValueError as error:
+            self._report(ShieldFault.BAD_NUMBER, request, str(error), request.name)
+
+    def _report(
+        self, kind: ShieldFault, request: Request, sentence: str, subject: str = "host"
+    ) -> None:
+        self._faults.report(kind, subject, sentence, request.received_ns)

@@ -1,0 +1,113 @@
+"""The serial line: a pseudo-terminal with a symbolic link, or a device that exists."""
+
+import contextlib
+import fcntl
+import os
+import stat
+import termios
+import tty
+from dataclasses import dataclass
+from pathlib import Path
+
+from hilserver.errors import FailedError
+
+
+@dataclass(frozen=True)
+class Line:
+    """An open line.
+
+    Attributes
+    ----------
+    file : int
+        File descriptor, opened without blocking.
+    path : Path
+        What a host opens.
+    link : Path or None
+        Symbolic link to `path` that was made here.
+    """
+
+    file: int
+    path: Path
+    link: Path | None = None
+
+    def close(self) -> None:
+        """Close the line and remove the link, unless it points elsewhere by now."""
+        with contextlib.suppress(OSError):
+            if self.link is not None and self.link.readlink() == self.path:
+                self.link.unlink()
+        os.close(self.file)
+
+
+def open_pseudo_terminal(link: Path) -> Line:
+    """Make a pseudo-terminal that behaves as a serial line, and a link to it.
+
+    Raises
+    ------
+    FailedError
+        If the link cannot be made, or something else has its name.
+    """
+    if os.path.lexists(link) and not link.is_symlink():
+        raise FailedError(f"shield.link: {link} exists and is no link; name another place")
+    file, host = os.openpty()
+    try:
+        path = Path(os.ttyname(host))
+        _set_up(host)
+        os.set_blocking(file, False)
+        _point(link, path)
+    except OSError as error:
+        os.close(file)
+        reason = (error.strerror or "refused").lower()
+        raise FailedError(f"shield.link: cannot make {link}: {reason}") from None
+    finally:
+        os.close(host)  # open no longer than a host has it: its hang-up is then seen
+    return Line(file, path, link)
+
+
+def _point(link: Path, path: Path) -> None:
+    link.parent.mkdir(parents=True, exist_ok=True)
+    made = link.with_name(f"{link.name}.{os.getpid()}.part")
+    made.symlink_to(path)
+    made.replace(link)
+
+
+def open_device(path: Path) -> Line:
+    """Open a serial line for this process alone.
+
+    Raises
+    ------
+    FailedError
+        If there is none of that name, it is something else, or another program has it.
+    """
+    try:
+        file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise FailedError(
+            f"shield.device: there is no {path}; name a serial line such as /dev/ttyS1, or null for"
+            " a pseudo-terminal"
+        ) from None
+    except OSError as error:
+        reason = (error.strerror or "refused").lower()
+        raise FailedError(f"shield.device: cannot open {path}: {reason}") from None
+    try:
+        if not stat.S_ISCHR(os.fstat(file).st_mode) or not os.isatty(file):
+            raise FailedError(f"shield.device: {path} is no serial line")
+        fcntl.ioctl(file, termios.TIOCEXCL)
+        _set_up(file)
+    except (OSError, termios.error) as error:
+        os.close(file)
+        raise FailedError(f"shield.device: cannot set up {path}: {error}") from None
+    except FailedError:
+        os.close(file)
+        raise
+    return Line(file, path)
+
+
+def _set_up(file: int) -> None:
+    """Set 115200 baud, 8 bits, no parity, one stop bit, no flow control, no echo."""
+    tty.setraw(file)
+    settings = termios.tcgetattr(file)
+    settings[0] &= ~(termios.IXON | termios.IXOFF | termios.IXANY)
+    settings[2] &= ~(termios.CSTOPB | termios.PARENB | termios.CRTSCTS)
+    settings[2] |= termios.CS8 | termios.CLOCAL | termios.CREAD
+    settings[4] = settings[5] = termios.B115200
+    termios.tcsetattr(file, termios.TCSANOW, settings)

@@ -1,0 +1,229 @@
+"""Runs the shield: the thread of the line, the requests that it hands over, the host's silence."""
+
+import asyncio
+import atexit
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import structlog
+
+from hilserver.config.shield import ShieldConfig
+from hilserver.core.events import Event, EventKind
+from hilserver.errors import FailedError
+from hilserver.image import ProcessImage
+from hilserver.io.peer_faults import FaultBook
+from hilserver.io.peer_status import LinkState
+from hilserver.io.shield import words as w
+from hilserver.io.shield.device import Device, ShieldFault
+from hilserver.io.shield.line import Line
+from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
+from hilserver.io.shield.status import ShieldStatus
+from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
+
+WATCH_S = 0.02
+PAUSE_NS = 2_000_000
+"""Silence that ends a burst: 23 bytes long; hosts keep 8 ms between requests."""
+REOPEN_S = 0.5
+END_WITHIN_S = 5.0
+
+_log = structlog.get_logger(__name__)
+
+
+class ShieldLink:
+    """Answers a host as the shield does.
+
+    Parameters
+    ----------
+    open_line : callable
+        Opens the line; raises FailedError with the reason.
+    slots : list of int
+        What a response shows, see `answer.places`.
+    device : Device
+        Does what requests say.
+    on_silent, on_heard : callable
+        The host has been silent for too long, and is heard again.
+    publish : callable
+        Takes every `Event`.
+
+    Attributes
+    ----------
+    status : ShieldStatus
+        Always up to date.
+    grants : list of Grant
+        What the system granted to the thread of the line.
+    """
+
+    def __init__(
+        self,
+        config: ShieldConfig,
+        *,
+        open_line: Callable[[], Line],
+        image: ProcessImage,
+        slots: list[int],
+        status: ShieldStatus,
+        device: Device,
+        faults: FaultBook,
+        on_silent: Callable[[], None],
+        on_heard: Callable[[], None],
+        publish: Callable[[Event], None],
+        realtime: RealtimeSettings,
+    ) -> None:
+        from hilserver.io.shield.wire import serve  # noqa: PLC0415 - compiled only where it is needed
+
+        self._serve = serve
+        self.status, self.device = status, device
+        self.grants: list[Grant] = []
+        self._config, self._open_line, self._image = config, open_line, image
+        self._slots = np.array(slots, dtype=np.int64)
+        self._faults, self._publish, self._realtime = faults, publish, realtime
+        self._on_silent, self._on_heard = on_silent, on_heard
+        self._heard_ns: int | None = None
+        self._seen: dict[ShieldFault, int] = {}
+        self._thread = threading.Thread(target=self._run, name="shield", daemon=True)
+        self._stopping = threading.Event()
+        self._line: Line | None = None
+        words = status.words
+        words[w.CRC], words[w.RAW] = config.variant == "crc", 1
+        words[w.BYTE] = BYTE_NS if config.pace else 0
+        words[w.DELAY] = round(config.reply_delay_ms * 1e6)
+        words[w.PAUSE], words[w.IS_PTY] = PAUSE_NS, config.device is None
+
+    @property
+    def address(self) -> str:
+        """What a host opens."""
+        line = self._line
+        return "" if line is None else str(line.link or line.path)
+
+    async def start(self) -> None:
+        """Open the line and answer on it.
+
+        Raises
+        ------
+        FailedError
+            If the line cannot be opened.
+        """
+        self._loop = asyncio.get_running_loop()
+        self._line = self._open_line()
+        self.status.endpoint = self.address
+        self.status.state = LinkState.CONNECTING
+        self._doorbell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._loop.add_reader(self._doorbell, self._answer_doorbell)
+        self._watching = asyncio.create_task(self._watch(), name="shield-watch")
+        self.device.disable()
+        self._thread.start()
+        atexit.register(self._end_thread)
+
+    async def stop(self) -> None:
+        """Close the line; limited to `END_WITHIN_S`."""
+        self._watching.cancel()
+        await asyncio.to_thread(self._end_thread)
+        atexit.unregister(self._end_thread)
+        self._loop.remove_reader(self._doorbell)
+        os.close(self._doorbell)
+        if self._line is not None:
+            self._line.close()
+        self.status.connected, self.status.state = False, LinkState.STOPPED
+
+    def _end_thread(self) -> None:
+        """End the thread before the interpreter frees the arrays under it."""
+        self._stopping.set()
+        self.status.words[w.STOP] = 1
+        self._thread.join(END_WITHIN_S)
+
+    # --- the thread of the line -------------------------------------------------------------------
+
+    def _run(self) -> None:
+        self.grants = request_for_this_thread(self._realtime)
+        image, n = self._image, self._image.n_slots
+        buffers = [np.zeros(n_bytes, dtype=np.uint8) for n_bytes in (REQUEST_BYTES,) * 2]
+        out = np.zeros(max(RESPONSE_BYTES.values()), dtype=np.uint8)
+        frame, info = np.empty(n), np.empty(n + 3, dtype=np.int64)
+        scratch, poll = np.zeros(3, dtype=np.int64), np.zeros(2, dtype=np.int32)
+        line = self._line
+        while line is not None and not self._stopping.is_set():
+            arrays = (self.status.words, self._slots, *buffers, out, image.values, image.words)
+            if not self._serve(line.file, self._doorbell, *arrays, frame, info, scratch, poll):
+                return
+            line = self._reopen(line)
+
+    def _reopen(self, line: Line) -> Line | None:
+        """Wait until a lost device is there again."""
+        self._line = None
+        line.close()
+        self._tell(f"the line {line.path} is lost")
+        while not self._stopping.wait(REOPEN_S):
+            with contextlib.suppress(FailedError):
+                self._line = self._open_line()
+                return self._line
+        return None
+
+    def _tell(self, text: str) -> None:
+        event = Event(EventKind.PEER_LOST, 800, self.status.name, f"shield: {text}")
+        with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody listens
+            self._loop.call_soon_threadsafe(self._publish, event)
+
+    # --- the event loop ---------------------------------------------------------------------------
+
+    def _answer_doorbell(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self._doorbell)
+        self._take_requests()
+
+    def _take_requests(self) -> None:
+        words = self.status.words
+        while words[w.RING_TAIL] < words[w.RING_HEAD]:
+            row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.RING - 1))
+            command, flags, payload, received_ns = words[row : row + 4].tolist()
+            words[w.RING_TAIL] += 1
+            if self._heard_ns is not None:
+                self.status.interval.observe(max(received_ns - self._heard_ns, 0))
+            self._heard_ns = received_ns
+            terminated = not flags & w.ALONE
+            data = payload.to_bytes(8, "little", signed=True)
+            self._welcome(received_ns)
+            self.device.take(Request(command, data, received_ns, terminated))
+
+    def _welcome(self, now_ns: int) -> None:
+        if not self.status.stale:
+            return
+        self.status.stale = False
+        text = f"shield: a host sends on {self.address}"
+        self._publish(Event(EventKind.PEER_RESTORED, 200, self.status.name, text, now_ns))
+        self._on_heard()
+
+    async def _watch(self) -> None:
+        while True:
+            self._take_requests()  # what came in while the event loop was held up is no silence
+            self._look(time.monotonic_ns())
+            await asyncio.sleep(WATCH_S)
+
+    def _look(self, now_ns: int) -> None:
+        status = self.status
+        status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
+        status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
+        self._note_counters(now_ns)
+        self._faults.expire(now_ns)
+        is_silent = self._heard_ns is not None and now_ns - self._heard_ns > self.device.limit_ns
+        if is_silent and not status.stale:
+            status.stale = True
+            limit_ms, action = self.device.limit_ns / 1e6, self._config.on_stale
+            text = f"shield: nothing from the host for {limit_ms:g} ms; on_stale is {action}"
+            self._publish(Event(EventKind.PEER_LOST, 800, status.name, text, now_ns))
+            status.enabled = False
+            self._on_silent()
+
+    def _note_counters(self, now_ns: int) -> None:
+        """Report what the thread has counted since the last look."""
+        for kind, word, text in (
+            (ShieldFault.SKIPPED_BYTES, w.SKIPPED, "bytes that belong to no request"),
+            (ShieldFault.UNANSWERED, w.UNANSWERED, "requests come faster than the line answers"),
+            (ShieldFault.UNHEARD, w.UNHEARD, "requests came faster than they could be obeyed"),
+        ):
+            count = self.status.count(word)
+            if count > self._seen.get(kind, 0):
+                self._seen[kind] = count
+                self._faults.report(kind, "line", text, now_ns)

@@ -1,0 +1,43 @@
+"""Metrics that only a shield has; what it shares with peers is among theirs, as peer ``shield``."""
+
+from collections.abc import Collection, Iterator
+from typing import Final
+
+from hilserver.compiled.histogram import N_BUCKETS
+from hilserver.io.shield import words as w
+from hilserver.io.shield.status import ShieldStatus
+from hilserver.metrics import MS, US, Kind, Metric, Reading, Row, counter
+
+Shields = Collection[ShieldStatus]
+"""One, or none where the shield is not enabled."""
+
+
+def _requests(shields: Shields) -> Iterator[Row]:
+    for shield in shields:
+        for name, count in sorted(shield.requests.items()):
+            yield (name,), counter(count)
+
+
+def _lateness(shields: Shields) -> Iterator[Row]:
+    for shield in shields:
+        counts = shield.words[w.LATE_COUNTS : w.LATE_COUNTS + N_BUCKETS].copy()
+        yield (), Reading(counts, shield.count(w.LATE_SUM))
+
+
+METRICS: Final[tuple[Metric[Shields], ...]] = (
+    Metric(
+        "hil_shield_requests_total",
+        Kind.COUNTER,
+        "Requests of the host on the serial line, by command.",
+        ("command",),
+        _requests,
+    ),
+    Metric(
+        "hil_shield_lateness_seconds",
+        Kind.HISTOGRAM,
+        "Earliest time that the line permits for a response to its write.",
+        (),
+        _lateness,
+        (10 * US, 100 * MS),
+    ),
+)
