@@ -248,9 +248,8 @@ def run_pose(
             pose[k, 1] = x[X_POSE + 1]
             pose[k, 2] = turned
             before = x[X_POSE + 2]
-            drive_on_with_terms(
-                p, x, y, w_l, w_r, (next_l - w_l) / dt, (next_r - w_r) / dt, mean_l, mean_r
-            )
+            dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
+            drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, 0.0, 0.0)
             pose[k, 3] = y[Y_VELOCITY + 2]
             turned += wrap(x[X_POSE + 2] - before)
 
