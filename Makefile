@@ -10,10 +10,11 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json)) page
 
-# What the tests call, and the Debian package it comes from.
+# What the tests call, or a file that they need, and the Debian package it comes from.
 TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
     systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
-    nsenter:util-linux promtool:prometheus chromium:chromium
+    nsenter:util-linux promtool:prometheus chromium:chromium g++:g++ idlc:cyclonedds-tools \
+    /usr/include/dds/dds.h:cyclonedds-dev /usr/include/fastdds/rtps/rtps_all.h:libfastrtps-dev
 export PATH := $(PATH):/usr/sbin:/sbin
 
 .PHONY: help
@@ -106,7 +107,7 @@ test-tools: $(VENV)/.dev $(VENV)/.debian $(addsuffix /node_modules/.installed,$(
 $(VENV)/.debian: Makefile | $(BIN)/python
 	@missing=; \
 	for tool in $(TOOLS); do \
-	    command -v $${tool%%:*} >/dev/null || missing="$$missing $${tool#*:}"; \
+	    { command -v $${tool%%:*} || test -e $${tool%%:*}; } >/dev/null || missing="$$missing $${tool#*:}"; \
 	done; \
 	command -v npm >/dev/null || missing="$$missing nodejs npm"; \
 	case " $$missing " in *" gcc "*) missing="$$missing libc6-dev";; esac; \

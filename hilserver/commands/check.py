@@ -58,8 +58,13 @@ def describe(assembly: Assembly) -> list[str]:
         f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}, {_protection(peer)}"
         for peer in config.peers
     ]
-    owner = config.control.source or ("peer" if config.peers else "opcua")
-    lines.append(f"control: '{owner}' has control at start")
+    if config.ros2.enabled:
+        ros2 = config.ros2
+        lines.append(
+            f"ROS 2: {ros2.flavour} on {ros2.interface}, services as {ros2.rmw} has them, stale"
+            f" after {ros2.stale_after_ms:g} ms: {ros2.on_stale}"
+        )
+    lines.append(f"control: '{config.first_source}' has control at start")
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"

@@ -185,4 +185,6 @@ def _print_addresses(daemon: Daemon) -> None:
     lines += [f"  peer     {peer.config.name} at {peer.config.endpoint}" for peer in daemon.peers]
     if daemon.shield is not None:
         lines.append(f"  shield   {daemon.shield.address}")
+    if daemon.ros2 is not None:
+        lines.append(f"  ROS 2    {daemon.ros2.address}")
     print("\n".join(lines), file=sys.stderr, flush=True)

@@ -13,6 +13,7 @@ from hilserver.config.page import FoldersConfig, PageConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
+from hilserver.config.ros2 import Ros2Config
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
@@ -39,6 +40,7 @@ class Config(Section):
     opcua: OpcUaConfig = Field(default_factory=OpcUaConfig)
     peers: tuple[PeerConfig, ...] = ()
     shield: ShieldConfig = Field(default_factory=ShieldConfig)
+    ros2: Ros2Config = Field(default_factory=Ros2Config)
     blocks: tuple[BlockConfig, ...] = ()
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
@@ -54,6 +56,8 @@ class Config(Section):
             raise ValueError(f"control: source '{self.first_source}' is not in priority")
         if self.shield.enabled and any(peer.name == "shield" for peer in self.peers):
             raise ValueError("peers: a peer cannot be named 'shield' while shield is enabled")
+        if self.ros2.enabled and any(peer.name == "ros2" for peer in self.peers):
+            raise ValueError("peers: a peer cannot be named 'ros2' while ros2 is enabled")
         names = [block.name for block in self.blocks]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -67,7 +71,9 @@ class Config(Section):
             return self.control.source
         if self.peers:
             return "peer"
-        return "shield" if self.shield.enabled else "opcua"
+        if self.shield.enabled:
+            return "shield"
+        return "ros2" if self.ros2.enabled else "opcua"
 
     @property
     def sha256(self) -> str:

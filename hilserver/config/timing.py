@@ -111,7 +111,7 @@ class ControlConfig(Section):
     source: Source | None = Field(
         None,
         description="Who has control at start; null: peer if there are peers, else shield if"
-        " enabled, else opcua",
+        " enabled, else ros2 if enabled, else opcua",
     )
     priority: tuple[Source, ...] = Field(
         SOURCES, description="Who may take control from whom, highest first"

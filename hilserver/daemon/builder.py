@@ -192,7 +192,8 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
     image.tell(identity=snapshots.identity)
-    lines = {peer.name: Line(peer.name) for peer in config.peers}
+    linked = [peer.name for peer in config.peers] + (["ros2"] if config.ros2.enabled else [])
+    lines = {name: Line(name) for name in linked}
     faults = Faults(
         table,
         Mailbox(image),

@@ -27,6 +27,7 @@ from hilserver.daemon.connections import (
     make_server,
 )
 from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.ros2_node import make_ros2
 from hilserver.daemon.serial_shield import make_shield
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
@@ -59,6 +60,7 @@ class Daemon:
     server : OpcUaServer or None
     peers : list of PeerLink
     shield : ShieldLink or None
+    ros2 : Ros2Node or None
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Daemon:
         self._states = StateService(core.snapshots, self.image.name)
         self.peers = make_peers(core, self.clock, self.outputs, self.supervision)
         self.shield = make_shield(core, self.supervision)
+        self.ros2 = make_ros2(core, self.clock, self.supervision)
         self.deadman = DeadMan(self.gate, self.events, config.page.deadman_ms * 1e-3)
         self.desk = make_desk(core, self.stage)
         self._notice = make_notice(
@@ -133,7 +136,8 @@ class Daemon:
     def _statuses(self) -> list[PeerStatus]:
         """Return what is known about everybody at the other end of a link."""
         shield = [] if self.shield is None else [self.shield.status]
-        return [*(peer.status for peer in self.peers), *shield]
+        ros2 = [] if self.ros2 is None else [self.ros2.status]
+        return [*(peer.status for peer in self.peers), *shield, *ros2]
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -158,6 +162,9 @@ class Daemon:
             if server is not None:
                 await server.start()
                 self._resources.push_async_callback(server.stop)
+        if self.ros2 is not None:
+            self._resources.push_async_callback(self.ros2.stop)
+            await self.ros2.join()
         self.scheduler.on_slice("publish", self._publish)
         self.scheduler.on_slice("supervise", self._supervise)
         self.scheduler.on_overrun(self.supervision.on_overrun)
@@ -173,6 +180,8 @@ class Daemon:
         if self.shield is not None:
             await self.shield.start()
             self._resources.push_async_callback(self.shield.stop)
+        if self.ros2 is not None:
+            self.ros2.start()
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()

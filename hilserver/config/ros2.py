@@ -1,0 +1,111 @@
+"""The section ``ros2:``: the daemon as a node of the robot."""
+
+import re
+from importlib.util import find_spec
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from hilserver.config.timing import Section
+from hilserver.errors import meant
+from hilserver.ros.flavours import FLAVOURS
+from hilserver.ros.types import Types
+
+_NAME = r"(/|(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*)?"
+Namespace = Annotated[str, StringConstraints(pattern=rf"^{_NAME}$", max_length=200)]
+TopicName = Annotated[str, StringConstraints(pattern=rf"^{_NAME}$", min_length=1, max_length=200)]
+Wheel = Literal["fl", "rl", "fr", "rr"]
+LOOPBACK = ("lo", "127.0.0.1")
+LAST_DOMAIN = 232
+
+
+class Ros2Publish(Section):
+    """Topics that are written on request only."""
+
+    tf: bool = Field(False, description="/tf: odom to base_link, as the wheels count it")
+    clock: bool = Field(False, description="/clock: simulated time, which all stamps then have")
+    odom: bool = Field(False, description="odom: position and twist as the wheels count them")
+    pose_stamped: bool = Field(False, description="/poseStamped: the simulated navigation tag")
+    robot_description: bool = Field(False, description="robot_description: URDF, for RViz")
+
+
+class Ros2Config(Section):
+    """ROS 2 over DDS, without a ROS installation (extra ros2)."""
+
+    enabled: bool = Field(False, description="Take part in ROS 2")
+    flavour: Literal["iotbot_shield", "eduard", "thesis_sil"] = Field(
+        "iotbot_shield", description="Which robot program to be: topics, services, rates, QoS"
+    )
+    rmw: Literal["fastrtps", "cyclonedds"] = Field(
+        "fastrtps",
+        description="Middleware of the host: how services carry their identity; with fastrtps they"
+        " act, but the answer never arrives",
+    )
+    domain: int | None = Field(
+        None, ge=0, le=LAST_DOMAIN, description="DDS domain; null: ROS_DOMAIN_ID, else 0"
+    )
+    interface: str = Field(
+        "lo",
+        pattern=r"^[A-Za-z0-9_.:-]{1,64}$",
+        description="Network interface, by name or address",
+    )
+    allow_insecure_network: bool = Field(
+        False, description="Use another interface than lo: everybody there may then command"
+    )
+    peers: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...] = (
+        Field((), max_length=50, description="Addresses to look for where there is no multicast")
+    )
+    namespace: Namespace = Field("", description="Of relative names; empty: the flavour's own")
+    topics: dict[str, TopicName] = Field({}, description="Renames: the flavour's name: other name")
+    publish: Ros2Publish = Field(default_factory=Ros2Publish)
+    array_order: tuple[Wheel, Wheel, Wheel, Wheel] = Field(
+        ("fl", "rl", "fr", "rr"), description="Wheels and range finders in thesis_sil's arrays"
+    )
+    service_fields: dict[str, str] = Field(
+        {},
+        max_length=20,
+        description="Other types of fields of services, as SendLighting.command: int32",
+    )
+    stale_after_ms: float = Field(
+        500.0, ge=20, le=3_600_000, description="Commands older than this are stale"
+    )
+    on_stale: Literal["device", "ramp"] = Field(
+        "device",
+        description="What happens then: device: enable is withdrawn until the host sends it again;"
+        " ramp: safe state until Reset",
+    )
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        if not self.enabled:
+            return self
+        if find_spec("cyclonedds") is None:
+            raise ValueError(
+                "ROS 2 needs the library cyclonedds: install it with"
+                " \"pip install 'hilserver[ros2]'\", or set enabled: false"
+            )
+        if self.interface not in LOOPBACK and not self.allow_insecure_network:
+            raise ValueError(
+                f"interface '{self.interface}' is reachable from the network, where everybody may"
+                " then command: use lo, or set allow_insecure_network: true"
+            )
+        known = FLAVOURS[self.flavour].topics
+        for name in self.topics:
+            if name not in known:
+                raise ValueError(
+                    f"topics: flavour {self.flavour} has no topic '{name}';"
+                    f" {meant(name, known, 'its names are ' + ', '.join(known))}"
+                )
+        if len(set(self.array_order)) != len(self.array_order):
+            raise ValueError("array_order names a wheel twice")
+        try:
+            Types(self.service_fields)
+        except ValueError as error:
+            raise ValueError(f"service_fields: {error}") from None
+        return self
+
+    def full_name(self, name: str) -> str:
+        """Return the absolute name of a topic or service, renamed, within the namespace."""
+        name = self.topics.get(name, name)
+        space = (self.namespace or FLAVOURS[self.flavour].namespace).strip("/")
+        return name if name.startswith("/") else re.sub("/+", "/", f"/{space}/{name}")

@@ -1,0 +1,397 @@
+"""The robot's program in ROS 2: publishes, listens and serves what its flavour lists.
+
+A host is a source like an OPC UA peer: the input gate decides whether it commands, its silence is
+judged, its figures are those of a peer with the name ``ros2``.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final, Protocol
+
+import structlog
+
+from hilserver.config.ros2 import Ros2Config
+from hilserver.core.clock import UtcClock
+from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.inputs import Refusal
+from hilserver.faults.links import Lane, Line
+from hilserver.image import Frame
+from hilserver.io.opcua_client.staleness import Staleness, Transition
+from hilserver.io.peer_faults import FaultBook
+from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.ros2.participant import Arrival, In, Out, Participant
+from hilserver.io.ros2.services import Service
+from hilserver.io.ros2.wire import WireTypes
+from hilserver.ros.description import urdf
+from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Subscribed
+from hilserver.ros.robot import Odometer, Robot, Shape
+from hilserver.ros.types import Types
+from hilserver.signals import SignalTable
+
+NAME: Final = "ros2"
+PERIOD_S: Final = 0.02
+WATCH_S: Final = 0.02
+LOOK_EVERY: Final = 25
+CONTROL_RETRY_NS: Final = 500_000_000
+
+_log = structlog.get_logger(__name__)
+
+
+class Ros2Fault(StrEnum):
+    """Ways in which a host's messages can be wrong."""
+
+    BAD_MESSAGE = "bad_message"
+    REFUSED_VALUE = "refused_value"
+    SAMPLE_LOST = "sample_lost"
+    INCOMPATIBLE_QOS = "incompatible_qos"
+    NOT_TAKEN = "not_taken"
+
+
+class Gate(Protocol):
+    """The input gate, as the node sees it."""
+
+    def write(self, source: str, values: Mapping[str, object]) -> Mapping[str, Refusal]:
+        """Take one group; return signal -> reason for what was refused."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What a node needs of the daemon.
+
+    Attributes
+    ----------
+    latest : callable
+        The newest frame, None before the first.
+    on_stale, on_restored : callable
+        Called when the host falls silent, and when it is back.
+    """
+
+    table: SignalTable
+    shape: Shape
+    gate: Gate
+    events: EventBus
+    clock: UtcClock
+    latest: Callable[[], Frame | None]
+    on_stale: Callable[[], None]
+    on_restored: Callable[[], None]
+    period_ns: int
+
+
+class Ros2Node:
+    """One node for as long as the daemon runs.
+
+    Attributes
+    ----------
+    status : PeerStatus
+        Always up to date.
+    """
+
+    def __init__(self, config: Ros2Config, world: World, line: Line | None = None) -> None:
+        self.config, self._world = config, world
+        self._flavour = FLAVOURS[config.flavour]
+        self._types = Types(config.service_fields)
+        self._wire = WireTypes(self._types)
+        space = (config.namespace or self._flavour.namespace).strip("/")
+        self.robot = Robot(
+            self._types,
+            world.shape,
+            Odometer(world.shape),
+            array_order=config.array_order,
+            frame_prefix=f"{space}/" if space else "",
+        )
+        self._names = [signal.name for signal in world.table.scalars]
+        self.status = PeerStatus(NAME, f"{config.flavour} on {config.interface}", mode="dds")
+        self._staleness = Staleness(round(config.stale_after_ms * 1e6))
+        self._faults = FaultBook(self.status, world.events.publish)
+        line = line or Line(NAME)
+        self._line = line
+        self._arriving: Lane[list[tuple[Subscribed, Arrival]]] = Lane(line, "in")
+        self._leaving: Lane[list[tuple[str, Out, bytes]]] = Lane(line, "out")
+        self._participant: Participant | None = None
+        self._outs: dict[str, tuple[Published, Out]] = {}
+        self._ins: dict[str, tuple[Subscribed, In]] = {}
+        self._services: list[Service] = []
+        self._tasks: list[asyncio.Task[None]] = []
+        self._cycle = 0
+        self._news_ns: int | None = None
+        self._pause_until_ns = 0
+        self._seen: dict[str, int] = {}
+
+    @property
+    def address(self) -> str:
+        """Where it is, for people."""
+        number = "?" if self._participant is None else self._participant.number
+        return f"{self.config.flavour} in domain {number} on {self.config.interface}"
+
+    # --- start and stop ---------------------------------------------------------------------------
+
+    async def join(self) -> None:
+        """Join the domain, before the first tick: that takes a second.
+
+        Raises
+        ------
+        FailedError
+            If that is not possible.
+        """
+        self._participant = await asyncio.to_thread(self._join)
+
+    def start(self) -> None:
+        """Publish, listen and serve."""
+        if self._participant is None:
+            raise RuntimeError("join comes first")
+        self._participant.listen(self._on_data)
+        self.status.state = LinkState.CONNECTING
+        self._tasks = [
+            asyncio.create_task(self._publish_for_ever(), name="ros2-publish"),
+            asyncio.create_task(self._watch(), name="ros2-watch"),
+        ]
+
+    def _join(self) -> Participant:
+        participant, wire = Participant(self.config), self._wire
+        for published in self._published():
+            name = self.config.full_name(published.topic)
+            made = participant.writer(
+                f"rt{name}",
+                wire.make(published.type),
+                published.qos,
+                self._types.hash(published.type),
+            )
+            self._outs[name] = published, made
+        for subscribed in self._flavour.subscribed:
+            name = self.config.full_name(subscribed.topic)
+            reader = participant.reader(
+                f"rt{name}",
+                wire.make(subscribed.type),
+                subscribed.qos,
+                self._types.hash(subscribed.type),
+            )
+            self._ins[name] = subscribed, reader
+        self._services = [
+            Service(served, self.config, self._types, wire, participant)
+            for served in self._flavour.served
+        ]
+        kinds = [published.type for published, _ in self._outs.values()]
+        for kind in kinds + [subscribed.type for subscribed, _ in self._ins.values()]:
+            self._types.prepare(kind)
+        self._describe(participant, wire)
+        return participant
+
+    def _published(self) -> list[Published]:
+        asked = self.config.publish.model_dump()
+        extras = [topic for name, topic in self._flavour.extras.items() if asked[name]]
+        return [*self._flavour.published, *extras]
+
+    def _describe(self, participant: Participant, wire: WireTypes) -> None:
+        if not self.config.publish.robot_description:
+            return
+        topic, kind, qos = DESCRIPTION
+        name = self.config.full_name(topic)
+        writer = participant.writer(f"rt{name}", wire.make(kind), qos, self._types.hash(kind))
+        text = urdf(self._world.shape, self.robot.frame_prefix)
+        writer.write(self._types.encode(self.robot.make(kind, data=text)))
+        self._outs[name] = Published(topic, kind, lambda _: iter(()), None, qos), writer
+
+    async def stop(self) -> None:
+        """Leave the domain."""
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        if self._participant is not None:
+            await self._participant.close()
+        self._outs, self._ins, self._services, self._participant = {}, {}, [], None
+        self.status.state, self.status.connected = LinkState.STOPPED, False
+
+    # --- what goes out ----------------------------------------------------------------------------
+
+    async def _publish_for_ever(self) -> None:
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
+        while True:
+            self._publish()
+            due_s += PERIOD_S
+            late_s = loop.time() - due_s
+            if late_s > PERIOD_S:
+                skipped = int(late_s / PERIOD_S)
+                self.status.writes_skipped += skipped
+                self._cycle += skipped
+                due_s += skipped * PERIOD_S
+            await asyncio.sleep(max(0.0, due_s - loop.time()))
+
+    def _look(self) -> bool:
+        """Take the newest frame; False before the first."""
+        frame = self._world.latest()
+        if frame is None:
+            return False
+        robot = self.robot
+        robot.values = dict(zip(self._names, frame.values.tolist(), strict=True))
+        robot.time_ns = frame.tick * self._world.period_ns
+        simulated = self.config.publish.clock
+        robot.stamp_ns = robot.time_ns if simulated else self._world.clock.utc_ns(frame.planned_ns)
+        return True
+
+    def _publish(self) -> None:
+        if not self._look():
+            return
+        self.robot.odometer.see(self.robot.values)
+        batch = [
+            (name, out, self._types.encode(message))
+            for name, (published, out) in self._outs.items()
+            if self._is_due(published)
+            for message in published.make(self.robot)
+        ]
+        self._cycle += 1
+        self._leaving.put(batch)
+        for due in self._leaving.take():
+            self._write(due)
+
+    def _is_due(self, published: Published) -> bool:
+        if published.period_s is None:
+            return self._cycle == 0
+        return self._cycle % max(1, round(published.period_s / PERIOD_S)) == 0
+
+    def _write(self, batch: list[tuple[str, Out, bytes]]) -> None:
+        if self._line.is_cut:
+            return
+        self.status.writes += 1
+        for name, out, cdr in batch:
+            if not out.write(cdr):
+                sentence = f"a reader of {name} does not take what it insists on"
+                self._report(Ros2Fault.NOT_TAKEN, name, sentence)
+
+    # --- what comes in ----------------------------------------------------------------------------
+
+    def _on_data(self) -> None:
+        arrived = [
+            (subscribed, arrival)
+            for subscribed, reader in self._ins.values()
+            for arrival in reader.take()
+        ]
+        if arrived and not self._line.is_cut:
+            self._arriving.put(arrived)
+            self._receive_due()
+        for service in self._services:
+            for request in service.take():
+                self._serve(service, request)
+
+    def _receive_due(self) -> None:
+        for batch in self._arriving.take():
+            for subscribed, arrival in batch:
+                self._receive(subscribed, arrival)
+
+    def _receive(self, subscribed: Subscribed, arrival: Arrival) -> None:
+        now_ns = time.monotonic_ns()
+        latency_ns = self._world.clock.utc_ns(now_ns) - arrival.source_ns
+        if arrival.source_ns > 0:
+            self.status.one_way.observe(max(latency_ns, 0))
+        if not self._look():
+            return
+        try:
+            message = self._types.decode(arrival.cdr, subscribed.type)
+            values = subscribed.take(self.robot, message)
+        except ValueError as error:
+            self._report(Ros2Fault.BAD_MESSAGE, subscribed.topic, f"{subscribed.topic}: {error}")
+            return
+        if self._news_ns is not None:
+            self.status.interval.observe(now_ns - self._news_ns)
+        self._news_ns = now_ns
+        self.status.sequence_received += 1
+        if values and now_ns >= self._pause_until_ns:
+            self._hand_over(subscribed, values, now_ns)
+
+    def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
+        refusals = self._world.gate.write(NAME, values)
+        wrong = {
+            signal: reason
+            for signal, reason in refusals.items()
+            if reason not in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL)
+        }
+        if Refusal.NOT_IN_CONTROL in refusals.values():
+            self._pause_until_ns = now_ns + CONTROL_RETRY_NS
+        for signal, reason in wrong.items():
+            sentence = (
+                f"{subscribed.topic}: {signal} = {values[signal]!r:.60} was refused: {reason}"
+            )
+            self._report(Ros2Fault.REFUSED_VALUE, signal, sentence)
+        if subscribed.commands and not wrong:
+            self._staleness.heard(now_ns)
+            self.status.input_received_ns = dict.fromkeys(values, now_ns)
+
+    def _serve(self, service: Service, request: Any) -> None:
+        if self._line.is_cut or not self._look():
+            return
+        try:
+            values, answer = service.understand(self.robot, request)
+        except ValueError as error:
+            self._report(Ros2Fault.BAD_MESSAGE, service.name, f"{service.name}: {error}")
+            return
+        refusals = self._world.gate.write(NAME, values) if values else {}
+        service.answer(request, answer(not refusals))
+
+    # --- what is judged ---------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        cycle = 0
+        while True:
+            self._receive_due()
+            now_ns = time.monotonic_ns()
+            transition = self._staleness.check(now_ns)
+            self.status.stale = self._staleness.stale
+            if transition is not None:
+                self._tell(transition, now_ns)
+            if cycle % LOOK_EVERY == 0:
+                self._look_at_endpoints()
+                self._faults.expire(now_ns)
+            cycle += 1
+            due_ns = time.monotonic_ns() + round(WATCH_S * 1e9)
+            await asyncio.sleep(WATCH_S)
+            woken_ns = time.monotonic_ns()
+            if woken_ns - due_ns > WATCH_S * 1e9:
+                self._staleness.held_up(due_ns, woken_ns)
+
+    def _tell(self, transition: Transition, now_ns: int) -> None:
+        action = self.config.on_stale
+        if transition is Transition.LOST:
+            text = f"ROS 2: {self._staleness.reason}; on_stale is {action}"
+            self._world.events.publish(Event(EventKind.PEER_LOST, 800, NAME, text, now_ns))
+            self._world.on_stale()
+            return
+        text = "ROS 2: the host sends fresh commands"
+        self._world.events.publish(Event(EventKind.PEER_RESTORED, 200, NAME, text, now_ns))
+        if transition is Transition.RESTORED:
+            self._world.on_restored()
+
+    def _look_at_endpoints(self) -> None:
+        """Count matched endpoints, losses, and those that will never match."""
+        status, matched = self.status, 0
+        for name, endpoint in self._endpoints():
+            matched += endpoint.matched
+            if self._grows(f"qos {name}", endpoint.incompatible):
+                sentence = f"somebody's quality of service for {name} does not fit: no data flow"
+                self._report(Ros2Fault.INCOMPATIBLE_QOS, name, sentence)
+            if isinstance(endpoint, In) and (more := self._grows(f"lost {name}", endpoint.lost)):
+                status.sequence_missed += more
+                self._report(Ros2Fault.SAMPLE_LOST, name, f"messages of {name} were lost")
+        if bool(matched) != status.connected:
+            status.connected = bool(matched)
+            status.state = LinkState.CONNECTED if matched else LinkState.CONNECTING
+            if matched:
+                status.reconnects += status.last_connect_ns is not None
+                status.last_connect_ns = time.monotonic_ns()
+            _log.info("ROS 2 endpoints", matched=matched)
+
+    def _endpoints(self) -> list[tuple[str, Out | In]]:
+        found: list[tuple[str, Out | In]] = [(name, out) for name, (_, out) in self._outs.items()]
+        return found + [(name, reader) for name, (_, reader) in self._ins.items()]
+
+    def _grows(self, key: str, total: int) -> int:
+        before = self._seen.get(key, 0)
+        self._seen[key] = total
+        return total - before
+
+    def _report(self, kind: Ros2Fault, subject: str, sentence: str) -> None:
+        self._faults.report(kind, subject, sentence, time.monotonic_ns())

@@ -1,0 +1,242 @@
+"""One DDS participant: domain, writers, readers, and a thread that waits for what comes in."""
+
+import asyncio
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+from xml.sax.saxutils import quoteattr
+
+from cyclonedds.core import (
+    DDSException,
+    GuardCondition,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy
+from cyclonedds.qos import Qos as DdsQos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from hilserver.config.ros2 import LAST_DOMAIN, LOOPBACK, Ros2Config
+from hilserver.errors import ConfigError, FailedError
+from hilserver.io.ros2.wire import carried
+from hilserver.ros.qos import Qos
+
+MOST_AT_ONCE: Final = 32
+PARTICIPANTS: Final = 32
+"""So many on one computer find each other without multicast."""
+
+
+def domain_of(config: Ros2Config) -> int:
+    """Return the DDS domain: the configured one, else ROS_DOMAIN_ID, else 0.
+
+    Raises
+    ------
+    ConfigError
+        If ROS_DOMAIN_ID is no domain.
+    """
+    if config.domain is not None:
+        return config.domain
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdecimal() or int(text) > LAST_DOMAIN:
+        raise ConfigError(f"ROS_DOMAIN_ID is '{text}'; a domain is a number of 0 .. {LAST_DOMAIN}")
+    return int(text)
+
+
+def settings(interface: str, peers: tuple[str, ...]) -> str:
+    """Return the configuration of Cyclone DDS, XML; loopback has no multicast."""
+    local = interface in LOOPBACK
+    place = "address" if interface[:1].isdigit() else "name"
+    multicast = ' multicast="false"' if local else ""
+    found = ("127.0.0.1", *peers) if local else peers
+    listed = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in dict.fromkeys(found))
+    return (
+        '<CycloneDDS><Domain Id="any"><General>'
+        f"<Interfaces><NetworkInterface {place}={quoteattr(interface)}{multicast}/></Interfaces>"
+        f"<AllowMulticast>{'false' if local else 'default'}</AllowMulticast></General>"
+        "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+        f"<MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>"
+        f"<Peers>{listed}</Peers></Discovery></Domain></CycloneDDS>"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A sample that came in: CDR, and when its writer wrote it [ns, UTC of the writer]."""
+
+    cdr: bytes
+    source_ns: int
+
+
+class Out:
+    """A writer of one topic."""
+
+    def __init__(self, writer: Any, data_type: Any) -> None:
+        self._writer, self._type = writer, data_type
+
+    def write(self, cdr: bytes) -> bool:
+        """Write; False when a reader that insists on every message has too many left to take."""
+        try:
+            self._writer.write(carried(self._type, cdr))
+        except DDSException as error:
+            if error.code == DDSException.DDS_RETCODE_TIMEOUT:
+                return False
+            raise
+        return True
+
+    @property
+    def matched(self) -> int:
+        """Readers of other participants."""
+        return int(self._writer.get_publication_matched_status().current_count)
+
+    @property
+    def incompatible(self) -> int:
+        """Readers that ask for more than is offered, so far."""
+        return int(self._writer.get_offered_incompatible_qos_status().total_count)
+
+
+class In:
+    """A reader of one topic."""
+
+    def __init__(self, reader: Any) -> None:
+        self.reader = reader
+
+    def take(self) -> list[Arrival]:
+        """Return what came in, oldest first."""
+        return [
+            Arrival(sample.cdr, sample.sample_info.source_timestamp)
+            for sample in self.reader.take(MOST_AT_ONCE)
+            if not isinstance(sample, InvalidSample)
+        ]
+
+    @property
+    def matched(self) -> int:
+        """Writers of other participants."""
+        return int(self.reader.get_subscription_matched_status().current_count)
+
+    @property
+    def incompatible(self) -> int:
+        """Writers that offer less than is asked for, so far."""
+        return int(self.reader.get_requested_incompatible_qos_status().total_count)
+
+    @property
+    def lost(self) -> int:
+        """Samples that never arrived, so far."""
+        return int(self.reader.get_sample_lost_status().total_count)
+
+
+class Participant:
+    """Joins the domain of a configuration.
+
+    Raises
+    ------
+    FailedError
+        If there is no such interface, or the domain is in use in this process.
+    """
+
+    def __init__(self, config: Ros2Config) -> None:
+        number = domain_of(config)
+        try:
+            self._domain = Domain(number, settings(config.interface, config.peers))
+            enclave = DdsQos(Policy.Userdata(b"enclave=/;"))
+            self._participant = DomainParticipant(number, enclave)
+        except DDSException as error:
+            raise FailedError(
+                f"ros2: no DDS domain {number} on interface '{config.interface}' ({error.msg});"
+                " is its name right, and does no other program hold its ports?"
+            ) from None
+        self.number = number
+        self._waiting: _Waiting | None = None
+        self._readers: list[Any] = []
+
+    def writer(self, topic: str, data_type: Any, qos: Qos, type_hash: str) -> Out:
+        """Return a writer."""
+        made = DataWriter(
+            self._participant,
+            Topic(self._participant, topic, data_type),
+            _policies(qos, type_hash),
+        )
+        return Out(made, data_type)
+
+    def reader(self, topic: str, data_type: Any, qos: Qos, type_hash: str) -> In:
+        """Return a reader."""
+        topic_of = Topic(self._participant, topic, data_type)
+        made = DataReader(self._participant, topic_of, _policies(qos, type_hash))
+        self._readers.append(made)
+        return In(made)
+
+    def listen(self, on_data: Callable[[], None]) -> None:
+        """Call `on_data` in the running event loop whenever a reader has something."""
+        self._waiting = _Waiting(self._participant, self._readers, on_data)
+
+    async def close(self) -> None:
+        """Leave the domain."""
+        if self._waiting is not None:
+            await asyncio.to_thread(self._waiting.end)
+        self._waiting = None
+        self._readers.clear()
+
+
+class _Waiting:
+    """A thread that sleeps until a reader has data, and does not look again before it is taken.
+
+    Listeners would run Python in the receiving threads of DDS, which may then wait for each other.
+    """
+
+    def __init__(self, participant: Any, readers: list[Any], on_data: Callable[[], None]) -> None:
+        self._on_data = on_data
+        self._loop = asyncio.get_running_loop()
+        self._ended = False
+        self._taken = threading.Event()
+        self._end = GuardCondition(participant)
+        mask = SampleState.Any | ViewState.Any | InstanceState.Any
+        self._conditions = [ReadCondition(reader, mask) for reader in readers]
+        self._set = WaitSet(participant)
+        for condition in (*self._conditions, self._end):
+            self._set.attach(condition)
+        self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._ended:
+            if self._set.wait(duration(seconds=1)) == 0 or self._ended:
+                continue
+            self._taken.clear()
+            try:
+                self._loop.call_soon_threadsafe(self._hand_over)
+            except RuntimeError:  # the loop has ended
+                return
+            self._taken.wait()
+
+    def _hand_over(self) -> None:
+        try:
+            self._on_data()
+        finally:
+            self._taken.set()
+
+    def end(self) -> None:
+        """End the thread."""
+        self._ended = True
+        self._taken.set()
+        self._end.set(triggered=True)
+        self._thread.join(5.0)
+
+
+def _policies(qos: Qos, type_hash: str) -> DdsQos:
+    reliable = Policy.Reliability.Reliable(duration(seconds=0))  # our event loop waits for nobody
+    return DdsQos(
+        reliable if qos.reliable else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
+        Policy.History.KeepLast(qos.depth),
+        Policy.Userdata(f"typehash={type_hash};".encode()),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )

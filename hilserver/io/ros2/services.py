@@ -1,0 +1,67 @@
+"""Services over DDS: a topic of requests and one of replies.
+
+With rmw_cyclonedds the identity of a request stands in the message and goes back with the reply.
+rmw_fastrtps carries it in RTPS inline QoS, which cannot be written here: the service acts, the
+answer never arrives.
+"""
+
+import struct
+from typing import Any, Final
+
+from hilserver.config.ros2 import Ros2Config
+from hilserver.io.ros2.participant import Arrival, Participant
+from hilserver.io.ros2.wire import WireTypes
+from hilserver.ros.flavours import Served
+from hilserver.ros.incoming import Answer
+from hilserver.ros.qos import Qos
+from hilserver.ros.robot import Robot
+from hilserver.ros.types import Types
+
+HEAD: Final = 4
+IDENTITY: Final = struct.calcsize("<Qq")
+
+
+class Service:
+    """One service of the node."""
+
+    def __init__(
+        self,
+        served: Served,
+        config: Ros2Config,
+        types: Types,
+        wire: WireTypes,
+        participant: Participant,
+    ) -> None:
+        self.name = config.full_name(served.name)
+        self._served, self._types = served, types
+        self._identity = IDENTITY if config.rmw == "cyclonedds" else 0
+        request, response = (
+            wire.make(f"{served.type}_{part}", with_identity=bool(self._identity))
+            for part in ("Request", "Response")
+        )
+        qos, type_hash = Qos(), types.hash(served.type)
+        self._reader = participant.reader(f"rq{self.name}Request", request, qos, type_hash)
+        self._writer = participant.writer(f"rr{self.name}Reply", response, qos, type_hash)
+
+    def take(self) -> list[Arrival]:
+        """Return the requests that came in."""
+        return self._reader.take()
+
+    def understand(self, robot: Robot, request: Arrival) -> Answer:
+        """Return what to write and what to answer.
+
+        Raises
+        ------
+        ValueError
+            If it is no request of this service.
+        """
+        body = request.cdr[:HEAD] + request.cdr[HEAD + self._identity :]
+        message = self._types.decode(body, f"{self._served.type}_Request")
+        return self._served.serve(robot, message)
+
+    def answer(self, request: Arrival, response: Any) -> None:
+        """Reply, where the host can take it."""
+        if self._identity:
+            cdr = self._types.encode(response)
+            identity = request.cdr[HEAD : HEAD + self._identity]
+            self._writer.write(cdr[:HEAD] + identity + cdr[HEAD:])

@@ -1,0 +1,189 @@
+"""The topics and services of three robot programs, as data.
+
+``iotbot_shield`` and ``eduard`` are EduArt's two stacks, ``thesis_sil`` the five topics of the
+thesis. A name without a leading slash is relative to the namespace.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from hilserver.ros import incoming, outgoing
+from hilserver.ros.qos import DEFAULT, LATCHED, SENSOR_DATA, Qos
+from hilserver.ros.robot import Robot
+
+FAST_S, ODOMETRY_S, STATUS_S = 0.02, 0.1, 0.5
+FLOATS: Final = "std_msgs/msg/Float32MultiArray"
+DESCRIPTION: Final = ("robot_description", "std_msgs/msg/String", LATCHED)
+"""Topic, type and quality of the robot's model, on request."""
+EDU_RELIABLE, EDU_BEST_EFFORT = Qos(depth=2), Qos(reliable=False, depth=2)
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A topic that we write; `period_s` None: once, for whoever comes late as well."""
+
+    topic: str
+    type: str
+    make: Callable[[Robot], Iterator[Any]]
+    period_s: float | None = FAST_S
+    qos: Qos = DEFAULT
+
+
+@dataclass(frozen=True, slots=True)
+class Subscribed:
+    """A topic that the host writes; `commands`: its silence counts."""
+
+    topic: str
+    type: str
+    take: Callable[[Robot, Any], incoming.Values]
+    commands: bool = True
+    qos: Qos = SENSOR_DATA
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A service."""
+
+    name: str
+    type: str
+    serve: Callable[[Robot, Any], incoming.Answer]
+
+
+@dataclass(frozen=True)
+class Flavour:
+    """What one robot program speaks."""
+
+    published: tuple[Published, ...]
+    subscribed: tuple[Subscribed, ...]
+    served: tuple[Served, ...] = ()
+    namespace: str = ""
+    extras: Mapping[str, Published] = field(default_factory=lambda: EXTRAS)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Every name that can be renamed."""
+        written = [topic.topic for topic in (*self.published, *self.extras.values())]
+        read = [topic.topic for topic in self.subscribed]
+        names = [*written, *read, DESCRIPTION[0], *(service.name for service in self.served)]
+        return tuple(dict.fromkeys(names))
+
+
+RPM: Final = "iotbot_interface/msg/RotationSpeed"
+JOY: Final = "sensor_msgs/msg/Joy"
+TWIST: Final = "geometry_msgs/msg/Twist"
+
+EXTRAS: Final[Mapping[str, Published]] = {
+    "tf": Published("/tf", "tf2_msgs/msg/TFMessage", outgoing.transforms),
+    "clock": Published("/clock", "rosgraph_msgs/msg/Clock", outgoing.clock),
+    "odom": Published("odom", "nav_msgs/msg/Odometry", outgoing.odometry),
+    "pose_stamped": Published(
+        "/poseStamped", "geometry_msgs/msg/PoseStamped", outgoing.pose_stamped
+    ),
+}
+"""On request, in every flavour."""
+
+_IOTBOT_SHIELD: Final = Flavour(
+    published=(
+        Published("iotbot/rpm/return", RPM, outgoing.rpm_return),
+        Published("iotbot/imu", "sensor_msgs/msg/Imu", outgoing.imu, qos=SENSOR_DATA),
+        Published("iotbot/tof", FLOATS, outgoing.tof, qos=SENSOR_DATA),
+        Published(
+            "iotbot/battery", "iotbot_interface/msg/Battery", outgoing.battery, qos=SENSOR_DATA
+        ),
+        Published(
+            "iotbot/temperature", "std_msgs/msg/Float32", outgoing.temperature, qos=SENSOR_DATA
+        ),
+    ),
+    subscribed=(
+        Subscribed("iotbot/rpm", RPM, incoming.rpm),
+        Subscribed("cmd_vel", TWIST, incoming.velocity),
+        Subscribed("joy_extended", JOY, incoming.axes),
+        Subscribed("joy", JOY, incoming.gamepad),
+    ),
+    served=(
+        Served(
+            "iotbot/srv/send_lighting", "iotbot_interface/srv/SendLighting", incoming.send_lighting
+        ),
+        Served("iotbot/srv/send_enable", "iotbot_interface/srv/SendEnable", incoming.send_enable),
+        Served(
+            "iotbot/srv/send_imu_calibration", "std_srvs/srv/Empty", incoming.send_imu_calibration
+        ),
+        Served(
+            "iotbot/srv/send_imu_mode", "iotbot_interface/srv/SendEnable", incoming.send_imu_mode
+        ),
+    ),
+)
+
+_EDUARD: Final = Flavour(
+    namespace="eduard",
+    published=(
+        Published("odometry", "nav_msgs/msg/Odometry", outgoing.odometry, ODOMETRY_S, EDU_RELIABLE),
+        Published(
+            "status_report",
+            "edu_robot/msg/RobotStatusReport",
+            outgoing.status_report,
+            STATUS_S,
+            EDU_BEST_EFFORT,
+        ),
+        Published(
+            "robot_kinematic_description",
+            "edu_robot/msg/RobotKinematicDescription",
+            outgoing.kinematic_description,
+            None,
+            Qos(latched=True, depth=2),
+        ),
+        Published(
+            "joint_states",
+            "sensor_msgs/msg/JointState",
+            outgoing.joint_states,
+            ODOMETRY_S,
+            Qos(depth=8),  # four messages at a time, of which a depth of 2 would keep two
+        ),
+        Published("imu", "sensor_msgs/msg/Imu", outgoing.imu, ODOMETRY_S, SENSOR_DATA),
+        *(
+            Published(
+                f"range/{name.replace('_', '/')}/range",
+                "sensor_msgs/msg/Range",
+                outgoing.range_of(place),
+                ODOMETRY_S,
+                SENSOR_DATA,
+            )
+            for place, name in outgoing.PLACES.items()
+        ),
+    ),
+    subscribed=(
+        Subscribed("cmd_vel", TWIST, incoming.when_remote, qos=EDU_BEST_EFFORT),
+        Subscribed("autonomous/cmd_vel", TWIST, incoming.when_autonomous, qos=EDU_BEST_EFFORT),
+        Subscribed("set_motor_rpm", FLOATS, incoming.motor_rpm, qos=EDU_BEST_EFFORT),
+        Subscribed(
+            "set_lighting_color",
+            "edu_robot/msg/SetLightingColor",
+            incoming.lighting,
+            commands=False,
+            qos=EDU_BEST_EFFORT,
+        ),
+    ),
+    served=(
+        Served("set_mode", "edu_robot/srv/SetMode", incoming.set_mode),
+        Served("reset_odometry", "std_srvs/srv/Trigger", incoming.reset_odometry),
+    ),
+)
+
+_THESIS_SIL: Final = Flavour(
+    published=(
+        Published("rpm/return", FLOATS, outgoing.rpm_return_thesis),
+        Published("position_and_orientation", FLOATS, outgoing.position),
+        Published("distance_measurements", FLOATS, outgoing.tof_thesis),
+    ),
+    subscribed=(
+        Subscribed("rpm", FLOATS, incoming.rpm_thesis),
+        Subscribed("lights_color", "std_msgs/msg/Int16", incoming.lights_color, commands=False),
+    ),
+)
+
+FLAVOURS: Final[Mapping[str, Flavour]] = {
+    "iotbot_shield": _IOTBOT_SHIELD,
+    "eduard": _EDUARD,
+    "thesis_sil": _THESIS_SIL,
+}

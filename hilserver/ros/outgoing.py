@@ -1,0 +1,222 @@
+"""From one frame to messages; each function makes those of one topic."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from hilserver.ros.robot import EDUART_ORDER, RPM_PER_RAD_S, Robot
+
+STANDARD_GRAVITY_M_S2: Final = 9.80665
+ROOM_DEGC: Final = 25.0
+"""What stands in messages where nothing simulates a temperature."""
+NO_TEMPERATURE_DEGC: Final = -273.0
+"""What the real node publishes while its IMU is raw."""
+MODE_INACTIVE, MODE_REMOTE, MODE_AUTONOMOUS = 1, 2, 4
+KINEMATIC_SKID, KINEMATIC_MECANUM = 1, 2
+MOTORS: Final = ("rr", "fr", "rl", "fl")
+"""edu_robot's order of motors; it also turns all signs around: right wheels forward positive."""
+PLACES: Final = {"fl": "front_left", "fr": "front_right", "rl": "rear_left", "rr": "rear_right"}
+
+
+def _floats(robot: Robot, numbers: list[float]) -> Any:
+    layout = robot.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+    data = np.array(numbers, dtype=np.float32)
+    return robot.make("std_msgs/msg/Float32MultiArray", layout=layout, data=data)
+
+
+def _rotation_speed(robot: Robot, quantity: str) -> Any:
+    named = {f"{PLACES[wheel]}_rpm": robot[f"wheel.{wheel}.{quantity}"] for wheel in PLACES}
+    return robot.make("iotbot_interface/msg/RotationSpeed", **named)
+
+
+def rpm_return(robot: Robot) -> Iterator[Any]:
+    """Measured speeds, plant's signs: right wheels are mirrored."""
+    yield _rotation_speed(robot, "speed_rpm")
+
+
+def rpm_target(robot: Robot) -> Iterator[Any]:
+    """Set-points; for bags, on the wire they come from the host."""
+    yield _rotation_speed(robot, "setpoint_rpm")
+
+
+def imu(robot: Robot) -> Iterator[Any]:
+    """Rates and specific force in SI units; the orientation is a heading, as the plane has it."""
+    raw = robot.imu_is_raw
+    nothing = np.zeros(9)
+    unknown = np.zeros(9)
+    unknown[0] = -1.0 if raw else 0.0  # sensor_msgs: this element says that there is none
+    heading = robot.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0)
+    yield robot.make(
+        "sensor_msgs/msg/Imu",
+        header=robot.header("imu_link"),
+        orientation=heading if raw else robot.turned(robot["imu.yaw_rad"]),
+        orientation_covariance=unknown,
+        angular_velocity=robot.vector(z=robot["imu.gyro_z_rad_s"]),
+        angular_velocity_covariance=nothing,
+        linear_acceleration=robot.vector(
+            robot["imu.accel_x_m_s2"], robot["imu.accel_y_m_s2"], STANDARD_GRAVITY_M_S2
+        ),
+        linear_acceleration_covariance=nothing,
+    )
+
+
+def tof(robot: Robot) -> Iterator[Any]:
+    """Distances [m], fl, fr, rl, rr."""
+    yield _floats(robot, [robot[f"tof.{place}_m"] for place in EDUART_ORDER])
+
+
+def tof_thesis(robot: Robot) -> Iterator[Any]:
+    """Distances [m], in the configured order."""
+    yield _floats(robot, [robot[f"tof.{place}_m"] for place in robot.array_order])
+
+
+def rpm_return_thesis(robot: Robot) -> Iterator[Any]:
+    """Measured speeds [rpm], in the configured order, plant's signs."""
+    yield _floats(robot, robot.wheels("speed_rpm", robot.array_order))
+
+
+def position(robot: Robot) -> Iterator[Any]:
+    """Six floats: x, y, yaw of the planar model, then of the mechatronic one (NaN without it)."""
+    names = ("x_m", "y_m", "yaw_rad")
+    planar = [robot[f"pose.{name}"] for name in names]
+    yield _floats(robot, planar + [robot.get(f"mech.{name}", math.nan) for name in names])
+
+
+def battery(robot: Robot) -> Iterator[Any]:
+    """Voltage."""
+    yield robot.make("iotbot_interface/msg/Battery", voltage=robot["battery.voltage_v"])
+
+
+def temperature(robot: Robot) -> Iterator[Any]:
+    """Temperature of the shield [degC]."""
+    degc = robot.get("shield.temperature_degc", ROOM_DEGC)
+    yield robot.make("std_msgs/msg/Float32", data=NO_TEMPERATURE_DEGC if robot.imu_is_raw else degc)
+
+
+def pose_stamped(robot: Robot) -> Iterator[Any]:
+    """Where the simulated navigation tag sees itself."""
+    pose = robot.pose(robot["nav.x_m"], robot["nav.y_m"], robot["nav.yaw_rad"])
+    yield robot.make("geometry_msgs/msg/PoseStamped", header=robot.header("map"), pose=pose)
+
+
+def clock(robot: Robot) -> Iterator[Any]:
+    """Time of the simulation."""
+    yield robot.make("rosgraph_msgs/msg/Clock", clock=robot.time(robot.time_ns))
+
+
+def transforms(robot: Robot) -> Iterator[Any]:
+    """``odom`` to ``base_link``, as the wheels count it."""
+    o = robot.odometer
+    kind = "geometry_msgs/msg/Transform"
+    place = robot.make(
+        kind, translation=robot.vector(o.x_m, o.y_m), rotation=robot.turned(o.yaw_rad)
+    )
+    one = robot.make(
+        "geometry_msgs/msg/TransformStamped",
+        header=robot.header("odom"),
+        child_frame_id=f"{robot.frame_prefix}base_link",
+        transform=place,
+    )
+    yield robot.make("tf2_msgs/msg/TFMessage", transforms=[one])
+
+
+def odometry(robot: Robot) -> Iterator[Any]:
+    """Position and twist as the wheels count them."""
+    o, (forward, turning) = robot.odometer, robot.twist()
+    unknown = np.zeros(36)
+    twist = robot.make(
+        "geometry_msgs/msg/Twist", linear=robot.vector(forward), angular=robot.vector(z=turning)
+    )
+    yield robot.make(
+        "nav_msgs/msg/Odometry",
+        header=robot.header("odom"),
+        child_frame_id=f"{robot.frame_prefix}base_link",
+        pose=robot.make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=robot.pose(o.x_m, o.y_m, o.yaw_rad),
+            covariance=unknown,
+        ),
+        twist=robot.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=unknown),
+    )
+
+
+# --- edu_robot ------------------------------------------------------------------------------------
+
+
+def mode(robot: Robot) -> Any:
+    """edu_robot's mode: what enables the drive."""
+    driving = MODE_AUTONOMOUS if robot.autonomous else MODE_REMOTE
+    return robot.make(
+        "edu_robot/msg/Mode",
+        mode=driving if robot["drive.enable"] else MODE_INACTIVE,
+        drive_kinematic=KINEMATIC_SKID,
+        feature_mode=0,
+    )
+
+
+def state(robot: Robot, words: str = "OK") -> Any:
+    """edu_robot's state: always OK."""
+    ok = robot.make("edu_robot/msg/State", value=0)
+    return robot.make("edu_robot/msg/RobotState", state=ok, mode=mode(robot), info_message=words)
+
+
+def status_report(robot: Robot) -> Iterator[Any]:
+    """Supply, speeds and mode."""
+    volts = robot["battery.voltage_v"]
+    rpm = [-speed for speed in robot.wheels("speed_rpm", MOTORS)]
+    yield robot.make(
+        "edu_robot/msg/RobotStatusReport",
+        temperature=robot.get("shield.temperature_degc", ROOM_DEGC),
+        mcu_voltage=volts,
+        drive_voltage=volts,
+        mcu_current=0.0,
+        drive_current=robot.get("battery.current_a", 0.0),
+        rpm=np.array(rpm, dtype=np.float32),
+        robot_state=state(robot),
+    )
+
+
+def kinematic_description(robot: Robot) -> Iterator[Any]:
+    """Wheel rates [rad/s] per vx, vy, omega, row-major; a skid-steer robot cannot go sideways."""
+    straight = robot.shape.rpm_per_m_s / RPM_PER_RAD_S
+    turning = -robot.shape.rpm_per_rad_s / RPM_PER_RAD_S
+    rows = [(straight if wheel.endswith("r") else -straight, 0.0, turning) for wheel in MOTORS]
+    matrix = robot.make(
+        "edu_robot/msg/Matrix", cols=3, rows=4, data=np.array(rows, dtype=np.float32).ravel()
+    )
+    limits = np.full(4, robot.shape.max_rpm, dtype=np.float32)
+    yield robot.make("edu_robot/msg/RobotKinematicDescription", k=matrix, wheel_limits=limits)
+
+
+def joint_states(robot: Robot) -> Iterator[Any]:
+    """One message per motor, as edu_robot sends them."""
+    for wheel in MOTORS:
+        yield robot.make(
+            "sensor_msgs/msg/JointState",
+            header=robot.make("std_msgs/msg/Header", stamp=robot.time(robot.stamp_ns), frame_id=""),
+            name=[f"{robot.frame_prefix}base_to_wheel_{PLACES[wheel]}"],
+            position=np.array([-robot[f"wheel.{wheel}.angle_rad"]]),
+            velocity=np.array([-robot[f"wheel.{wheel}.speed_rpm"] / RPM_PER_RAD_S]),
+            effort=np.zeros(0),
+        )
+
+
+def range_of(place: str) -> Any:
+    """Return the function that makes the Range of one finder."""
+    frame = f"range/{PLACES[place].replace('_', '/')}"
+
+    def make(robot: Robot) -> Iterator[Any]:
+        yield robot.make(
+            "sensor_msgs/msg/Range",
+            header=robot.header(frame),
+            radiation_type=1,
+            field_of_view=robot.shape.tof_field_rad,
+            min_range=0.01,
+            max_range=5.0,
+            range=robot[f"tof.{place}_m"],
+            variance=0.0,
+        )
+
+    return make

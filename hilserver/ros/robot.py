@@ -1,0 +1,176 @@
+"""The robot as messages need it: one frame, its stamp, its dimensions."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from hilserver.plant.layout import WHEELS
+from hilserver.ros.types import Types
+
+RPM_PER_RAD_S: Final = 60.0 / math.tau
+EDUART_ORDER: Final = ("fl", "fr", "rl", "rr")
+"""Of EduArt's messages and of the range finders."""
+NS_PER_S: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What does not change while the daemon runs.
+
+    Attributes
+    ----------
+    rpm_per_m_s, rpm_per_rad_s : float
+        Speed of a left wheel that a twist asks for; right wheels are mirrored.
+    max_lateral_m_s : float
+        0 for a robot that cannot go sideways.
+    tof_field_rad : float
+        Cone of a range finder.
+    tof_x_m, tof_y_m : sequence of float
+        Where the range finders sit, in the order fl, fr, rl, rr.
+    """
+
+    rpm_per_m_s: float
+    rpm_per_rad_s: float
+    max_rpm: float
+    max_linear_m_s: float
+    max_lateral_m_s: float
+    max_angular_rad_s: float
+    wheel_radius_m: float
+    wheelbase_m: float
+    track_m: float
+    tof_field_rad: float
+    tof_x_m: tuple[float, ...] = ()
+    tof_y_m: tuple[float, ...] = ()
+
+
+@dataclass
+class Odometer:
+    """Position that follows from the wheels' angles, as a robot counts it.
+
+    The wheels are coupled to the floor as the nominal kinematics say, so slip shows in the gap to
+    the true pose. Halfway heading: exact on arcs, whatever the time between two frames.
+    """
+
+    shape: Shape
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+    _before: tuple[float, float] | None = None
+
+    def reset(self) -> None:
+        """Begin anew where the robot stands."""
+        self.x_m = self.y_m = self.yaw_rad = 0.0
+
+    def see(self, values: Mapping[str, float]) -> None:
+        """Take the angles of a frame."""
+        now = _sides(values, "angle_rad")
+        before, self._before = self._before, now
+        if before is None or max(abs(a - b) for a, b in zip(now, before, strict=True)) > math.tau:
+            return  # the first frame, or a reset of the simulation
+        left, right = ((a - b) * RPM_PER_RAD_S for a, b in zip(now, before, strict=True))
+        way_m = 0.5 * (left - right) / self.shape.rpm_per_m_s
+        turn_rad = 0.5 * (left + right) / self.shape.rpm_per_rad_s
+        heading = self.yaw_rad + 0.5 * turn_rad
+        self.x_m += way_m * math.cos(heading)
+        self.y_m += way_m * math.sin(heading)
+        self.yaw_rad = math.remainder(self.yaw_rad + turn_rad, math.tau)
+
+
+def _sides(values: Mapping[str, float], quantity: str) -> tuple[float, float]:
+    """Return the means of the left and of the right wheels."""
+    fl, rl, fr, rr = (values[f"wheel.{wheel}.{quantity}"] for wheel in WHEELS)
+    return 0.5 * (fl + rl), 0.5 * (fr + rr)
+
+
+@dataclass
+class Robot:
+    """One frame on its way into messages.
+
+    Attributes
+    ----------
+    values : mapping of str to float
+        Scalars by signal name.
+    stamp_ns : int
+        UTC, or simulated time where nodes follow ``/clock``.
+    array_order : tuple of str
+        Of wheels and range finders in arrays that do not say it.
+    frame_prefix : str
+        Before the names of coordinate frames.
+    imu_is_raw : bool
+        The host has asked for the IMU without orientation.
+    autonomous : bool
+        edu_robot's mode, which decides which topic drives.
+    buttons : list of int
+        Of a gamepad, as they were last.
+    extended_axes : bool
+        Axes come by a topic of their own.
+    ignored : dict of str to int
+        Commands that have no effect here, counted.
+    """
+
+    types: Types
+    shape: Shape
+    odometer: Odometer
+    values: Mapping[str, float] = field(default_factory=dict)
+    stamp_ns: int = 0
+    time_ns: int = 0
+    array_order: tuple[str, ...] = ("fl", "rl", "fr", "rr")
+    frame_prefix: str = ""
+    imu_is_raw: bool = False
+    autonomous: bool = False
+    buttons: list[int] = field(default_factory=list)
+    extended_axes: bool = False
+    ignored: dict[str, int] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name]
+
+    def get(self, name: str, default: float) -> float:
+        """Return a signal that not every configuration has."""
+        return self.values.get(name, default)
+
+    def wheels(self, quantity: str, order: tuple[str, ...] = EDUART_ORDER) -> list[float]:
+        """Return one quantity of all wheels."""
+        return [self.values[f"wheel.{wheel}.{quantity}"] for wheel in order]
+
+    def twist(self) -> tuple[float, float]:
+        """Return forward speed [m/s] and turn rate [rad/s] that follow from the wheels' speeds."""
+        left, right = _sides(self.values, "speed_rpm")
+        forward = 0.5 * (left - right) / self.shape.rpm_per_m_s
+        return forward, 0.5 * (left + right) / self.shape.rpm_per_rad_s
+
+    def ignore(self, what: str) -> None:
+        """Count a command that has no effect here."""
+        self.ignored[what] = self.ignored.get(what, 0) + 1
+
+    # --- parts that many messages have ------------------------------------------------------------
+
+    def make(self, name: str, /, **fields: Any) -> Any:
+        """Return a message of type ``package/msg/Name``."""
+        return self.types.make(name, **fields)
+
+    def time(self, ns: int) -> Any:
+        """Return a ROS time."""
+        sec, nanosec = divmod(ns, NS_PER_S)
+        return self.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+
+    def header(self, frame: str) -> Any:
+        """Return a header with the stamp of this frame."""
+        name = self.frame_prefix + frame
+        return self.make("std_msgs/msg/Header", stamp=self.time(self.stamp_ns), frame_id=name)
+
+    def vector(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
+        """Return a Vector3."""
+        return self.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def turned(self, yaw_rad: float) -> Any:
+        """Return the quaternion of a heading."""
+        half = 0.5 * yaw_rad
+        kind = "geometry_msgs/msg/Quaternion"
+        return self.make(kind, x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
+
+    def pose(self, x: float, y: float, yaw: float) -> Any:
+        """Return a planar Pose."""
+        point = self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+        return self.make("geometry_msgs/msg/Pose", position=point, orientation=self.turned(yaw))

@@ -1,0 +1,117 @@
+"""Against Fast DDS as rmw_fastrtps configures it: every topic of every flavour, both ways."""
+
+import math
+
+import pytest
+
+from hilserver.ros.flavours import FLAVOURS
+from hilserver.signals import State
+from tests.io.ros2.rig import PATIENCE_S, Host, four_floats, robot, speeds, twist, value
+from tests.loopback.rig import wait_until
+
+EXTRAS = {"tf": True, "clock": True, "odom": True, "pose_stamped": True}
+
+
+def endpoints(flavour, space=""):
+    """Every topic of a flavour, as the host has it."""
+    known = FLAVOURS[flavour]
+    absolute = {p.topic: p for p in (*known.published, *known.extras.values())}
+    for published in absolute.values():
+        name = published.topic if published.topic[0] == "/" else f"{space}/{published.topic}"
+        reliability = "reliable" if published.qos.reliable else "best_effort"
+        yield "r", f"rt{name}", published.type, reliability
+    for subscribed in known.subscribed:
+        yield "w", f"rt{space}/{subscribed.topic}", subscribed.type, "reliable"
+
+
+async def test_a_host_drives_by_rpm_and_reads_every_topic(fast_dds, domain):
+    host = Host(fast_dds, domain, *endpoints("iotbot_shield"))
+    driving = host.repeating("rt/iotbot/rpm", **speeds(40, -30, 40, -30))
+    async with robot(domain, publish=EXTRAS) as daemon, host, driving:
+        seen = await host.sees("rt/iotbot/rpm/return", lambda m: m.front_left_rpm > 39)
+        assert seen.front_right_rpm == pytest.approx(-30, abs=1)
+        for topic in host.received:
+            await host.sees(topic)
+        imu = host.last("rt/iotbot/imu")
+        assert imu.header.frame_id == "imu_link"
+        assert imu.linear_acceleration.z == pytest.approx(9.80665)
+        assert len(host.last("rt/iotbot/tof").data) == 4
+        assert host.last("rt/iotbot/battery").voltage > 10
+        transform = host.last("rt/tf").transforms[0]
+        assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+        assert daemon.gate.owner == "ros2"
+        status = daemon.ros2.status
+        await wait_until(lambda: status.connected and not status.stale, PATIENCE_S)
+        assert status.interval.last_ns is not None
+        assert status.one_way.last_ns is not None
+        assert daemon.gate.age_s("ros2") < PATIENCE_S
+
+
+async def test_twist_and_gamepad(fast_dds, domain):
+    host = Host(fast_dds, domain, *endpoints("iotbot_shield"))
+    async with robot(domain) as daemon, host:
+        async with host.repeating("rt/cmd_vel", **twist(0.2, 0.3)):
+            await wait_until(
+                lambda: abs((value(daemon, "velocity.linear_m_s") or 0) - 0.2) < 0.01, PATIENCE_S
+            )
+            assert value(daemon, "velocity.angular_rad_s") == pytest.approx(0.3, abs=0.05)
+        async with host.repeating("rt/cmd_vel", **twist(50.0, 0.0)):
+            fastest = daemon.assembly.robot.max_linear_m_s
+            await wait_until(
+                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(fastest), PATIENCE_S
+            )
+
+
+async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
+    host = Host(fast_dds, domain, *endpoints("thesis_sil"))
+    async with robot(domain, flavour="thesis_sil") as daemon, host:
+        await host.sees("rt/rpm/return")
+        for cdr in (b"\0\1\0\0", b"\0\1\0\0" + bytes(7)):  # cut off: DDS itself drops it
+            host.write_cdr("rt/rpm", cdr)
+        for numbers in ([1, 2, 3], [math.nan, 0, 0, 0], [1e9, 0, 0, 0]):
+            host.write("rt/rpm", **four_floats(*numbers))
+        counts = daemon.ros2.status.fault_counts
+        await wait_until(lambda: counts["refused_value"] == 2, PATIENCE_S)
+        assert counts["bad_message"] == 1
+        assert any("3 numbers" in sentence for sentence in daemon.ros2.status.faults.values())
+        assert daemon.ros2.status.stale, "nothing usable has come"
+        assert daemon.control.state is State.RUNNING
+        assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
+
+
+async def test_edu_robot(fast_dds, domain):
+    host = Host(fast_dds, domain, *endpoints("eduard", "/eduard"))
+    async with robot(domain, flavour="eduard") as daemon, host:
+        async with host.repeating("rt/eduard/cmd_vel", **twist(0.2)):
+            seen = await host.sees("rt/eduard/odometry", lambda m: m.twist.twist.linear.x > 0.19)
+            assert seen.header.frame_id == "eduard/odom"
+            for topic in set(host.received) - {
+                "rt/tf",
+                "rt/clock",
+                "rt/poseStamped",
+                "rt/eduard/odom",
+            }:
+                if "kinematic" not in topic:  # a latched one, for a reader that asks for no past
+                    await host.sees(topic)
+            report = host.last("rt/eduard/status_report")
+            right, left = report.rpm[0], report.rpm[3]
+            assert right > 0 > left, "edu_robot's signs"
+            assert report.robot_state.mode.mode == 2
+            names = {m.name[0] for m in host.messages("rt/eduard/joint_states")}
+            assert len(names) == 4
+        assert daemon.ros2.status.fault_counts.total() == 0
+
+
+async def test_the_five_topics_of_the_thesis(fast_dds, domain):
+    host = Host(fast_dds, domain, *endpoints("thesis_sil"))
+    driving = host.repeating("rt/rpm", **four_floats(10, 20, -30, -40))
+    async with robot(domain, flavour="thesis_sil") as daemon, host, driving:
+        seen = await host.sees("rt/rpm/return", lambda m: m.data and m.data[3] < -39)
+        assert [round(x) for x in seen.data] == [10, 20, -30, -40]
+        assert value(daemon, "wheel.rl.setpoint_rpm") == 20.0
+        place = await host.sees("rt/position_and_orientation")
+        assert len(place.data) == 6
+        assert math.isnan(place.data[5]), "no mechatronic model is running"
+        assert len((await host.sees("rt/distance_measurements")).data) == 4
+        host.write("rt/lights_color", data=0x46)
+        await wait_until(lambda: value(daemon, "lights.command") == 4, PATIENCE_S)
