@@ -8,8 +8,11 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import EXIT_DONE
+from hilserver.plant.layout import WHEELS
 
 EXAMPLE = "hilserver check -c config.yaml"
+TWIST = ("twist.linear_m_s", "twist.angular_rad_s")
+WHEEL_SETPOINTS = tuple(f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,12 +67,39 @@ def describe(assembly: Assembly) -> list[str]:
             f"ROS 2: {ros2.flavour} on {ros2.interface}, services as {ros2.rmw} has them, stale"
             f" after {ros2.stale_after_ms:g} ms: {ros2.on_stale}"
         )
-    lines.append(f"control: '{config.first_source}' has control at start")
+    lines.append(
+        f"control: '{config.first_source}' has control at start; sources, highest first:"
+        f" {', '.join(config.sources)}"
+    )
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
     lines.append(f"metrics: {address}")
-    return lines
+    return lines + [f"warning: {text}" for text in warnings(assembly)]
+
+
+def warnings(assembly: Assembly) -> list[str]:
+    """Return what is allowed and yet hardly meant."""
+    config, table = assembly.config, assembly.table
+    if config.first_source != "peer":
+        return []
+    read = {name for peer in config.peers for name in peer.inputs}
+    if not read.isdisjoint(TWIST):
+        if "control.mode" in read:
+            return []
+        return [
+            "peers set the twist, but none sets control.mode: it starts at 0 (wheels), and the"
+            " twist has no effect until somebody writes 1"
+        ]
+    commanded = {slot for name in read for slot in table[name].slots}
+    idle = [name for name in WHEEL_SETPOINTS if table.slot(name) not in commanded]
+    if not idle:
+        return []
+    return [
+        f"'peer' has control at start, but no peer sets {', '.join(idle)}: these wheels stand"
+        " still; one node may feed several inputs, as in 'ns=1;s=left':"
+        " [wheel.fl.setpoint_rpm, wheel.rl.setpoint_rpm]"
+    ]
 
 
 def _protection(peer: PeerConfig) -> str:

@@ -10,6 +10,9 @@ import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
+import structlog
+
+from hilserver.commands.announcing import Announcer
 from hilserver.commands.demo import demo_assembly, running_controller
 from hilserver.commands.options import add_config, number_within
 from hilserver.commands.page_setup import page_setup
@@ -23,11 +26,19 @@ from hilserver.faults.scenario import Play, json_schema, load_scenario
 from hilserver.io.page.launch import running_page
 from hilserver.io.page.listening import listen, url_of
 from hilserver.logs.writing import check_suffix
-from hilserver.monitoring.logging_setup import RepeatLimiter, report_repeats, setup_logging
+from hilserver.monitoring.logging_setup import (
+    RepeatLimiter,
+    is_readable,
+    report_repeats,
+    setup_logging,
+)
 from hilserver.monitoring.watchdog import Watchdog
 from hilserver.program import event_loop
+from hilserver.program.footer import Footer
 
 EXAMPLE = "hilserver run --demo"
+
+_log = structlog.get_logger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,9 +86,11 @@ def run(args: argparse.Namespace) -> int:
     play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
     assembly = _recorded(assembled(args), args.record)
     logging = assembly.config.logging
-    limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
     main = _demo if args.demo else _run
-    return event_loop.run(main(assembly, limiter, args.duration, play))
+    with Footer(sys.stderr) if sys.stderr.isatty() else contextlib.nullcontext() as footer:
+        limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s, footer)
+        announcer = Announcer(readable=is_readable(logging.format, sys.stderr), footer=footer)
+        return event_loop.run(main(assembly, limiter, args.duration, play, announcer))
 
 
 def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
@@ -90,14 +103,22 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
 
 
 async def _demo(
-    assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
+    assembly: Assembly,
+    limiter: RepeatLimiter,
+    duration_s: float | None,
+    play: Play | None,
+    announcer: Announcer,
 ) -> int:
     async with running_controller(assembly.robot) as endpoint:
-        return await _run(demo_assembly(assembly, endpoint), limiter, duration_s, play)
+        return await _run(demo_assembly(assembly, endpoint), limiter, duration_s, play, announcer)
 
 
 async def _run(
-    assembly: Assembly, limiter: RepeatLimiter, duration_s: float | None, play: Play | None
+    assembly: Assembly,
+    limiter: RepeatLimiter,
+    duration_s: float | None,
+    play: Play | None,
+    announcer: Announcer,
 ) -> int:
     virtual = assembly.config.scheduler.backend == "virtual"
     waits = virtual and duration_s is not None  # its first tick is that of the duration
@@ -105,19 +126,19 @@ async def _run(
     asked = event_loop.end_event()
     if asked.is_set():
         return EXIT_DONE
-    with _listening(assembly.config.page) as listener:
+    with _listening(assembly.config.page, announcer) as listener:
         async with starting as daemon:
             watchdog = _make_watchdog(daemon)
-            _print_addresses(daemon)
-            page = _page(daemon, listener)
-            async with watchdog.watching(), _reload_on_hangup(daemon, watchdog), page:
+            announcer.running(daemon)
+            page, status = _page(daemon, listener), announcer.showing_status(daemon)
+            async with watchdog.watching(), _reload_on_hangup(daemon, watchdog), page, status:
                 code = await daemon.wait(duration_s, asked)
     report_repeats(daemon.limiter or limiter, at_end=True)
     return code
 
 
 @contextlib.contextmanager
-def _listening(page: PageConfig) -> Iterator[socket.socket | None]:
+def _listening(page: PageConfig, announcer: Announcer) -> Iterator[socket.socket | None]:
     """Listen for the page and say where; a page that cannot is no reason not to run."""
     if not page.enabled:
         yield None
@@ -125,12 +146,11 @@ def _listening(page: PageConfig) -> Iterator[socket.socket | None]:
     try:
         listener = listen(page.host, page.port)
     except FailedError as error:
-        print(f"hilserver: {error}; running without the page", file=sys.stderr)
+        _log.warning("running without the page", reason=str(error))
         yield None
         return
     with listener:
-        url = url_of(listener, page.host, is_encrypted=page.tls is not None)
-        print(f"operator page: {url}", file=sys.stderr, flush=True)
+        announcer.page(url_of(listener, page.host, is_encrypted=page.tls is not None))
         yield listener
 
 
@@ -174,17 +194,3 @@ async def _reload_on_hangup(daemon: Daemon, watchdog: Watchdog) -> AsyncIterator
             yield
         finally:
             task.cancel()
-
-
-def _print_addresses(daemon: Daemon) -> None:
-    lines = ["hilserver is running; stop it with Ctrl-C"]
-    if daemon.server is not None:
-        lines.append(f"  OPC UA   {daemon.server.url}")
-    if daemon.http is not None:
-        lines.append(f"  metrics  {daemon.http.url}")
-    lines += [f"  peer     {peer.config.name} at {peer.config.endpoint}" for peer in daemon.peers]
-    if daemon.shield is not None:
-        lines.append(f"  shield   {daemon.shield.address}")
-    if daemon.ros2 is not None:
-        lines.append(f"  ROS 2    {daemon.ros2.address}")
-    print("\n".join(lines), file=sys.stderr, flush=True)

@@ -70,39 +70,47 @@ def place(path: Path | None, location: Path_) -> str:
 
 
 def _parse(path: Path) -> yaml.Node | None:
+    content, depth = _read(path), 0
     try:
-        text, depth = _read(path).decode("utf-8"), 0
+        text = content.decode("utf-8")
         # Events come one by one; composing recurses, so it is not left to find the depth out.
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > MAX_DEPTH:
-                raise _too_deep(path)
+                raise _too_deep(path, event.start_mark)
         return yaml.compose(text, Loader=yaml.SafeLoader)
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save it as UTF-8") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            f"{path}:{line}: byte {error.start} is not UTF-8; save it as UTF-8"
+        ) from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{path}:{line}: not YAML: {error.problem}") from None
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not YAML: {str(error).splitlines()[0]}") from None
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise ConfigError(f"{path}:{line}: not YAML: {str(error).splitlines()[0]}") from None
 
 
 def _read(path: Path) -> bytes:
-    mode = path.stat().st_mode
-    if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
-        raise ConfigError(f"{path}: is not a regular file; it is read more than once")
-    with path.open("rb") as file:
-        content = file.read(MAX_BYTES + 1)
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
+            raise ConfigError(f"{path}: is not a regular file; it is read more than once")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if len(content) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes; is it a configuration?")
     return content
 
 
-def _too_deep(path: Path) -> ConfigError:
-    return ConfigError(f"{path}: nested more than {MAX_DEPTH} levels deep; flatten it")
+def _too_deep(path: Path, mark: Any) -> ConfigError:
+    return ConfigError(
+        f"{path}:{mark.line + 1}: nested more than {MAX_DEPTH} levels deep; flatten it"
+    )
 
 
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
@@ -113,9 +121,12 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
         return {}
     for number, (node, depth) in enumerate(_walk(root)):
         if depth > MAX_DEPTH:
-            raise _too_deep(path)
+            raise _too_deep(path, node.start_mark)
         if number >= MAX_VALUES:
-            raise ConfigError(f"{path}: more than {MAX_VALUES} values; use fewer aliases")
+            raise ConfigError(
+                f"{path}:{node.start_mark.line + 1}: more than {MAX_VALUES} values; use fewer"
+                " aliases"
+            )
         if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and ":" in node.value:
             raise ConfigError(
                 f"{path}:{node.start_mark.line + 1}: YAML takes {node.value} for a number to the"
@@ -139,7 +150,17 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ConfigError(f"{path}:{line}: {error.problem}") from None
     except ValueError as error:
-        raise ConfigError(f"{path}: a value cannot be read: {error}") from None
+        line = next(node.start_mark.line for node, _ in _walk(root) if not _is_readable(node)) + 1
+        raise ConfigError(f"{path}:{line}: a value cannot be read: {error}") from None
+
+
+def _is_readable(node: yaml.Node) -> bool:
+    try:
+        if isinstance(node, yaml.ScalarNode):
+            yaml.constructor.SafeConstructor().construct_document(node)
+    except ValueError:
+        return False
+    return True
 
 
 def _walk(node: yaml.Node, depth: int = 0) -> Iterator[tuple[yaml.Node, int]]:

@@ -237,13 +237,13 @@ class SignalProblem:
 
     Attributes
     ----------
-    location : tuple of str
-        Keys below the peer, e.g. ``("read", "ns=1;s=x")``.
+    location : tuple
+        Keys below the peer, e.g. ``("read", "ns=1;s=x")``, or below ``peers``, with its number.
     message : str
         One sentence.
     """
 
-    location: tuple[str, ...]
+    location: tuple[str | int, ...]
     message: str
 
 
@@ -293,16 +293,17 @@ def check_signals(peer: PeerConfig, table: _TableLike) -> list[SignalProblem]:
 def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
     """Return the names that two peers share, and inputs that two peers would set."""
     problems = []
-    twice = _first_duplicate(peer.name for peer in peers)
-    if twice is not None:
-        problems.append(SignalProblem((twice, "name"), f"two peers have the name '{twice}'"))
-    owner: dict[str, str] = {}
-    for peer in peers:
+    names, owner = set[str](), dict[str, str]()
+    for index, peer in enumerate(peers):
+        if peer.name in names:
+            message = f"two peers have the name '{peer.name}'"
+            problems.append(SignalProblem((index, "name"), message))
+        names.add(peer.name)
         for node, signal in _reads(peer):
             other = owner.setdefault(signal, peer.name)
             if other != peer.name:
                 message = f"'{signal}' is set by two peers, '{other}' and '{peer.name}'"
-                problems.append(SignalProblem((peer.name, "read", node), message))
+                problems.append(SignalProblem((index, "read", node), message))
     return problems
 
 

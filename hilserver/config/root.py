@@ -3,9 +3,9 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hilserver.config.loading import load
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
@@ -50,19 +50,15 @@ class Config(Section):
     page: PageConfig = Field(default_factory=PageConfig)
     logging: LoggingConfig = Field(default_factory=LoggingConfig)
 
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        if self.first_source not in self.control.priority:
-            raise ValueError(f"control: source '{self.first_source}' is not in priority")
-        if self.shield.enabled and any(peer.name == "shield" for peer in self.peers):
-            raise ValueError("peers: a peer cannot be named 'shield' while shield is enabled")
-        if self.ros2.enabled and any(peer.name == "ros2" for peer in self.peers):
-            raise ValueError("peers: a peer cannot be named 'ros2' while ros2 is enabled")
-        names = [block.name for block in self.blocks]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ValueError(f"blocks: two blocks have the name '{twice[0]}'")
-        return self
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Kinds of sources that exist here, highest priority first.
+
+        One with a section of its own exists where that is enabled.
+        """
+        sections = {"page": self.page, "ros2": self.ros2, "shield": self.shield}
+        absent = {name for name, section in sections.items() if not section.enabled}
+        return tuple(source for source in self.control.priority if source not in absent)
 
     @property
     def first_source(self) -> Source:

@@ -5,7 +5,8 @@ through here, so that what `check` accepts, `run` can start.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -64,6 +65,14 @@ class Assembly:
     def folder(self) -> Path:
         """Folder that relative paths of the configuration start from."""
         return Path.cwd() if self.path is None else self.path.resolve().parent
+
+    @contextmanager
+    def at(self, *location: str | int) -> Iterator[None]:
+        """Add the place in the file to complaints about what stands there."""
+        try:
+            yield
+        except ConfigError as error:
+            raise ConfigError(place(self.path, location) + str(error)) from None
 
     @property
     def identity(self) -> dict[str, str]:
@@ -151,6 +160,8 @@ class _Builder:
 
     def build(self) -> Assembly:
         config = self._config
+        self._check_owner()
+        self._check_names()
         base_ns = round(config.scheduler.base_period_ms * NS_PER_MS)
         slices = self._slices(base_ns)
         periods_s = {s.name: s.period_ticks * base_ns * 1e-9 for s in slices}
@@ -174,6 +185,28 @@ class _Builder:
         return Assembly(
             config, config, self._path, robot, table, base_ns, slices, composition, self._patch
         )
+
+    def _check_owner(self) -> None:
+        config, first = self._config, self._config.first_source
+        if first not in config.control.priority:
+            raise self._fail(("control",), f"source '{first}' is not in priority")
+        if first not in config.sources:
+            known = ", ".join(config.sources)
+            here = ("control", "source")
+            raise self._fail(here, f"there is no '{first}' here; sources are {known}")
+
+    def _check_names(self) -> None:
+        sections = {"shield": self._config.shield, "ros2": self._config.ros2}
+        for index, peer in enumerate(self._config.peers):
+            if peer.name in sections and sections[peer.name].enabled:
+                here = ("peers", index, "name")
+                raise self._fail(
+                    here, f"a peer cannot be named '{peer.name}' while {peer.name} is enabled"
+                )
+        names = [block.name for block in self._config.blocks]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise self._fail(("blocks", index, "name"), f"two blocks have the name '{name}'")
 
     def robot(self, periods_s: Mapping[str, float]) -> RobotParameters:
         """Return the plant of the configuration, with the patch over it."""
@@ -257,7 +290,7 @@ class _Builder:
                     f"nothing measures '{name}'; see the measured.* of 'hilserver signals'",
                 )
         for problem in check_peers(list(self._config.peers)):
-            raise self._fail(("peers",), problem.message)
+            raise self._fail(("peers", *problem.location), problem.message)
 
 
 def _ranges(robot: RobotParameters) -> Ranges:

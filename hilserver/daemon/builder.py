@@ -187,7 +187,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         image,
         events,
         owner=config.first_source,
-        priority=config.control.priority,
+        priority=config.sources,
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))

@@ -36,21 +36,24 @@ def make_peers(
     core: Core, clock: UtcClock, outputs: Outputs, supervision: Supervision
 ) -> list[PeerLink]:
     """Return a link for every configured peer."""
-    config, folder = core.assembly.config, core.assembly.folder
-    return [
-        PeerLink(
-            peer,
-            gate=core.gate,
-            on_stale=supervision.on_stale,
-            on_restored=supervision.on_restored,
-            events=core.events,
-            read_output=outputs.read,
-            clock=clock,
-            line=core.lines[peer.name],
-            security=LinkSecurity(peer, config.opcua, folder),
+    assembly, links = core.assembly, []
+    for index, peer in enumerate(assembly.config.peers):
+        with assembly.at("peers", index):
+            security = LinkSecurity(peer, assembly.config.opcua, assembly.folder)
+        links.append(
+            PeerLink(
+                peer,
+                gate=core.gate,
+                on_stale=supervision.on_stale,
+                on_restored=supervision.on_restored,
+                events=core.events,
+                read_output=outputs.read,
+                clock=clock,
+                line=core.lines[peer.name],
+                security=security,
+            )
         )
-        for peer in config.peers
-    ]
+    return links
 
 
 def make_desk(core: Core, stage: Stage) -> Desk:
@@ -105,24 +108,25 @@ def make_server(
     desk: Desk,
 ) -> OpcUaServer | None:
     """Return the OPC UA server, None where the configuration has none."""
-    config = core.assembly.config.opcua
-    if not config.enabled:
+    assembly = core.assembly
+    if not assembly.config.opcua.enabled:
         return None
-    return OpcUaServer(
-        config,
-        core.table,
-        core.image,
-        core.gate,
-        control,
-        core.events,
-        clock,
-        statistics=lambda: figures.slice_table(core.scheduler),
-        peers=lambda: figures.peer_table(peers()),
-        audit=lambda: figures.audit_table(audit),
-        faults=core.faults,
-        files=desk,
-        folder=core.assembly.folder,
-    )
+    with assembly.at("blocks"):  # a name or a unit of theirs that cannot be shown
+        return OpcUaServer(
+            assembly.config.opcua,
+            core.table,
+            core.image,
+            core.gate,
+            control,
+            core.events,
+            clock,
+            statistics=lambda: figures.slice_table(core.scheduler),
+            peers=lambda: figures.peer_table(peers()),
+            audit=lambda: figures.audit_table(audit),
+            faults=core.faults,
+            files=desk,
+            folder=assembly.folder,
+        )
 
 
 def make_metrics(

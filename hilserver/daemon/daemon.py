@@ -16,6 +16,7 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.core.deadman import DeadMan
 from hilserver.core.events import Event, EventKind
+from hilserver.daemon import figures
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core, Pace, build
 from hilserver.daemon.connections import (
@@ -160,7 +161,8 @@ class Daemon:
         self._resources.push_async_callback(self.desk.recordings.close)
         for server in (self.http, self.server):
             if server is not None:
-                await server.start()
+                with self.assembly.at("opcua" if server is self.server else "metrics"):
+                    await server.start()
                 self._resources.push_async_callback(server.stop)
         if self.ros2 is not None:
             self._resources.push_async_callback(self.ros2.stop)
@@ -201,15 +203,14 @@ class Daemon:
         """Look at what the system granted, show it and say what is missing."""
         self.audit[:] = audit(self.scheduler)
         self.image.tell(audit=[dataclasses.asdict(item) for item in self.audit])
-        for item in self.audit:
-            if not item.ok:
-                _log.warning(
-                    "degraded",
-                    item=item.name,
-                    found=item.found,
-                    wanted=item.wanted,
-                    remedy=item.remedy,
-                )
+        missing = [item for item in self.audit if not item.ok]
+        if missing:
+            _log.warning(
+                "degraded",
+                missing=", ".join(item.name for item in missing),
+                remedies="hilserver latency-test",
+                details=figures.audit_table(missing),
+            )
 
     async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
         """Run until `asked` is set, time is over or the scheduler ends; return the exit code.

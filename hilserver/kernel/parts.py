@@ -8,7 +8,7 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.image import word
-from hilserver.image.status import GOOD, UNCERTAIN
+from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
 from hilserver.kernel.places import Places
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
@@ -95,8 +95,8 @@ def give_up(y: Any) -> None:
 
 @kernel()
 def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
-    """Copy a block's outputs to the signals in `slots`; what is not finite is Uncertain."""
+    """Copy a block's outputs to the signals in `slots`; what is not finite is Bad."""
     for i in range(slots.shape[0]):
         values[words[word.FRAME_BASE] + slots[i]] = y[i]
-        status = GOOD if math.isfinite(y[i]) else UNCERTAIN
+        status = GOOD if math.isfinite(y[i]) else BAD_SENSOR_FAILURE
         words[words[word.STATUS_BASE] + slots[i]] = status

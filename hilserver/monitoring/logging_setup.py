@@ -1,8 +1,8 @@
 """Logging: one chain for our own lines and those of libraries.
 
-Readable on a terminal (local time, no logger names), one JSON object per line otherwise (UTC). A
-line that repeats is printed once per window and counted; the next one that passes says how many
-were left out::
+Readable on a terminal (local time, no logger names, no ``details``), one JSON object per line
+otherwise (UTC). A line that repeats is printed once per window and counted; the next one that
+passes says how many were left out::
 
     overrun  cause=preempted slice=plant ...
     overrun  cause=preempted slice=plant suppressed=1843 ...
@@ -18,7 +18,7 @@ import sys
 import time
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TextIO
+from typing import Any, Protocol
 
 import structlog
 
@@ -33,6 +33,19 @@ EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.Cancelled
 TRACING_LIBRARY = "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
 LIBRARIES = ("asyncua", "asyncio")  # their INFO lines tell nothing to somebody who runs a robot
 _NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
+
+
+class Stream(Protocol):
+    """Where lines go."""
+
+    def write(self, text: str, /) -> int:
+        """Write whole lines."""
+
+    def flush(self) -> None:
+        """Hand over what was written."""
+
+    def isatty(self) -> bool:
+        """Whether it is a terminal."""
 
 
 class Overrun(Protocol):
@@ -138,7 +151,7 @@ def setup_logging(
     level: str = "INFO",
     line_format: str = "auto",
     repeat_window_s: float = 10.0,
-    stream: TextIO | None = None,
+    stream: Stream | None = None,
     expected_errors: tuple[type[BaseException], ...] = (),
     clock_s: Callable[[], float] = time.monotonic,
 ) -> RepeatLimiter:
@@ -150,7 +163,7 @@ def setup_logging(
         DEBUG, INFO, WARNING or ERROR.
     line_format : str
         ``console``, ``json`` or ``auto``: console on a terminal.
-    stream : TextIO
+    stream : Stream
         Where lines go; stderr by default.
     expected_errors : tuple of exception types
         Reported in one line, besides `EXPECTED_ERRORS`.
@@ -183,7 +196,7 @@ def setup_logging(
     return limiter
 
 
-def is_readable(line_format: str, out: TextIO) -> bool:
+def is_readable(line_format: str, out: Stream) -> bool:
     """Whether lines on `out` are for people: asked for, or `out` is a terminal."""
     return line_format == "console" or (line_format == "auto" and out.isatty())
 
@@ -195,7 +208,7 @@ def _rendering(is_console: bool, *, colors: bool) -> list[Any]:
         return [stamp, structlog.processors.format_exc_info, json]
     plain = structlog.dev.plain_traceback
     return [
-        _drop_logger_name,
+        _drop_what_is_for_programs,
         structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
         structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain),
     ]
@@ -246,7 +259,7 @@ def log_event(event: Event) -> None:
 class _StreamLogger:
     """Writes finished lines; a stream that is gone must not stop the robot."""
 
-    def __init__(self, stream: TextIO, name: str) -> None:
+    def __init__(self, stream: Stream, name: str) -> None:
         self.name = name
         self._stream = stream
 
@@ -305,8 +318,9 @@ def _add_logger_name(logger: Any, _method: str, event: EventDict) -> EventDict:
     return event
 
 
-def _drop_logger_name(_logger: Any, _method: str, event: EventDict) -> EventDict:
-    event.pop("logger", None)
+def _drop_what_is_for_programs(_logger: Any, _method: str, event: EventDict) -> EventDict:
+    for key in ("logger", "details"):
+        event.pop(key, None)
     return event
 
 

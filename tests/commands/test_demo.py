@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-import re
 import shutil
 import signal
 import subprocess
@@ -14,6 +13,7 @@ import pytest
 
 from hilserver.controller.path import Eight
 from tests.commands.test_cli import write_config
+from tests.helpers.daemons import announced
 
 CLIENT = Path(__file__).parents[1] / "foreign_client"
 WATCH_S = 90.0
@@ -33,9 +33,9 @@ def demo(tmp_path):
     command += ["-c", str(write_config(tmp_path))]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         for line in process.stderr:
-            if match := re.search(r"OPC UA +(opc\.tcp://\S+)", line):
+            if started := announced([line]):
                 break
-        yield process, match.group(1)
+        yield process, started["opcua"]
         process.kill()
 
 

@@ -47,10 +47,10 @@ def complaint(tmp_path, text):
         ("backend: a\nbackend: b\n", "config.yaml:2: key 'backend' is already in line 1;"),
         ("peers: [\n", "config.yaml:2: not YAML"),
         ("a: b: c\n", "config.yaml:1: not YAML"),
-        (b"backend: \xff\n", "config.yaml: byte 9 is not UTF-8"),
+        (b"backend: \xff\n", "config.yaml:1: byte 9 is not UTF-8"),
         ("- 1\n", "config.yaml:1: "),
         ("backend: !!python/object:os.system x\n", "config.yaml:1: "),
-        ("backend: 2024-13-45\n", "config.yaml: a value cannot be read: month"),
+        ("backend: 2024-13-45\n", "config.yaml:1: a value cannot be read: month"),
         ("? [a]\n: 1\n", "config.yaml:1: "),
     ],
 )

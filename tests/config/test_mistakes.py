@@ -74,6 +74,10 @@ def complaint(tmp_path, text):
         ("control: {priority: [opcua, opcua]}\n", ":1: control: priority names 'opcua' twice"),
         ("control: {priority: [scenario]}\n", ":1: control: source 'opcua' is not in pri"),
         (peer(READ) + "control: {priority: [opcua]}\n", ": control: source 'peer' is not in"),
+        (
+            "page: {enabled: false}\ncontrol: {source: page}\n",
+            ":2: control.source: there is no 'page' here; sources are scenario, opcua, peer",
+        ),
         # peers
         (peer("read: {'ns=1;s=x': internal.command}"), "there is no signal 'internal.command'"),
         (

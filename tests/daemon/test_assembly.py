@@ -29,7 +29,7 @@ ONE = "name: {}, function: 'own.py:follow', slice: sensors, inputs: {{u: pose.x_
 @pytest.mark.parametrize(
     ("blocks", "complaint"),
     [
-        ([ONE.format("a"), ONE.format("a")], ":1: blocks: two blocks have the name 'a'"),
+        ([ONE.format("a"), ONE.format("a")], ":3: blocks[1].name: two blocks have the name 'a'"),
         ([ONE.format("audit")], ":2: blocks[0].name: 'audit' is reserved"),
         ([ONE.format("pose")], ":2: blocks[0].name: 'pose' is reserved"),
         ([ONE.format("a").replace("pose.x_m", "pose.z_m")], ":2: blocks[0].inputs.u: there is no"),

@@ -1,7 +1,7 @@
 """A real daemon in a process of its own, on a free port and with an image of its own."""
 
 import contextlib
-import re
+import json
 import signal
 import subprocess
 import sys
@@ -11,6 +11,7 @@ from hilserver.image.shared_file import path_of
 from tests.fakes import image_name
 
 START_LIMIT_S = 90
+RUNNING = '"hilserver is running"'
 
 
 @dataclass
@@ -54,12 +55,20 @@ def _addresses(process, log):
     """Return the addresses of the OPC UA server and of the metrics."""
     for _ in range(START_LIMIT_S * 10):
         text = log.read_text(encoding="utf-8")
-        if match := re.search(r"OPC UA +(opc\.tcp://\S+)\s+metrics +(http://\S+)", text):
-            return match.groups()
+        if started := announced(text.splitlines()):
+            return started["opcua"], started["metrics"]
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.1)
             break
     raise AssertionError(log.read_text(encoding="utf-8"))
+
+
+def announced(lines):
+    """Return the line in which a daemon says where it is reached; None while it has not."""
+    found = (
+        line for line in lines if '"hilserver is running"' in line and line.rstrip().endswith("}")
+    )
+    return next((json.loads(line) for line in found), None)
 
 
 def recorder(daemon, out, *options, **popen):

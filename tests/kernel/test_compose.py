@@ -8,7 +8,7 @@ import pytest
 
 from hilserver.daemon.assembly import assemble
 from hilserver.daemon.builder import build
-from hilserver.image.status import GOOD, UNCERTAIN
+from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
 from hilserver.scheduler.step import LATCH, PUBLISH
 
 BLOCKS = """
@@ -102,7 +102,7 @@ def test_a_block_that_goes_astray_is_a_fault_and_harms_nobody(tmp_path, function
             assert sound.tick(number) == 0
         value, status = plant.output("b1")
         assert math.isnan(value)
-        assert status == UNCERTAIN
+        assert status == BAD_SENSOR_FAILURE
         assert plant.output("b0") == (1.0, GOOD)
         assert plant.output("b2") == (2.0, GOOD)
         for name in ("x", "p", "hall", "b0.y", "b2.y"):

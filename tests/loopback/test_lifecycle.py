@@ -19,6 +19,7 @@ import pytest
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError, FailedError
+from tests.helpers.daemons import announced
 from tests.helpers.prom_diff import series_of_text
 from tests.loopback.rig import configuration
 
@@ -60,7 +61,7 @@ def wait_for(condition, timeout_s=30.0):
 
 
 def scrape(lines):
-    url = wait_for(lambda: next((x.split()[1] for x in lines if "metrics  http" in x), None))
+    url = wait_for(lambda: announced(list(lines)))["metrics"]
     with urllib.request.urlopen(url, timeout=5) as answer:
         return series_of_text(answer.read().decode())
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import re
 import shutil
 import subprocess
 import time
@@ -42,9 +41,9 @@ class Plant:
 def page_url(daemon):
     """The address that `hilserver run` prints as its first line."""
     first = (daemon.folder / "daemon.log").read_text(encoding="utf-8").splitlines()[0]
-    match = re.fullmatch(r"operator page: (http://\S+)", first)
-    assert match, first
-    return match.group(1)
+    said = json.loads(first)
+    assert said["event"] == "operator page"
+    return said["url"]
 
 
 class Browser:

@@ -132,7 +132,7 @@ def pacing_has_priority(service: Service) -> bool:
     audited = series["hil_audit_ok", frozenset({("item", "thread_priority")})]
     assert audited == is_fifo
     if not is_fifo:
-        named = {line.get("item"): line for line in service.lines() if line["event"] == "degraded"}
+        [named] = [line["details"] for line in service.lines() if line["event"] == "degraded"]
         assert named["thread_priority"]["found"] == "Operation not permitted"
         assert named["rtprio_limit"]["remedy"] or named["cgroup_cpu"]["remedy"]
     return is_fifo

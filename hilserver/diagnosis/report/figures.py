@@ -1,5 +1,6 @@
 """The plots of a report, from the evidence; those of channels over time are in `time_series`."""
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
@@ -8,6 +9,7 @@ from markupsafe import Markup
 
 from hilserver.diagnosis.catalogue.vocabulary import part_of
 from hilserver.diagnosis.findings.explain import QUANTITIES, number
+from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import (
     MARGIN_BOTTOM,
     MARGIN_LEFT,
@@ -20,6 +22,7 @@ from hilserver.diagnosis.report.svg import (
     picture,
     span_of,
 )
+from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import (
     Array,
     Course,
@@ -35,6 +38,9 @@ MAX_PATHS = 4
 SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22
 INTERVAL_WIDTH = 260.0
+INTERVAL_TICKS = 4
+ASIDE = 1.02
+"""Lines of one plot stand so far apart that their intervals can be read."""
 
 
 def path(way: Path) -> Figure:
@@ -74,34 +80,49 @@ def _end_error(measured: Array, track: Array) -> float:
     return float(np.hypot(*(track[-1] - measured[-1])))
 
 
-def horizons(rows: Sequence[HorizonRow]) -> list[Figure]:
-    """Draw the gain over the length of a free run, one picture for each quantity."""
-    return [_horizon(key, list(group)) for key, group in groupby(rows, lambda r: r.quantity)]
+def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
+    """Draw the gain over the length of a free run, a line for each quantity."""
+    runs = [r for r in rows if r.horizon_s > 0 and math.isfinite(r.ratio) and r.ratio > 0]
+    if not runs:
+        return None
+    length_s, ratios = np.array([r.horizon_s for r in runs]), np.array([r.ratio for r in runs])
+    ends = np.array([e for r in runs for e in r.ci95 or () if math.isfinite(e) and e > 0])
+    low, high = (10.0**v for v in span_of(np.log10(ratios), np.log10(ends), np.zeros(1)))
+    plot = Plot((length_s.min() / 1.25, length_s.max() * 1.25), (low, high), "free run [s]",
+                "times better", width=720, height=320, log_x=True, log_y=True)  # fmt: skip
+    plot.level(1.0, "as good as before")
+    legend = []
+    for place, (key, group) in enumerate(groupby(runs, lambda r: r.quantity)):
+        name, unit = QUANTITIES.get(key, (key, "1"))
+        role = f"quantity q{place}"
+        legend.append((role, name))
+        _gain_line(plot, list(group), role, name, unit, aside=ASIDE**place)
+    steps = [
+        f"{QUANTITIES.get(r.quantity, (r.quantity, ''))[0]} {Change.of(r)}"
+        for r in rows
+        if r.horizon_s == 0
+    ]
+    caption = "Error of the simulation by that of the extension, on held-out parts."
+    if steps:
+        caption += f" Of one step the error is: {'; '.join(steps)}."
+    svg = picture([plot], "Gain over the length of a free run")
+    return Figure(svg, "Gain", caption, wide=True, legend=tuple(legend))
 
 
-def _horizon(quantity: str, rows: list[HorizonRow]) -> Figure:
-    name, unit = QUANTITIES.get(quantity, (quantity, "1"))
-    runs = [r for r in rows if r.horizon_s > 0]
-    x = np.array([r.horizon_s for r in runs])
-    ratio = np.array([r.ratio for r in runs])
-    low, high = (np.array([r.ratio if r.ci95 is None else r.ci95[i] for r in runs]) for i in (0, 1))
-    y = span_of(low, high, np.ones(1))
-    plot = Plot((x.min() / 1.25, x.max() * 1.25), y, "free run [s]", "times better", log_x=True,
-                height=250)  # fmt: skip
-    plot.level(1.0, "no gain")
-    plot.line(x, ratio, "extended", f"{name}: ratio of errors")
-    plot.whiskers(x, low, high, "extended")
-    plot.dots(x, ratio, "extended", [_horizon_title(r, unit) for r in runs])
-    steps = [f"One step: {number(r.ratio, digits=2)} times." for r in rows if r.horizon_s == 0]
-    caption = " ".join(["Error of the simulation by that of the extension, held-out.", *steps])
-    return Figure(picture([plot], f"Gain in {name}"), name.capitalize(), caption)
+def _gain_line(
+    plot: Plot, rows: list[HorizonRow], role: str, name: str, unit: str, *, aside: float
+) -> None:
+    x, ratio = aside * np.array([r.horizon_s for r in rows]), np.array([r.ratio for r in rows])
+    low, high = (np.array([r.ratio if r.ci95 is None else r.ci95[i] for r in rows]) for i in (0, 1))
+    plot.line(x, ratio, role, f"{name}: ratio of errors")
+    plot.whiskers(x, low, high, role)
+    plot.dots(x, ratio, role, [f"{name}, {_horizon_title(r, unit)}" for r in rows])
 
 
 def _horizon_title(row: HorizonRow, unit: str) -> str:
-    sure = "" if row.ci95 is None else f", 95 % {number(row.ci95[0])} to {number(row.ci95[1])}"
     return (
         f"{number(row.horizon_s)} s: {number(row.before, unit)} to {number(row.after, unit)},"
-        f" {number(row.ratio)} times{sure}"
+        f" {Change.of(row)}"
     )
 
 
@@ -177,7 +198,7 @@ def spectrum(row: NoiseRow) -> Figure | None:
         plot.line(f, model, "extended", "model")
     return Figure(
         picture([plot], f"Noise of {row.channel}"),
-        row.channel,
+        plain(row.channel),
         "Dark: residual; blue: noise model.",
     )
 
@@ -196,7 +217,7 @@ def dependence(item: Dependence) -> Figure:
     plot.line(item.x, item.mean, "extended", f"{item.channel} over {item.regressor}")
     return Figure(
         picture([plot], f"{item.channel} over {item.regressor}"),
-        f"{item.channel} over {item.regressor}",
+        plain(f"{item.channel} over {item.regressor}"),
         f"Statistic {number(item.statistic)}, critical {number(item.critical)}.",
     )
 
@@ -239,13 +260,19 @@ def interval(parameter: Parameter, name: str) -> Markup:
         return Markup("<span></span>")
     low, high = parameter.ci95
     left, right = min(low, null), max(high, null)
-    margin = 0.08 * ((right - left) or 1.0)
-    to_x = Scale(left - margin, right + margin, 0, INTERVAL_WIDTH)
-    a, b, at, zero = (f"{float(to_x(v)):.1f}" for v in (low, high, parameter.value, null))
+    margin = 0.12 * ((right - left) or 1.0)
+    scale = Scale(left - margin, right + margin, 0, INTERVAL_WIDTH)
+    a, b, at, zero = (f"{float(scale(v)):.1f}" for v in (low, high, parameter.value, null))
     text = f"{name}: {number(low)} to {number(high)}; without the effect {number(null)}"
+    ticks = Markup("").join(
+        Markup('<path class="axis" d="M{x} 20v4"/><text x="{x}" y="38">{text}</text>').format(
+            x=f"{float(scale(value)):.1f}", text=label(value)
+        )
+        for value in scale.ticks(INTERVAL_TICKS)
+    )
     return Markup(
-        '<svg viewBox="0 0 {width:g} 24" role="img" aria-label="{text}">'
-        '<path class="grid" d="M0 12H{width:g}"/><path class="null" d="M{zero} 4V20"/>'
+        '<svg viewBox="0 0 {width:g} 42" role="img" aria-label="{text}">'
+        '<path class="axis" d="M0 20H{width:g}"/>{ticks}<path class="null" d="M{zero} 4V20"/>'
         '<path class="whisker" d="M{a} 12H{b}"/><circle class="dot" cx="{at}" cy="12" r="5"/>'
         "<title>{text}</title></svg>"
-    ).format(width=INTERVAL_WIDTH, text=text, zero=zero, a=a, b=b, at=at)
+    ).format(width=INTERVAL_WIDTH, text=text, ticks=ticks, zero=zero, a=a, b=b, at=at)

@@ -1,5 +1,7 @@
 """The whole page: words first, then plots, then the evidence."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -7,10 +9,11 @@ from itertools import zip_longest
 from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from hilserver.diagnosis.findings.explain import explain_finding, number
 from hilserver.diagnosis.report import figures, tables, words
+from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import Figure
 from hilserver.diagnosis.report.time_series import improvement, series
 from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
@@ -18,6 +21,8 @@ from hilserver.diagnosis.schema.findings import Findings, Verdict
 
 LEAST_CHANGE: Final = 0.03
 """Share of a residual below which a channel counts as not changed."""
+_SECTION: Final = re.compile(r'<section id="(\w+)">.*?<h2>(.*?)</h2>', re.DOTALL)
+_CELL: Final = re.compile(r"<td\b")
 STYLES: Final = ("plot.css", "style.css")
 MODELS: Final = (
     ("measured", "measured"),
@@ -70,7 +75,7 @@ class _Plots:
     paths: list[Figure]
     changed: list[Figure]
     same: list[Figure]
-    horizons: list[Figure]
+    horizons: Figure | None
     courses: list[Figure]
     rest: list[Figure]
     spectra: list[Figure]
@@ -96,6 +101,19 @@ class _Plots:
         )
 
 
+def _contents(main: str) -> list[tuple[str, Markup]]:
+    """Return id and title of every section."""
+    found = _SECTION.findall(main)
+    return [(name, Markup(title)) for name, title in found]  # noqa: S704 - escaped already
+
+
+def _headed(cells: str, head: Sequence[str]) -> Markup:
+    """Tell every cell of a row what its column is: a phone shows rows as blocks."""
+    heads = iter(head)
+    text = _CELL.sub(lambda _: f'<td data-head="{escape(next(heads))}"', cells)
+    return Markup(text)  # noqa: S704 - escaped already
+
+
 @cache
 def _environment() -> Environment:
     environment = Environment(
@@ -116,6 +134,10 @@ def _environment() -> Environment:
     environment.filters |= {
         "number": number,
         "sentence": explain_finding,
+        "plain": plain,
+        "change": words.Change.of,
+        "contents": _contents,
+        "headed": _headed,
         "interval": figures.interval,
         "beside": lambda columns: list(zip_longest(*columns)),
     }

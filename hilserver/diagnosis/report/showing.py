@@ -1,7 +1,7 @@
 """Fills the evidence: what the report draws."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +87,9 @@ def evidence(
             horizons += _horizons(s)
             paths = _paths(s, extended)
             similarity = _similarity(s)
+    start_s = min((float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0)
     return Evidence(
-        series=tuple(series),
+        series=tuple(replace(item, t_s=item.t_s - start_s) for item in series),
         paths=paths,
         cuts=cuts.cuts(prepared),
         noise=tuple(noise),
@@ -96,8 +97,10 @@ def evidence(
         selection=tuple(row for s in stages.values() for row in s.selection),
         similarity=similarity,
         gain_by_horizon=tuple(horizons),
-        dependences=tuple(rest),
-        courses=tuple(over_time),
+        dependences=tuple(
+            replace(item, x=item.x - start_s) if item.regressor == "t_s" else item for item in rest
+        ),
+        courses=tuple(replace(item, t_s=item.t_s - start_s) for item in over_time),
         extension=terms,
         fitted=_range(log, robot, stages),
         timings_s=dict(timings),
@@ -168,7 +171,10 @@ def _screen(s: Shown) -> list[ScreenRow]:
         t = float(s.scores.t[j])
         if c.cause in rows and abs(rows[c.cause].statistic) >= abs(t):
             continue
-        size = float(s.scores.size[j]) * (1.0 if c.linear else abs(c.start[0] - c.null[0]))
+        share = float(s.scores.size[j])
+        value = c.null[0] + share * (1.0 if c.linear else c.start[0] - c.null[0])
+        size = share * (1.0 if c.linear else abs(c.start[0] - c.null[0]))
+        is_possible = not c.is_limit and c.low[0] <= value <= c.high[0]
         try:
             unit = part_of(part).unit
         except KeyError:
@@ -179,7 +185,7 @@ def _screen(s: Shown) -> list[ScreenRow]:
             statistic=t,
             critical=limit,
             p_adjusted=float(adjusted(np.array([t]), maxima)[0]),
-            size=size,
+            size=size if is_possible else None,
             standard_error=abs(size / t) if t else 0.0,
             unit=unit,
             dof=float(library.problem.stack.n_blocks),

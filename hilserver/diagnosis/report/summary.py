@@ -3,7 +3,7 @@
 import textwrap
 
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number
-from hilserver.diagnosis.report.words import headline, is_unchanged
+from hilserver.diagnosis.report.words import Change, headline, is_unchanged
 from hilserver.diagnosis.schema.findings import Findings, Overall
 
 WIDTH = 96
@@ -24,14 +24,10 @@ def summary(findings: Findings) -> str:
         name, unit = QUANTITIES.get(key, (key, "1"))
         if is_unchanged(gain):
             continue
-        sure = ""
-        if gain.ci95 is not None:
-            low, high = (number(value, digits=2) for value in gain.ci95)
-            sure = f", 95 % {low} to {high}"
         lines.append(
             f"  Error of the {name} after {number(gain.horizon_s, 's')}:"
             f" {number(gain.before, unit, digits=2)} to {number(gain.after, unit, digits=2)}"
-            f" ({number(gain.ratio, digits=2)} times smaller{sure})"
+            f" ({Change.of(gain)})"
         )
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
         lines.append("  The report says how large an effect must be to be found.")

@@ -255,12 +255,13 @@ class Plot:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing with its title above and a sentence below."""
+    """A drawing with its title above and a sentence below; `legend`: roles and their words."""
 
     svg: Markup
     title: str
     caption: str
     wide: bool = False
+    legend: tuple[tuple[str, str], ...] = ()
 
 
 def picture(plots: Sequence[Plot], name: str) -> Markup:

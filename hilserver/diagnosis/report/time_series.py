@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.explain import number
+from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import MAX_POINTS, Figure, Plot, picture, span_of
 from hilserver.diagnosis.schema.evidence import Array, Series
 
@@ -45,7 +46,9 @@ def series(item: Series) -> Figure:
         text += f" before, {_mean(after, item.unit)} after"
     if item.held_out is not None:
         text += "; shaded: took no part in the fit"
-    return Figure(picture([values, residual], f"{item.name} over time"), item.name, f"{text}.")
+    return Figure(
+        picture([values, residual], f"{item.name} over time"), plain(item.name), f"{text}."
+    )
 
 
 def improvement(item: Series) -> float:

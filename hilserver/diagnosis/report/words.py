@@ -4,8 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
-from hilserver.diagnosis.schema.evidence import CutRow
-from hilserver.diagnosis.schema.findings import Finding, Findings, Gain, Overall, Verdict
+from hilserver.diagnosis.report.plain import plain
+from hilserver.diagnosis.schema.evidence import CutRow, HorizonRow
+from hilserver.diagnosis.schema.findings import (
+    Finding,
+    Findings,
+    Gain,
+    Interval,
+    Overall,
+    Verdict,
+)
 
 BADGES = {
     Verdict.NAMED: "Cause found",
@@ -28,14 +36,14 @@ def headline(findings: Findings) -> str:
         return "Nothing could be judged: channels are missing. See what was not judged, and why."
     silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
     if silent and findings.verdict in {Overall.NOTHING_FOUND, Overall.NO_DIFFERENCE}:
-        return explain_finding(silent[0])
+        return plain(explain_finding(silent[0]))
     if findings.verdict is Overall.NOTHING_FOUND:
         return "The simulation fits these data: nothing was found."
     if findings.verdict is Overall.NO_DIFFERENCE:
         return "The two sets of recordings do not differ."
     told = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
     if len(told) == 1:
-        return explain_finding(told[0])
+        return plain(explain_finding(told[0]))
     if findings.verdict is Overall.DIFFERS:
         return f"The two sets of recordings differ in {_count(told).lower()} things."
     faults = [f for f in told if f.verdict is Verdict.DATA_FAULT]
@@ -61,6 +69,31 @@ class Gained:
     unit: str
     gain: Gain
     ceiling: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A ratio of errors as it is said: so many times better, or worse, never 0.5 times better."""
+
+    factor: float
+    is_better: bool
+    ci95: Interval | None
+
+    @classmethod
+    def of(cls, gain: Gain | HorizonRow) -> "Change":
+        """Return the change of an error, from before to after."""
+        if not 0.0 < gain.ratio < 1.0:
+            return cls(gain.ratio, True, gain.ci95)
+        ends = None if gain.ci95 is None else (1.0 / gain.ci95[1], 1.0 / gain.ci95[0])
+        return cls(1.0 / gain.ratio, False, ends)
+
+    def __str__(self) -> str:
+        """``3.2 times smaller`` or ``1.1 times larger``, with the interval."""
+        text = f"{number(self.factor, digits=2)} times {'smaller' if self.is_better else 'larger'}"
+        if self.ci95 is None:
+            return text
+        low, high = (number(end, digits=2) for end in self.ci95)
+        return f"{text}, 95\u00a0% {low} to {high}"
 
 
 def gains(findings: Findings) -> list[Gained]:

@@ -13,8 +13,8 @@ class ScreenRow:
         Cause of the vocabulary; `part` its part or "".
     statistic, critical : float
         Robust test statistic and the value it must exceed at the family-wise level.
-    size : float
-        Estimate when it is taken alone, in `unit`.
+    size : float or None
+        Estimate when it is taken alone, in `unit`; None: it would not be physically possible.
     standard_error : float
         Robust one of `size`.
     dof : float
@@ -28,7 +28,7 @@ class ScreenRow:
     statistic: float
     critical: float
     p_adjusted: float
-    size: float
+    size: float | None
     standard_error: float
     unit: str
     dof: float

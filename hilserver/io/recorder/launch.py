@@ -13,6 +13,8 @@ from hilserver.errors import FailedError
 from hilserver.io.recorder.recorder import Recorder, Settings
 from hilserver.program import children
 
+PREFIX = "hilserver: "
+"""Of what went wrong."""
 READY = re.compile(rb"^recording ")
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 30.0
@@ -31,19 +33,26 @@ async def running_recorder(
     FailedError
         If it does not come up.
     """
-    async with children.started(
-        _command(config, image, folder),
-        name="recorder",
-        stop_limit_s=STOP_LIMIT_S,
-        stdout=asyncio.subprocess.PIPE,
-    ) as process:
-        if await children.line_of(process, READY, START_LIMIT_S) is None:
-            raise FailedError("the recorder did not start; see its message above")
-        watch = asyncio.create_task(_watch(process), name="watch recorder")
-        try:
-            yield
-        finally:
-            watch.cancel()
+    messages: asyncio.Task[None] | None = None
+    try:
+        async with children.started(
+            _command(config, image, folder),
+            name="recorder",
+            stop_limit_s=STOP_LIMIT_S,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        ) as process:
+            messages = asyncio.create_task(_log_messages(process), name="recorder's messages")
+            if await children.line_of(process, READY, START_LIMIT_S) is None:
+                raise FailedError("the recorder did not start; see its message above")
+            watch = asyncio.create_task(_watch(process), name="watch recorder")
+            try:
+                yield
+            finally:
+                watch.cancel()
+    finally:
+        if messages is not None:
+            await messages  # ends with the process
 
 
 @contextlib.contextmanager
@@ -89,6 +98,15 @@ def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
     if config.keep is not None:
         words += ["--keep", str(config.keep)]
     return words
+
+
+async def _log_messages(process: asyncio.subprocess.Process) -> None:
+    """Log what the recorder says: its lines must not stand between ours."""
+    assert process.stderr is not None
+    while line := await process.stderr.readline():
+        text = line.decode(errors="replace").rstrip()
+        log = _log.warning if text.startswith(PREFIX) else _log.info
+        log(text.removeprefix(PREFIX))
 
 
 async def _watch(process: asyncio.subprocess.Process) -> None:

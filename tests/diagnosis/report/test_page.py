@@ -9,11 +9,16 @@ import pytest
 
 from hilserver.diagnosis.findings.explain import MINUS
 from hilserver.diagnosis.report import render
+from hilserver.diagnosis.report.plain import plain
+from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import Evidence
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.signals import Ranges, robot_table
 from tests.diagnosis.sample import evidence, findings, gain, nothing_found
 
 VOID = {"meta", "br"}
+NOT_MEASURED = {"control", "drive", "lights", "sim", "wheels", "internal"}
+"""Groups of signals that no finding is about."""
 
 
 class Reader(HTMLParser):
@@ -53,7 +58,7 @@ def page():
 def test_it_is_one_well_formed_file_that_loads_nothing(page):
     reader = Reader(page)
     assert reader.open == []
-    assert reader.references == []
+    assert {f"#{name}" for name in reader.ids} >= set(reader.references)
     assert not re.search(r"https?://|@import|url\(", page)
     assert len(page.encode()) < 2_000_000
 
@@ -126,9 +131,73 @@ def test_stretches_that_took_no_part_in_the_fit_are_shaded():
 
 def test_channels_that_do_not_change_are_folded_away(page):
     before, _, folded = page.partition("Channels that the extension does not change")
-    assert "<h3>nav.yaw_rad</h3>" in before
-    assert "<h3>wheel.fl.speed_rpm</h3>" not in before
-    assert "<h3>wheel.fl.speed_rpm</h3>" in folded
+    assert "<h3>The navigation&#39;s heading</h3>" in before
+    assert "<h3>The speed of the front left wheel</h3>" not in before
+    assert "<h3>The speed of the front left wheel</h3>" in folded
+
+
+def test_the_contents_lead_to_every_section(page):
+    contents = page[page.index("<nav") : page.index("</nav>")]
+    reader = Reader(contents)
+    assert reader.references == [f"#{name}" for name in Reader(page).ids]
+
+
+def test_what_stands_behind_the_findings_is_folded(page):
+    for name in ("cuts", "screen", "selection", "twins", "noise", "sizes", "unjudged", "origin"):
+        assert f'<section id="{name}"><details><summary><h2>' in page
+    assert '<section id="found"><h2>' in page
+
+
+def test_the_gain_over_horizons_is_one_plot(page):
+    section = page[page.index('<section id="gain">') : page.index('<section id="courses">')]
+    assert section.count('<svg viewBox="0 0 720') == 1
+    for place in (0, 1):
+        assert f'class="line quantity q{place}"' in section
+
+
+def test_intervals_have_numbers_on_their_axes(page):
+    values = page[page.index('<div class="values">') :]
+    drawn = values[values.index("<svg") : values.index("</svg>")]
+    assert re.findall(r"<text[^>]*>([^<]*)</text>", drawn) == [f"{MINUS}0.4", f"{MINUS}0.2", "0"]
+
+
+def test_a_size_that_nothing_can_have_is_not_shown():
+    given = evidence(500)
+    absurd = replace(given.screen[0], size=None, standard_error=1.0, cause="setpoint_rate_limit")
+    page = render(findings(), replace(given, screen=(absurd,)))
+    row = page[page.index("<code>setpoint_rate_limit</code></td>") :].partition("</tr>")[0]
+    assert '<td data-head="size alone" class="n"></td>' in row
+
+
+def test_an_error_that_grows_is_called_larger():
+    worse = findings(total_gain={"speed_rpm": gain(1.0, 2.0, 0.4, 0.8)})
+    page = render(worse, Evidence())
+    assert "2&times; <small>worse, 1.2 to 2.5</small>" in page
+    assert str(Change.of(gain(1.0, 2.0, 0.4, 0.8))) == "2 times larger, 95\u00a0% 1.2 to 2.5"
+    assert str(Change.of(gain(3.0, 1.0, 2.0, 4.0))) == "3 times smaller, 95\u00a0% 2 to 4"
+
+
+@pytest.mark.parametrize("name", [signal.name for signal in robot_table(Ranges(90.0, 1.0, 4.0))])
+def test_no_headline_names_a_signal(name):
+    said = plain(f"In the log {name} has the wrong sign.")
+    assert name not in said or name.split(".")[0] in NOT_MEASURED
+
+
+def test_wheels_are_said_together():
+    four = ", ".join(f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
+    assert plain(f"{four} are held") == "The speeds of the wheels are held"
+    assert plain("wheel.fl.duty_pct, wheel.rl.duty_pct and 2 more fit") == (
+        "The duties of the wheels fit"
+    )
+    assert plain("it depends on wheel.rr.speed_rpm, t_s mod 0.5.") == (
+        "It depends on the speed of the rear right wheel, a cycle of 0.5 s."
+    )
+
+
+def test_every_cell_says_its_column_for_a_phone(page):
+    table = page[page.index('<section id="noise">') :].partition("</table>")[0]
+    heads = re.findall(r'<td data-head="([^"]*)"', table)[:5]
+    assert heads == ["channel", "white", "correlated", "over", "tails"]
 
 
 def test_an_error_that_stays_is_not_called_better():
