@@ -4,7 +4,7 @@ import re
 from typing import Final
 
 from hilserver.plant.layout import WHEEL_WORDS
-from hilserver.signals import MEASURED
+from hilserver.signals import MEASURED, Ranges, robot_table
 
 _WORDS: Final = {
     "t_s": "time",
@@ -38,7 +38,9 @@ _ALL_FROM: Final = 3
 _WHEEL = r"wheel\.(?:fl|rl|fr|rr)\.(\w+)"
 _RUN = re.compile(rf"{_WHEEL}(?:(?:, | and )wheel\.(?:fl|rl|fr|rr)\.\1\b)*(?P<more> and \d+ more)?")
 _CYCLE = re.compile(r"t_s mod (\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
-_NAME = re.compile(rf"(?:{re.escape(MEASURED)})?\b(?:t_s|[a-z]+(?:\.[a-z][a-z0-9_]*)+)\b")
+_GROUPS: Final = {s.name.partition(".")[0] for s in robot_table(Ranges(1.0, 1.0, 1.0))}
+_NAME = re.compile(rf"\b(?:t_s|(?:{'|'.join(sorted(_GROUPS))})(?:\.[a-z][a-z0-9_]*)+)\b")
+_UNIT = re.compile(r"_(?:rpm|pct|rad|m|v|a|c|s|nm|n)(?:_s2?)?$")
 
 
 def plain(text: str) -> str:
@@ -49,7 +51,7 @@ def plain(text: str) -> str:
 
 
 def _wheels(run: re.Match[str]) -> str:
-    one, several = _OF_WHEELS.get(run[1], (run[1], run[1]))
+    one, several = _OF_WHEELS.get(run[1]) or 2 * (_words(run[1]),)
     places = re.findall(r"wheel\.(\w\w)\.", run[0])
     if len(places) >= _ALL_FROM or run["more"]:
         return f"the {several} of the wheels"
@@ -64,4 +66,8 @@ def _signal(match: re.Match[str]) -> str:
     group, _, rest = name.partition(".")
     if group == "tof":
         return f"the range finder {WHEEL_WORDS.get(rest[:2], rest)}"
-    return match[0]
+    return f"the {_words(name)}"
+
+
+def _words(name: str) -> str:
+    return _UNIT.sub("", name).replace(".", " ").replace("_", " ")
