@@ -56,9 +56,12 @@ class Config(Section):
 
         One with a section of its own exists where that is enabled.
         """
-        sections = {"page": self.page, "ros2": self.ros2, "shield": self.shield}
-        absent = {name for name, section in sections.items() if not section.enabled}
-        return tuple(source for source in self.control.priority if source not in absent)
+        optional = {
+            "page": self.page.enabled,
+            "ros2": self.ros2.enabled,
+            "shield": self.shield.enabled,
+        }
+        return tuple(source for source in self.control.priority if optional.get(source, True))
 
     @property
     def first_source(self) -> Source:

@@ -196,9 +196,9 @@ class _Builder:
             raise self._fail(here, f"there is no '{first}' here; sources are {known}")
 
     def _check_names(self) -> None:
-        sections = {"shield": self._config.shield, "ros2": self._config.ros2}
+        taken = {"shield": self._config.shield.enabled, "ros2": self._config.ros2.enabled}
         for index, peer in enumerate(self._config.peers):
-            if peer.name in sections and sections[peer.name].enabled:
+            if taken.get(peer.name):
                 here = ("peers", index, "name")
                 raise self._fail(
                     here, f"a peer cannot be named '{peer.name}' while {peer.name} is enabled"
