@@ -158,6 +158,7 @@ async def running_daemon(
             "image": {"name": image},
             "opcua": {"endpoint": url},
             "metrics": {"enabled": False},
+            "page": {"enabled": False},
             "logging": {"level": "ERROR"},
         }
         path = Path(folder) / "config.yaml"

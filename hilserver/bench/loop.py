@@ -143,6 +143,7 @@ async def daemon(config: PeerConfig) -> AsyncIterator[Callable[[], str | None]]:
         "image": {"name": "auto"},
         "opcua": {"enabled": False},
         "metrics": {"enabled": False},
+        "page": {"enabled": False},
         "logging": {"level": "ERROR"},
         "peers": [config.model_dump(mode="json")],
     }

@@ -149,6 +149,7 @@ def make_metrics(
         Source(shield_metrics.METRICS, lambda: [] if shield is None else [shield.status]),
         Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
         Source(metrics.GAP_METRICS, outputs.model_gap),
+        Source(metrics.OUTPUT_METRICS, outputs.exported),
         Source(metrics.ALARM_METRICS, lambda: gaps.alarms),
         Source(fault_metrics.METRICS, core.faults.counts),
         Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in audit}),

@@ -58,6 +58,16 @@ ALARM_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     ),
 )
 
+OUTPUT_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
+    Metric(
+        "hil_output",
+        Kind.GAUGE,
+        "Newest pose and wheel speeds of the simulated robot, in the unit that ends the name.",
+        ("signal",),
+        by_name,
+    ),
+)
+
 PROGRAM_METRICS: Final[tuple[Metric[Program], ...]] = (
     Metric(
         "hil_asyncio_tasks",
@@ -89,6 +99,7 @@ METRICS: Final[tuple[Metric[Any], ...]] = (
     *LATENCY_METRICS,
     *GAP_METRICS,
     *ALARM_METRICS,
+    *OUTPUT_METRICS,
     *faults.METRICS,
     *audit.METRICS,
     *PROGRAM_METRICS,

@@ -21,7 +21,7 @@ complete window yet) is absent rather than zero.
 - Counters and histograms count from the start of the process; `ResetStatistics` and reconnects do
   not reset them. `hil_margin_min_seconds` is a gauge and is reset.
 - In the default configuration with one peer there are at most 300 series, the client library's own
-  (`process_*`, `python_*`) included. A further peer adds about 60, a further slice about 22.
+  (`process_*`, `python_info`) included. A further peer adds about 60, a further slice about 22.
 - Scrapes within 50 ms get the same answer: a flood of scrapes cannot keep the event loop busy.
 
 | name | labels | kind | meaning |

@@ -10,6 +10,10 @@ from hilserver.daemon.builder import Core
 from hilserver.daemon.shadow import Pose, measured_pose
 from hilserver.image import Frame
 from hilserver.io.opcua_server import OpcUaServer
+from hilserver.plant.layout import WHEELS
+
+EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
+"""Outputs that metrics show: few, because every one is a series."""
 
 
 class Outputs:
@@ -56,6 +60,13 @@ class Outputs:
             raise LookupError("no frame yet")
         values, status = frame.values[slots].tolist(), int(frame.status[slots].max())
         return values if len(slots) > 1 else values[0], status, frame.planned_ns
+
+    def exported(self) -> Mapping[str, float]:
+        """Return the outputs that metrics show; none before the first frame."""
+        frame, table = self.frame, self._core.table
+        if frame is None:
+            return {}
+        return {name: float(frame.values[table.slot(name)]) for name in EXPORTED}
 
     def model_gap(self) -> Mapping[str, float]:
         """Return measured minus simulated of every channel for which measured values come in."""

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
-from prometheus_client import CollectorRegistry, GCCollector, PlatformCollector, ProcessCollector
+from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.metrics_core import (
     CounterMetricFamily,
@@ -48,7 +48,6 @@ class Metrics:
         self.registry.register(self._collector)
         ProcessCollector(registry=self.registry)
         PlatformCollector(registry=self.registry)
-        GCCollector(registry=self.registry)
 
     def render(self, is_openmetrics: bool = False) -> tuple[bytes, str]:
         """Return (body, content type) in Prometheus' text format or in OpenMetrics."""

@@ -11,6 +11,7 @@ from hilserver.compiled.histogram import N_BUCKETS, Histogram125
 from hilserver.core import metrics as core
 from hilserver.core.inputs import Refusal
 from hilserver.daemon import metrics as daemon
+from hilserver.daemon.outputs import EXPORTED
 from hilserver.faults import metrics as faults
 from hilserver.io import peer_metrics
 from hilserver.io.opcua_client.validation import FaultKind
@@ -56,6 +57,7 @@ class FakeDaemon:
         self.gc_pause = Histogram125()
         self.model_gap: dict[str, float] = {}
         self.gap_alarms: dict[str, bool] = {}
+        self.outputs: dict[str, float] = {}
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
         self.tasks = 8
@@ -71,6 +73,7 @@ class FakeDaemon:
             Source(daemon.LATENCY_METRICS, lambda: self.end_to_end),
             Source(daemon.GAP_METRICS, lambda: self.model_gap),
             Source(daemon.ALARM_METRICS, lambda: self.gap_alarms),
+            Source(daemon.OUTPUT_METRICS, lambda: self.outputs),
             Source(faults.METRICS, lambda: self.faults),
             Source(audit.METRICS, lambda: self.audit),
             Source(daemon.PROGRAM_METRICS, self.program),
@@ -100,5 +103,6 @@ class FakeDaemon:
             self.input_ages_s[source] = 0.01
             for reason in Refusal:
                 self.rejected[source, reason] = 1
+        self.outputs = dict.fromkeys(EXPORTED, 1.0)
         self.faults = {"injected": 1, "forced": 1}
         self.audit = {f"item_{number}": True for number in range(15)}

@@ -100,6 +100,7 @@ STIMULI = {
     "hil_gc_pause_seconds_bucket": lambda d: d.gc_pause.observe(3_000_000),
     "hil_model_gap": lambda d: d.model_gap.update({"pose.x_m": 0.1}),
     "hil_model_gap_alarm": lambda d: d.gap_alarms.update({"pose.x_m": True}),
+    "hil_output": lambda d: d.outputs.update({"pose.x_m": 1.0}),
     "hil_faults": lambda d: d.faults.update(injected=2),
     "hil_asyncio_tasks": lambda d: setattr(d, "tasks", 9),
     "hil_audit_ok": lambda d: d.audit.update(rtprio=True),

@@ -73,6 +73,12 @@ async def inject_a_fault(rig: Rig) -> None:
     rig.daemon.faults.clear()
 
 
+async def put_far_away(rig: Rig) -> None:
+    rig.daemon.control.set_pose(100.0, 50.0, 1.0)
+    await asyncio.sleep(HOLD_S)
+    rig.daemon.control.set_pose(0.0, 0.0, 0.0)
+
+
 async def slow_motion(rig: Rig) -> None:
     """Simulate at a tenth of real time: what a set-point changes is published ten times as late."""
     rig.daemon.control.set_speed(0.1)
@@ -196,6 +202,7 @@ STIMULI = (
     Stimulus(command_out_of_range, up=("Refused values",)),
     Stimulus(measure, appears=("Model gap",)),
     Stimulus(inject_a_fault, up=("Faults at work",)),
+    Stimulus(put_far_away, up=("Pose",)),
     Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),
     Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True),
     Stimulus(make_garbage, up=("Garbage collector",), repeatable=True),
@@ -204,7 +211,9 @@ STIMULI = (
         up=("Requests to the shield", "Lateness of the shield"),
     ),
     Stimulus(fill_memory, up=("Memory",)),
-    Stimulus(kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected")),
+    Stimulus(
+        kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected", "Wheel speeds")
+    ),
     Stimulus(return_as_a_liar, up=("Reconnects and faults",)),
     Stimulus(restart_the_peer_with_another_clock, down=("Clock offset",)),
     Stimulus(restart_on_a_core_that_is_not_there, appears=("Real-time audit",)),
