@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 from asyncua import Server, ua
 
 from hilserver.controller.nodes import NAMESPACE, SENSORS, SEQUENCE, SETPOINTS
+from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.errors import FailedError
 
 TYPES = {"enable": ua.VariantType.Boolean, SEQUENCE: ua.VariantType.UInt32}
@@ -45,7 +46,7 @@ class ControllerServer:
         logging.getLogger("asyncua.server").setLevel(logging.CRITICAL + 1)
         self.endpoint = endpoint
         self._sensors = (*SENSORS, *more_sensors)
-        self._server = Server()
+        self._server = Server(iserver=QuickInternalServer())
         self._ids: dict[str, ua.NodeId] = {}
 
     async def __aenter__(self) -> "ControllerServer":

@@ -8,9 +8,9 @@ from typing import Any
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
-from asyncua.server.internal_server import InternalServer
 
 from hilserver.config.server import OpcUaConfig
+from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.decoding import bound_decoder
@@ -35,7 +35,7 @@ _OPERATION_LIMITS = (
 )
 
 
-class RobotInternalServer(InternalServer):  # type: ignore[misc]
+class RobotInternalServer(QuickInternalServer):
     """asyncua's inner server with our sessions, subscriptions and limits.
 
     Attributes
