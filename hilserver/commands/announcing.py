@@ -43,6 +43,7 @@ class Announcer:
             "opcua": ("OPC UA", daemon.server and daemon.server.url),
             "metrics": ("metrics", daemon.http and daemon.http.url),
             "shield": ("shield", daemon.shield and daemon.shield.address),
+            "foxglove": ("foxglove", daemon.foxglove and daemon.foxglove.url),
             "ros2": ("ROS 2", daemon.ros2 and daemon.ros2.address),
         }
         peers = {peer.config.name: peer.config.endpoint for peer in daemon.peers}

@@ -19,6 +19,16 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_storage(parser: argparse.ArgumentParser) -> None:
+    """Add ``--storage``."""
+    parser.add_argument(
+        "--storage",
+        choices=("mcap", "sqlite3"),
+        default="mcap",
+        help="of a bag; a killed recorder loses less of mcap; default: mcap",
+    )
+
+
 def config_path(args: argparse.Namespace) -> Path | None:
     """Return the configuration file that was asked for, or the one in this folder, or None."""
     if args.config is not None:

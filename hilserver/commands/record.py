@@ -8,7 +8,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from hilserver.commands.options import add_config, config_path
+from hilserver.commands.options import add_config, add_storage, config_path
 from hilserver.config.root import load_config
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.recorder import Recorder, Settings
@@ -25,8 +25,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="OUT",
-        help="file to write, .mcap (Foxglove, PlotJuggler) or .csv",
+        help="file to write, .mcap (Foxglove, PlotJuggler) or .csv; folder of a bag",
     )
+    parser.add_argument(
+        "--format",
+        choices=("file", "bag"),
+        default="file",
+        help="bag: a ROS 2 bag, every signal as float64 beside EduArt's topics",
+    )
+    add_storage(parser)
     add_config(parser)
     parser.add_argument(
         "--image", metavar="NAME", help="process image of the daemon; default: that of the -c file"
@@ -83,6 +90,8 @@ def run(args: argparse.Namespace) -> int:
     """Record until Ctrl-C, SIGTERM, ``--duration`` or the end of the daemon."""
     if args.keep is not None and args.rotate_mb is None:
         raise FailedError("--keep counts the files of a rotation; give --rotate-mb as well")
+    if args.format == "bag" and args.rotate_mb is not None:
+        raise FailedError("a bag is one folder; leave --rotate-mb out, or record to .mcap")
     recorder = Recorder(
         _image(args),
         Settings(
@@ -91,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
             rotate_bytes=None if args.rotate_mb is None else round(args.rotate_mb * 1e6),
             keep=args.keep,
             buffer_bytes=round(args.buffer_mb * 1e6),
+            bag=args.storage if args.format == "bag" else None,
         ),
     )
     on_end(recorder.stop.set)

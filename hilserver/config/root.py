@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
+from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
 from hilserver.config.page import FoldersConfig, PageConfig
@@ -48,6 +49,7 @@ class Config(Section):
     recording: RecordingConfig = Field(default_factory=RecordingConfig)
     metrics: MetricsConfig = Field(default_factory=MetricsConfig)
     page: PageConfig = Field(default_factory=PageConfig)
+    foxglove: FoxgloveConfig = Field(default_factory=FoxgloveConfig)
     logging: LoggingConfig = Field(default_factory=LoggingConfig)
 
     @property
@@ -57,7 +59,7 @@ class Config(Section):
         One with a section of its own exists where that is enabled.
         """
         optional = {
-            "page": self.page.enabled,
+            "page": self.page.enabled or self.foxglove.enabled,
             "ros2": self.ros2.enabled,
             "shield": self.shield.enabled,
         }

@@ -27,6 +27,7 @@ from hilserver.daemon.connections import (
     make_peers,
     make_server,
 )
+from hilserver.daemon.foxglove_endpoint import make_foxglove
 from hilserver.daemon.outputs import Outputs
 from hilserver.daemon.ros2_node import make_ros2
 from hilserver.daemon.serial_shield import make_shield
@@ -62,6 +63,7 @@ class Daemon:
     peers : list of PeerLink
     shield : ShieldLink or None
     ros2 : Ros2Node or None
+    foxglove : Endpoint or None
     """
 
     def __init__(
@@ -114,6 +116,7 @@ class Daemon:
         self.peers = make_peers(core, self.clock, self.outputs, self.supervision)
         self.shield = make_shield(core, self.supervision)
         self.ros2 = make_ros2(core, self.clock, self.supervision)
+        self.foxglove = make_foxglove(core, self.clock)
         self.deadman = DeadMan(self.gate, self.events, config.page.deadman_ms * 1e-3)
         self.desk = make_desk(core, self.stage)
         self._notice = make_notice(
@@ -184,6 +187,9 @@ class Daemon:
             self._resources.push_async_callback(self.shield.stop)
         if self.ros2 is not None:
             self.ros2.start()
+        if self.foxglove is not None:
+            await self.foxglove.start()
+            self._resources.push_async_callback(self.foxglove.stop)
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()

@@ -3,7 +3,7 @@
 import json
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -20,6 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError
+from hilserver.logs.csv_reader import BLOCK, TIME
 from hilserver.logs.log import Log, State
 from hilserver.logs.mcap_writer import (
     CONFIG_ATTACHMENT,
@@ -48,7 +49,7 @@ _READ = {
 
 
 @dataclass
-class _Contents:
+class Contents:
     """What the records of a file say."""
 
     names: list[str] = field(default_factory=list)
@@ -59,6 +60,7 @@ class _Contents:
     ended: bool = False
 
     def take(self, record: rec.McapRecord) -> None:
+        """Take one record; those of others do not matter."""
         if isinstance(record, rec.Channel) and record.topic == TOPIC:
             self.names = list(json.loads(record.metadata["signals"]))
         elif isinstance(record, rec.Chunk) and self.names:
@@ -87,7 +89,7 @@ def _messages(chunk: rec.Chunk, n_signals: int) -> NDArray[np.void]:
 
 def read_mcap(path: Path) -> Log:
     """Read a recording; see `reading.read_log`."""
-    contents = _Contents()
+    contents = Contents()
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise LogError(f"{path}: is not an MCAP file; is its beginning missing?")
@@ -103,7 +105,7 @@ def read_mcap(path: Path) -> Log:
                     f"{path}: the record at byte {offset} is damaged; cut the file off there, what"
                     " stands before it can be read"
                 ) from None
-    return _to_log(path, contents)
+    return to_log(path, contents)
 
 
 def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
@@ -122,7 +124,8 @@ def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
         yield offset, opcode, body
 
 
-def _to_log(path: Path, contents: _Contents) -> Log:
+def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
+    """Return the log that the records of a file make."""
     run = contents.run
     if not contents.names or run.get("schema") != SCHEMA:
         raise LogError(
@@ -137,17 +140,23 @@ def _to_log(path: Path, contents: _Contents) -> Log:
     values = np.array(table["values"].T, order="C")
     status = np.array(table["status"].T, dtype=np.int64, order="C")
     values[(status & BAD) != 0] = np.nan
-    notices = []
+    notices = list(notices)
     if not contents.ended:
         notices.append(f"{path}: the recorder did not close the file; its last part is missing")
     lost = int((np.diff(table["number"]) - 1).sum()) if len(table) else 0
     if lost > 0:
         notices.append(f"{path}: {lost} frames were lost while recording")
+    columns = dict(zip(contents.names, values, strict=True))
+    segment = table["segment"].astype(np.int64)
+    if run.get("foreign"):
+        t_s, block = columns.pop(TIME), columns.pop(BLOCK, None)
+        blocks = None if block is None else block.astype(np.int64)
+        return Log(path, t_s, segment, columns, blocks, notices=notices)
     return Log(
         path=path,
         t_s=table["tick"] * (int(run["base_period_ns"]) * 1e-9),
-        segment=table["segment"].astype(np.int64),
-        columns=dict(zip(contents.names, values, strict=True)),
+        segment=segment,
+        columns=columns,
         status=dict(zip(contents.names, status, strict=True)),
         run=run,
         states=contents.states,

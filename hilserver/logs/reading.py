@@ -4,9 +4,13 @@ from collections.abc import Container
 from pathlib import Path
 
 from hilserver.errors import LogError
+from hilserver.logs.bag_reader import read_own_bag
 from hilserver.logs.csv_reader import read_csv
 from hilserver.logs.log import Log
 from hilserver.logs.mcap_reader import read_mcap
+
+ROS2_BEGINNING = b"\x89MCAP0\r\n\x01" + bytes(8) + b"\x04\x00\x00\x00ros2"
+"""Of a file; the eight bytes are the length of its header."""
 
 
 def read_log(path: Path, known: Container[str] | None = None) -> Log:
@@ -24,13 +28,25 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     """
     refuse_endless(path)
     try:
+        if is_bag_of_ros(path):
+            return read_own_bag(path)
         if path.suffix == ".mcap":
             return read_mcap(path)
         if path.suffix == ".csv":
             return read_csv(path, known)
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
-    raise LogError(f"{path}: is no log that can be read; known are .csv and .mcap")
+    raise LogError(f"{path}: is no log that can be read; known are .csv, .mcap and bags")
+
+
+def is_bag_of_ros(path: Path) -> bool:
+    """Return whether a path is a bag: a folder, sqlite3, or MCAP with the profile of ROS 2."""
+    if path.is_dir() or path.suffix == ".db3":
+        return True
+    if path.suffix != ".mcap" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(ROS2_BEGINNING)).endswith(ROS2_BEGINNING[-8:])
 
 
 def refuse_endless(path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hilserver.errors import FailedError
+from hilserver.logs.bag_writer import BagWriter, Storage
 from hilserver.logs.csv_writer import CsvWriter
 from hilserver.logs.mcap_writer import McapWriter
 from hilserver.logs.writer import LogWriter
@@ -14,7 +15,11 @@ SUFFIXES = (".mcap", ".csv")
 
 
 def open_writer(
-    path: Path, run: Mapping[str, Any], slots: Sequence[int], utc_minus_monotonic_ns: int = 0
+    path: Path,
+    run: Mapping[str, Any],
+    slots: Sequence[int],
+    utc_minus_monotonic_ns: int = 0,
+    bag: Storage | None = None,
 ) -> LogWriter:
     """Begin a log; the suffix chooses the format.
 
@@ -26,14 +31,19 @@ def open_writer(
         Slots of the signals to write, rising.
     utc_minus_monotonic_ns : int
         Turns the frames' planned starts into UTC.
+    bag : {"mcap", "sqlite3"}, optional
+        Write a ROS 2 bag, a folder of this name, with this storage.
 
     Raises
     ------
     FailedError
         If the file cannot be made.
     """
-    check_suffix(path)
+    if bag is None:
+        check_suffix(path)
     try:
+        if bag is not None:
+            return BagWriter(path, run, slots, utc_minus_monotonic_ns, bag)
         if path.suffix == ".csv":
             return CsvWriter(path, run, slots)
         return McapWriter(path, run, slots, utc_minus_monotonic_ns)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError
-from hilserver.logs.reading import refuse_endless
+from hilserver.logs.bag_reader import is_own_bag
+from hilserver.logs.reading import is_bag_of_ros, refuse_endless
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.clock import SHORTEST_S as SEGMENT_S
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
@@ -107,7 +108,7 @@ def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> 
 
 def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
     if mapping is None:
-        if path.is_dir() or path.suffix == ".db3":
+        if is_bag_of_ros(path) and not is_own_bag(path):
             raise LogError(
                 f"{path}: a bag needs a mapping of its topics; name a file or one of"
                 f" {', '.join(builtin_mappings())}"

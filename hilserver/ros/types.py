@@ -69,7 +69,7 @@ class Types:
 
         self.store: Any = get_typestore(Stores.ROS2_JAZZY)
         for name, text in MESSAGES.items():
-            self._add(name, text)
+            self.add(name, text)
         constants, fields = self.store.fielddefs[EVENT_INFO]
         kinds: Any = _kinds()
         gid: Any = (kinds.ARRAY, ((kinds.BASE, ("uint8", 0)), 16))  # a char is hashed as a uint8
@@ -80,18 +80,27 @@ class Types:
             if width not in WIDTHS:
                 raise ValueError(f"{field}: '{width}' is none of {', '.join(WIDTHS)}")
         for name, (request, response) in SERVICES.items():
-            self._add(f"{name}_Request", _widened(name, request, left))
-            self._add(f"{name}_Response", _widened(name, response, left))
+            self.add(f"{name}_Request", _widened(name, request, left))
+            self.add(f"{name}_Response", _widened(name, response, left))
             self._add_service(name)
         if left:
             raise ValueError(f"no service has a field '{next(iter(left))}'")
 
-    def _add(self, name: str, text: str) -> None:
+    def add(self, name: str, text: str) -> None:
+        """Add a message type, with the types within it that its definition brings along.
+
+        Raises
+        ------
+        ValueError
+            If the definition is none.
+        """
         from rosbags.typesys import TypesysError, get_types_from_msg  # noqa: PLC0415 -- slow
 
         try:
-            (fields,) = get_types_from_msg(text or "\n", name).values()
-            self.store.register({name: fields})
+            found = get_types_from_msg(text or "\n", name)
+            if "/srv/" in name:  # which the package takes for messages
+                found = {name: next(iter(found.values()))}
+            self.store.register(found)
         except TypesysError as error:
             raise ValueError(f"{name}: {error}") from None
 

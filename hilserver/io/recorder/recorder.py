@@ -12,6 +12,7 @@ from hilserver.errors import FailedError
 from hilserver.io.recorder.series import FileSeries
 from hilserver.io.recorder.source import Source
 from hilserver.io.recorder.write_behind import WriteBehind
+from hilserver.logs.bag_writer import Storage
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
 
@@ -36,6 +37,8 @@ class Settings:
         See `WriteBehind`.
     waits : bool
         True: the reader waits for a slow disk; False: frames are dropped and counted.
+    bag : {"mcap", "sqlite3"} or None
+        Write a ROS 2 bag, a folder of this name.
     """
 
     path: Path
@@ -44,6 +47,7 @@ class Settings:
     keep: int | None = None
     buffer_bytes: int = 64_000_000
     waits: bool = False
+    bag: Storage | None = None
 
 
 class Recorder:
@@ -56,14 +60,18 @@ class Recorder:
     """
 
     def __init__(self, name: str, settings: Settings) -> None:
-        check_suffix(settings.path)
+        if settings.bag is None:
+            check_suffix(settings.path)
         self.stop = threading.Event()
         self._source, self._waits = Source(name), settings.waits
         self._run = make_run(self._source.description)
         self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
         self._series = FileSeries(
-            settings.path, rotate_bytes=settings.rotate_bytes, keep=settings.keep
+            settings.path,
+            rotate_bytes=settings.rotate_bytes,
+            keep=settings.keep,
+            bag=settings.bag,
         )
         self._writing = WriteBehind(
             lambda: self._series.open(self._run, self._slots, self._utc_ns),

@@ -8,6 +8,7 @@ from typing import Any
 
 from hilserver.errors import FailedError
 from hilserver.logs import LogWriter, open_writer
+from hilserver.logs.bag_writer import Storage
 from hilserver.logs.csv_writer import meta_path
 from hilserver.logs.writing import reason
 
@@ -20,8 +21,14 @@ class FileSeries:
     """
 
     def __init__(
-        self, path: Path, *, rotate_bytes: int | None = None, keep: int | None = None
+        self,
+        path: Path,
+        *,
+        rotate_bytes: int | None = None,
+        keep: int | None = None,
+        bag: Storage | None = None,
     ) -> None:
+        self._bag = bag
         self._path, self._rotate_bytes, self._keep = path, rotate_bytes, keep
         self.current = path
 
@@ -44,7 +51,7 @@ class FileSeries:
             if number > 999_999:
                 raise FailedError(f"{self._path}: too many files of this name; choose another")
             self.current = self._file(number)
-        writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns)
+        writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._bag)
         self._remove_old()
         return writer
 

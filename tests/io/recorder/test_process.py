@@ -73,6 +73,21 @@ def test_it_stops_when_asked_with_a_complete_file(daemon, tmp_path):
     assert not log.notices
 
 
+def test_a_bag_is_complete_when_it_is_asked_to_stop(daemon, tmp_path):
+    process = recorder(daemon, tmp_path / "bag", "--format", "bag")
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    code, _ = finish(process)
+    assert code == 0
+    log = read_log(tmp_path / "bag")
+    assert_gapless(log)
+    assert log.states, "a state to replay from"
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    code, text = finish(start_recorder(daemon, tmp_path / "bag", "--format", "bag"))
+    assert code == 1
+    assert "exists already" in text
+
+
 def test_a_choice_of_signals_cannot_be_replayed_and_says_so(daemon, tmp_path):
     path = tmp_path / "run.csv"
     process = recorder(daemon, path, "--signals", "pose.*", "--signals", "sim.tick", "--duration=1")

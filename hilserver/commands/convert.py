@@ -1,0 +1,69 @@
+"""Write a log in another format, without loss: CSV, MCAP, ROS 2 bag, Parquet.
+
+The suffix of OUT chooses: .csv, .mcap, .parquet; without a suffix (or with --bag) it is the folder
+of a bag. Signals keep every bit; EduArt's topics in a bag are float32, as on the real robot. CSV
+and Parquet hold no status codes, Parquet no run to replay.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from hilserver.commands.options import add_storage
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.logs import Log, open_writer
+from hilserver.logs.bag_writer import Storage
+from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
+from hilserver.logs.writing import reason
+from hilserver.measured.conversion import read_any, write_parquet
+
+EXAMPLE = "hilserver convert run.mcap run_bag"
+SUFFIXES = (".csv", ".mcap", ".parquet")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument("log", type=Path, metavar="IN", help="log: .csv, .mcap, .parquet, or a bag")
+    parser.add_argument("out", type=Path, metavar="OUT", help="what to write")
+    parser.add_argument(
+        "--mapping",
+        metavar="FILE",
+        help="mapping file for a foreign log, or a built-in one by name (iotbot, iotbot_5_6)",
+    )
+    parser.add_argument("--bag", action="store_true", help="OUT is a bag whatever its name is")
+    add_storage(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Convert; 0, or 2 when IN cannot be read."""
+    is_bag = args.bag or args.out.suffix == ""
+    if not is_bag and args.out.suffix not in SUFFIXES:
+        raise FailedError(
+            f"{args.out}: write a name that ends in {', '.join(SUFFIXES)}, or none for a bag"
+        )
+    if args.out.exists():
+        raise FailedError(f"{args.out}: exists already; choose another name")
+    log = read_any(args.log, args.mapping)
+    for notice in log.notices:
+        print(f"hilserver: {notice}", file=sys.stderr)
+    try:
+        _write(log, args.out, args.storage if is_bag else None)
+    except OSError as error:
+        raise FailedError(f"{args.out}: cannot be written: {reason(error)}") from None
+    print(f"{len(log)} rows of {len(log.columns)} signals in {args.out}")
+    return EXIT_DONE
+
+
+def _write(log: Log, out: Path, bag: Storage | None) -> None:
+    if out.suffix == ".parquet" and bag is None:
+        write_parquet(log, out)
+        return
+    if out.suffix == ".csv" and bag is None and not log.is_ours:
+        write_table_csv(log, out)
+        return
+    described = run_of(log)
+    writer = open_writer(out, described, range(len(described["signals"])), 0, bag)
+    try:
+        rewrite(log, writer)
+    finally:
+        writer.close()

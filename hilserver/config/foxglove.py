@@ -1,0 +1,37 @@
+"""The section ``foxglove:``: an endpoint for Foxglove, Lichtblick and PlotJuggler."""
+
+from importlib.util import find_spec
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from hilserver.config.server import is_loopback
+from hilserver.config.timing import Section
+
+
+class FoxgloveConfig(Section):
+    """Live signals, transforms and the hall for viewers (extra foxglove)."""
+
+    enabled: bool = Field(False, description="Serve viewers")
+    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Where it listens")
+    port: int = Field(8765, ge=0, le=65535, description="0 takes any free port")
+    rate_hz: float = Field(30.0, ge=1, le=100, description="Frames a second")
+    allow_insecure_network: bool = Field(
+        False, description="Listen elsewhere than on loopback: everybody there may then publish"
+    )
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        if not self.enabled:
+            return self
+        if find_spec("foxglove") is None:
+            raise ValueError(
+                "the endpoint needs the library foxglove-sdk: install it with"
+                " \"pip install 'hilserver[foxglove]'\", or set enabled: false"
+            )
+        if not is_loopback(self.host) and not self.allow_insecure_network:
+            raise ValueError(
+                f"host '{self.host}' is reachable from the network, where everybody may then"
+                " publish set-points: listen on 127.0.0.1, or set allow_insecure_network: true"
+            )
+        return self

@@ -1,0 +1,232 @@
+"""Serves viewers: signals as they stand in recordings, transforms, the hall; takes set-points.
+
+What a viewer publishes comes in as source ``page:foxglove``: it drives while ``page`` has control,
+and the dead-man of the page ends what is not renewed.
+"""
+
+import asyncio
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import foxglove
+import numpy as np
+import structlog
+from foxglove import messages as fg
+from foxglove.channels import FrameTransformChannel, SceneUpdateChannel
+from foxglove.websocket import Capability, ServerListener
+
+from hilserver.config.foxglove import FoxgloveConfig
+from hilserver.core.clock import UtcClock
+from hilserver.core.inputs import Refusal
+from hilserver.errors import FailedError
+from hilserver.image import Frame
+from hilserver.io.foxglove.scene import scene
+from hilserver.logs.mcap_writer import TOPIC
+from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
+from hilserver.ros.robot import Shape
+from hilserver.ros.types import Types
+from hilserver.signals import SignalTable
+
+SOURCE: Final = "page:foxglove"
+TWIST, TWIST_TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
+SET: Final = "/hilserver/set"
+SCENE_EVERY_S: Final = 5.0
+LARGEST_MESSAGE: Final = 65_536
+MOST_WAITING: Final = 100
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What an endpoint needs of the daemon.
+
+    Attributes
+    ----------
+    write : callable
+        The input gate's: ``write(source, values) -> refused``.
+    """
+
+    table: SignalTable
+    shape: Shape
+    hall: Any
+    clock: UtcClock
+    latest: Callable[[], Frame | None]
+    write: Callable[[str, Mapping[str, object]], Mapping[str, Refusal]]
+
+
+class Endpoint:
+    """One WebSocket server, run by the SDK in threads of its own."""
+
+    def __init__(self, config: FoxgloveConfig, view: View) -> None:
+        self._config, self._view = config, view
+        signals = [signal for signal in view.table.scalars if not signal.hidden]
+        slots = {signal.name: signal.slots[0] for signal in signals}
+        layout = make_layout(list(slots))
+        self._slots = np.array([slots[name] for name in layout.names], dtype=np.intp)
+        self._row = np.zeros(1, dtype=layout.dtype)
+        self._row["cdr"] = CDR_LITTLE_ENDIAN
+        self._types = Types()
+        self._context = foxglove.Context()
+        schema = foxglove.Schema(name=SCHEMA_NAME, encoding="ros2msg", data=layout.schema.encode())
+        self._frames = foxglove.Channel(
+            TOPIC, schema=schema, message_encoding="cdr", context=self._context
+        )
+        self._transforms = FrameTransformChannel("/transforms", context=self._context)
+        self._scene = SceneUpdateChannel("/scene", context=self._context)
+        self._server: Any = None
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def url(self) -> str:
+        """Where viewers connect."""
+        port = self._config.port if self._server is None else self._server.port
+        return f"ws://{self._config.host}:{port}"
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises
+        ------
+        FailedError
+            If the port is in use.
+        """
+        loop = asyncio.get_running_loop()
+        inbox = _Inbox(lambda topic, encoding, data: self._hand_over(loop, topic, encoding, data))
+        try:
+            self._server = await asyncio.to_thread(
+                foxglove.start_server,
+                name="hilserver",
+                host=self._config.host,
+                port=self._config.port,
+                capabilities=[Capability.ClientPublish],
+                supported_encodings=["json", "cdr"],
+                server_listener=inbox,
+                context=self._context,
+                message_backlog_size=MOST_WAITING,
+            )
+        except (RuntimeError, OSError, foxglove_error()) as error:
+            raise FailedError(
+                f"foxglove: cannot listen on {self._config.host}:{self._config.port} ({error});"
+                " choose another port"
+            ) from None
+        self._task = asyncio.create_task(self._show_for_ever(), name="foxglove")
+
+    async def stop(self) -> None:
+        """Close all connections."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        if self._server is not None:
+            await asyncio.to_thread(self._server.stop)
+        self._server = self._task = None
+
+    async def _show_for_ever(self) -> None:
+        period_s, scene_s = 1.0 / self._config.rate_hz, 0.0
+        number = -1
+        loop = asyncio.get_running_loop()
+        while True:
+            frame = self._view.latest()
+            if frame is not None and frame.number != number:
+                number = frame.number
+                self._show(frame)
+            if self._scene.has_sinks() and loop.time() >= scene_s:
+                scene_s = loop.time() + SCENE_EVERY_S
+                self._scene.log(scene(self._view.hall, self._view.shape))
+            await asyncio.sleep(period_s)
+
+    def _show(self, frame: Frame) -> None:
+        stamp_ns = self._view.clock.utc_ns(frame.planned_ns)
+        if self._frames.has_sinks():
+            row = self._row
+            row["number"], row["tick"], row["planned_ns"] = (
+                frame.number,
+                frame.tick,
+                frame.planned_ns,
+            )
+            row["values"], row["status"] = frame.values[self._slots], frame.status[self._slots]
+            self._frames.log(row.tobytes(), log_time=stamp_ns)
+        if self._transforms.has_sinks():
+            for parent, child, name in (("map", "base_link", "pose"), ("map", "nav", "nav")):
+                self._transforms.log(
+                    self._transform(frame, parent, child, name, stamp_ns), log_time=stamp_ns
+                )
+
+    def _transform(self, frame: Frame, parent: str, child: str, name: str, stamp_ns: int) -> Any:
+        slot, values = self._view.table.slot, frame.values
+        x, y, yaw = (float(values[slot(f"{name}.{part}")]) for part in ("x_m", "y_m", "yaw_rad"))
+        sec, nsec = divmod(stamp_ns, 10**9)
+        return fg.FrameTransform(
+            timestamp=fg.Timestamp(sec=sec, nsec=nsec),
+            parent_frame_id=parent,
+            child_frame_id=child,
+            translation=fg.Vector3(x=x, y=y, z=0.0),
+            rotation=fg.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)),
+        )
+
+    # --- what viewers publish; called in threads of the SDK ---------------------------------------
+
+    def _hand_over(
+        self, loop: asyncio.AbstractEventLoop, topic: str, encoding: str, data: bytes
+    ) -> None:
+        try:
+            values = self._understood(topic, encoding, data)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            _log.warning(
+                "a viewer published what is no command", topic=topic, why=f"{error!r:.100}"
+            )
+            return
+        if values and not loop.is_closed():
+            loop.call_soon_threadsafe(self._view.write, SOURCE, values)
+
+    def _understood(self, topic: str, encoding: str, data: bytes) -> Mapping[str, object]:
+        if len(data) > LARGEST_MESSAGE:
+            raise ValueError("too long")
+        if topic == SET and encoding == "json":
+            given = json.loads(data)
+            if not isinstance(given, dict):
+                raise ValueError("an object of signals and values is needed")
+            return given
+        if topic != TWIST:
+            raise ValueError(f"publish {TWIST} ({TWIST_TYPE}) or {SET} (JSON)")
+        if encoding == "json":
+            twist = json.loads(data)
+            linear, angular = twist.get("linear", {}), twist.get("angular", {})
+            return _twist(linear.get("x", 0.0), angular.get("z", 0.0))
+        message = self._types.decode(data, TWIST_TYPE)
+        return _twist(message.linear.x, message.angular.z)
+
+
+def _twist(linear: object, angular: object) -> Mapping[str, object]:
+    return {"control.mode": 1, "twist.linear_m_s": linear, "twist.angular_rad_s": angular}
+
+
+def foxglove_error() -> type[Exception]:
+    """Return the SDK's own error, which has moved between versions."""
+    found = getattr(foxglove, "FoxgloveError", RuntimeError)
+    return found if isinstance(found, type) and issubclass(found, Exception) else RuntimeError
+
+
+class _Inbox(ServerListener):
+    """Remembers which channel of which client is which topic."""
+
+    def __init__(self, take: Callable[[str, str, bytes], None]) -> None:
+        self._take = take
+        self._channels: dict[tuple[int, int], tuple[str, str]] = {}
+
+    def on_client_advertise(self, client: Any, channel: Any) -> None:
+        """Remember."""
+        self._channels[client.id, channel.id] = channel.topic, channel.encoding
+
+    def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
+        """Forget."""
+        self._channels.pop((client.id, client_channel_id), None)
+
+    def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
+        """Hand over."""
+        known = self._channels.get((client.id, client_channel_id))
+        if known is not None:
+            self._take(*known, bytes(data))

@@ -1,0 +1,142 @@
+"""ROS 2 bags, by the package `rosbags`: MCAP or sqlite3.
+
+``/hilserver/frame`` holds every signal as float64 with its status, so that nothing is lost;
+EduArt's float32 topics beside it are what a recorder would have seen on the real robot.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from hilserver.errors import FailedError
+from hilserver.logs import bag_topics as topics
+from hilserver.logs.log import State
+from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
+from hilserver.logs.writer import Segmented
+from hilserver.ros.types import Types
+
+Storage = Literal["mcap", "sqlite3"]
+VERSION: Final = 9
+
+
+class BagWriter:
+    """Writes one bag, a folder; see `LogWriter`.
+
+    Raises
+    ------
+    FailedError
+        If it exists already.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        run: Mapping[str, Any],
+        slots: Sequence[int],
+        utc_minus_monotonic_ns: int,
+        storage: Storage = "mcap",
+    ) -> None:
+        from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 -- slow to import
+
+        if path.exists():
+            raise FailedError(f"{path}: exists already; a bag is a new folder, choose another name")
+        slot_of = {run["signals"][slot]["name"]: slot for slot in slots}
+        self._layout = make_layout(list(slot_of))
+        self._slots = np.array([slot_of[name] for name in self._layout.names], dtype=np.intp)
+        self._utc_ns, self._bytes = utc_minus_monotonic_ns, 0
+        self._types = Types()
+        self._types.add(topics.FRAME_TYPE, self._layout.schema)
+        self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
+        period_ns = int(run["base_period_ns"])
+        self._eduart = topics.Eduart(self._types, list(self._layout.names), period_ns)
+        plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._writer = Writer(path, version=VERSION, storage_plugin=plugin)
+        self._writer.open()
+        self._held: list[tuple[str, bytes]] = []
+        self._newest_ns: int | None = None
+        self._is_open = True
+        self._connections = {
+            name: self._connect(name, kind)
+            for name, kind in (
+                (topics.FRAMES, topics.FRAME_TYPE),
+                (topics.RUN, topics.RUN_TYPE),
+                (topics.STATES, topics.STATE_TYPE),
+                *((topics.absolute(p.topic), p.type) for p in self._eduart.topics),
+            )
+        }
+        self.tell(run)
+
+    def _connect(self, name: str, kind: str) -> Any:
+        return self._writer.add_connection(name, kind, typestore=self._types.store)
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the messages so far."""
+        return self._bytes
+
+    def write(self, batch: Segmented) -> None:
+        """Append a message for each frame, and EduArt's where they are due."""
+        frames = batch.frames
+        table = np.zeros(len(frames), dtype=self._layout.dtype)
+        table["cdr"] = CDR_LITTLE_ENDIAN
+        table["number"], table["segment"] = frames.numbers, batch.segments
+        table["tick"], table["planned_ns"] = frames.ticks, frames.planned_ns
+        table["values"] = frames.values[:, self._slots]
+        table["status"] = frames.status[:, self._slots]
+        stamps = (frames.planned_ns + self._utc_ns).tolist()
+        if self._newest_ns is None:
+            self._release(stamps[0])
+        for row, stamp_ns, tick in zip(table, stamps, frames.ticks.tolist(), strict=True):
+            self._append(topics.FRAMES, stamp_ns, row.tobytes())
+            for topic, message in self._eduart.messages(tick, stamp_ns, row["values"]):
+                self._append(topics.absolute(topic), stamp_ns, self._types.encode(message))
+
+    def _append(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        self._newest_ns = max(self._newest_ns or 0, stamp_ns)
+        self._bytes += len(data)
+        self._writer.write(self._connections[topic], stamp_ns, data)
+
+    def _release(self, stamp_ns: int) -> None:
+        """Write what came before the first frame: a bag begins with its first stamp."""
+        self._newest_ns = stamp_ns
+        held, self._held = self._held, []
+        for topic, data in held:
+            self._append(topic, stamp_ns, data)
+
+    def _add(self, topic: str, data: bytes) -> None:
+        if self._newest_ns is None:
+            self._held.append((topic, data))
+        else:
+            self._append(topic, self._newest_ns, data)
+
+    def add_state(self, state: State) -> None:
+        """Append a state to replay from."""
+        words = state.words.astype(np.int64)
+        message = self._types.make(
+            topics.STATE_TYPE, segment=state.segment, tick=state.tick, words=words
+        )
+        self._add(topics.STATES, self._types.encode(message))
+
+    def tell(self, run: Mapping[str, Any]) -> None:
+        """Say where the recording comes from; the last word counts."""
+        text = json.dumps({**run, "order": list(self._layout.names)})
+        message = self._types.make(topics.RUN_TYPE, data=text)
+        self._add(topics.RUN, self._types.encode(message))
+
+    def flush(self) -> None:
+        """Leave it to the storage: MCAP is written chunk by chunk, sqlite3 at the end."""
+
+    def sync(self) -> None:
+        """Do as `flush` does."""
+
+    def close(self) -> None:
+        """Complete the bag; twice does no harm."""
+        if self._is_open:
+            self._is_open = False
+            if self._newest_ns is None:
+                self._release(0)
+            self._writer.close()

@@ -1,0 +1,98 @@
+"""Any log that can be read as one table, for `hilserver convert`."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import LogError
+from hilserver.logs import Log, read_log
+from hilserver.logs.bag_reader import is_own_bag
+from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME
+from hilserver.logs.reading import is_bag_of_ros, refuse_endless
+from hilserver.logs.rewriting import as_table
+from hilserver.measured.bag import read_bag
+from hilserver.measured.mapping import builtin_mappings, load_mapping
+from hilserver.measured.names import known_columns
+from hilserver.measured.parquet import read_parquet
+from hilserver.measured.tables import Recording, read_mapped
+
+
+def read_any(path: Path, mapping: str | None = None) -> Log:
+    """Read a log of any kind; through a mapping, its channels become signals.
+
+    Raises
+    ------
+    LogError
+        One sentence that names file, place and remedy.
+    """
+    refuse_endless(path)
+    try:
+        if mapping is not None:
+            table = load_mapping(mapping)
+            read = read_bag if table.is_for_bags else read_mapped
+            return _one_table(read(path, table))
+        if path.suffix == ".parquet":
+            return _parquet(path)
+        if is_bag_of_ros(path) and not is_own_bag(path):
+            raise LogError(
+                f"{path}: is no recording of hilserver; name a mapping of its topics, a file or one"
+                f" of {', '.join(builtin_mappings())}"
+            )
+        return read_log(path, known_columns())
+    except OSError as error:
+        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+
+
+def _one_table(recording: Recording) -> Log:
+    """Return the parts of a recording as one table; empty where a part has no sample."""
+    if len(recording.parts) == 1:
+        (part,) = recording.parts
+        columns = dict(part.columns)
+        return Log(
+            recording.path, part.t_s, part.segment, columns, part.block, notices=recording.notices
+        )
+    t_s = np.unique(np.concatenate([part.t_s for part in recording.parts]))
+    columns = {}
+    for part in recording.parts:
+        rows = np.searchsorted(t_s, part.t_s)
+        for name, values in part.columns.items():
+            columns[name] = np.full(len(t_s), np.nan)
+            columns[name][rows] = values
+    segment = np.zeros(len(t_s), dtype=np.int64)
+    return Log(recording.path, t_s, segment, columns, notices=recording.notices)
+
+
+def _parquet(path: Path) -> Log:
+    table = read_parquet(path)
+    if TIME not in table.header:
+        raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
+    names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
+    segment = table.integers(SEGMENT)
+    columns: dict[str, NDArray[np.float64]] = {name: table.column(name) for name in names}
+    return Log(
+        path,
+        table.column(TIME),
+        np.zeros(len(table.lines), dtype=np.int64) if segment is None else segment,
+        columns,
+        table.integers(BLOCK),
+    )
+
+
+def write_parquet(log: Log, path: Path) -> None:
+    """Write a log as Parquet.
+
+    Raises
+    ------
+    LogError
+        When pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa  # noqa: PLC0415 -- an extra
+        from pyarrow import parquet  # noqa: PLC0415
+    except ImportError:
+        raise LogError(
+            f"{path}: Parquet needs the library pyarrow; install it with"
+            " \"pip install 'hilserver[parquet]'\", or write CSV"
+        ) from None
+    parquet.write_table(pa.table(as_table(log)), path)

@@ -1,0 +1,136 @@
+"""The endpoint as viewers see it: a raw WebSocket client of its protocol."""
+
+import asyncio
+import json
+import struct
+from contextlib import asynccontextmanager
+
+import aiohttp
+import pytest
+from mcap_ros2._dynamic import generate_dynamic
+
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
+from hilserver.errors import FailedError
+from hilserver.ros.types import known_types
+from tests.io.ros2.rig import value
+from tests.loopback.rig import configuration, wait_until
+
+PATIENCE_S = 60.0
+MESSAGE_DATA, CLIENT_MESSAGE = 1, 1
+
+
+@asynccontextmanager
+async def robot(port=0):
+    ours = {"enabled": True, "port": port}
+    config = configuration(foxglove=ours, opcua={"enabled": False})
+    async with Daemon(assemble_config(config)) as daemon:
+        yield daemon
+
+
+class Viewer:
+    """Speaks ``foxglove.sdk.v1``: JSON for control, binary frames for data."""
+
+    def __init__(self, url):
+        self._url = url
+        self.channels, self.received, self.info = {}, {}, None
+
+    async def __aenter__(self):
+        self._session = aiohttp.ClientSession()
+        self._socket = await self._session.ws_connect(self._url, protocols=["foxglove.sdk.v1"])
+        self._reading = asyncio.create_task(self._read())
+        await wait_until(lambda: len(self.channels) >= 3 and self.info, PATIENCE_S)
+        return self
+
+    async def __aexit__(self, *_):
+        self._reading.cancel()
+        await asyncio.gather(self._reading, return_exceptions=True)
+        await self._session.close()
+
+    async def _read(self):
+        async for message in self._socket:
+            if message.type is aiohttp.WSMsgType.TEXT:
+                data = json.loads(message.data)
+                if data["op"] == "advertise":
+                    self.channels |= {channel["topic"]: channel for channel in data["channels"]}
+                elif data["op"] == "serverInfo":
+                    self.info = data
+            elif message.data[0] == MESSAGE_DATA:
+                (number,) = struct.unpack_from("<I", message.data, 1)
+                self.received.setdefault(number, []).append(message.data[13:])
+
+    async def subscribe(self, topic, number):
+        wanted = {"id": number, "channelId": self.channels[topic]["id"]}
+        await self._socket.send_json({"op": "subscribe", "subscriptions": [wanted]})
+        await wait_until(lambda: self.received.get(number), PATIENCE_S)
+        return self.received[number]
+
+    async def advertise(self, number, topic, encoding, schema=""):
+        channel = {"id": number, "topic": topic, "encoding": encoding, "schemaName": schema}
+        await self._socket.send_json({"op": "advertise", "channels": [channel]})
+
+    async def publish(self, number, data):
+        await self._socket.send_bytes(struct.pack("<BI", CLIENT_MESSAGE, number) + data)
+
+
+async def test_signals_transforms_and_hall():
+    async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
+        assert set(viewer.channels) == {"/hilserver/frame", "/transforms", "/scene"}
+        channel = viewer.channels["/hilserver/frame"]
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        name = channel["schemaName"]
+        decode = generate_dynamic(name, channel["schema"])[name]
+        frames = await viewer.subscribe("/hilserver/frame", 1)
+        assert decode(frames[-1]).battery.voltage_v > 10
+        await wait_until(lambda: len(frames) > 3, PATIENCE_S)
+        assert decode(frames[-1]).sim.tick > decode(frames[0]).sim.tick
+        assert viewer.channels["/transforms"]["schemaName"] == "foxglove.FrameTransform"
+        assert b"base_link" in (await viewer.subscribe("/transforms", 2))[0]
+        assert b"hall" in (await viewer.subscribe("/scene", 3))[0]
+
+
+async def test_what_is_published_obeys_control_and_the_dead_man():
+    async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
+        await viewer.advertise(1, "/cmd_vel", "json", "geometry_msgs/Twist")
+        await viewer.advertise(2, "/hilserver/set", "json")
+        await viewer.advertise(3, "/cmd_vel", "cdr", "geometry_msgs/msg/Twist")
+        twist = json.dumps({"linear": {"x": 0.2}, "angular": {"z": 0.1}}).encode()
+        await viewer.publish(1, twist)
+        rejected = daemon.gate.rejected
+        await wait_until(lambda: rejected["page:foxglove", "not_in_control"] > 0, PATIENCE_S)
+        assert value(daemon, "twist.linear_m_s") == 0.0
+
+        daemon.gate.take("page")
+
+        async def renew():
+            while True:
+                await viewer.publish(1, twist)
+                await asyncio.sleep(0.05)
+
+        held = asyncio.create_task(renew())
+        await wait_until(lambda: value(daemon, "twist.linear_m_s") == 0.2, PATIENCE_S)
+        held.cancel()
+        await wait_until(lambda: value(daemon, "twist.linear_m_s") == 0.0, PATIENCE_S)
+
+        await viewer.publish(2, json.dumps({"lights.command": 4, "control.mode": 0}).encode())
+        await wait_until(lambda: value(daemon, "lights.command") == 4.0, PATIENCE_S)
+        assert value(daemon, "control.mode") == 0.0
+        make, vector = known_types().make, "geometry_msgs/msg/Vector3"
+        still = make(vector, x=0.0, y=0.0, z=0.0)
+        message = make("geometry_msgs/msg/Twist", linear=still, angular=still)
+        await viewer.publish(3, known_types().encode(message))
+        await wait_until(lambda: value(daemon, "control.mode") == 1.0, PATIENCE_S)
+        for wrong in (b"", b"[]", b"{", b"[" * 50_000, b'{"wheel.fl.setpoint_rpm": NaN}'):
+            await viewer.publish(2, wrong)
+            await viewer.publish(1, wrong)
+        await wait_until(lambda: rejected["page:foxglove", "not_finite"] > 0, PATIENCE_S)
+        await viewer.publish(2, json.dumps({"lights.command": 2}).encode())
+        await wait_until(lambda: value(daemon, "lights.command") == 2.0, PATIENCE_S)
+
+
+async def test_a_port_in_use_is_a_sentence():
+    async with robot() as first:
+        port = int(first.foxglove.url.rsplit(":", 1)[1])
+        with pytest.raises(FailedError, match="foxglove: cannot listen on"):
+            async with robot(port):
+                pass

@@ -1,0 +1,180 @@
+"""A bag keeps every bit, opens in foreign readers, and holds EduArt's topics beside the signals."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+
+from hilserver import commands
+from hilserver.logs import read_log
+from hilserver.measured.reading import read_measured
+
+NEAR_ITS_END_NS = 1_400_000_000
+WHEELS = tuple(f"wheel.{w}.speed_rpm" for w in ("fl", "rl", "fr", "rr"))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A drive of our own, in virtual time."""
+    folder = tmp_path_factory.mktemp("recording")
+    scenario = folder / "drive.yaml"
+    scenario.write_text(
+        "steps:\n"
+        "  - {at_s: 0.1, write: {wheels.setpoints_rpm: [40, 40, -30, -30]}}\n"
+        "  - {at_s: 0.5, write: {wheels.setpoints_rpm: [20, 20, -50, -50]}}\n"
+    )
+    path = folder / "drive.mcap"
+    assert commands.main(["simulate", str(scenario), "-o", str(path)]) == 0
+    return path
+
+
+def convert(*words):
+    assert commands.main(["convert", *map(str, words)]) == 0
+
+
+def same(first, second):
+    assert list(first.columns) == list(second.columns) or set(first.columns) == set(second.columns)
+    np.testing.assert_array_equal(first.t_s.view(np.int64), second.t_s.view(np.int64))
+    np.testing.assert_array_equal(first.segment, second.segment)
+    for name, values in first.columns.items():
+        np.testing.assert_array_equal(values, second.columns[name], err_msg=name)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_recording_survives_bag_and_back(recording, tmp_path, storage):
+    convert(recording, tmp_path / "bag", "--storage", storage)
+    convert(tmp_path / "bag", tmp_path / "again.mcap")
+    first, between, last = (
+        read_log(path) for path in (recording, tmp_path / "bag", tmp_path / "again.mcap")
+    )
+    for log in (between, last):
+        same(first, log)
+        for name, codes in first.status.items():
+            np.testing.assert_array_equal(codes, log.status[name], err_msg=name)
+        assert [(s.segment, s.tick) for s in log.states] == [
+            (s.segment, s.tick) for s in first.states
+        ]
+        assert log.run["configuration"] == first.run["configuration"]
+
+
+def test_what_is_replayed_from_a_bag_is_the_same_bit_for_bit(recording, tmp_path, capsys):
+    convert(recording, tmp_path / "bag")
+    convert(tmp_path / "bag", tmp_path / "again.mcap")
+    words = ["replay", str(tmp_path / "again.mcap"), "-o", str(tmp_path / "x.mcap"), "--check"]
+    assert commands.main(words) == 0
+    assert "equal, bit for bit" in capsys.readouterr().out
+
+
+def test_a_diagnosis_sees_the_same_numbers_in_recording_and_bag(recording, tmp_path):
+    convert(recording, tmp_path / "bag")
+    native, bag = (read_measured([path]) for path in (recording, tmp_path / "bag"))
+    assert native.spans == bag.spans
+    assert set(native.channels) == set(bag.channels)
+    for name, channel in native.channels.items():
+        for part in ("t_s", "values", "span"):
+            ours, theirs = getattr(channel, part), getattr(bag.channels[name], part)
+            np.testing.assert_array_equal(ours, theirs, err_msg=name)
+
+
+def test_foreign_numbers_survive_csv_bag_mcap_parquet_csv(tmp_path):
+    rng = np.random.default_rng(1)
+    t_s = np.cumsum(rng.uniform(1e-3, 0.03, 300))
+    lines = ["t_s,segment,block,wheel.fl.speed_rpm,nav.x_m"]
+    for i, t in enumerate(t_s.tolist()):
+        x = "" if i % 3 else repr(float(rng.normal()))
+        lines.append(f"{t!r},{i // 150},{i // 60},{rng.normal() * 1e-7!r},{x}")
+    (tmp_path / "0.csv").write_text("\n".join(lines) + "\n")
+    chain = ["0.csv", "1_bag", "2.mcap", "3.parquet", "4_bag", "5.csv"]
+    for before, after in itertools.pairwise(chain):
+        convert(tmp_path / before, tmp_path / after)
+    first, last = read_log(tmp_path / "0.csv"), read_log(tmp_path / "5.csv")
+    same(first, last)
+    np.testing.assert_array_equal(first.block, last.block)
+    assert (tmp_path / "0.csv").read_text() == (tmp_path / "5.csv").read_text()
+
+
+def test_rosbags_reads_every_topic(recording, tmp_path):
+    convert(recording, tmp_path / "bag")
+    log = read_log(recording)
+    with Reader(tmp_path / "bag") as raw:
+        counts = {connection.topic: connection.msgcount for connection in raw.connections}
+    with AnyReader([tmp_path / "bag"]) as reader:
+        frames = [c for c in reader.connections if c.topic == "/hilserver/frame"]
+        for i, (connection, _, data) in enumerate(reader.messages(frames)):
+            message = reader.deserialize(data, connection.msgtype)
+            assert message.wheel.fl.speed_rpm == log.columns["wheel.fl.speed_rpm"][i]
+        speeds = [c for c in reader.connections if c.topic == "/iotbot/rpm/return"]
+        rows = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(speeds)]
+    assert counts["/hilserver/frame"] == len(log)
+    assert counts["/iotbot/rpm"] == counts["/iotbot/rpm/return"] == math.ceil(len(log) / 20)
+    expected = log.columns["wheel.rr.speed_rpm"][::20].astype(np.float32)
+    np.testing.assert_array_equal([row.rear_right_rpm for row in rows], expected)
+
+
+def test_the_decoder_of_mcap_reads_it(recording, tmp_path):
+    convert(recording, tmp_path / "bag")
+    seen = {}
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(
+            start_time=NEAR_ITS_END_NS
+        ):
+            seen[channel.topic] = decoded
+            assert message.log_time >= NEAR_ITS_END_NS
+    assert seen["/iotbot/imu"].header.frame_id == "imu_link"
+    assert seen["/iotbot/battery"].voltage > 10
+    assert seen["/poseStamped"].header.frame_id == "map"
+    assert seen["/hilserver/frame"].pose.x_m == read_log(recording).columns["pose.x_m"][-1]
+
+
+def test_eduarts_topics_are_the_signals_rounded_to_float32(recording, tmp_path):
+    convert(recording, tmp_path / "bag")
+    convert(tmp_path / "bag", tmp_path / "mapped.csv", "--mapping", "iotbot")
+    ours, theirs = read_log(recording), read_log(tmp_path / "mapped.csv")
+    for name in (*WHEELS, "wheel.fl.setpoint_rpm", "battery.voltage_v"):
+        expected = ours.columns[name][::20].astype(np.float32).astype(float)
+        np.testing.assert_array_equal(theirs.columns[name], expected, err_msg=name)
+    for name in ("imu.gyro_z_rad_s", "nav.x_m"):
+        np.testing.assert_array_equal(theirs.columns[name], ours.columns[name][::20])
+    np.testing.assert_allclose(theirs.columns["nav.yaw_rad"], ours.columns["nav.yaw_rad"][::20])
+
+
+def test_the_recording_of_the_thesis_maps_the_targets(recording, tmp_path):
+    convert(recording, tmp_path / "bag")
+    convert(tmp_path / "bag", tmp_path / "mapped.csv", "--mapping", "iotbot_5_6")
+    log = read_log(tmp_path / "mapped.csv")
+    np.testing.assert_array_equal(
+        log.columns["wheel.fl.speed_rpm"], log.columns["wheel.fl.setpoint_rpm"]
+    )
+
+
+def test_a_few_signals_give_the_topics_that_they_suffice_for(tmp_path):
+    (tmp_path / "0.csv").write_text("t_s,battery.voltage_v\n0.0,20.0\n0.5,19.5\n")
+    convert(tmp_path / "0.csv", tmp_path / "bag")
+    with Reader(tmp_path / "bag") as reader:
+        topics = {c.topic for c in reader.connections}
+    assert "/iotbot/battery" in topics
+    assert "/iotbot/imu" not in topics
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "code"),
+    [
+        (["none.csv", "x.mcap"], "no such file", 2),
+        (["in.csv", "x.xlsx"], "write a name that ends in", 1),
+        (["in.csv", "in.csv"], "exists already", 1),
+        (["folder", "x.csv"], "without a bag", 2),
+        (["in.csv", "x.csv", "--mapping", "nothing"], "built in are", 2),
+    ],
+)
+def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, words, said, code):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in.csv").write_text("t_s,battery.voltage_v\n0.0,20.0\n")
+    (tmp_path / "folder").mkdir()
+    assert commands.main(["convert", *words]) == code
+    assert said in capsys.readouterr().err
