@@ -1,8 +1,8 @@
 """Before an experiment: what its manoeuvre can show, how small, and what it cannot tell apart.
 
 Replays the set-points of a log or a scenario, adds the noise of usual sensors, and asks what a
-diagnosis could find. Writes plan.json and a better manoeuvre as a scenario, manoeuvre.yaml, that
-'hilserver run --scenario' and the test kit execute.
+diagnosis could find. Writes plan.json, plan.html, and a better manoeuvre as a scenario,
+manoeuvre.yaml, that 'hilserver run --scenario' and the test kit execute.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from hilserver.diagnosis.plan.manoeuvre import LONGEST_S, SHORTEST_S
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS
 from hilserver.diagnosis.plan.planning import ROOM_M, SCENARIO, Wish, plan
 from hilserver.diagnosis.plan.text import lines
+from hilserver.diagnosis.report.plan_page import PAGE, render_plan
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.program.progress import Progress
 
@@ -71,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan; print what the manoeuvre shows and write both files."""
+    """Plan; print what the manoeuvre shows and write the files."""
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the plan")
     assembly = assemble(config_path(args))
@@ -90,9 +91,11 @@ def run(args: argparse.Namespace) -> int:
         document, files = plan(wish, assembly, progress)
     finally:
         progress.end()
-    write_files(args.out, files)
+    write_files(args.out, files | {PAGE: render_plan(document)})
     print("\n".join(lines(document)))
-    print(f"The manoeuvre to drive is {args.out / SCENARIO}")
+    print(
+        f"The manoeuvre to drive is {args.out / SCENARIO}; the plan as a page is {args.out / PAGE}"
+    )
     return EXIT_DONE
 
 

@@ -45,7 +45,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
     drawn: tuple[Series | Path, ...] = (*evidence.series, *evidence.paths)
     extended = any(item.extended is not None for item in drawn)
     return (
-        _environment()
+        environment()
         .get_template("page.html.j2")
         .render(
             findings=findings,
@@ -62,7 +62,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
             where=words.where(evidence.cuts),
             screens=tables.screens(evidence.screen),
             twins=tables.twins(evidence.similarity),
-            unjudged=tables.unjudged(findings),
+            unjudged=tables.by_reason(findings.not_judged),
             notes=(*findings.notices, *evidence.remarks),
         )
     )
@@ -115,8 +115,9 @@ def _headed(cells: str, head: Sequence[str]) -> Markup:
 
 
 @cache
-def _environment() -> Environment:
-    environment = Environment(
+def environment() -> Environment:
+    """Return what fills the templates: filters, style and words."""
+    made = Environment(
         loader=PackageLoader("hilserver.diagnosis.report"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -125,13 +126,13 @@ def _environment() -> Environment:
     )
     folder = files("hilserver.diagnosis.report")
     style = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in STYLES)
-    environment.globals |= {
+    made.globals |= {
         "style": Markup(style),  # noqa: S704 - our own
         "badges": words.BADGES,
         "cut_points": tables.CUT_POINTS,
         "quantity": words.quantity,
     }
-    environment.filters |= {
+    made.filters |= {
         "number": number,
         "sentence": explain_finding,
         "plain": plain,
@@ -141,5 +142,5 @@ def _environment() -> Environment:
         "interval": figures.interval,
         "beside": lambda columns: list(zip_longest(*columns)),
     }
-    environment.tests["large"] = words.is_large
-    return environment
+    made.tests["large"] = words.is_large
+    return made

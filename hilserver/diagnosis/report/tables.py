@@ -1,11 +1,11 @@
 """What the tables behind a report show, chosen and sorted from findings and evidence."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import Similarity
-from hilserver.diagnosis.schema.findings import Findings
+from hilserver.diagnosis.schema.findings import NotJudged
 
 CUT_POINTS: Final = {
     "setpoints": "From the set-points: the whole chain",
@@ -39,9 +39,9 @@ def twins(similarity: Similarity | None) -> list[tuple[float, str, str]]:
     return sorted(pairs, key=lambda pair: -abs(pair[0]))[:MAX_TWINS]
 
 
-def unjudged(findings: Findings) -> dict[str, list[str]]:
+def by_reason(not_judged: Iterable[NotJudged]) -> dict[str, list[str]]:
     """Return the causes that the data say nothing about, by reason."""
     reasons: dict[str, list[str]] = {}
-    for item in findings.not_judged:
+    for item in not_judged:
         reasons.setdefault(item.reason, []).append(item.cause)
     return reasons

@@ -1,0 +1,60 @@
+"""A plan as a page: what the manoeuvre can show, what a better one can, and how to drive it."""
+
+from dataclasses import dataclass
+
+from hilserver.diagnosis.plan.document import PlanDocument, Prospect, Visible
+from hilserver.diagnosis.report.page import environment
+from hilserver.diagnosis.report.tables import by_reason
+
+PAGE = "plan.html"
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """How small a cause may be in either manoeuvre; None: it cannot be seen."""
+
+    cause: str
+    planned: Visible | None
+    proposed: Visible | None
+
+    @property
+    def reference(self) -> float | None:
+        """Size at which a diagnosis should name it."""
+        known = self.planned or self.proposed
+        return None if known is None else known.reference
+
+
+def render_plan(document: PlanDocument) -> str:
+    """Return a plan as one HTML file without any reference to the network."""
+    planned, proposed = document.as_planned, document.proposed
+    return (
+        environment()
+        .get_template("plan.html.j2")
+        .render(
+            plan=document,
+            headline=_headline(document),
+            seen=_seen(planned, proposed),
+            pieces=_counted(proposed.pieces),
+            unjudged=by_reason(proposed.not_judged),
+        )
+    )
+
+
+def _headline(document: PlanDocument) -> str:
+    shown, then = (_shown(p) for p in (document.as_planned, document.proposed))
+    if not document.proposed.better:
+        return f"{document.manoeuvre} shows {shown} causes; nothing better was found."
+    return f"{document.manoeuvre} shows {shown} causes; the proposed manoeuvre shows {then}."
+
+
+def _shown(prospect: Prospect) -> int:
+    return sum(v.shows for v in prospect.causes)
+
+
+def _seen(planned: Prospect, proposed: Prospect) -> list[Seen]:
+    first, second = ({v.cause: v for v in p.causes} for p in (planned, proposed))
+    return [Seen(c, first.get(c), second.get(c)) for c in dict.fromkeys((*first, *second))]
+
+
+def _counted(pieces: tuple[str, ...]) -> dict[str, int]:
+    return {name: pieces.count(name) for name in pieces}
