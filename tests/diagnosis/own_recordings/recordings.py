@@ -1,6 +1,8 @@
 """Recordings of the daemon: how it drove, how it was recorded, and what became of the rows."""
 
 import asyncio
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -17,7 +19,7 @@ from hilserver.logs.provenance import make_run
 from hilserver.measured.frames import Sampling
 from hilserver.measured.reading import read_measured
 from hilserver.replay.simulation import Simulation
-from tests.helpers.daemons import running_daemon
+from tests.fakes import image_name
 
 QUIET = {"white_noise_m": 0.0, "correlated_noise_m": 0.0, "yaw_noise_rad": 0.0}
 NOISY = {"correlated_noise_m": 0.05, "yaw_noise_rad": 0.015}
@@ -140,8 +142,12 @@ class RealDrive:
             plan = yaml.safe_dump(play.model_dump(mode="json", exclude_unset=True))
             (path.parent / "scenario.yaml").write_text(plan, encoding="utf-8")
             words += ["--scenario", "scenario.yaml"]
-        with running_daemon(path.parent, *words, config=text) as daemon:
-            assert daemon.process.wait(self.seconds + 120.0) == 0
+        free = "opcua: {endpoint: 'opc.tcp://127.0.0.1:0/h'}\nmetrics: {port: 0}\n"
+        image = f"image: {{name: {image_name()}}}\npage: {{enabled: false}}\n"
+        (path.parent / "config.yaml").write_text(free + image + text, encoding="utf-8")
+        command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *words]
+        done = subprocess.run(command, cwd=path.parent, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
         return path
 
 
