@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from hilserver.diagnosis.noise.readings import FLOOR_SD
 from hilserver.diagnosis.noise.whitening import NoiseModel
 
 Array = NDArray[np.float64]
@@ -77,4 +78,4 @@ def noise_of_neighbours(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
         sd = float(np.sqrt(np.mean(quiet**2) / 2.0 / WITHIN_3_SD))
     if sd <= 0.0 and len(steps):
         sd = float(np.std(steps)) / np.sqrt(2.0)
-    return NoiseModel(max(sd, 1e-6))
+    return NoiseModel(max(sd, FLOOR_SD))

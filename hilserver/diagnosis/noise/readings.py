@@ -20,6 +20,8 @@ from hilserver.diagnosis.noise.whitening import NoiseModel
 
 Array = NDArray[np.float64]
 
+FLOOR_SD = 1e-6
+"""Deviation that a channel without any noise is given."""
 HARMONICS = np.arange(1, 6)
 LEAST_NOISE, MOST_NOISE = 0.02, 50.0
 """Range of the noise by the step."""
@@ -64,7 +66,9 @@ class Reading:
         shown = np.clip(exact, -self.limit, self.limit)
         if noise is None or math.isinf(self.limit):
             return shown
-        sd = math.sqrt(max(noise.sd**2 - self.step**2 / 12.0, 1e-12 * self.limit**2))
+        sd = math.sqrt(max(noise.sd**2 - self.step**2 / 12.0 - FLOOR_SD**2, 0.0))
+        if sd < FLOOR_SD:
+            return shown  # a simulated sensor: its noise model is there to divide by
         short = self._short(sd)
         for side in (1.0, -1.0):
             away = np.abs(side * exact - self.limit) / sd

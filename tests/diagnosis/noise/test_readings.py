@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.noise.readings import Reading, lasting, noise_of_readings
+from hilserver.diagnosis.noise.readings import FLOOR_SD, Reading, lasting, noise_of_readings
 from hilserver.diagnosis.noise.whitening import NoiseModel, Whitener
 
 RNG = 5
@@ -39,6 +39,12 @@ def test_the_mean_reading_at_a_limit_is_that_of_many(step, beyond):
         mean = read(side * exact, noise_sd, step, limit).mean()
         said = Reading(step, 0.0, limit).mean(side * exact, noise)[0]
         assert said == pytest.approx(mean, abs=0.03 * noise_sd)
+
+
+def test_without_noise_a_reading_at_the_limit_is_the_limit():
+    exact = np.array([99.0, 100.0, 130.0])
+    for noise in (None, NoiseModel(FLOOR_SD)):
+        assert Reading(0.0, 0.0, 100.0).mean(exact, noise).tolist() == [99.0, 100.0, 100.0]
 
 
 def test_far_from_a_limit_a_reading_is_the_quantity():
