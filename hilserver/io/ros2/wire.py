@@ -29,7 +29,7 @@ _BASE: Final[dict[str, Any]] = {
     "float64": idl.float64,
 }
 EMPTY: Final = {"structure_needs_at_least_one_member": idl.uint8}
-IDENTITY: Final = {"guid": idl.uint64, "sequence": idl.int64}
+IDENTITY: Final = {"guid": idl.uint64, "sequence_number": idl.int64}
 """What rmw_cyclonedds puts before request and response."""
 
 

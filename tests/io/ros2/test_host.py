@@ -1,0 +1,201 @@
+"""A host that falls silent, has no control, calls services, or shows the defects of drivers."""
+
+import time
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from hilserver.errors import ControlRefused
+from hilserver.ros.types import known_types
+from hilserver.signals import State
+from tests.io.ros2.rig import PATIENCE_S, Host, robot, speeds, twist, value
+from tests.loopback.rig import wait_until
+
+RPM = "iotbot_interface/msg/RotationSpeed"
+DRIVE = ("w", "rt/iotbot/rpm", RPM, "reliable")
+RETURN = ("r", "rt/iotbot/rpm/return", RPM, "reliable")
+TWIST = ("w", "rt/cmd_vel", "geometry_msgs/msg/Twist", "reliable")
+IMU = ("r", "rt/iotbot/imu", "sensor_msgs/msg/Imu", "best_effort")
+JOY = ("w", "rt/joy", "sensor_msgs/msg/Joy", "reliable")
+EXTENDED = ("w", "rt/joy_extended", "sensor_msgs/msg/Joy", "reliable")
+ENABLE = "iotbot_interface/srv/SendEnable"
+FORWARD = speeds(50, -50, 50, -50)
+
+
+def request(name, type_name):
+    """Endpoint of a service's requests; the type is the request's."""
+    return ("w", f"rq/{name}Request", f"{type_name}_Request", "reliable")
+
+
+def reply(name, type_name):
+    return ("r", f"rr/{name}Reply", f"{type_name}_Response", "reliable")
+
+
+async def drives(daemon, rpm=50.0):
+    await wait_until(
+        lambda: abs((value(daemon, "wheel.fl.speed_rpm") or 0.0) - rpm) < 1.0, PATIENCE_S
+    )
+
+
+async def stands(daemon):
+    await wait_until(lambda: abs(value(daemon, "wheel.fl.speed_rpm")) < 1.0, PATIENCE_S)
+
+
+async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, domain):
+    service = "iotbot/srv/send_enable"
+    host = Host(fast_dds, domain, DRIVE, RETURN, request(service, ENABLE), reply(service, ENABLE))
+    async with robot(domain) as daemon, host:
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await drives(daemon)
+        await wait_until(lambda: value(daemon, "drive.enable") == 0.0, PATIENCE_S)
+        await stands(daemon)
+        assert daemon.control.state is State.RUNNING, "the device stops, not the daemon"
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await wait_until(lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S)
+            assert value(daemon, "drive.enable") == 0.0
+            host.write(f"rq/{service}Request", enable=True)
+            await drives(daemon)
+            host.write(f"rq/{service}Request", enable=False)
+            await stands(daemon)
+        assert not host.received[f"rr/{service}Reply"], "rmw_fastrtps could not use an answer"
+
+
+async def test_ramp_is_the_safe_state_until_reset(fast_dds, domain):
+    host = Host(fast_dds, domain, DRIVE)
+    async with robot(domain, on_stale="ramp") as daemon, host:
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await drives(daemon)
+        await wait_until(lambda: daemon.control.state is State.SAFE, PATIENCE_S)
+        with pytest.raises(ControlRefused, match="ROS 2 host is silent"):
+            daemon.control.reset()
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await wait_until(lambda: tried(daemon.control.reset) or drives_on(daemon), PATIENCE_S)
+
+
+def tried(reset):
+    """Reset, as often as a late host makes it necessary; False, so that the wait goes on."""
+    daemon_is_safe = reset.__self__.state is State.SAFE
+    with suppress(ControlRefused):
+        if daemon_is_safe:
+            reset()
+    return False
+
+
+def drives_on(daemon):
+    return abs(value(daemon, "wheel.fl.speed_rpm") - 50.0) < 1.0
+
+
+async def test_without_control_nothing_moves_and_silence_stops_nobody(fast_dds, domain):
+    host = Host(fast_dds, domain, DRIVE)
+    async with robot(domain) as daemon, host:
+        daemon.gate.take("opcua")
+        assert not daemon.gate.write("opcua", {"wheels.setpoints_rpm": [10.0, 10.0, -10.0, -10.0]})
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await wait_until(lambda: not daemon.ros2.status.stale, PATIENCE_S)
+            await drives(daemon, 10.0)
+            assert daemon.gate.rejected["ros2", "not_in_control"] > 0
+        await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
+        assert value(daemon, "drive.enable") == 1.0
+        assert value(daemon, "wheel.fl.setpoint_rpm") == 10.0
+
+
+async def test_gamepad_drives_switches_lights_and_enables(fast_dds, domain):
+    host = Host(fast_dds, domain, JOY, EXTENDED)
+    make = known_types().make
+    stamp = make("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    header = make("std_msgs/msg/Header", stamp=stamp, frame_id="")
+
+    def joy(forward=0.0, turn=0.0, throttle=1.0, pressed=()):
+        axes, buttons = np.zeros(6, dtype=np.float32), np.zeros(12, dtype=np.int32)
+        axes[1], axes[3], axes[5] = forward, turn, throttle
+        for button in pressed:
+            buttons[button] = 1
+        return {"header": header, "axes": axes, "buttons": buttons}
+
+    async with robot(domain) as daemon, host:
+        fastest = daemon.assembly.robot.max_linear_m_s
+        async with host.repeating("rt/joy", **joy(forward=0.5, throttle=0.0, pressed=(4,))):
+            await wait_until(
+                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(fastest / 4), PATIENCE_S
+            )
+            assert value(daemon, "lights.command") == 4.0
+            assert value(daemon, "lights.green") == 0x88
+        async with host.repeating("rt/joy_extended", **joy(forward=-1.0)):
+            await wait_until(
+                lambda: value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), PATIENCE_S
+            )
+            host.write("rt/joy", **joy(pressed=(10,)))
+            await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
+            assert value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), "axes of joy rest"
+
+
+# --- defects 1 to 5 of real drivers: the symptom with, none without -------------------------------
+
+
+async def test_defect_1_turns_too_slowly(fast_dds, domain):
+    host = Host(fast_dds, domain, TWIST)
+    async with robot(domain) as daemon, host, host.repeating("rt/cmd_vel", **twist(0.0, 0.5)):
+        turning = lambda: value(daemon, "velocity.angular_rad_s") or 0.0  # noqa: E731
+        await wait_until(lambda: abs(turning() - 0.5) < 0.05, PATIENCE_S)
+        daemon.faults.inject({"fault": "shield.yaw_rate_without_60_2pi"})
+        await wait_until(lambda: abs(turning() - 0.5 / 9.55) < 0.02, PATIENCE_S)
+        daemon.faults.clear()
+        await wait_until(lambda: abs(turning() - 0.5) < 0.05, PATIENCE_S)
+
+
+async def test_defect_2_drives_on(fast_dds, domain):
+    host = Host(fast_dds, domain, DRIVE)
+    async with robot(domain) as daemon, host:
+        daemon.faults.inject({"fault": "shield.dead_command_timeout"})
+        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+            await drives(daemon)
+        await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
+        await wait_until(
+            lambda: daemon.ros2.status.input_age_s(time.monotonic_ns()) > 2.0, PATIENCE_S
+        )
+        assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(50.0, abs=1.0)
+        daemon.faults.clear()
+        await stands(daemon)
+
+
+async def test_defect_3_scales_by_the_last_wheel(fast_dds, domain):
+    host = Host(fast_dds, domain, TWIST)
+    async with robot(domain) as daemon, host, host.repeating("rt/cmd_vel", **twist(0.5, 0.6)):
+        left = lambda: value(daemon, "wheel.fl.speed_rpm") or 0.0  # noqa: E731
+        forward = lambda: value(daemon, "velocity.linear_m_s") or 0.0  # noqa: E731
+        await wait_until(lambda: abs(forward() - 0.5) < 0.01, PATIENCE_S)
+        before = left(), value(daemon, "wheel.fr.speed_rpm")
+        limit = min(map(abs, before)) * 0.9
+        daemon.faults.inject({"fault": "shield.last_wheel_scaling", "value": limit})
+        await wait_until(lambda: abs(left()) < abs(before[0]) - 1.0, PATIENCE_S)
+        after = [abs(value(daemon, f"wheel.{wheel}.speed_rpm")) for wheel in ("fl", "fr")]
+        assert max(after) > limit + 0.5, "the fastest wheel is above the limit all the same"
+
+
+async def test_defect_4_swaps_the_front_wheels(fast_dds, domain):
+    host = Host(fast_dds, domain, DRIVE, RETURN)
+    driving = host.repeating("rt/iotbot/rpm", **speeds(40, -20, 40, -20))
+    async with robot(domain) as daemon, host, driving:
+        await host.sees(RETURN[1], lambda m: m.front_left_rpm > 39)
+        daemon.faults.inject({"fault": "shield.front_wheels_swapped"})
+        seen = await host.sees(RETURN[1], lambda m: m.front_right_rpm > 39)
+        assert seen.front_left_rpm == pytest.approx(-20, abs=1)
+        daemon.faults.clear()
+        await host.sees(RETURN[1], lambda m: m.front_left_rpm > 39)
+
+
+async def test_defect_5_reads_unsigned_and_in_g(fast_dds, domain):
+    host = Host(fast_dds, domain, DRIVE, RETURN, IMU)
+    driving = host.repeating("rt/iotbot/rpm", **speeds(-40, -40, -40, -40))
+    async with robot(domain) as daemon, host, driving:
+        await host.sees(RETURN[1], lambda m: m.front_left_rpm < -39)
+        turning = (await host.sees(IMU[1])).angular_velocity.z
+        assert 0.2 < abs(turning) < 10.0
+        daemon.faults.inject({"fault": "shield.rpm_unsigned"})
+        await host.sees(RETURN[1], lambda m: m.front_left_rpm > 600)
+        daemon.faults.inject({"fault": "shield.imu_raw_units"})
+        await host.sees(IMU[1], lambda m: abs(m.angular_velocity.z) > 20 * abs(turning))
+        daemon.faults.clear()
+        await host.sees(RETURN[1], lambda m: m.front_left_rpm < -39)
+        await host.sees(IMU[1], lambda m: abs(m.angular_velocity.z) < 10.0)
