@@ -14,6 +14,7 @@ BENCHES = {
     "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
     "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
     "loop": "set-point to pose and back over TCP, two processes",
+    "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
     "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
 }
 

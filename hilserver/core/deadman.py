@@ -1,6 +1,6 @@
-"""The dead-man of the operator page: a held command ends with the messages that renew it.
+"""The dead-man of page and teleop: a held command ends with the messages that renew it.
 
-It lives in the daemon, so that it acts whatever has become of browser, network or page process.
+It lives in the daemon, so that it acts whatever has become of browser, network or process.
 """
 
 import asyncio
@@ -10,7 +10,7 @@ from typing import Protocol
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import InputGate, kind_of
 
-SOURCE = "page"
+PAGE, TELEOP = "page", "opcua:teleop"
 
 
 class Timer(Protocol):
@@ -48,7 +48,7 @@ class DeadMan:
 
     def renew(self, source: str) -> None:
         """Count anew: `source` has written set-points."""
-        if kind_of(source) != SOURCE:
+        if kind_of(source) != PAGE and source != TELEOP:
             return
         timer = self._timers.pop(source, None)
         if timer is not None:

@@ -10,6 +10,7 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from hilserver.config.server import OpcUaConfig
+from hilserver.core.deadman import TELEOP
 from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server.access import Access
@@ -72,11 +73,14 @@ class RobotInternalServer(QuickInternalServer):
         self.supported_tokens = tuple(tokens)
 
     def source_of(self, session_name: str | None) -> str:
-        """Return under which name a session writes; one that knows the secret is the page's."""
+        """Return under which name a session writes; one that knows the secret is the page's.
+
+        A teleoperation names itself: all it gains is the dead-man.
+        """
         given = (session_name or "").split(" ")[0]
         if secrets.compare_digest(given.encode(), self.page_secret.encode()):
             return f"page:{next(self._page_numbers)}"
-        return SOURCE
+        return TELEOP if given == "teleop" else SOURCE
 
     async def tell_limits(self) -> None:
         """Show the limits where clients look for them, below ServerCapabilities."""

@@ -141,6 +141,19 @@ class Hand:
         response = await self._ask(request, ua.CallResponse)
         _check([result.StatusCode for result in response.Results], response.DiagnosticInfos)
 
+    async def read(self, names: Sequence[str]) -> list[Any]:
+        """Return the values of signals; None for one that has none.
+
+        Raises
+        ------
+        RefusedError
+            If the daemon does not answer.
+        """
+        try:
+            return await self._read(list(names), ua.AttributeIds.Value)
+        except (OSError, TimeoutError, ua.UaError) as error:
+            raise RefusedError(f"the daemon does not answer: {error or 'time-out'}") from None
+
     async def _ask(self, request: Any, kind: Any) -> Any:
         if self._client is None:
             raise RefusedError("not connected to the daemon")

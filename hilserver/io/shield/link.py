@@ -93,6 +93,11 @@ class ShieldLink:
         words[w.PAUSE], words[w.IS_PTY] = PAUSE_NS, config.device is None
 
     @property
+    def thread_id(self) -> int:
+        """The operating system's number of the line's thread."""
+        return self._thread.native_id or 0
+
+    @property
     def address(self) -> str:
         """What a host opens."""
         line = self._line

@@ -1,0 +1,115 @@
+"""Hosts in C drive the running daemon over its line."""
+
+import asyncio
+import contextlib
+import os
+
+import numpy as np
+import pytest
+
+from hilserver.io.shield import words as w
+from hilserver.io.shield.protocol import BYTE_NS, Command, request
+from tests.io.shield.conftest import random_bytes, running_robot
+
+pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(400)]
+
+LINE_MS = (11 + 32) * 10 / 115.2 + 1.0
+"""Request, reply delay and response on a line of 115200 baud."""
+
+
+@pytest.mark.parametrize("blocking", [1, 0])
+@pytest.mark.parametrize(("rate", "count"), [(10, 10), (50, 50), (100, 100)])
+async def test_a_host_drives(robot, rate, count, blocking):
+    await robot.forget()
+    saw = await robot.host(rate=rate, count=count, blocking=blocking, rpm=30)
+    assert saw["answered"] >= count + 1
+    assert (saw["wrong_echo"], robot.status.count(w.SKIPPED)) == (0, 0)
+    assert saw["shortest_ms"] >= LINE_MS
+    assert robot.setpoints() == [30, 30, -30, -30]
+    assert robot.status.enabled
+
+
+async def test_the_plant_follows_and_the_response_shows_it(robot):
+    await robot.forget()
+    async with robot.started_host(rate=50, count=10_000, rpm=40):
+        await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm") - 40) < 0.5, "drives")
+        assert robot.read("wheel.fr.speed_rpm") == pytest.approx(-40, abs=1)
+        await robot.until(lambda: robot.status.connected, "the host has the line open")
+    await robot.until(lambda: not robot.status.connected, "the host has closed the line")
+
+
+async def test_no_response_is_earlier_than_the_line_permits(robot):
+    await robot.forget()
+    await robot.host(rate=100, count=100)
+    due, written = robot.writes().T
+    assert (written >= due).all()
+    assert (np.diff(written) >= 32 * BYTE_NS).all()
+
+
+async def test_silence_withdraws_enable_and_a_command_brings_it_back(robot):
+    await robot.forget()
+    await robot.host(timeout_s=0.3, count=20)
+    assert robot.device.limit_ns == pytest.approx(300_000_000, rel=1e-6)
+    await robot.until(lambda: robot.read("drive.enable") == 0.0, "enable is withdrawn")
+    assert (robot.status.enabled, robot.status.stale) == (False, True)
+    await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm")) < 0.5, "it stops")
+    await robot.host(count=5, enable=0)
+    assert not robot.status.enabled
+    assert robot.status.fault_counts["while_disabled"] >= 5
+    async with robot.started_host(count=10_000):
+        await robot.until(lambda: robot.read("drive.enable") == 1.0, "enable is back")
+        await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm") - 30) < 0.5, "it drives")
+
+
+async def test_a_request_too_many_is_counted_and_the_rest_answered(robot):
+    await robot.forget()
+    host = os.open(robot.shield.address, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    os.write(host, request(Command.SET_RPM) * 2)
+    await robot.until(lambda: robot.status.count(w.RESPONSES) == 2, "both are answered")
+    os.close(host)
+
+
+async def test_another_source_keeps_control(robot):
+    await robot.forget()
+    robot.daemon.gate.take("opcua")
+    robot.daemon.gate.write("opcua", {"drive.enable": True, "wheel.fl.setpoint_rpm": 7.0})
+    saw = await robot.host(count=10, rpm=30)
+    assert saw["answered"] >= 11
+    assert robot.daemon.gate.newest("wheel.fl.setpoint_rpm") == 7.0
+    assert robot.daemon.gate.rejected["shield", "not_in_control"] > 0
+    robot.daemon.gate.take("shield")
+
+
+async def flooded(robot, data):
+    """Write `data` as fast as the line takes it, and read what comes back."""
+    host = os.open(robot.shield.address, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        sent = 0
+        while sent < len(data):
+            try:
+                sent += os.write(host, data[sent : sent + 512])
+            except BlockingIOError:
+                await asyncio.sleep(0.001)
+            with contextlib.suppress(BlockingIOError):
+                os.read(host, 65536)
+        await robot.until(lambda: robot.status.count(w.BYTES) >= len(data), "all was read")
+    finally:
+        os.close(host)
+
+
+async def test_a_million_random_bytes_leave_it_alive_and_in_step(tmp_path, host_program):
+    async with running_robot(tmp_path, host_program, pace=False) as robot:
+        await flooded(robot, random_bytes(1_000_000))
+        await robot.forget()
+        saw = await robot.host(count=20)
+        assert (saw["answered"], saw["wrong_echo"]) == (21, 0)
+        assert robot.setpoints() == [30, 30, -30, -30]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+async def test_a_million_random_bytes_at_the_speed_of_the_line(tmp_path, host_program):
+    async with running_robot(tmp_path, host_program) as robot:
+        await flooded(robot, random_bytes(1_000_000))
+        saw = await robot.host(count=20)
+        assert saw["answered"] >= 21
