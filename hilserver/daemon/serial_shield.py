@@ -55,9 +55,13 @@ def make_shield(core: Core, supervision: Supervision) -> ShieldLink | None:
 
 
 def _realtime(core: Core) -> RealtimeSettings:
-    """Return what the thread of the line asks for: less than the plant's, never its core."""
-    priority = core.assembly.config.scheduler.realtime.priority
-    return RealtimeSettings(priority=max(priority - 1, 0))
+    """Return what the thread of the line asks for: less than the plant's, never its core.
+
+    Without the line's pace a host could keep it busy for ever; it is then a thread like others.
+    """
+    config = core.assembly.config
+    priority = config.scheduler.realtime.priority - 1 if config.shield.pace else 0
+    return RealtimeSettings(priority=max(priority, 0))
 
 
 class Gains:

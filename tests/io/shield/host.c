@@ -60,9 +60,9 @@ static void open_line(const char *path)
     t.c_cc[VMIN] = defect == 11;
     t.c_cc[VTIME] = defect == 11 ? 0 : 1;
     tcsetattr(line, TCSANOW, &t);
+    tcflush(line, TCIOFLUSH);
     if (defect == 12)
         tcflow(line, TCIOFF); /* as a library's "no flow control" does it */
-    tcflush(line, TCIOFLUSH);
 }
 
 /* Read until `want` bytes are there or the time is over; a blocking read returns by itself. */

@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pytest
 
+from hilserver.errors import FailedError
 from hilserver.io.shield import words as w
 from hilserver.io.shield.protocol import BYTE_NS, Command, request
 from tests.io.shield.conftest import random_bytes, running_robot
@@ -104,6 +105,40 @@ async def test_a_million_random_bytes_leave_it_alive_and_in_step(tmp_path, host_
         saw = await robot.host(count=20)
         assert (saw["answered"], saw["wrong_echo"]) == (21, 0)
         assert robot.setpoints() == [30, 30, -30, -30]
+
+
+async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_program):
+    """The far end of another pseudo-terminal stands for a serial line of the computer."""
+    near, far = os.openpty()
+    device = os.ttyname(far)
+    os.close(far)
+    async with running_robot(tmp_path, host_program, device=device) as robot:
+        os.write(near, request(Command.ENABLE))
+        os.set_blocking(near, False)
+        got = bytearray()
+
+        def answered():
+            with contextlib.suppress(BlockingIOError):
+                got.extend(os.read(near, 64))
+            return len(got) == 32
+
+        await robot.until(answered, "the line answers")
+        assert got[0] == Command.ENABLE
+        os.close(near)
+
+        def is_named():
+            return any(device in e.message and "lost" in e.message for e in recent)
+
+        recent = robot.daemon.events.recent
+        await robot.until(is_named, "the loss is an event")
+        await robot.until(lambda: not robot.status.connected, "the line is lost")
+
+
+async def test_a_mistyped_device_ends_the_start_with_a_sentence(tmp_path, host_program):
+    with pytest.raises(FailedError, match=r"there is no .*ttyS77"):
+        async with running_robot(tmp_path, host_program, device=str(tmp_path / "ttyS77")):
+            pass
+    assert not (tmp_path / "ttyS77").exists()
 
 
 @pytest.mark.long
