@@ -20,7 +20,7 @@ from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 
-WAIT_S = 60.0
+WAIT_S = 150.0
 SPEED = "velocity.linear_m_s"
 
 # --- keys -----------------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ in_terminal = pytest.mark.asyncio(loop_scope="module")
 
 
 @in_terminal
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
     assert "hold ends with 150 ms without a key repeat" in terminal.look()
     terminal.type("w")
@@ -193,7 +193,7 @@ async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 async def test_one_press_stops_by_itself(terminal):
     terminal.type("\x1b[A")
     await terminal.drives()
@@ -201,7 +201,7 @@ async def test_one_press_stops_by_itself(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 async def test_with_the_kitty_protocol_a_hold_lasts_until_its_release(terminal):
     assert "\x1b[?u" in terminal.look()
     terminal.type("\x1b[?11u")
@@ -221,7 +221,7 @@ async def test_with_the_kitty_protocol_a_hold_lasts_until_its_release(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 async def test_closing_the_terminal_stops(terminal):
     terminal.type("\x1b[?11u\x1b[119;1:1u")
     await terminal.drives()
@@ -231,7 +231,7 @@ async def test_closing_the_terminal_stops(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 async def test_the_daemon_stops_what_a_killed_teleoperation_held(terminal):
     terminal.type("\x1b[?11u\x1b[119;1:1u")
     await terminal.drives()
@@ -240,7 +240,7 @@ async def test_the_daemon_stops_what_a_killed_teleoperation_held(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 async def test_lights_and_the_end(terminal):
     terminal.type("3")
     await terminal.until(lambda: terminal.read("lights.state") == 3, "flash all")

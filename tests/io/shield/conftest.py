@@ -17,7 +17,7 @@ from hilserver.daemon.daemon import Daemon
 from hilserver.io.shield import words as w
 
 SOURCE = Path(__file__).with_name("host.c")
-WAIT_S = 30.0
+WAIT_S = 120.0
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from hilserver.io.shield import words as w
 from hilserver.io.shield.protocol import BYTE_NS, Command, request
 from tests.io.shield.conftest import random_bytes, running_robot
 
-pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(600)]
 
 LINE_MS = (11 + 32) * 10 / 115.2 + 1.0
 """Request, reply delay and response on a line of 115200 baud."""
