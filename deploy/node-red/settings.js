@@ -1,4 +1,5 @@
-// Node-RED settings of the controller: no editor, no HTTP, nothing that calls home.
+// Node-RED settings of the controller: no editor unless IOTBOT_EDITOR is 1, and then on this computer
+// only; no other HTTP, nothing that calls home.
 // Every path can be moved by an environment variable; the flow reads them with ${NAME}.
 const path = require("path");
 
@@ -8,9 +9,10 @@ process.env.IOTBOT_DEMO ||= "0"; // "1": drive the built-in demo when ROS 2 send
 module.exports = {
   flowFile: "flows.json",
   credentialSecret: false, // the flow holds no credentials
-  httpAdminRoot: false,
+  httpAdminRoot: process.env.IOTBOT_EDITOR === "1" ? "/" : false,
   httpNodeRoot: false,
   uiHost: "127.0.0.1",
+  uiPort: Number(process.env.EDITOR_PORT || 1880),
   telemetry: { enabled: false, updateNotification: false },
   diagnostics: { enabled: false, ui: false },
   runtimeState: { enabled: false, ui: false },

@@ -6,13 +6,14 @@ A new method is a row here, and a line in ``docs/reference/opcua-address-space.m
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from hilserver.core.control import Control
 from hilserver.faults import Faults
 from hilserver.faults.model import parse_faults
 from hilserver.signals import ValueType
 
+T = TypeVar("T")
 STRING = "String"
 """OPC UA's String, which no signal has."""
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
@@ -65,9 +66,7 @@ class Parts:
         NotImplementedError
             If the server has none.
         """
-        if self._faults is None:
-            raise NotImplementedError("this server has no faults and cannot force")
-        return self._faults
+        return _there(self._faults, "faults and cannot force")
 
     @property
     def files(self) -> Files:
@@ -78,9 +77,13 @@ class Parts:
         NotImplementedError
             If the server has none.
         """
-        if self._files is None:
-            raise NotImplementedError("this server has no scenarios, no recordings and no patches")
-        return self._files
+        return _there(self._files, "scenarios, no recordings and no patches")
+
+
+def _there(part: T | None, what: str) -> T:
+    if part is None:
+        raise NotImplementedError(f"this server has no {what}")
+    return part
 
 
 @dataclass(frozen=True, slots=True)
