@@ -18,7 +18,7 @@ import numpy as np
 from numba.core import config
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_KERNEL_ROOMS = ("compiled", "plant", "scheduler", "image", "kernel")
+_KERNEL_ROOMS = ("compiled", "plant", "body", "scheduler", "image", "kernel")
 
 
 def kernel_sources() -> list[Path]:

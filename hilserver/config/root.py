@@ -9,6 +9,7 @@ from pydantic import Field
 
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
+from hilserver.config.mechatronic import MechatronicConfig
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
 from hilserver.config.page import FoldersConfig, PageConfig
 from hilserver.config.peers import PeerConfig
@@ -35,6 +36,7 @@ class Config(Section):
     plant: PlantConfig = Field(default_factory=PlantConfig)
     kinematics: KinematicsConfig = Field(default_factory=KinematicsConfig)
     sensors: SensorsConfig = Field(default_factory=SensorsConfig)
+    mechatronic: MechatronicConfig = Field(default_factory=MechatronicConfig)
     scheduler: SchedulerConfig = Field(default_factory=SchedulerConfig)
     control: ControlConfig = Field(default_factory=ControlConfig)
     image: ImageConfig = Field(default_factory=ImageConfig)

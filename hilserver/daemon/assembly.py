@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hilserver import __version__
+from hilserver.body.engine import Engine
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
+from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
@@ -79,6 +81,8 @@ class Assembly:
         """What two runs must share for one to continue the other."""
         c = self.composition
         digest = hashlib.sha256(c.parameters.tobytes() + c.hall.tobytes())
+        if c.body is not None:
+            digest.update(c.body.identity)
         for block in c.blocks:
             wiring = (block.name, block.slice, dict(block.inputs), dict(block.parameters))
             digest.update(repr(wiring).encode() + block.declaration.source.read_bytes())
@@ -88,6 +92,14 @@ class Assembly:
             "base_period_ns": str(self.base_period_ns),
             "slices": repr(periods),
         } | ({} if self.patch is None else {"patch": self.patch.sha256})
+
+    def with_own_body(self) -> "Assembly":
+        """Return the same with a mechatronic model that nobody else steps."""
+        body = self.composition.body
+        if body is None:
+            return self
+        own = Engine(body.body)
+        return replace(self, composition=replace(self.composition, body=own))
 
     def patched(self, patch: Patch | None) -> "Assembly":
         """Return the same with another patch, or none, over the plant.
@@ -169,7 +181,10 @@ class _Builder:
         robot = self.robot(periods_s)
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
         outputs = [output for block in blocks for output in _outputs(block)]
-        table = self._checked(("blocks",), lambda: robot_table(_ranges(robot), outputs))
+        body = self._body(robot, periods_s)
+        table = self._checked(
+            ("blocks",), lambda: robot_table(_ranges(robot), outputs, body=body is not None)
+        )
         self._check_wiring(table, blocks)
         composition = Composition(
             table=table,
@@ -181,6 +196,7 @@ class _Builder:
             state=initial_state(robot),
             hall=robot.hall,
             fitted=fitted_limits(None if self._patch is None else self._patch.model),
+            body=body,
         )
         return Assembly(
             config, config, self._path, robot, table, base_ns, slices, composition, self._patch
@@ -213,16 +229,31 @@ class _Builder:
         config = self._config
         plant = config.plant if self._patch is None else self._patch.applied(config.plant)
         try:
-            return to_parameters(plant, config.kinematics, config.sensors, periods_s, self._folder)
+            robot = to_parameters(plant, config.kinematics, config.sensors, periods_s, self._folder)
+            return replace(robot, body_wheels=config.mechatronic.turns_wheels)
         except PlantError as error:
             key, _, rest = str(error).partition(": ")
             if self._patch is not None and (term := self._patch.term_at(key)) is not None:
                 raise self._patch.refusal(term, rest) from None
             raise self._fail(key.split("."), rest) from None
 
+    def _body(self, robot: RobotParameters, periods_s: Mapping[str, float]) -> Engine | None:
+        section = self._config.mechatronic
+        if not section.enabled:
+            return None
+        try:
+            return Engine(section.body(robot, periods_s[section.slice]))
+        except PlantError as error:
+            key, _, rest = str(error).partition(": ")
+            raise self._fail(key.split("."), rest) from None
+
     def _slices(self, base_ns: int) -> list[Slice]:
         slices: list[Slice] = []
-        for name, period_ms in self._config.scheduler.slices.items():
+        periods_ms = dict(self._config.scheduler.slices)
+        mechatronic = self._config.mechatronic
+        if mechatronic.enabled and mechatronic.slice == DEFAULT_SLICE:
+            periods_ms.setdefault(DEFAULT_SLICE, DEFAULT_PERIOD_MS)
+        for name, period_ms in periods_ms.items():
             period_ns = round(period_ms * NS_PER_MS)
             make = partial(period_in_ticks, name, period_ns, base_ns)
             ticks = self._checked(("scheduler", "slices", name), make)
@@ -233,13 +264,20 @@ class _Builder:
     def _parts(self, slices: Sequence[Slice]) -> list[Part]:
         sensors = self._config.sensors
         self._need_compiled(("plant", "slice"), self._config.plant.slice, slices)
+        body = self._config.mechatronic
         parts = [Part("robot", self._config.plant.slice)]
+        if body.turns_wheels:
+            parts.insert(0, Part("body_wheels", self._config.plant.slice, of_body=True))
         for name in ("imu", "battery", "tof", "nav"):
             slice_name = getattr(sensors, name).slice
             self._need_compiled(("sensors", name, "slice"), slice_name, slices)
-            parts.append(Part(name, slice_name))
+            of_body = body.enabled and body.sensors == "body" and name in ("imu", "tof")
+            parts.append(Part(name, slice_name, of_body))
             if name == "battery":
                 parts.append(Part("shield", slice_name))
+        if body.enabled:
+            self._need_compiled(("mechatronic", "slice"), body.slice, slices)
+            parts.append(Part("body", body.slice, of_body=True))
         return parts
 
     def _need_compiled(

@@ -152,6 +152,7 @@ class Core:
 def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
     pace = Pace() if pace is None else pace
+    assembly = assembly.with_own_body()
     image = _image(assembly, pace)
     try:
         return _core(assembly, pace, image)

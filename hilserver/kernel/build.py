@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, cast
 
+import numpy as np
+
 from hilserver.compiled.cache import cache_dir, hash_of
 from hilserver.image import ProcessImage
 from hilserver.kernel.composition import BlockUse, Composition
@@ -60,6 +62,10 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     put("x", composition.state)
     put("hall", composition.hall.ravel())
     put("fitted", composition.fitted)
+    if composition.body is not None:
+        put("body", composition.body.initial)
+        put("body_p", composition.body.parameters)
+        put("body_a", composition.body.addresses.view(np.float64))
     for block in composition.blocks:
         values = {**block.declaration.parameters, **block.parameters}
         put(f"{block.name}.p", [values[name] for name in block.declaration.parameters])

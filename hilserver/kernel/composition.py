@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.body.engine import Engine
 from hilserver.kernel.fitted import N_LIMITS, fitted_limits
 from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
 from hilserver.plant import layout as robot
@@ -19,10 +20,14 @@ PARAMETERS: Final = {"p": robot.N_P, "fitted": N_LIMITS, "edition": 1}
 
 @dataclass(frozen=True)
 class Part:
-    """One of the robot's own parts (robot, imu, battery, shield, tof, nav) and its slice."""
+    """One of the robot's own parts (robot, imu, battery, shield, tof, nav) and its slice.
+
+    With `of_body` it is that of the mechatronic model: body, body_wheels, imu, tof.
+    """
 
     name: str
     slice: str
+    of_body: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,8 @@ class Composition:
         Line segments for the range finders, as `tof_step` takes them, flattened.
     fitted : ndarray of float64
         Ranges in which the terms of a patch were fitted, see `fitted_limits`.
+    body : Engine or None
+        The mechatronic model; its addresses must live as long as the step.
     """
 
     table: SignalTable
@@ -83,6 +90,7 @@ class Composition:
     state: NDArray[np.float64]
     hall: NDArray[np.float64]
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
+    body: Engine | None = None
 
     @property
     def live_regions(self) -> dict[str, int]:
@@ -91,6 +99,8 @@ class Composition:
         The parameters are among them: a recording in which a patch was loaded can be replayed.
         """
         regions = {"x": robot.N_X, **PARAMETERS} | REGIONS_LIVE
+        if self.body is not None:
+            regions["body"] = self.body.initial.size
         for block in self.blocks:
             regions |= block.regions
         return regions
@@ -99,6 +109,8 @@ class Composition:
     def fixed_regions(self) -> dict[str, int]:
         """Regions of the arena that a run does not change."""
         regions = {"hall": self.hall.size} | REGIONS_FIXED
+        if self.body is not None:
+            regions |= {"body_p": self.body.parameters.size, "body_a": self.body.addresses.size}
         for block in self.blocks:
             regions[f"{block.name}.p"] = len(block.declaration.parameters)
         return regions

@@ -56,3 +56,38 @@ def find_places(layout: Layout, table: SignalTable) -> Places:
         state=table.slot("internal.state"),
         sim=table.slot("sim.tick"),
     )
+
+
+class BodyPlaces(NamedTuple):
+    """Where the mechatronic model's numbers begin.
+
+    Attributes
+    ----------
+    p, b, b_end : int
+        Index into `values`: parameters, state, behind the state.
+    a : int
+        Index into `words`: addresses.
+    out, status : int
+        Index into `values` and `words`: its outputs and their status codes.
+    """
+
+    p: int
+    b: int
+    b_end: int
+    a: int
+    out: int
+    status: int
+
+
+def find_body(layout: Layout, table: SignalTable) -> BodyPlaces:
+    """Return the places of a layout that has a mechatronic model."""
+    regions, first = layout.regions, table.slot("mech.x_m")
+    state = regions["body"]
+    return BodyPlaces(
+        p=regions["body_p"].base,
+        b=state.base,
+        b_end=state.base + state.length,
+        a=regions["body_a"].base,
+        out=regions["frame"].base + first,
+        status=regions["status"].base + first,
+    )

@@ -6,17 +6,21 @@ What the calls do stands in `phases`, `parts`, `fitted` and the blocks; here is 
 from collections.abc import Iterable, Sequence
 
 from hilserver.image.layout import Layout, Region
-from hilserver.kernel.composition import BlockUse, Composition
-from hilserver.kernel.places import find_places
+from hilserver.kernel.composition import BlockUse, Composition, Part
+from hilserver.kernel.places import find_body, find_places
 
+BODY = "body"
+"""The part that can fail: the mechatronic model's own slice; it runs after the robot's others."""
+
+_BODY_CALL = "body_parts.body(AT, BODY, values, words)"
 _HEAD = '''\
 """Generated: which parts run in which slice, and where in the process image their numbers lie."""
 
 import numpy as np
 
 from hilserver.compiled import kernel
-from hilserver.kernel import fitted, parts, phases
-from hilserver.kernel.places import Places
+from hilserver.kernel import {rooms}
+from hilserver.kernel.places import {places}
 from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_SIGNATURE
 
 '''
@@ -40,6 +44,9 @@ def step_source(composition: Composition, layout: Layout) -> str:
     blocks = list(enumerate(composition.blocks))
     places = find_places(layout, composition.table)._asdict()
     lines = ["AT = Places(", *(f"    {name}={place}," for name, place in places.items()), ")"]
+    if composition.body is not None:
+        numbers = find_body(layout, composition.table)._asdict().items()
+        lines += ["BODY = BodyPlaces(", *(f"    {name}={place}," for name, place in numbers), ")"]
     for number, block in blocks:
         lines += _block_slots(number, block, composition)
     body: list[str] = []
@@ -47,19 +54,27 @@ def step_source(composition: Composition, layout: Layout) -> str:
         period_s = composition.periods_s[name]
         in_slice = [(number, block) for number, block in blocks if block.slice == name]
         body.append(f"if phase == {index}:  # slice '{name}', every {period_s:g} s")
-        body += [
-            f"    parts.{part.name}(AT, values, words)"
-            for part in composition.parts
-            if part.slice == name
-        ]
-        if in_slice:
-            body.append("    fault = 0")
+        own = [part for part in composition.parts if part.slice == name]
+        body += [f"    {_part_call(part)}" for part in own if part.name != BODY]
+        has_body = any(part.name == BODY for part in own)
+        if has_body or in_slice:
+            body.append(f"    fault = {_BODY_CALL if has_body else 0}")
         for number, block in in_slice:
             body += [f"    {line}" for line in _block_call(number, block, period_s, layout)]
-        body.append(f"    return {'fault' if in_slice else '0'}")
+        body.append(f"    return {'fault' if has_body or in_slice else '0'}")
     body.append("return 0")
+    rooms, names = "fitted, parts, phases", "Places"
+    if composition.body is not None:
+        rooms, names = "body_parts, fitted, parts, phases", "BodyPlaces, Places"
     phases = _PHASES.format(limits=layout.regions["fitted"].base)
-    return _HEAD + _text(lines) + phases + _text(f"    {line}" for line in body)
+    head = _HEAD.format(rooms=rooms, places=names)
+    return head + _text(lines) + phases + _text(f"    {line}" for line in body)
+
+
+def _part_call(part: Part) -> str:
+    if part.of_body:
+        return f"body_parts.{part.name}(AT, BODY, values, words)"
+    return f"parts.{part.name}(AT, values, words)"
 
 
 def _text(lines: Iterable[str]) -> str:

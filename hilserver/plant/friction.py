@@ -12,6 +12,8 @@ the friction and mass.
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.plant.tyre import slip_size
+
 _STEPS = 200
 _SMOOTHING = 1e-9  # slip, as a share of delta, below which friction fades
 
@@ -43,15 +45,14 @@ def balance(
     """
     aside = np.array([0.5, -0.5, 0.5, -0.5]) * track_m
     turn = np.array([2 * track_m / (wheelbase_m**2 + track_m**2), 0.0])  # per delta = 1 m/s
-    smooth = _SMOOTHING
 
     def loss(at: NDArray[np.float64]) -> float:
         along, across, _, share = _slip(wheelbase_m, track_m, offset_m, at)
-        return float(np.sum(share * np.sqrt(along**2 + (ratio * across) ** 2 + smooth**2)))
+        return float(np.sum(share * slip_size.py_func(along, across, ratio, _SMOOTHING)))
 
     for _ in range(_STEPS):
         along, across, ahead, share = _slip(wheelbase_m, track_m, offset_m, turn)
-        size = np.sqrt(along**2 + (ratio * across) ** 2 + smooth**2)
+        size = slip_size.py_func(along, across, ratio, _SMOOTHING)
         d_along = np.stack([-aside, np.zeros(4)])
         d_across = np.stack([ahead, np.ones(4)])
         inner = along * d_along + ratio**2 * across * d_across

@@ -18,12 +18,15 @@ class Solid:
         Centre in the world's frame, and half of length, width and height.
     yaw_rad, pitch_rad : float
         Direction of its length, and by how much it rises along it.
+    carries : bool
+        Wheels roll onto it; otherwise it is in the way of the chassis.
     """
 
     centre_m: tuple[float, float, float]
     half_m: tuple[float, float, float]
     yaw_rad: float = 0.0
     pitch_rad: float = 0.0
+    carries: bool = False
 
 
 DEFAULT_WALLS: Final = (

@@ -35,25 +35,31 @@ CHANNEL_ACCEL_Y = 2
 
 
 @part
-def _remember(x: Any, y: Any) -> None:
+def _remember(x: Any, rate: float, yaw: float, accel_x: float, accel_y: float) -> None:
     row = push(x, X_IMU_RING, 4, X_IMU_HEAD, X_IMU_COUNT)
-    x[row] = y[Y_VELOCITY + 2]
-    x[row + 1] = y[Y_POSE + 2]
-    x[row + 2] = x[X_ACCEL]
-    x[row + 3] = x[X_ACCEL + 1]
+    x[row] = rate
+    x[row + 1] = yaw
+    x[row + 2] = accel_x
+    x[row + 3] = accel_y
 
 
 @part
 def imu_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Publish what the unit shows at t_k; runs after `robot_step` of the same tick."""
+    show_imu(p, x, y[Y_VELOCITY + 2], y[Y_POSE + 2], x[X_ACCEL], x[X_ACCEL + 1], y, q)
+
+
+@part
+def show_imu(
+    p: Any, x: Any, rate: float, yaw: float, accel_x: float, accel_y: float, y: Any, q: Any
+) -> None:
+    """Publish true yaw rate, heading and acceleration with the unit's latency, noise and errors."""
     if p[P_IMU_ENABLED] == 0.0:
         for i in range(4):
             q[Y_IMU + i] = BAD_OUT_OF_SERVICE
         return
-    rate, yaw = y[Y_VELOCITY + 2], y[Y_POSE + 2]
-    accel_x, accel_y = x[X_ACCEL], x[X_ACCEL + 1]
     if p[P_IMU_DELAY] != 0.0:
-        _remember(x, y)
+        _remember(x, rate, yaw, accel_x, accel_y)
         newer, older, share = weights(int(x[X_IMU_HEAD]), x[X_IMU_COUNT], p[P_IMU_DELAY])
         a, b = X_IMU_RING + 4 * newer, X_IMU_RING + 4 * older
         rate = between(x[a], x[b], share)

@@ -42,7 +42,7 @@ NOT_FOR_MECANUM: Final = frozenset(
 )
 """Causes that come from wheels that scrub, or are written for the two sides of such a robot."""
 
-NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load", "time_constant"))
+NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load"))
 """Causes in the part of the process that the mechatronic model computes."""
 
 GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")

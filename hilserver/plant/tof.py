@@ -70,6 +70,18 @@ def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> f
 
 
 @part
+def seen_by(p: Any, hall: Any, k: int, x: float, y: float, yaw: float) -> float:
+    """Return what range finder `k` (fl, fr, rl, rr) sees from a pose [m]; inf: nothing."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    along = p[P_TOF_X] if k < 2 else -p[P_TOF_X]
+    aside = p[P_TOF_Y] if k % 2 == 0 else -p[P_TOF_Y]
+    px = x + along * cos - aside * sin
+    py = y + along * sin + aside * cos
+    ahead = 1.0 if k < 2 else -1.0
+    return float(_range(p, hall, px, py, ahead * cos, ahead * sin))
+
+
+@part
 def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa: ARG001
     """Publish the four ranges in the order fl, fr, rl, rr.
 
@@ -84,13 +96,13 @@ def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa
         for k in range(4):
             q[Y_TOF + k] = BAD_OUT_OF_SERVICE
         return
-    cos, sin = math.cos(y[Y_POSE + 2]), math.sin(y[Y_POSE + 2])
+    show_ranges(p, hall, y[Y_POSE], y[Y_POSE + 1], y[Y_POSE + 2], y, q)
+
+
+@part
+def show_ranges(p: Any, hall: Any, x: float, y_m: float, yaw: float, y: Any, q: Any) -> None:
+    """Publish the four ranges seen from a pose."""
     for k in range(4):
-        along = p[P_TOF_X] if k < 2 else -p[P_TOF_X]
-        aside = p[P_TOF_Y] if k % 2 == 0 else -p[P_TOF_Y]
-        px = y[Y_POSE] + along * cos - aside * sin
-        py = y[Y_POSE + 1] + along * sin + aside * cos
-        ahead = 1.0 if k < 2 else -1.0
-        distance = _range(p, hall, px, py, ahead * cos, ahead * sin)
+        distance = seen_by(p, hall, k, x, y_m, yaw)
         y[Y_TOF + k] = min(max(distance, NEAREST_M), FARTHEST_M)
         q[Y_TOF + k] = GOOD if distance <= FARTHEST_M else UNCERTAIN

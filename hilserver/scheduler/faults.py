@@ -9,6 +9,9 @@ from typing import Final, NamedTuple
 SINGLE_OVERRUN: Final = 1
 CONSECUTIVE_OVERRUNS: Final = 2
 COMMUNICATION: Final = 3
+BODY: Final = 1000
+"""What the mechatronic model's slice returns when its numbers are no longer good."""
+
 SLICE: Final = 16
 """``SLICE + n``: a slice returned the fault number n > 0."""
 
@@ -26,6 +29,10 @@ _FAULTS: Final = {
     ),
     CONSECUTIVE_OVERRUNS: Fault(
         "consecutive_overrun_limit", "more consecutive overruns than scheduler.limits allow"
+    ),
+    SLICE + BODY: Fault(
+        "mechatronic",
+        "the mechatronic model has left its valid range and stands still until SetPose or Reset",
     ),
     COMMUNICATION: Fault("communication", "the communication side did not answer in time"),
 }

@@ -1,0 +1,210 @@
+"""The mechatronic model's parameters: physical values, checked, and packed for the kernel."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.body.layout as at
+from hilserver.plant.errors import PlantError
+from hilserver.plant.parameters import RPM_PER_RAD_S, RobotParameters
+from hilserver.plant.terms import complete
+
+GRAVITY_M_S2 = 9.81
+PLATES_M = (0.38, 0.22, 0.10)
+"""EduArt's chassis with its superstructure: length, width, height."""
+WHEEL_WIDTH_M = 0.055
+BUMPER_GAP_M = 0.01
+"""How far the bumper stands in front of the wheels: these never touch a wall."""
+_GRIP_ANGLE = (-1.0, 1.0, 1.0, -1.0)
+"""Mecanum wheels fl, rl, fr, rr grip along this times 45 degrees from their plane: an X."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tyre:
+    """Friction along and across the wheels, its fading slip, and rolling resistance."""
+
+    mu_long: float = 0.8
+    mu_lat: float = 0.8
+    v0_m_s: float = 0.03
+    rolling: float = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyParameters:
+    """What MuJoCo's model and the kernel of wheels and tyres are made from.
+
+    Attributes
+    ----------
+    robot : RobotParameters
+        Geometry, process and range finders.
+    slice_s, step_s : float
+        Period of the time slice, and of the steps into which it is split.
+    torque : bool
+        Driven by the drives' torque instead of the plant's wheel speeds.
+    sensors : bool
+        Whether imu.* and tof.* come from here.
+    centre_of_mass_m : tuple of float
+        In front of and left of the wheels' centre, and above the floor.
+    inertia_kg_m2 : tuple of float or None
+        About the centre of mass; None: that of a box as large as the chassis.
+    air_n_s2_m2 : float
+        Force of the air at 1 m/s.
+
+    Raises
+    ------
+    PlantError
+        When a value is not finite, out of range, or the step is too long for the tyre.
+    """
+
+    robot: RobotParameters
+    slice_s: float = 0.002
+    step_s: float = 0.001
+    torque: bool = False
+    sensors: bool = False
+    stall_torque_nm: float = 2.0
+    mass_kg: float = 5.0
+    centre_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.06)
+    inertia_kg_m2: tuple[float, float, float] | None = None
+    air_n_s2_m2: float = 0.03
+    tyre: Tyre = field(default_factory=Tyre)
+
+    def __post_init__(self) -> None:
+        for key, value, may_be_zero in _numbers(self):
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
+                wanted = "must not be negative" if may_be_zero else "must be above 0"
+                raise PlantError(f"mechatronic.{key}: {wanted}, not {value:g}.")
+        _check_geometry(self)
+        _check_steps(self)
+
+    @property
+    def steps(self) -> int:
+        """Steps per slice."""
+        return round(self.slice_s / self.step_s)
+
+    @property
+    def wheel_inertia_kg_m2(self) -> float:
+        """Inertia of a wheel with its drive: it follows the slow lag of (5.23) when lifted."""
+        lag_s = self.robot.process.t1_s * (1.0 + self._term("time_constant"))
+        return self.stall_torque_nm * lag_s / self.no_load_rad_s
+
+    @property
+    def no_load_rad_s(self) -> float:
+        """Speed of a lifted wheel at full duty."""
+        gain = self.robot.process.gain * (1.0 + self._term("process_gain"))
+        return 100.0 * gain / RPM_PER_RAD_S
+
+    def _term(self, name: str) -> float:
+        return complete(self.robot.terms)[name] or 0.0
+
+    @property
+    def wheels_m(self) -> NDArray[np.float64]:
+        """Centres of the wheels fl, rl, fr, rr from the centre of mass, shape (4, 3)."""
+        along = 0.5 * (self.robot.wheelbase_m or 0.0) * np.array([1.0, -1.0, 1.0, -1.0])
+        aside = 0.5 * self.robot.track_m * np.array([1.0, 1.0, -1.0, -1.0])
+        up = np.full(4, self.robot.wheel_radius_m)
+        centres: NDArray[np.float64] = np.stack([along, aside, up], axis=1)
+        return centres - np.array(self.centre_of_mass_m)
+
+    @property
+    def moments_kg_m2(self) -> tuple[float, float, float]:
+        """Moments of inertia about the centre of mass."""
+        if self.inertia_kg_m2 is not None:
+            return self.inertia_kg_m2
+        x, y, z = (size * size / 12.0 * self.mass_kg for size in PLATES_M)
+        return y + z, x + z, x + y
+
+    def pack(self) -> NDArray[np.float64]:
+        """Return the parameters as the kernel reads them, shape (N_P,)."""
+        robot, process, p = self.robot, self.robot.process, np.zeros(at.N_P)
+        p[at.P_STEP] = self.step_s
+        p[at.P_STEPS] = self.steps
+        p[at.P_TICKS] = round(self.slice_s / robot.period_s)
+        p[at.P_TORQUE] = self.torque
+        p[at.P_RADIUS] = robot.wheel_radius_m
+        p[at.P_INERTIA] = self.wheel_inertia_kg_m2
+        lag_s = self.wheel_inertia_kg_m2 * self.no_load_rad_s / self.stall_torque_nm
+        p[at.P_RATE] = -math.expm1(-self.step_s / lag_s) / self.step_s
+        p[at.P_SPEED_PER_DUTY] = self.no_load_rad_s / 100.0
+        p[at.P_DUTY_KEEP] = math.exp(-self.step_s / process.t2_s)
+        p[at.P_GRIP] = self.tyre.mu_long
+        p[at.P_RATIO] = 0.0 if robot.is_mecanum else self.tyre.mu_lat / self.tyre.mu_long
+        p[at.P_V0] = self.tyre.v0_m_s
+        p[at.P_ROLLING] = self.tyre.rolling
+        p[at.P_AIR] = self.air_n_s2_m2
+        p[at.P_REST_HEIGHT] = self.centre_of_mass_m[2]
+        p[at.P_SENSORS] = self.sensors
+        angle = 0.25 * math.pi * np.array(_GRIP_ANGLE) * robot.is_mecanum
+        p[at.P_COS : at.P_COS + 4], p[at.P_SIN : at.P_SIN + 4] = np.cos(angle), np.sin(angle)
+        return p
+
+
+def _numbers(body: BodyParameters) -> Iterator[tuple[str, float, bool]]:
+    """Yield key, value and whether 0 is allowed of every number."""
+    for part, path in ((body, ""), (body.tyre, "tyre.")):
+        for item in fields(part):
+            value = getattr(part, item.name)
+            if isinstance(value, float | int) and not isinstance(value, bool):
+                yield path + item.name, value, item.name in ("rolling", "air_n_s2_m2")
+    for number, moment in enumerate(body.inertia_kg_m2 or ()):
+        yield f"inertia_kg_m2.{number}", moment, False
+
+
+def _check_geometry(body: BodyParameters) -> None:
+    robot, (ahead, aside, height) = body.robot, body.centre_of_mass_m
+    if robot.wheelbase_m is None:
+        msg = "plant.wheelbase_m: the mechatronic model stands on four wheels; give their distance."
+        raise PlantError(msg)
+    inside = abs(ahead) < robot.wheelbase_m / 2 and abs(aside) < robot.track_m / 2 and height > 0
+    if not inside:
+        msg = (
+            f"mechatronic.centre_of_mass_m: {list(body.centre_of_mass_m)} must lie between the"
+            " wheels and above the floor, or the robot falls over."
+        )
+        raise PlantError(msg)
+    moments = sorted(body.moments_kg_m2)
+    if moments[0] + moments[1] < moments[2] * (1.0 - 1e-9):
+        msg = (
+            f"mechatronic.inertia_kg_m2: {list(moments)} is no body's: no moment may exceed the sum"
+            " of the others."
+        )
+        raise PlantError(msg)
+
+
+def _check_steps(body: BodyParameters) -> None:
+    for key, whole, part in (
+        ("step_ms", body.slice_s, body.step_s),
+        ("slice", body.slice_s, body.robot.period_s),
+    ):
+        if abs(whole / part - round(whole / part)) > 1e-6 or round(whole / part) < 1:
+            what = "step_ms" if key == "step_ms" else "the plant's slice"
+            msg = (
+                f"mechatronic.{key}: the slice of {whole * 1e3:g} ms must be a multiple of {what},"
+                f" {part * 1e3:g} ms."
+            )
+            raise PlantError(msg)
+    longest_s = _longest_step_s(body)
+    if body.step_s > longest_s:
+        v0 = body.tyre.v0_m_s * body.step_s / longest_s
+        msg = (
+            f"mechatronic.step_ms: {body.step_s * 1e3:g} ms is too long for this tyre: use at most"
+            f" {longest_s * 1e3:.2g} ms, or tyre.v0_m_s of at least {v0:.2g} m/s."
+        )
+        raise PlantError(msg)
+
+
+def _longest_step_s(body: BodyParameters) -> float:
+    """Return the step at which the tyre's damping begins to overshoot.
+
+    At no slip a tyre is a damper of ``mu N / v0``. All of them brake the body's motion and turning,
+    and each its own wheel; explicit steps overshoot beyond 1/rate and diverge beyond 2/rate.
+    """
+    damping = max(body.tyre.mu_long, body.tyre.mu_lat) * GRAVITY_M_S2 * body.mass_kg
+    damping /= body.tyre.v0_m_s
+    arm_2 = float(np.mean(np.sum(body.wheels_m[:, :2] ** 2, axis=1)))
+    rates = [damping / body.mass_kg, damping * arm_2 / body.moments_kg_m2[2]]
+    if body.torque:
+        rates.append(0.25 * damping * body.robot.wheel_radius_m**2 / body.wheel_inertia_kg_m2)
+    return 1.5 / max(rates)

@@ -1,0 +1,141 @@
+"""The mechatronic model in the daemon's step: signals, walls, sensors, snapshots, a bad state."""
+
+import numpy as np
+import pytest
+
+import hilserver.body.layout as at
+from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.builder import build
+from hilserver.errors import ConfigError
+from hilserver.image import Row
+from hilserver.image.status import GOOD
+from hilserver.plant.layout import BAD_OUT_OF_SERVICE
+from hilserver.scheduler import faults
+
+TORQUE = {"driven_by": "torque", "sensors": "body"}
+
+
+def assembled(**section):
+    config = Config.model_validate({"mechatronic": {"enabled": True, **section}})
+    return assemble_config(config)
+
+
+def value(core, name):
+    return core.image.latest().values[core.table.slot(name)]
+
+
+def status(core, name):
+    return core.image.latest().status[core.table.slot(name)]
+
+
+def drive(core, linear_m_s, angular_rad_s=0.0):
+    twist = {"twist.linear_m_s": linear_m_s, "twist.angular_rad_s": angular_rad_s}
+    assert core.gate.write("opcua", {"control.mode": 1, **twist}) == {}
+
+
+def test_signals_lie_in_the_order_of_the_model():
+    table = assembled().table
+    first = table.slot("mech.x_m")
+    begin = {
+        "mech.roll_rad": at.M_ANGLES,
+        "mech.linear_m_s": at.M_VELOCITY,
+        "mech.tof.fl_m": at.M_TOF,
+        "mech.imu.gyro_x_rad_s": at.M_GYRO,
+        "mech.imu.accel_x_m_s2": at.M_ACCEL,
+        "mech.wheel.fl.speed_rpm": at.M_SPEED,
+        "mech.wheel.fl.normal_force_n": at.M_NORMAL,
+        "mech.wheel.fl.slip_m_s": at.M_SLIP,
+        "mech.wheel.fl.torque_nm": at.M_TORQUE,
+        "mech.gap_m": at.M_GAP,
+        "mech.gap_yaw_rad": at.N_M - 1,
+    }
+    assert {name: table.slot(name) - first for name in begin} == begin
+    assert "mech.x_m" not in assemble_config(Config()).table
+
+
+async def test_the_body_follows_the_plant_until_a_wall_stops_it():
+    async with build(assembled()) as core:
+        drive(core, 0.5)
+        await core.scheduler.advance(2001)
+        assert value(core, "mech.gap_m") < 0.02
+        assert value(core, "mech.imu.accel_z_m_s2") == pytest.approx(9.81, abs=0.01)
+        forces = [value(core, f"mech.wheel.{w}.normal_force_n") for w in ("fl", "rl", "fr", "rr")]
+        assert sum(forces) == pytest.approx(5.0 * 9.81, rel=1e-3)
+        for place in ("fl", "fr"):
+            assert value(core, f"mech.tof.{place}_m") == pytest.approx(
+                value(core, f"tof.{place}_m"), abs=0.02
+            )
+        await core.scheduler.advance(12_000)
+        assert value(core, "mech.x_m") < 5.0 < value(core, "pose.x_m")
+        assert value(core, "mech.linear_m_s") == pytest.approx(0.0, abs=1e-3)
+        assert value(core, "mech.wheel.fl.slip_m_s") == pytest.approx(0.5, rel=0.01)
+        assert value(core, "mech.tof.fl_m") < 0.06
+        gap = value(core, "pose.x_m") - value(core, "mech.x_m")
+        assert value(core, "mech.gap_m") == pytest.approx(gap, rel=0.01)
+
+
+async def test_driven_by_torque_the_plant_sees_what_its_wheels_do():
+    async with build(assembled(**TORQUE)) as core:
+        drive(core, 0.5)
+        await core.scheduler.advance(2001)
+        asked = 0.5 / 0.085 * 60.0 / (2.0 * np.pi)
+        assert value(core, "wheel.fl.speed_rpm") == pytest.approx(asked, rel=0.01)
+        await core.scheduler.advance(12_000)
+        assert value(core, "mech.linear_m_s") == pytest.approx(0.0, abs=1e-3)
+        assert value(core, "tof.fl_m") == value(core, "mech.tof.fl_m")  # sensors: body
+        assert value(core, "imu.gyro_z_rad_s") == pytest.approx(0.0, abs=1e-3)
+
+
+async def test_a_snapshot_at_the_wall_goes_on_with_the_same_bits():
+    async with build(assembled(**TORQUE)) as core:
+        drive(core, 0.6)
+        await core.scheduler.advance(7999)
+        tick = await core.snapshots.capture()
+        state = core.image.shadow.copy()
+        await core.scheduler.advance(501)
+        once = core.image.live.copy()
+        await core.snapshots.restore(state, tick)
+        await core.scheduler.advance(501)
+        assert core.image.live.tobytes() == once.tobytes()
+
+
+async def test_set_pose_takes_the_body_along():
+    async with build(assembled()) as core:
+        drive(core, 0.3)
+        await core.scheduler.advance(500)
+        pose = {
+            "internal.pose_request": 1.0,
+            "internal.pose_x_m": 1.0,
+            "internal.pose_yaw_rad": 1.0,
+        }
+        assert core.image.push([Row(core.table.slot(name), v) for name, v in pose.items()])
+        await core.scheduler.advance(3)
+        assert value(core, "mech.x_m") == pytest.approx(1.0, abs=0.01)
+        assert value(core, "mech.yaw_rad") == pytest.approx(1.0, abs=0.01)
+
+
+async def test_a_bad_state_is_the_safe_state_and_says_so():
+    async with build(assembled()) as core:
+        await core.scheduler.advance(10)
+        values, _ = core.image.region("body")
+        values[at.B_QVEL] = np.nan
+        await core.scheduler.advance(10)
+        assert core.image.control.fault == faults.SLICE + faults.BODY
+        assert "mechatronic" in faults.fault_of(core.image.control.fault).text
+        assert status(core, "mech.x_m") == BAD_OUT_OF_SERVICE
+        assert np.all(np.isfinite(core.image.latest().values))
+        assert status(core, "sim.tick") == GOOD
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ({"driven_by": "torque"}, "needs sensors: body"),
+        ({"step_ms": 3.0}, "multiple of step_ms"),
+        ({"slice": "fast"}, "there is no plant-side slice 'fast'"),
+    ],
+)
+def test_what_cannot_run_is_refused(section, words):
+    with pytest.raises((ConfigError, ValueError), match=words):
+        assembled(**section)
