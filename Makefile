@@ -22,8 +22,8 @@ help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: run
-run: $(VENV)/.run ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60")
-	@$(BIN)/python .ci/foreground.py $(BIN)/hilserver run --demo $(ARGS)
+run: $(VENV)/.run $(if $(BODY),$(VENV)/.physics) ## Install if needed and drive the demonstration (Ctrl-C ends it; ARGS="--duration 60"; BODY=1)
+	@$(BIN)/python .ci/foreground.py $(BIN)/hilserver run --demo $(if $(BODY),-c examples/body/config.yaml) $(ARGS)
 
 # Two runs. In the first, tests that compute and tests that wait share the cores, one process more
 # than there are cores. The second keeps time: two files at once, which mostly wait.
@@ -94,6 +94,11 @@ $(BIN)/python:
 $(VENV)/.run: pyproject.toml | $(BIN)/python
 	@echo "installing hilserver into $(VENV) (a minute or two)"
 	@$(PIP) install --editable .
+	@touch $@
+
+$(VENV)/.physics: $(VENV)/.run
+	@echo "installing the physics of the mechatronic model (a minute)"
+	@$(PIP) install --editable '.[physics]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/python

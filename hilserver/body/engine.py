@@ -1,6 +1,7 @@
 """MuJoCo itself: compiles the model and says where the kernel finds it. Nobody else imports it."""
 
 import ctypes
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -27,9 +28,7 @@ def mujoco() -> ModuleType:
     """
     if find_spec("mujoco") is None:
         raise PlantError(MISSING)
-    import mujoco as library  # noqa: PLC0415 -- an extra: only who asks for a body needs it
-
-    return library
+    return import_module("mujoco")
 
 
 class Engine:

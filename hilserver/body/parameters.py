@@ -106,7 +106,8 @@ class BodyParameters:
         aside = 0.5 * self.robot.track_m * np.array([1.0, 1.0, -1.0, -1.0])
         up = np.full(4, self.robot.wheel_radius_m)
         centres: NDArray[np.float64] = np.stack([along, aside, up], axis=1)
-        return centres - np.array(self.centre_of_mass_m)
+        centres -= self.centre_of_mass_m
+        return centres
 
     @property
     def moments_kg_m2(self) -> tuple[float, float, float]:

@@ -19,6 +19,7 @@ COMMANDS = {
     "check": "validate a configuration and say what it means",
     "signals": "print the signal table",
     "teleop": "drive a running daemon with the keys of this terminal",
+    "model": "write the robot as URDF or MJCF",
     "wiring": "commissioning: check that every wheel drives the right input",
     "certs": "manage certificates, trusted clients and passwords",
     "page": "show the operator page in the browser, as 'run' does",

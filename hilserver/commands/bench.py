@@ -15,6 +15,7 @@ BENCHES = {
     "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
     "loop": "set-point to pose and back over TCP, two processes",
     "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
+    "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
     "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
 }
 

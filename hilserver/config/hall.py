@@ -1,20 +1,41 @@
-"""A hall from a file: the walls that the range finders see, as YAML."""
+"""A hall from a file: what the range finders see and the mechatronic model bumps into, as YAML."""
 
+import math
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from hilserver.plant.errors import PlantError
-from hilserver.plant.hall import default_hall
+from hilserver.plant.hall import Solid, default_hall, default_solids, wall_solids
 
 MOST_WALLS: Final = 4096
+MOST_SOLIDS: Final = 256
+SLAB_M: Final = 0.05
+"""Thickness of a slope."""
+
+_KEYS: Final = ("walls", "height_m", "thickness_m", "slopes", "thresholds", "boxes")
 
 
-def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
-    """Return the walls of a hall, shape (4 n,): x1, y1, x2, y2 [m] of each.
+class Hall(NamedTuple):
+    """A hall for both models.
+
+    Attributes
+    ----------
+    walls : ndarray of float64, shape (4 n,)
+        x1, y1, x2, y2 [m] of each wall and of each side of a box: what the range finders see.
+    solids : tuple of Solid
+        What the mechatronic model stands on and bumps into.
+    """
+
+    walls: NDArray[np.float64]
+    solids: tuple[Solid, ...]
+
+
+def load_hall(hall: str, base_dir: Path) -> Hall:
+    """Return a hall.
 
     Parameters
     ----------
@@ -26,10 +47,10 @@ def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
     Raises
     ------
     PlantError
-        When the file is missing or is no list of finite segments.
+        When the file is missing or something in it is not what it should be.
     """
     if hall == "default":
-        return default_hall()
+        return Hall(default_hall(), default_solids())
     path = base_dir / hall
     where = f"sensors.tof.hall: {path}"
     try:
@@ -43,10 +64,111 @@ def load_hall(hall: str, base_dir: Path) -> NDArray[np.float64]:
         msg = f"{where} must have a list `walls` of at most {MOST_WALLS} segments."
         raise PlantError(msg)
     for number, wall in enumerate(walls, start=1):
-        numbers = isinstance(wall, list) and len(wall) == 4
-        if not numbers or not all(
-            isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v) for v in wall
-        ):
+        if not _are_numbers(wall, 4):
             msg = f"{where}: wall {number} must be four finite numbers [x1, y1, x2, y2] in m."
             raise PlantError(msg)
-    return np.array(walls, dtype=np.float64).reshape(-1)
+    segments = np.array(walls, dtype=np.float64).reshape(-1)
+    return _with_solids(where, content, segments)
+
+
+def _are_numbers(value: object, length: int) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == length
+        and all(
+            isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
+            for v in value
+        )
+    )
+
+
+def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]) -> Hall:
+    for key in content:
+        if key not in _KEYS:
+            msg = f"{where}: '{key}' is not a key of a hall; the keys are {', '.join(_KEYS)}."
+            raise PlantError(msg)
+    sizes = [content.get("height_m", 1.0), content.get("thickness_m", 0.05)]
+    if not _are_numbers(sizes, 2) or min(sizes) <= 0.0:
+        msg = f"{where}: height_m and thickness_m must be numbers above 0."
+        raise PlantError(msg)
+    solids = list(wall_solids(walls, *sizes))
+    outlines = [walls]
+    for kind, keys, make in (
+        ("slopes", ("from", "to", "width_m", "rise_m"), _slope),
+        ("thresholds", ("from", "to", "width_m", "height_m"), _threshold),
+        ("boxes", ("centre", "size", "yaw_rad"), _box),
+    ):
+        entries = content.get(kind) or []
+        if not isinstance(entries, list) or len(entries) > MOST_SOLIDS:
+            msg = f"{where}: {kind} must be a list of at most {MOST_SOLIDS}."
+            raise PlantError(msg)
+        for number, entry in enumerate(entries, start=1):
+            try:
+                if set(entry) - set(keys):
+                    raise KeyError
+                solid = make(entry)
+            except (KeyError, TypeError, ValueError):
+                msg = f"{where}: {kind}, number {number}: must be {{{', '.join(keys)}}}, in m."
+                raise PlantError(msg) from None
+            solids.append(solid)
+            if kind == "boxes":
+                outlines.append(_outline(solid))
+    return Hall(np.concatenate(outlines), tuple(solids))
+
+
+def _point(entry: dict[str, Any], key: str, length: int = 2) -> list[float]:
+    value: list[float] = entry[key]
+    if not _are_numbers(value, length):
+        raise ValueError
+    return value
+
+
+def _size(entry: dict[str, Any], key: str) -> float:
+    value = entry[key]
+    if not _are_numbers([value], 1) or value <= 0.0:
+        raise ValueError
+    return float(value)
+
+
+def _slope(entry: dict[str, Any]) -> Solid:
+    """Return the slab whose upper side rises from the floor at `from` to `rise_m` at `to`."""
+    (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
+    run, rise, width = math.hypot(x2 - x1, y2 - y1), _size(entry, "rise_m"), _size(entry, "width_m")
+    pitch, yaw = math.atan2(rise, run), math.atan2(y2 - y1, x2 - x1)
+    below, deep = 0.5 * SLAB_M * math.sin(pitch), 0.5 * SLAB_M * math.cos(pitch)
+    centre = (
+        0.5 * (x1 + x2) + below * math.cos(yaw),
+        0.5 * (y1 + y2) + below * math.sin(yaw),
+        0.5 * rise - deep,
+    )
+    half = (0.5 * math.hypot(run, rise), 0.5 * width, 0.5 * SLAB_M)
+    return Solid(centre, half, yaw, pitch, carries=True)
+
+
+def _threshold(entry: dict[str, Any]) -> Solid:
+    (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
+    height, width = _size(entry, "height_m"), _size(entry, "width_m")
+    half = (0.5 * math.hypot(x2 - x1, y2 - y1), 0.5 * width, 0.5 * height)
+    centre = (0.5 * (x1 + x2), 0.5 * (y1 + y2), 0.5 * height)
+    return Solid(centre, half, math.atan2(y2 - y1, x2 - x1), carries=True)
+
+
+def _box(entry: dict[str, Any]) -> Solid:
+    (x, y), (length, width, height) = _point(entry, "centre"), _point(entry, "size", 3)
+    if min(length, width, height) <= 0.0:
+        raise ValueError
+    (yaw,) = _point({"yaw": [entry.get("yaw_rad", 0.0)]}, "yaw", 1)
+    half = (0.5 * length, 0.5 * width, 0.5 * height)
+    return Solid((float(x), float(y), 0.5 * height), half, float(yaw))
+
+
+def _outline(solid: Solid) -> NDArray[np.float64]:
+    """Return the four sides of a box as wall segments."""
+    c, s = math.cos(solid.yaw_rad), math.sin(solid.yaw_rad)
+    (x, y, _), (a, b, _) = solid.centre_m, solid.half_m
+    corners = [
+        (x + c * u - s * v, y + s * u + c * v) for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
+    ]
+    return np.array([(*corner, *corners[(i + 1) % 4]) for i, corner in enumerate(corners)]).reshape(
+        -1
+    )

@@ -237,6 +237,7 @@ def to_parameters(
         return {**values, "period_s": period_s(f"sensors.{key}.slice", section.slice)}
 
     values = plant.model_dump(exclude={"slice", "controller", "process"})
+    hall = load_hall(sensors.tof.hall, folder or Path())
     robot = RobotParameters(
         **values,
         **kinematics.model_dump(),
@@ -248,7 +249,8 @@ def to_parameters(
         battery=parts.Battery(**part("battery", sensors.battery)),
         tof=parts.RangeFinders(**part("tof", sensors.tof, hall=None)),
         nav=parts.Navigation(**part("nav", sensors.nav)),
-        hall=load_hall(sensors.tof.hall, folder or Path()),
+        hall=hall.walls,
+        solids=hall.solids,
     )
     pack(robot)  # refuses terms that do not fit the robot
     return robot

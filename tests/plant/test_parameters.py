@@ -193,8 +193,8 @@ def test_unknown_slice():
 
 def test_hall_from_a_file(tmp_path: Path):
     (tmp_path / "hall.yaml").write_text("walls:\n  - [1, 2, 3, 4.5]\n  - [0, 0, 1, 0]\n")
-    assert load_hall("hall.yaml", tmp_path).tolist() == [1, 2, 3, 4.5, 0, 0, 1, 0]
-    assert load_hall("default", tmp_path).size % 4 == 0
+    assert load_hall("hall.yaml", tmp_path).walls.tolist() == [1, 2, 3, 4.5, 0, 0, 1, 0]
+    assert load_hall("default", tmp_path).walls.size % 4 == 0
 
 
 @pytest.mark.parametrize(
