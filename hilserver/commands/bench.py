@@ -13,6 +13,7 @@ BENCHES = {
     "jitter": "wake latency under OPC UA load against cyclictest",
     "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
     "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
+    "page": "what the operator page costs: server, plant's deadlines, browser",
     "loop": "set-point to pose and back over TCP, two processes",
     "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
     "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",

@@ -33,13 +33,19 @@ class RunningDaemon:
 
 
 @contextlib.contextmanager
-def running_daemon(folder, *options, config=""):
-    """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml."""
+def running_daemon(folder, *options, config="", opcua="", ring_frames=2048, prepare=None):
+    """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml.
+
+    `opcua` is added to that section; `prepare` is called with the folder before the start.
+    """
     image = image_name()
-    text = f"image: {{name: {image}}}\nopcua: {{endpoint: 'opc.tcp://127.0.0.1:0/h'}}\n"
+    text = f"image: {{name: {image}, ring_frames: {ring_frames}}}\n"
+    text += f"opcua: {{endpoint: 'opc.tcp://127.0.0.1:0/h', {opcua}}}\n"
     page = "" if "page:" in config else "\npage: {enabled: false}\n"
     text += f"metrics: {{port: 0}}\n{config}{page}"
     (folder / "config.yaml").write_text(text, encoding="utf-8")
+    if prepare is not None:
+        prepare(folder)
     errors = (folder / "daemon.log").open("w+", encoding="utf-8")
     command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *options]
     with errors, subprocess.Popen(command, stderr=errors, cwd=folder) as process:

@@ -16,62 +16,88 @@ const server = await chromium.launchServer({
   ],
 });
 const browser = await chromium.connect(server.wsEndpoint());
-const page = await browser.newPage({ viewport: { width: 1280, height: 800 } });
-const errors = [];
-page.on("pageerror", (error) => errors.push(error.message));
-page.on("console", (message) => {
-  if (message.text().includes("Content Security Policy")) errors.push(message.text());
-});
-await page.addInitScript(() => {
-  window.sockets = [];
-  const Real = window.WebSocket;
-  window.WebSocket = class extends Real {
-    constructor(...args) {
-      super(...args);
-      window.sockets.push(this);
+const LONG = 60000;
+let page, tools, errors;
+
+/** A tab of its own, without the cookies of the one before. */
+async function fresh({ width = 1280, height = 800, scheme = "light" } = {}) {
+  await page?.context().close();
+  const context = await browser.newContext({ viewport: { width, height }, colorScheme: scheme, ignoreHTTPSErrors: true });
+  context.setDefaultTimeout(LONG);
+  page = await context.newPage();
+  errors = [];
+  page.on("pageerror", (error) => errors.push(error.message));
+  page.on("console", (message) => {
+    if (message.text().includes("Content Security Policy")) errors.push(message.text());
+  });
+  await page.addInitScript(() => {
+    window.sockets = [];
+    const Real = window.WebSocket;
+    window.WebSocket = class extends Real {
+      constructor(...args) {
+        super(...args);
+        window.sockets.push(this);
+      }
+    };
+    window.pad = null;
+    navigator.getGamepads = () => [window.pad];
+  });
+  tools = await context.newCDPSession(page);
+}
+
+async function load(url, selector) {
+  for (let tries = 0; ; tries++) {
+    try {
+      await page.goto(url);
+      break;
+    } catch (error) {
+      if (tries > 60) throw error;
+      await new Promise((resolve) => setTimeout(resolve, 500));
     }
-  };
-});
-const tools = await page.context().newCDPSession(page);
+  }
+  await page.waitForSelector(selector);
+}
 
 const doing = {
-  open: async ({ url }) => {
-    for (let tries = 0; ; tries++) {
-      try {
-        await page.goto(url);
-        break;
-      } catch (error) {
-        if (tries > 40) throw error;
-        await new Promise((resolve) => setTimeout(resolve, 500));
-      }
-    }
-    await page.waitForSelector(".state[data-state='running']", { timeout: 60000 });
-  },
+  fresh,
+  open: ({ url }) => load(url, ".state[data-state='running']"),
+  visit: ({ url, selector }) => load(url, selector),
   take: async () => {
-    if (await page.getByRole("button", { name: "Take control" }).count()) {
-      await page.getByRole("button", { name: "Take control" }).click();
-    }
-    await page.getByText("You drive").waitFor({ timeout: 20000 });
+    const button = page.getByRole("button", { name: "Take control" });
+    if (await button.count()) await button.click();
+    await page.getByText("You drive").waitFor();
   },
   view: async ({ name }) => {
     await page.getByRole("link", { name }).click();
     await page.waitForSelector(`main[data-view='${name.toLowerCase()}']`);
   },
-  down: async ({ key }) => page.keyboard.down(key),
-  up: async ({ key }) => page.keyboard.up(key),
-  press: async ({ key }) => page.keyboard.press(key),
-  click: async ({ role, name }) => page.getByRole(role, { name }).first().click(),
-  stage: async () => (await page.locator(".stage.plain").waitFor({ timeout: 30000 }), true),
-  text: async ({ selector }) => page.locator(selector).first().innerText(),
-  cut: async () => page.evaluate(() => window.sockets.forEach((socket) => socket.close())),
-  mute: async () => page.evaluate(() => window.sockets.forEach((socket) => (socket.send = () => {}))),
+  down: ({ key }) => page.keyboard.down(key),
+  up: ({ key }) => page.keyboard.up(key),
+  press: ({ key }) => page.keyboard.press(key),
+  type: ({ text }) => page.keyboard.type(text),
+  fill: ({ label, text }) => page.getByLabel(label).first().fill(text),
+  click: ({ role, name }) => page.getByRole(role, { name }).first().click(),
+  wait: async ({ selector, text }) => {
+    await page.locator(selector).filter({ hasText: text ?? "" }).first().waitFor();
+  },
+  stage: async () => (await page.locator(".stage.plain").waitFor(), true),
+  text: ({ selector }) => page.locator(selector).first().innerText(),
+  framed: ({ selector }) => page.frameLocator("iframe").locator(selector).first().innerText(),
+  run: ({ script }) => page.evaluate(script),
+  focused: () => page.evaluate(() => {
+    const at = document.activeElement;
+    if (!at.matches("a, button, input, select, textarea")) return "";
+    return at.getAttribute("aria-label") || at.labels?.[0]?.innerText || at.innerText || at.tagName;
+  }),
+  cut: () => page.evaluate(() => window.sockets.forEach((socket) => socket.close())),
+  mute: () => page.evaluate(() => window.sockets.forEach((socket) => (socket.send = () => {}))),
   freeze: async () => {
     await tools.send("Debugger.enable");
     await tools.send("Debugger.pause");
   },
-  thaw: async () => tools.send("Debugger.disable"),
-  pid: async () => server.process().pid,
-  errors: async () => errors,
+  thaw: () => tools.send("Debugger.disable"),
+  pid: () => server.process().pid,
+  errors: () => errors,
   shot: async ({ path }) => (await page.screenshot({ path }), true),
   axe: async () => {
     await tools.send("Page.setBypassCSP", { enabled: true });
@@ -89,7 +115,7 @@ for await (const line of readline.createInterface({ input: process.stdin })) {
   try {
     console.log(JSON.stringify({ result: (await doing[request.do](request)) ?? null }));
   } catch (error) {
-    console.log(JSON.stringify({ error: error.message.split("\n")[0] }));
+    console.log(JSON.stringify({ error: error.message.split("\n").slice(0, 3).join(" ") }));
   }
 }
 await browser.close();

@@ -12,25 +12,36 @@ scheduler:
 """
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def daemon(tmp_path_factory):
-    with running_daemon(tmp_path_factory.mktemp("page"), config=CONFIG) as daemon:
+    """One daemon for all tests; each leaves it running, undriven and without faults."""
+    with running_daemon(
+        tmp_path_factory.mktemp("page"), config=CONFIG, ring_frames=1 << 14
+    ) as daemon:
         yield daemon
         daemon.stop()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def url(daemon):
     return page_url(daemon)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def plant(daemon):
     return Plant(daemon.image)
 
 
-@pytest.fixture
-def browser():
+@pytest.fixture(scope="session")
+def chromium():
     browser = Browser(webgl=False)
     yield browser
     browser.close()
+
+
+@pytest.fixture
+def browser(chromium):
+    """A tab of its own in the one browser of all tests; afterwards it shows nothing."""
+    chromium.do("fresh")
+    yield chromium
+    chromium.do("fresh")

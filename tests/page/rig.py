@@ -7,11 +7,15 @@ import subprocess
 import time
 from pathlib import Path
 
-from hilserver.image import ImageReader
+import numpy as np
+
+from hilserver.image import ImageReader, read_frames
 
 HERE = Path(__file__).parent
 SETPOINTS = tuple(f"wheel.{wheel}.setpoint_rpm" for wheel in ("fl", "rl", "fr", "rr"))
 DEADMAN_MS = 300
+KEPT = 15_000
+"""Frames that are looked at: somewhat fewer than the ring of the daemon holds."""
 
 
 class Plant:
@@ -20,6 +24,7 @@ class Plant:
     def __init__(self, image):
         self.reader = ImageReader.attach(image)
         self.slots = {s["name"]: s["slots"][0] for s in self.reader.description["signals"]}
+        read_frames(self.reader, 0, 1)  # compiles it
 
     def value(self, name):
         return float(self.reader.latest().values[self.slots[name]])
@@ -29,13 +34,26 @@ class Plant:
         names = ("twist.linear_m_s", "twist.angular_rad_s", *SETPOINTS)
         return max(abs(self.value(name)) for name in names)
 
-    def wait(self, condition, timeout_s=20.0):
-        """Wait until `condition()`; return the seconds that it took."""
+    def wait(self, condition, timeout_s=60.0):
+        """Wait until `condition()`."""
         start_s = time.monotonic()
         while not condition():
             assert time.monotonic() - start_s < timeout_s, "it did not come"
             time.sleep(0.005)
-        return time.monotonic() - start_s
+
+    def silence_ms(self):
+        """How long the last command was held without a new one until it ended, in ticks of 1 ms.
+
+        Asked once the robot stands: from the last frame before the end into which anything was
+        latched, to the first one whose set-points are zero.
+        """
+        frames = read_frames(self.reader, max(0, self.reader.head - KEPT), KEPT)
+        names = ("twist.linear_m_s", "twist.angular_rad_s", *SETPOINTS)
+        held = np.abs(frames.values[:, [self.slots[name] for name in names]]).max(axis=1) > 0
+        end = int(np.flatnonzero(held)[-1]) + 1
+        latched = frames.words[:end, 2]
+        last = int(np.flatnonzero(np.diff(latched))[-1]) + 1
+        return int(frames.ticks[end] - frames.ticks[last])
 
 
 def page_url(daemon):
@@ -64,9 +82,13 @@ class Browser:
 
     def do(self, what, **more):
         self.send(what, **more)
-        answer = json.loads(self.process.stdout.readline())
+        answer = self.receive()
         assert "error" not in answer, f"{what}: {answer['error']}"
         return answer["result"]
+
+    def receive(self):
+        """The answer to what was sent."""
+        return json.loads(self.process.stdout.readline())
 
     def send(self, what, **more):
         """Ask without waiting for the answer."""

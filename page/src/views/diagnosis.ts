@@ -2,7 +2,10 @@
 
 import { may, type Context, type View } from "../context";
 import { call, get, live, type Job } from "../net";
-import { action, bytes, h, number, setText, toast } from "../ui";
+import { action, bytes, h, number, setText, svg, toast } from "../ui";
+
+const COURSE = 120; // a minute of boards
+const courses = new Map<string, number[]>();
 
 export function diagnosisView(context: Context): View {
   const logs = h("ul", { class: "list" });
@@ -47,11 +50,8 @@ export function diagnosisView(context: Context): View {
     }
     setText(patch, board.patch ? `${board.patch} is loaded.` : "No patch is loaded.");
     const entries = Object.entries(board.gaps ?? {});
-    gaps.replaceChildren(
-      ...(entries.length
-        ? entries.map(([name, gap]) => h("div", {}, h("dt", {}, name), h("dd", {}, `${number(gap)} ${units.get(name) ?? ""}`)))
-        : [h("div", {}, h("dt", {}, "No measured values come in."), h("dd", {}, ""))]),
-    );
+    const none = h("div", {}, h("dt", {}, "No measured values come in."), h("dd", {}, ""));
+    gaps.replaceChildren(...(entries.length ? entries.map(([name, gap]) => gapRow(name, gap, units.get(name) ?? "")) : [none]));
   }
 
   function jobItem(job: Job): HTMLElement {
@@ -67,7 +67,7 @@ export function diagnosisView(context: Context): View {
       h("div", { class: "buttons" },
         job.state === "running" && action("Cancel", () => call("cancel", job.number)),
         done && job.files.includes("report.html") && h("button", { type: "button", class: "primary", onclick: () => read(job) }, "Read the report"),
-        done && job.files.includes("model_patch.yaml") && action("Keep the patch", async () => { await call("keep", job.number); await load(); }, { disabled: !may(context, "LoadPatch") })),
+        done && job.files.includes("model_patch.yaml") && action("Load the patch", async () => { await call("LoadPatch", await call("keep", job.number)); await load(); }, { disabled: !may(context, "LoadPatch") })),
     );
   }
 
@@ -84,6 +84,16 @@ export function diagnosisView(context: Context): View {
     h("section", { class: "panel report", "aria-label": "Report" }, empty, frame),
   );
   return { element, close: stopSlow };
+}
+
+/** Channel, course of the last minute, gap now: so one sees it fall when a patch is loaded. */
+function gapRow(name: string, gap: number, unit: string): HTMLElement {
+  const course = [...(courses.get(name) ?? []), gap].slice(-COURSE);
+  courses.set(name, course);
+  const most = Math.max(...course.map(Math.abs), 1e-12);
+  const points = course.map((value, i) => `${COURSE - course.length + i},${(22 - (20 * Math.abs(value)) / most).toFixed(1)}`).join(" ");
+  const line = svg("svg", { viewBox: `0 0 ${COURSE} 24`, class: "course", "aria-hidden": "true" }, svg("polyline", { points }));
+  return h("div", { "data-gap": name }, h("dt", {}, name), line, h("dd", {}, `${number(gap)} ${unit}`));
 }
 
 function folder(folders: Record<string, string>, name: string): string {

@@ -1,4 +1,4 @@
-import{l as Ue,W as nr}from"./index-Cn2P0_-b.js";/**
+import{l as Ue,W as nr}from"./index-Dmo591LE.js";/**
  * @license
  * Copyright 2010-2025 Three.js Authors
  * SPDX-License-Identifier: MIT

@@ -1,0 +1,173 @@
+"""Users log in on the page, over TLS; the page logs in for them, encrypted, with their roles."""
+
+import subprocess
+
+import pytest
+
+from hilserver.commands import main
+from hilserver.io.opcua_security.passwords import hash_password
+from tests.helpers.daemons import running_daemon
+from tests.page.conftest import CONFIG
+from tests.page.rig import Plant, page_url
+from tests.page.test_security import Visitor, aiohttp, asyncio
+
+pytestmark = pytest.mark.timeout(240)
+PASSWORDS = {"olga": "see", "otto": "drive", "emma": "all"}
+ROLES = {"olga": "observer", "otto": "operator", "emma": "engineer"}
+OPERATOR = {
+    "Start", "Stop", "Pause", "Step", "Reset", "SetSpeed", "StartScenario", "StopScenario",
+    "StartRecording", "StopRecording",
+}  # fmt: skip
+CALLS = {
+    "LoadPatch": ["no-such.yaml"],
+    "RemovePatch": [],
+    "StartScenario": ["no-such.yaml"],
+    "StopScenario": [],
+    "StartRecording": ["no-such.txt"],
+    "StopRecording": [],
+    "SetSpeed": [1.0],
+    "Force": ["battery.voltage_v", 21.0],
+    "ClearFaults": [],
+    "Pause": [],
+    "Start": [],
+}
+REFUSED = ("your role does not allow", "does not allow")
+
+
+def make_tls(folder):
+    """A certificate of our own for the page, as the how-to makes one."""
+    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"]
+    words += ["-subj", "/CN=localhost", "-keyout", "page.key", "-out", "page.pem"]
+    subprocess.run(words, cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("secured")
+    users = [
+        f"{{name: {name}, password: '{hash_password(password, log_n=10)}', role: {ROLES[name]}}}"
+        for name, password in PASSWORDS.items()
+    ]
+    opcua = f"policies: [Basic256Sha256], users: [{', '.join(users)}], max_failed_logins: 1000"
+    page = "page: {port: 0, max_clients: 5, tls: {certificate: page.pem, key: page.key}}"
+    config = CONFIG.replace("page: {port: 0, max_clients: 5}", page)
+    make_tls(folder)
+    with running_daemon(folder, config=config, opcua=opcua, prepare=make_certificate) as daemon:
+        yield daemon
+        daemon.stop()
+
+
+def make_certificate(folder):
+    assert main(["certs", "make", "-c", str(folder / "config.yaml")]) == 0
+
+
+@pytest.fixture
+async def visit(secured):
+    """Log in as a user, each a browser of its own."""
+    sessions = []
+
+    async def visit(name=None, password=None):
+        connector = aiohttp.TCPConnector(ssl=False)
+        jar = aiohttp.CookieJar(unsafe=True)
+        sessions.append(aiohttp.ClientSession(cookie_jar=jar, connector=connector))
+        visitor = Visitor(sessions[-1], page_url(secured))
+        for _ in range(200):
+            try:
+                await visitor.load()
+                break
+            except aiohttp.ClientError:
+                await asyncio.sleep(0.3)
+        if name is not None:
+            status, answer = await visitor.call("login", name, password or PASSWORDS[name])
+            assert status == 200, answer
+            visitor.session_view = answer["result"]
+        return visitor
+
+    yield visit
+    for session in sessions:
+        await session.connector.close(abort_ssl=True)
+        await session.close()
+
+
+async def test_nobody_sees_or_does_anything_before_the_log_in(visit):
+    visitor = await visit()
+    _, answer = await visitor.call("session")
+    assert answer["result"]["needs_login"]
+    assert answer["result"]["methods"] == []
+    for route in ("signals", "hall", "logs", "jobs"):
+        async with visitor.session.get(f"{visitor.url}api/{route}") as response:
+            assert response.status == 401, route
+    for method, arguments in CALLS.items():
+        status, answer = await visitor.call(method, *arguments)
+        assert (status, answer["text"]) == (409, "log in first"), method
+    with pytest.raises(aiohttp.WSServerHandshakeError):
+        await visitor.socket()
+
+
+async def test_a_wrong_password_is_refused_and_the_right_one_is_not_kept_waiting(visit):
+    visitor = await visit()
+    for name, password in (("otto", "wrong"), ("nobody", "drive"), ("otto", "")):
+        status, answer = await visitor.call("login", name, password)
+        assert (status, answer["text"]) == (409, "name or password is wrong")
+    status, answer = await visitor.call("login", "otto", PASSWORDS["otto"])
+    assert status == 200
+    assert answer["result"]["user"] == "otto"
+
+
+@pytest.mark.parametrize("name", PASSWORDS)
+async def test_roles_are_those_of_opcua(visit, secured, name):
+    visitor = await visit(name)
+    plant = Plant(secured.image)
+    may = set(visitor.session_view["methods"])
+    assert visitor.session_view["drive"] == (name != "olga")
+    assert (may == set()) == (name == "olga")
+    if name == "otto":
+        assert may == OPERATOR
+    for method, arguments in CALLS.items():
+        _, answer = await visitor.call(method, *arguments)
+        is_refused = any(text in answer.get("text", "") for text in REFUSED)
+        assert is_refused == (method not in may), (method, answer)
+    await visitor.call("StopRecording")
+    for method, arguments in (("diagnose", ["no.csv"]), ("cancel", [1]), ("keep", [1])):
+        _, answer = await visitor.call(method, *arguments)
+        needed = "LoadPatch" if method == "keep" else "Start"
+        is_refused = "your role" in answer["text"]
+        assert is_refused == (needed not in may), (method, answer)
+    socket = await visitor.live()
+    status, answer = await visitor.call("take", visitor.number)
+    assert status == (409 if name == "olga" else 200), answer
+    _, answer = await visitor.call("write", "lights.command", 3)
+    assert answer["ok"] == (name != "olga")
+    await socket.close()
+    assert plant.command() == 0.0
+
+
+async def test_who_has_logged_out_is_out_and_takes_nobody_along(visit):
+    emma, otto = await visit("emma"), await visit("otto")
+    assert (await emma.call("ClearFaults"))[0] == 200
+    await emma.call("logout")
+    assert (await emma.call("ClearFaults"))[1]["text"] == "log in first"
+    assert (await otto.call("Start"))[0] in (200, 409)
+    assert (await otto.call("session"))[1]["result"]["user"] == "otto"
+
+
+async def test_the_cookie_travels_encrypted_only(visit):
+    response = await (await visit()).load()
+    cookie = response.cookies or None
+    assert response.url.scheme == "https"
+    assert cookie is None or all(morsel["secure"] for morsel in cookie.values())
+
+
+@pytest.mark.page
+def test_a_browser_logs_in_and_sees_what_its_role_allows(browser, secured):
+    browser.do("visit", url=page_url(secured), selector=".login input")
+    browser.do("type", text="olga")
+    browser.do("press", key="Tab")
+    browser.do("type", text="see")
+    browser.do("press", key="Enter")
+    browser.do("wait", selector=".state", text="running")
+    assert browser.do("run", script="document.querySelector('.wheel').disabled")
+    assert browser.do("run", script="document.querySelector('.estop').disabled")
+    browser.do("click", role="button", name="Log out olga")
+    browser.do("wait", selector=".login input")
+    assert browser.do("errors") == []

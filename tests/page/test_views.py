@@ -1,0 +1,102 @@
+"""Every view by keyboard alone, and without serious faults of accessibility, light and dark."""
+
+import pytest
+
+pytestmark = [pytest.mark.page, pytest.mark.timeout(240)]
+VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis")
+_CONTROLS = """
+window.controls = new Set([...document.querySelectorAll(
+    "a[href], button, input, select, textarea, [tabindex='0']")].filter((e) =>
+    !e.disabled && e.checkVisibility({ visibilityProperty: true }) && e.tabIndex >= 0));
+window.marked = new Set(); window.unseen = new Set();
+document.addEventListener("focusin", (event) => {
+  window.marked.add(event.target);
+  const style = getComputedStyle(event.target);
+  if (style.outlineStyle === "none" || parseFloat(style.outlineWidth) < 2)
+    window.unseen.add(event.target.outerHTML.slice(0, 80));
+});
+document.body.tabIndex = -1; document.body.focus(); window.controls.size
+"""
+_MISSED = """[...window.controls].filter((e) => e.isConnected && !window.marked.has(e))
+    .map((e) => e.outerHTML.slice(0, 80))"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_view_has_a_serious_fault_of_accessibility(browser, url, scheme):
+    browser.do("fresh", scheme=scheme)
+    browser.do("open", url=url)
+    for name in VIEWS:
+        browser.do("view", name=name)
+        assert browser.do("axe") == [], name
+    assert browser.do("errors") == []
+
+
+@pytest.mark.parametrize(("key", "view"), list(zip("12345", VIEWS, strict=True)))
+def test_every_control_is_reached_and_seen_by_the_tab_key(browser, url, key, view):
+    browser.do("open", url=url)
+    browser.do("take")
+    browser.do("press", key=key)
+    browser.do("wait", selector=f"main[data-view='{view.lower()}']")
+    count = browser.do("run", script=_CONTROLS)
+    assert count >= 8
+    for _ in range(count + 4):
+        browser.do("press", key="Tab")
+    assert browser.do("run", script=_MISSED) == []
+    assert browser.do("run", script="[...window.unseen]") == []
+
+
+def to(browser, name):
+    """Press Tab until a control of that name has the focus."""
+    for _ in range(200):
+        browser.do("press", key="Tab")
+        if name in (browser.do("focused") or ""):
+            return
+    pytest.fail(f"the tab key does not reach '{name}'")
+
+
+def test_a_whole_shift_by_keyboard(browser, url, plant):
+    """Take control, drive, pause, step, force and release, stop, reset: no pointer."""
+    browser.do("open", url=url)
+    to(browser, "Take control")
+    browser.do("press", key="Enter")
+    browser.do("wait", selector=".owner", text="You drive")
+    browser.do("down", key="ArrowUp")
+    plant.wait(lambda: plant.command() > 0.1)
+    browser.do("up", key="ArrowUp")
+    plant.wait(lambda: plant.command() == 0.0)
+    browser.do("press", key="4")
+    to(browser, "Pause")
+    browser.do("press", key="Enter")
+    browser.do("wait", selector=".state", text="paused")
+    tick = plant.value("sim.tick")
+    to(browser, "Step")
+    browser.do("press", key="Enter")
+    plant.wait(lambda: plant.value("sim.tick") == tick + 100)
+    to(browser, "Run on")
+    browser.do("press", key="Enter")
+    browser.do("wait", selector=".state", text="running")
+    browser.do("press", key="3")
+    to(browser, "Force battery.voltage_v")
+    browser.do("press", key="Enter")
+    browser.do("type", text="21.5")
+    browser.do("press", key="Enter")
+    plant.wait(lambda: plant.value("battery.voltage_v") == 21.5)
+    browser.do("wait", selector=".list", text="battery.voltage_v")
+    to(browser, "Release battery.voltage_v")
+    browser.do("press", key="Enter")
+    plant.wait(lambda: plant.value("battery.voltage_v") != 21.5)
+    browser.do("run", script="document.activeElement.blur()")
+    browser.do("press", key="x")
+    plant.wait(lambda: plant.value("sim.state") == 3)
+    to(browser, "Reset")
+    browser.do("press", key="Enter")
+    plant.wait(lambda: plant.value("sim.state") == 1)
+
+
+def test_a_view_fits_a_phone(browser, url):
+    browser.do("fresh", width=390, height=844)
+    browser.do("open", url=url)
+    for name in VIEWS:
+        browser.do("view", name=name)
+        wide = "document.scrollingElement.scrollWidth - innerWidth"
+        assert browser.do("run", script=wide) <= 0, name
