@@ -130,10 +130,11 @@ class Live:
         if not await self._greeted(client):
             await _close(client, WSCloseCode.POLICY_VIOLATION, "no valid ticket")
             return client.socket
+        welcome = json.dumps({"type": "welcome", "you": client.number})
+        await _ignoring_loss(client.socket.send_str(welcome))  # before any board or frame
         self._clients[client.number] = client
         browser.live += 1
         try:
-            client.tell({"type": "welcome", "you": client.number})
             client.tell(self._slow())
             await self._listen(client)
         finally:
