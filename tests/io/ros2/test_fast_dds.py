@@ -47,7 +47,24 @@ async def test_a_host_drives_by_rpm_and_reads_every_topic(fast_dds, domain):
         assert daemon.gate.age_s("ros2") < PATIENCE_S
 
 
-async def test_twist_and_gamepad(fast_dds, domain):
+async def test_reliable_topics_lose_nothing(fast_dds, domain):
+    host = Host(fast_dds, domain, *endpoints("iotbot_shield"))
+    async with robot(domain, publish=EXTRAS) as daemon, host:
+        await wait_until(lambda: len(host.received["rt/clock"]) > 300, PATIENCE_S)
+        await host.sees("rt/odom")
+        clock = [nanoseconds(m.clock) for m in host.messages("rt/clock")]
+        odom = [nanoseconds(m.header.stamp) for m in host.messages("rt/odom")]
+        assert clock == sorted(clock)
+        first, last = max(clock[0], odom[0]), min(clock[-1], odom[-1])
+        assert [t for t in clock if first <= t <= last] == [t for t in odom if first <= t <= last]
+        assert daemon.ros2.status.fault_counts["not_taken"] == 0
+
+
+def nanoseconds(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+async def test_twist_beyond_what_the_robot_can(fast_dds, domain):
     host = Host(fast_dds, domain, *endpoints("iotbot_shield"))
     async with robot(domain) as daemon, host:
         async with host.repeating("rt/cmd_vel", **twist(0.2, 0.3)):
