@@ -358,7 +358,7 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
         ("speed_rpm", "rpm", 10_000.0, "Speed of the {} wheel of the body"),
         ("normal_force_n", "N", 1e6, "Force with which the floor carries the {} wheel"),
         ("slip_m_s", "m/s", 100.0, "Slip of the {} wheel: forward over the floor +"),
-        ("torque_nm", "Nm", 1e4, "Torque of the {} drive, mirrored like the speed"),
+        ("torque_nm", "N·m", 1e4, "Torque of the {} drive, mirrored like the speed"),
     ):
         low = 0.0 if unit == "N" else -size
         rows += [

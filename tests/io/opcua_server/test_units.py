@@ -43,5 +43,5 @@ def test_unknown_unit_is_one_sentence() -> None:
 
 
 def test_every_signal_has_a_known_unit() -> None:
-    table = robot_table(Ranges(90.0, 0.8, 3.0))
+    table = robot_table(Ranges(90.0, 0.8, 3.0), body=True)
     assert {signal.unit for signal in table.scalars} <= UNECE.keys()
