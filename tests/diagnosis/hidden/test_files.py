@@ -22,8 +22,8 @@ from tests.diagnosis.assertions import (
 )
 from tests.diagnosis.hidden.logs import recipe
 
-FRICTION = ("coulomb_friction", 2, 15.0)
-NOTHING = ("nothing bench", 5, 12.0)
+FRICTION = ("coulomb_friction", 2, 6.0)
+NOTHING = ("nothing bench", 5, 5.0)
 
 
 def written(folder, name, *log, **changes):
