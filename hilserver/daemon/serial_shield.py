@@ -29,6 +29,7 @@ def make_shield(core: Core, supervision: Supervision) -> ShieldLink | None:
             return open_device(config.device)
         return open_pseudo_terminal(assembly.folder / config.link)
 
+    body = assembly.config.mechatronic.enabled and assembly.config.mechatronic.sensors == "body"
     status = ShieldStatus(NAME)
     faults = FaultBook(status, core.events.publish)
     device = Device(
@@ -43,7 +44,7 @@ def make_shield(core: Core, supervision: Supervision) -> ShieldLink | None:
         config,
         open_line=open_line,
         image=core.image,
-        slots=places(core.table, config.wheels, body=False),
+        slots=places(core.table, config.wheels, body=body),
         status=status,
         device=device,
         faults=faults,
