@@ -164,8 +164,8 @@ def patch_of(run: Mapping[str, Any]) -> Patch | None:
     ValueError
         If it is not one of this version.
     """
-    told = run.get("patch")
-    return None if told is None else Patch(ModelPatch.model_validate(told["content"]))
+    recorded = run.get("patch")
+    return None if recorded is None else Patch(ModelPatch.model_validate(recorded["content"]))
 
 
 def json_schema() -> dict[str, Any]:

@@ -200,8 +200,8 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
             found.append(finding)
     if j.prepared.coarse_rpm is not None:
         found.append(coarse(j.prepared.coarse_rpm))
-    if stage == "pose" and (thrown := outliers(problem, j.point)) is not None:
-        found.append(thrown)
+    if stage == "pose" and (strays := outliers(problem, j.point)) is not None:
+        found.append(strays)
     if j.anchor is not None:
         found.append(misplaced_anchor(*j.anchor))
     steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None

@@ -68,8 +68,8 @@ def make_entry(scenario: Scenario, *, jobs: int = 1) -> Entry:
         )
     plots, legend = VIEWS[scenario.name].draw(case)
     picture = f"{PLOTS}/{scenario.name}.svg"
-    told = section(scenario, drive, case.diagnosis.findings, picture)
-    return Entry(told, document(plots, words()[scenario.name].title, legend))
+    text = section(scenario, drive, case.diagnosis.findings, picture)
+    return Entry(text, document(plots, words()[scenario.name].title, legend))
 
 
 def write_page(folder: Path, made: Mapping[str, Entry]) -> None:

@@ -32,6 +32,10 @@ class RunningDaemon:
         self.process.wait(10)
 
 
+NO_LIMITS = "scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}\n"
+"""For a robot that has to drive on where a busy computer holds it up."""
+
+
 @contextlib.contextmanager
 def running_daemon(folder, *options, config="", opcua="", ring_frames=2048, prepare=None):
     """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml.
@@ -42,7 +46,8 @@ def running_daemon(folder, *options, config="", opcua="", ring_frames=2048, prep
     text = f"image: {{name: {image}, ring_frames: {ring_frames}}}\n"
     text += f"opcua: {{endpoint: 'opc.tcp://127.0.0.1:0/h', {opcua}}}\n"
     page = "" if "page:" in config else "\npage: {enabled: false}\n"
-    text += f"metrics: {{port: 0}}\n{config}{page}"
+    limits = "" if "scheduler:" in config else NO_LIMITS
+    text += f"metrics: {{port: 0}}\n{limits}{config}{page}"
     (folder / "config.yaml").write_text(text, encoding="utf-8")
     if prepare is not None:
         prepare(folder)

@@ -145,5 +145,5 @@ def test_a_damaged_state_is_named(tmp_path):
 def test_a_log_that_is_not_there_is_said(tmp_path):
     with pytest.raises(LogError, match="no such file"):
         read_log(tmp_path / "a.csv")
-    with pytest.raises(LogError, match=r"known are \.csv and \.mcap"):
+    with pytest.raises(LogError, match=r"known are \.csv, \.mcap and bags"):
         read_log(tmp_path / "a.bag")

@@ -62,13 +62,15 @@ def robot_without_server(*peers):
 
 
 def speed(daemon, wheel="fl"):
+    if daemon.image.head == 0:
+        return 0.0  # no frame yet
     return column(daemon, f"wheel.{wheel}.speed_rpm", daemon.image.head - 1)[0]
 
 
 async def driven(daemon, peer, rpm=50.0):
     """Wait until the wheels follow the peer."""
     peer.set(rpm, rpm, -rpm, -rpm)
-    await wait_until(lambda: daemon.image.head > 0 and abs(speed(daemon) - rpm) < 1.0)
+    await wait_until(lambda: abs(speed(daemon) - rpm) < 1.0)
 
 
 def status(daemon, name):

@@ -109,7 +109,11 @@ T = np.arange(120) * 0.02
 KINDS = {
     "missing": (lambda folder: folder / "none.csv", None, "none.csv: no such file"),
     "folder": (folder_without_a_bag, TOPICS, "is a folder without a bag .* name the log"),
-    "folder without mapping": (folder_without_a_bag, None, "needs a mapping of its topics; name"),
+    "folder without mapping": (
+        folder_without_a_bag,
+        None,
+        "is a folder without a bag .* name the log",
+    ),
     "empty": (raw(""), None, "log.csv: is empty; the first row has to be the header"),
     "only header": (raw(f"t_s,{SPEED}\n"), None, "holds no sample of any signal; record"),
     "one row": (csv(rows=1), None, "holds only 0 s; a diagnosis needs at least 1 s"),
@@ -287,7 +291,7 @@ KINDS = {
     "foreign MCAP unmapped": (
         lambda folder: bag_file(write_bag(folder / "bag", storage=MCAP)),
         None,
-        "holds no recording of hilserver",
+        "a bag needs a mapping of its topics; name",
     ),
     "Parquet that is none": (raw("hello", "log.parquet"), None, "is no readable Parquet file"),
     "Parquet with text": (parquet({"t_s": T, SPEED: ["x"] * 120}), None, "holds no numbers; leave"),

@@ -225,15 +225,15 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
         float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd))
         for n in ("nav.x_m", "nav.y_m")
     )
-    thrown = ((problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)) & (
+    left_out = ((problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)) & (
         size > max(0.3, 5.0 * noise)
     )
-    n, k = len(thrown), int(thrown.sum())
+    n, k = len(left_out), int(left_out.sum())
     if n == 0 or k < 6 or k / n < least_share:
         return None
     share = k / n
     half = 1.96 * np.sqrt(share * (1.0 - share) / n)
-    sizes = size[thrown]
+    sizes = size[left_out]
     half_size = 2.0 * 1.2533 * sizes.std(ddof=1) / np.sqrt(k) + 0.01 * float(np.median(sizes))
     middle = float(np.median(sizes))
     finding = Finding(

@@ -24,7 +24,7 @@ WITHIN_3_SD = 0.97334
 """Variance of a normal variable that lies within three deviations, by that of all."""
 
 
-def lonely(white: Array) -> NDArray[np.bool_]:
+def isolated(white: Array) -> NDArray[np.bool_]:
     """Return which samples are outliers: far off, and only few in a row."""
     bad = np.abs(white) > OUTLIER
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
@@ -35,7 +35,7 @@ def lonely(white: Array) -> NDArray[np.bool_]:
     return out
 
 
-def thrown(t_s: Array, residual: Array) -> NDArray[np.bool_]:
+def spikes(t_s: Array, residual: Array) -> NDArray[np.bool_]:
     """Return which samples are far from their neighbours, alone or in a burst.
 
     A burst of up to half of `AROUND_S` does not move the median about it.

@@ -13,7 +13,7 @@ from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, o
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, path_of
 from hilserver.diagnosis.plan.outlook import Outlook, Tell, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
-from hilserver.diagnosis.plan.search import choose, told_by
+from hilserver.diagnosis.plan.search import choose, information_of
 from hilserver.diagnosis.regression.stages import machine
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import as_yaml
@@ -152,8 +152,10 @@ class _Studio:
                 f"no piece fits into {duration_s:.3g} s and {_sides(room_m)};"
                 " give more --duration or --room"
             )
-        told = told_by(able, self.robot, recording, seed=self.seed, jobs=self.jobs, tell=self.tell)
-        return choose(able, told, left_s, self.tell)
+        known = information_of(
+            able, self.robot, recording, seed=self.seed, jobs=self.jobs, tell=self.tell
+        )
+        return choose(able, known, left_s, self.tell)
 
 
 def _joined(chosen: Sequence[Piece]) -> Manoeuvre:

@@ -24,14 +24,14 @@ LEAST_BETTER = 0.01
 
 
 @dataclass(frozen=True)
-class Told:
-    """What every piece tells to one stage; shapes (pieces, k, k)."""
+class Information:
+    """What every piece says to one stage; shapes (pieces, k, k)."""
 
     directions: list[Direction]
     grams: Array
 
 
-def told_by(
+def information_of(
     found: Sequence[Piece],
     robot: RobotParameters,
     recording: Recording,
@@ -39,28 +39,28 @@ def told_by(
     seed: int,
     jobs: int,
     tell: Tell,
-) -> list[Told]:
+) -> list[Information]:
     """Measure every piece once, each as a span of its own in one null log."""
     rng = np.random.default_rng(seed)
     log = null_log([piece.manoeuvre for piece in found], robot, recording, rng)
-    told = []
+    known = []
     for stage in stages_of(log, robot).values():
         prepared, _ = prepare(stage, jobs, tell)
         if prepared is not None:
             library = prepared.library
-            told.append(Told(directions_of(library), grams_by_span(library, len(found))))
-    return told
+            known.append(Information(directions_of(library), grams_by_span(library, len(found))))
+    return known
 
 
 def choose(
-    found: Sequence[Piece], told: Sequence[Told], duration_s: float, tell: Tell
+    found: Sequence[Piece], known: Sequence[Information], duration_s: float, tell: Tell
 ) -> list[Piece]:
-    """Return the pieces that tell most; repetitions are allowed.
+    """Return the pieces that say most; repetitions are allowed.
 
-    They are added where a second tells most as long as one fits; then each is exchanged for a
+    They are added where a second says most as long as one fits; then each is exchanged for a
     better one until none is left.
     """
-    search = _Search([p.manoeuvre.duration_s for p in found], told, duration_s)
+    search = _Search([p.manoeuvre.duration_s for p in found], known, duration_s)
     search.add()
     for turn in range(TURNS):
         tell("choosing pieces", turn / TURNS)
@@ -73,11 +73,13 @@ def choose(
 class _Search:
     """The pieces chosen so far and what they tell together."""
 
-    def __init__(self, lengths_s: Sequence[float], told: Sequence[Told], left_s: float) -> None:
+    def __init__(
+        self, lengths_s: Sequence[float], known: Sequence[Information], left_s: float
+    ) -> None:
         self.chosen: list[int] = []
         self._lengths_s = np.array(lengths_s)
-        self._told = told
-        self._sums = [np.zeros(t.grams.shape[1:]) for t in told]
+        self._known = known
+        self._sums = [np.zeros(t.grams.shape[1:]) for t in known]
         self._left_s = left_s
         self._now = 0.0
 
@@ -86,7 +88,7 @@ class _Search:
 
     def _with(self, more: int, less: int | None = None) -> float:
         total = 0.0
-        for t, present in zip(self._told, self._sums, strict=True):
+        for t, present in zip(self._known, self._sums, strict=True):
             changed = present + t.grams[more] - (0.0 if less is None else t.grams[less])
             total += score(t.directions, changed)
         return total
@@ -122,6 +124,8 @@ class _Search:
     def _change(self, piece: int, sign: float) -> None:
         self._left_s -= sign * float(self._lengths_s[piece])
         self._sums = [
-            total + sign * t.grams[piece] for t, total in zip(self._told, self._sums, strict=True)
+            total + sign * t.grams[piece] for t, total in zip(self._known, self._sums, strict=True)
         ]
-        self._now = sum(score(t.directions, s) for t, s in zip(self._told, self._sums, strict=True))
+        self._now = sum(
+            score(t.directions, s) for t, s in zip(self._known, self._sums, strict=True)
+        )

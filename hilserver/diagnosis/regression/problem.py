@@ -19,7 +19,7 @@ from hilserver.diagnosis.noise.fitting import (
     robust_weights,
     short_noise,
 )
-from hilserver.diagnosis.noise.quick_noise import lonely, noise_of_neighbours, plain_noise, thrown
+from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import NEAR, Reading, noise_of_readings
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
@@ -246,13 +246,13 @@ class Problem:
         self.weights = np.ones(len(self.stack))
         for name, _, part in self._runs:
             if name in OUTLIER_CHANNELS:
-                self.weights[part] = ~thrown(self.stack.t_s[part], raw[part])
+                self.weights[part] = ~spikes(self.stack.t_s[part], raw[part])
         for _ in range(2):
             white = self.whiten(raw)
             for name in OUTLIER_CHANNELS:
                 if name in self.stack.edges:
                     edge = self.stack.edges[name]
-                    self.weights[edge] *= ~lonely(white[edge])
+                    self.weights[edge] *= ~isolated(white[edge])
 
     def _noise_of(self, name: str, raw: Array) -> NoiseModel:
         """Return the noise of a channel; what stands at a limit does not show any."""

@@ -12,12 +12,12 @@ WIDTH = 96
 def summary(findings: Findings) -> str:
     """Return what was found, what it gains and what to do."""
     lines = [headline(findings)]
-    told = findings.findings
-    if len(told) > 1 or (told and explain_finding(told[0]) != lines[0]):
-        lines += [f"- {explain_finding(item)}" for item in told]
+    named = findings.findings
+    if len(named) > 1 or (named and explain_finding(named[0]) != lines[0]):
+        lines += [f"- {explain_finding(item)}" for item in named]
     lines += [
         f"  To tell them apart: {item.separating_experiment}"
-        for item in told
+        for item in named
         if item.separating_experiment
     ]
     for key, gain in findings.total_gain.items():

@@ -41,17 +41,17 @@ def headline(findings: Findings) -> str:
         return "The simulation fits these data: nothing was found."
     if findings.verdict is Overall.NO_DIFFERENCE:
         return "The two sets of recordings do not differ."
-    told = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    if len(told) == 1:
-        return plain(explain_finding(told[0]))
+    named = [f for f in findings.findings if f.verdict is not Verdict.INSUFFICIENT_EXCITATION]
+    if len(named) == 1:
+        return plain(explain_finding(named[0]))
     if findings.verdict is Overall.DIFFERS:
-        return f"The two sets of recordings differ in {_count(told).lower()} things."
-    faults = [f for f in told if f.verdict is Verdict.DATA_FAULT]
-    if len(faults) == len(told):
+        return f"The two sets of recordings differ in {_count(named).lower()} things."
+    faults = [f for f in named if f.verdict is Verdict.DATA_FAULT]
+    if len(faults) == len(named):
         return f"{_count(faults)} faults of the recording, none of the robot."
-    others = len(told) - len(faults)
+    others = len(named) - len(faults)
     what = "thing differs" if others == 1 else "things differ"
-    text = f"{_count(told[:others])} {what} from the simulation"
+    text = f"{_count(named[:others])} {what} from the simulation"
     if faults:
         text += f", and the recording has {_count(faults).lower()} fault" + "s" * (len(faults) > 1)
     return f"{text}."
@@ -119,18 +119,18 @@ def where(cuts: Sequence[CutRow]) -> str:
     """Return in which block the error arises, as one sentence; nothing where none is large."""
     judged = {r.cut for r in cuts}
     large = {(r.cut, r.channel.startswith("wheel.")) for r in cuts if is_large(r)}
-    told = []
+    named = []
     if ("duty", True) in large:
-        told.append("in the motors, the gears or their load")
+        named.append("in the motors, the gears or their load")
     elif ("setpoints", True) in large and "duty" in judged:
-        told.append(
+        named.append(
             "in the controller, the transmission of the set-points or the response of the motors"
         )
     elif ("setpoints", True) in large:
-        told.append("in the drive")
+        named.append("in the drive")
     if ("speed", False) in large:
-        told.append("in the kinematics or the sensors of the pose")
-    return f"The error arises {', and '.join(told)}." if told else ""
+        named.append("in the kinematics or the sensors of the pose")
+    return f"The error arises {', and '.join(named)}." if named else ""
 
 
 def is_large(row: CutRow) -> bool:

@@ -115,5 +115,5 @@ class Findings(_Model):
 
 def overall(found: Iterable[Finding]) -> Overall:
     """Return the verdict on a log with these findings; too little motion to say is none."""
-    told = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    return Overall.FINDINGS if told else Overall.NOTHING_FOUND
+    named = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
+    return Overall.FINDINGS if named else Overall.NOTHING_FOUND

@@ -25,10 +25,11 @@ def recorded(tmp_path_factory):
     made = {}
 
     def of(drive):
-        if drive not in made:
+        key = repr(drive)
+        if key not in made:
             folder = tmp_path_factory.mktemp("own")
-            made[drive] = drive.record(folder / "run.mcap")
-        return made[drive]
+            made[key] = drive.record(folder / "run.mcap")
+        return made[key]
 
     return of
 

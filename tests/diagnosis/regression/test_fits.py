@@ -5,7 +5,7 @@ import pytest
 
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.findings.gain import Errors, compare, crossed, held_out
-from hilserver.diagnosis.noise.quick_noise import lonely
+from hilserver.diagnosis.noise.quick_noise import isolated
 from hilserver.diagnosis.regression.intervals import covariance, intervals
 from hilserver.diagnosis.regression.problem import fit
 from hilserver.diagnosis.replay.model import Fitted, Model, robot_with
@@ -186,5 +186,5 @@ def test_only_few_far_samples_in_a_row_are_outliers():
     white = np.zeros(40)
     white[[3, 10, 11, 12, 13]] = -9.0
     white[20:30] = 9.0
-    assert np.flatnonzero(lonely(white)).tolist() == [3, 10, 11, 12, 13]
-    assert not lonely(np.full(5, 5.9)).any()
+    assert np.flatnonzero(isolated(white)).tolist() == [3, 10, 11, 12, 13]
+    assert not isolated(np.full(5, 5.9)).any()

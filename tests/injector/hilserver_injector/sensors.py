@@ -126,7 +126,7 @@ def _anchor_off(x: Array, y: Array, error_m: Array) -> tuple[Array, Array]:
 
 
 def _outliers(recipe: Recipe, causes: Mapping[str, Array], times: Array) -> tuple[Array, Array]:
-    """Return samples thrown aside, one by one or in bursts (no line of sight)."""
+    """Return samples far off, one by one or in bursts (no line of sight)."""
     n, rng = len(times), recipe.generator("outliers")
     share = _value(causes, "nav_outliers.share", n)
     size = _value(causes, "nav_outliers.size", n)
@@ -136,8 +136,8 @@ def _outliers(recipe: Recipe, causes: Mapping[str, Array], times: Array) -> tupl
     hit = np.zeros(n, dtype=np.int64)
     for k in np.flatnonzero(begins):
         hit[k : k + length] = k + 1
-    thrown, source = hit > 0, np.maximum(hit - 1, 0)
+    far, source = hit > 0, np.maximum(hit - 1, 0)
     return (
-        thrown * size * np.cos(direction[source]),
-        thrown * size * np.sin(direction[source]),
+        far * size * np.cos(direction[source]),
+        far * size * np.sin(direction[source]),
     )
