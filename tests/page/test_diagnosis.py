@@ -126,7 +126,7 @@ def test_with_the_patch_the_live_gap_falls(browser, url, plant, daemon):
         plant.wait(lambda: abs(gap(browser)) > 0.04)
         browser.do("click", role="button", name="Load turn.yaml")
         browser.do("wait", selector="[aria-label='Patch']", text="turn.yaml is loaded.")
-        plant.wait(lambda: abs(gap(browser)) < 0.01)
+        plant.wait(lambda: abs(gap(browser)) < 0.02)
         browser.do("click", role="button", name="Remove the patch")
         browser.do("wait", selector="[aria-label='Patch']", text="No patch is loaded.")
         plant.wait(lambda: abs(gap(browser)) > 0.04)

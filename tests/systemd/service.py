@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.helpers.daemons import NO_LIMITS
 from tests.systemd.container import PYTHON, Container, wait_until
 
 UNIT = "hilserver.service"
@@ -56,7 +57,8 @@ class Service:
         self.container.check("systemctl", "stop", UNIT)
 
     def configure(self, text: str) -> None:
-        self.container.path(CONFIG).write_text(GOOD + text, encoding="utf-8")
+        limits = "" if "scheduler:" in text else NO_LIMITS
+        self.container.path(CONFIG).write_text(GOOD + text + limits, encoding="utf-8")
 
     def show(self, key: str) -> str:
         return self.container.show(UNIT, key)
