@@ -62,7 +62,7 @@ class Run:
 
 @pytest.fixture
 async def run(folder):
-    async with build(assemble_config(CONFIG)) as core:
+    async with build(assemble_config(CONFIG, folder)) as core:
         yield Run(core, folder)
 
 
