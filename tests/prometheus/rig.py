@@ -57,7 +57,10 @@ def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: 
             },
             "peers": [demo_peer(endpoint, name="iot2050").model_dump(mode="json")],
             "blocks": [burn] if blocks else [],
-            "shield": {"enabled": True, "link": str(line)},
+            "shield": {
+                "enabled": blocks,
+                "link": str(line),
+            },  # a line without a host counts as lost
             "control": {"source": "peer"},
             "shadow": {"limits": {"wheel.fl.speed_rpm": 120.0}, "after_s": 0.0},
         }

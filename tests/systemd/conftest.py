@@ -20,7 +20,9 @@ def container(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Container]:
 
 @pytest.fixture(scope="package")
 def installed(container: Container) -> Service:
-    return Service.install(container)
+    service = Service.install(container)
+    service.configure("")
+    return service
 
 
 @pytest.fixture
