@@ -20,7 +20,7 @@ from tests.helpers.daemons import (
 )
 
 PERIOD_NS = 1_000_000
-FILE_LIMIT = 250_000
+FILE_LIMIT = 400_000
 
 
 @pytest.fixture(scope="module")
