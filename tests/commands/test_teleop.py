@@ -112,11 +112,13 @@ class Terminal:
         return self.shown
 
     async def until(self, condition, what):
-        async with asyncio.timeout(WAIT_S):
-            while not condition():
-                self.look()
-                await asyncio.sleep(0.01)
-        assert condition(), what
+        try:
+            async with asyncio.timeout(WAIT_S):
+                while not condition():
+                    self.look()
+                    await asyncio.sleep(0.01)
+        except TimeoutError:
+            pytest.fail(f"not within {WAIT_S:g} s: {what}; it shows {self.shown[-200:]!r}")
 
     async def drives(self):
         await self.until(lambda: self.read(SPEED) > 0.2, "it drives")

@@ -1,5 +1,6 @@
 // A Fast DDS participant configured as rmw_fastrtps does it: no type information, RELIABLE writers.
 // Arguments: the domain, then for each endpoint r|w, topic, type, reliable|best_effort.
+// Says "ready" when every writer has found a reader.
 // Standard input: lines of "<endpoint> <hex>" to write; standard output: "<endpoint> <ns> <hex>".
 #include <chrono>
 #include <cstring>
@@ -7,6 +8,7 @@
 #include <mutex>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -90,6 +92,7 @@ int main(int argc, char** argv) {
   qos.transport().use_builtin_transports = false;
   auto udp = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
   udp->interfaceWhiteList.emplace_back("127.0.0.1");
+  udp->receiveBufferSize = 4 << 20;  // what comes while a busy computer lets us wait
   qos.transport().user_transports.push_back(udp);
   for (int id = 0; id < 8; ++id) {
     Locator_t peer;
@@ -124,6 +127,12 @@ int main(int argc, char** argv) {
           eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
       writers[number] = publisher->create_datawriter(topic, q);
     }
+  }
+  for (auto* writer : writers) {
+    PublicationMatchedStatus status;
+    while (writer != nullptr && writer->get_publication_matched_status(status) ==
+                                    ReturnCode_t::RETCODE_OK && status.current_count == 0)
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
   }
   {
     std::lock_guard<std::mutex> lock(out);

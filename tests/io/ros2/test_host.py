@@ -9,7 +9,7 @@ import pytest
 from hilserver.errors import ControlRefused
 from hilserver.ros.types import known_types
 from hilserver.signals import State
-from tests.io.ros2.rig import PATIENCE_S, Host, robot, speeds, twist, value
+from tests.io.ros2.rig import PATIENCE_S, SILENT_MS, Host, robot, speeds, twist, value
 from tests.loopback.rig import wait_until
 
 RPM = "iotbot_interface/msg/RotationSpeed"
@@ -44,9 +44,10 @@ async def stands(daemon):
 
 async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, domain):
     service = "iotbot/srv/send_enable"
+    call = f"rq/{service}Request"
     host = Host(fast_dds, domain, DRIVE, RETURN, request(service, ENABLE), reply(service, ENABLE))
-    async with robot(domain) as daemon, host:
-        async with host.repeating("rt/iotbot/rpm", **FORWARD):
+    async with robot(domain, stale_after_ms=SILENT_MS) as daemon, host:
+        async with host.repeating("rt/iotbot/rpm", **FORWARD), host.repeating(call, enable=True):
             await drives(daemon)
         await wait_until(lambda: value(daemon, "drive.enable") == 0.0, PATIENCE_S)
         await stands(daemon)
@@ -54,47 +55,46 @@ async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, d
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
             await wait_until(lambda: value(daemon, "wheel.fl.setpoint_rpm") == 50.0, PATIENCE_S)
             assert value(daemon, "drive.enable") == 0.0
-            host.write(f"rq/{service}Request", enable=True)
-            await drives(daemon)
-            host.write(f"rq/{service}Request", enable=False)
-            await stands(daemon)
+            async with host.repeating(call, enable=True):
+                await drives(daemon)
+            async with host.repeating(call, enable=False):
+                await stands(daemon)
         assert not host.received[f"rr/{service}Reply"], "rmw_fastrtps could not use an answer"
 
 
 async def test_ramp_is_the_safe_state_until_reset(fast_dds, domain):
     host = Host(fast_dds, domain, DRIVE)
-    async with robot(domain, on_stale="ramp") as daemon, host:
+    async with robot(domain, on_stale="ramp", stale_after_ms=SILENT_MS) as daemon, host:
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
-            await drives(daemon)
+            await resets_until_it_drives(daemon)
         await wait_until(lambda: daemon.control.state is State.SAFE, PATIENCE_S)
         with pytest.raises(ControlRefused, match="ROS 2 host is silent"):
             daemon.control.reset()
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
-            await wait_until(lambda: tried(daemon.control.reset) or drives_on(daemon), PATIENCE_S)
+            await resets_until_it_drives(daemon)
 
 
-def tried(reset):
-    """Reset, as often as a late host makes it necessary; False, so that the wait goes on."""
-    daemon_is_safe = reset.__self__.state is State.SAFE
-    with suppress(ControlRefused):
-        if daemon_is_safe:
-            reset()
-    return False
+async def resets_until_it_drives(daemon):
+    """As often as a late host makes it necessary."""
 
+    def drives_on():
+        if daemon.control.state is State.SAFE:
+            with suppress(ControlRefused):
+                daemon.control.reset()
+        return abs((value(daemon, "wheel.fl.speed_rpm") or 0.0) - 50.0) < 1.0
 
-def drives_on(daemon):
-    return abs(value(daemon, "wheel.fl.speed_rpm") - 50.0) < 1.0
+    await wait_until(drives_on, PATIENCE_S)
 
 
 async def test_without_control_nothing_moves_and_silence_stops_nobody(fast_dds, domain):
     host = Host(fast_dds, domain, DRIVE)
-    async with robot(domain) as daemon, host:
+    async with robot(domain, stale_after_ms=SILENT_MS) as daemon, host:
         daemon.gate.take("opcua")
         assert not daemon.gate.write("opcua", {"wheels.setpoints_rpm": [10.0, 10.0, -10.0, -10.0]})
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
-            await wait_until(lambda: not daemon.ros2.status.stale, PATIENCE_S)
+            rejected = lambda: daemon.gate.rejected["ros2", "not_in_control"] > 0  # noqa: E731
+            await wait_until(rejected, PATIENCE_S)
             await drives(daemon, 10.0)
-            assert daemon.gate.rejected["ros2", "not_in_control"] > 0
         await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
         assert value(daemon, "drive.enable") == 1.0
         assert value(daemon, "wheel.fl.setpoint_rpm") == 10.0
@@ -125,8 +125,8 @@ async def test_gamepad_drives_switches_lights_and_enables(fast_dds, domain):
             await wait_until(
                 lambda: value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), PATIENCE_S
             )
-            host.write("rt/joy", **joy(pressed=(10,)))
-            await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
+            async with host.repeating("rt/joy", **joy(pressed=(10,))):
+                await wait_until(lambda: value(daemon, "drive.enable") == 1.0, PATIENCE_S)
             assert value(daemon, "twist.linear_m_s") == pytest.approx(-fastest), "axes of joy rest"
 
 
@@ -146,13 +146,13 @@ async def test_defect_1_turns_too_slowly(fast_dds, domain):
 
 async def test_defect_2_drives_on(fast_dds, domain):
     host = Host(fast_dds, domain, DRIVE)
-    async with robot(domain) as daemon, host:
+    async with robot(domain, stale_after_ms=SILENT_MS) as daemon, host:
         daemon.faults.inject({"fault": "shield.dead_command_timeout"})
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
             await drives(daemon)
         await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
         await wait_until(
-            lambda: daemon.ros2.status.input_age_s(time.monotonic_ns()) > 2.0, PATIENCE_S
+            lambda: daemon.ros2.status.input_age_s(time.monotonic_ns()) > 1.5, PATIENCE_S
         )
         assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(50.0, abs=1.0)
         daemon.faults.clear()

@@ -24,7 +24,7 @@ enum { ENABLE = 0x01, IMU_RAW = 0x0A, UART_TIMEOUT = 0x0C, RPM = 0x11, FREQUENCY
 static struct { const char *name; double value; } options[] = {
     {"rate", 50}, {"count", 50}, {"rpm", 30}, {"blocking", 1}, {"defect", 0}, {"timeout_s", 0},
     {"raw", -1}, {"frequency", 0}, {"configure", 0}, {"lose_response", 0}, {"lose_request", 0},
-    {"wait_ms", 200}, {"enable", 1},
+    {"wait_ms", 60000}, {"enable", 1},
 };
 
 static double option(const char *name)

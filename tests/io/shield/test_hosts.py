@@ -52,12 +52,13 @@ async def test_silence_withdraws_enable_and_a_command_brings_it_back(robot):
     await robot.host(timeout_s=0.3, count=20)
     assert robot.device.limit_ns == pytest.approx(300_000_000, rel=1e-6)
     await robot.until(lambda: robot.read("drive.enable") == 0.0, "enable is withdrawn")
-    assert (robot.status.enabled, robot.status.stale) == (False, True)
+    await robot.until(lambda: robot.status.stale, "the host is silent")
+    assert not robot.status.enabled
     await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm")) < 0.5, "it stops")
     await robot.host(count=5, enable=0)
     assert not robot.status.enabled
     assert robot.status.fault_counts["while_disabled"] >= 5
-    async with robot.started_host(count=10_000):
+    async with robot.started_host(timeout_s=600, count=10_000):
         await robot.until(lambda: robot.read("drive.enable") == 1.0, "enable is back")
         await robot.until(lambda: abs(robot.read("wheel.fl.speed_rpm") - 30) < 0.5, "it drives")
 
@@ -94,6 +95,7 @@ async def flooded(robot, data):
             with contextlib.suppress(BlockingIOError):
                 os.read(host, 65536)
         await robot.until(lambda: robot.status.count(w.BYTES) >= len(data), "all was read")
+        await robot.until(robot.is_idle, "all was answered")
     finally:
         os.close(host)
 
