@@ -1,0 +1,38 @@
+"""The signal table: every signal named once.
+
+The OPC UA address space, the log columns, the process image and the reference documentation are
+made from it. Names end in their unit. Each signal knows the slots it occupies in the frame of the
+process image; an array is an alias of its scalars' slots, so that of two writes in one tick the
+later one wins whatever form it had.
+"""
+
+from hilserver.signals.robot import BlockOutput, Ranges, robot_table
+from hilserver.signals.table import Direction, Signal, SignalTable, ValueType
+from hilserver.signals.vocabulary import (
+    COLOURS,
+    LIGHTS,
+    MEASURED,
+    RANGE_FINDERS,
+    RESERVED,
+    SOURCES,
+    Source,
+    State,
+)
+
+__all__ = [
+    "COLOURS",
+    "LIGHTS",
+    "MEASURED",
+    "RANGE_FINDERS",
+    "RESERVED",
+    "SOURCES",
+    "BlockOutput",
+    "Direction",
+    "Ranges",
+    "Signal",
+    "SignalTable",
+    "Source",
+    "State",
+    "ValueType",
+    "robot_table",
+]

@@ -1,0 +1,46 @@
+"""Words that signals, states and sources of commands share."""
+
+from enum import IntEnum
+from typing import Literal
+
+RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", "internal"))
+"""First parts of names that belong to the daemon itself; no block may have them."""
+
+RANGE_FINDERS = ("fl", "fr", "rl", "rr")
+"""Range finders and lamps in EduArt's order."""
+
+LIGHTS = (
+    "off",
+    "dim",
+    "high beam",
+    "flash all",
+    "flash left",
+    "flash right",
+    "pulsation",
+    "rotation",
+    "running",
+)
+COLOURS = ("red", "green", "blue")
+
+
+class State(IntEnum):
+    """States of the daemon; the numbers are those of ``sim.state``."""
+
+    STARTING = 0
+    RUNNING = 1
+    PAUSED = 2
+    SAFE = 3
+    STOPPING = 4
+
+    @property
+    def word(self) -> str:
+        """As metrics, logs and messages show it: ``running``."""
+        return self.name.lower()
+
+
+Source = Literal["scenario", "page", "opcua", "shield", "ros2", "peer"]
+SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "peer")
+"""Kinds of sources that may command, in the default order of priority (highest first)."""
+
+MEASURED = "measured."
+"""Beginning of the names under which values of the real robot come in."""
