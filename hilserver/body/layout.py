@@ -76,8 +76,7 @@ N_SENSORS: Final = 27
     P_ROLLING,
     P_AIR,  # [N s2/m2]
     P_REST_HEIGHT,  # of the centre of mass [m]
-    P_SENSORS,  # 1: the body fills imu.* and tof.*
-) = range(16)
-P_COS: Final = 16  # 4: direction in which a tyre grips, from the wheel's plane
-P_SIN: Final = 20  # 4
-N_P: Final = 24
+) = range(15)
+P_COS: Final = 15  # 4: direction in which a tyre grips, from the wheel's plane
+P_SIN: Final = 19  # 4
+N_P: Final = 23

@@ -136,7 +136,6 @@ class BodyParameters:
         p[at.P_ROLLING] = self.tyre.rolling
         p[at.P_AIR] = self.air_n_s2_m2
         p[at.P_REST_HEIGHT] = self.centre_of_mass_m[2]
-        p[at.P_SENSORS] = self.sensors
         angle = 0.25 * math.pi * np.array(_GRIP_ANGLE) * robot.is_mecanum
         p[at.P_COS : at.P_COS + 4], p[at.P_SIN : at.P_SIN + 4] = np.cos(angle), np.sin(angle)
         return p

@@ -62,7 +62,7 @@ OUTPUT_METRICS: Final[tuple[Metric[Mapping[str, float]], ...]] = (
     Metric(
         "hil_output",
         Kind.GAUGE,
-        "Newest pose and wheel speeds of the simulated robot, in the unit that ends the name.",
+        "Newest pose, wheel speeds and gap of the body; the unit ends the name.",
         ("signal",),
         by_name,
     ),

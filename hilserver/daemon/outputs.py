@@ -14,6 +14,8 @@ from hilserver.plant.layout import WHEELS
 
 EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
 """Outputs that metrics show: few, because every one is a series."""
+OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")
+"""More of them, where the mechatronic model runs."""
 
 
 class Outputs:
@@ -66,7 +68,8 @@ class Outputs:
         frame, table = self.frame, self._core.table
         if frame is None:
             return {}
-        return {name: float(frame.values[table.slot(name)]) for name in EXPORTED}
+        names = EXPORTED + tuple(name for name in OF_THE_BODY if name in table)
+        return {name: float(frame.values[table.slot(name)]) for name in names}
 
     def model_gap(self) -> Mapping[str, float]:
         """Return measured minus simulated of every channel for which measured values come in."""

@@ -7,6 +7,7 @@ import hilserver.body.layout as at
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
+from hilserver.daemon.outputs import Outputs
 from hilserver.errors import ConfigError
 from hilserver.image import Row
 from hilserver.image.status import GOOD
@@ -75,6 +76,9 @@ async def test_the_body_follows_the_plant_until_a_wall_stops_it():
         assert value(core, "mech.tof.fl_m") < 0.06
         gap = value(core, "pose.x_m") - value(core, "mech.x_m")
         assert value(core, "mech.gap_m") == pytest.approx(gap, rel=0.01)
+        outputs = Outputs(core)
+        outputs.frame = core.image.latest()
+        assert outputs.exported()["mech.gap_m"] == value(core, "mech.gap_m")
 
 
 async def test_driven_by_torque_the_plant_sees_what_its_wheels_do():
