@@ -50,7 +50,7 @@ def running(config, folder=None):
     return serving(assemble_config(config, folder))
 
 
-async def wait_until(condition, timeout_s=10.0):
+async def wait_until(condition, timeout_s=60.0):
     """Wait until `condition()`, plain or awaitable, is true."""
     async with asyncio.timeout(timeout_s):
         while True:
@@ -66,7 +66,7 @@ async def scrape(daemon, path="/metrics"):
     """GET of the daemon's HTTP server, as text."""
 
     def get():
-        with urllib.request.urlopen(f"{daemon.http.url.rsplit('/', 1)[0]}{path}", timeout=5) as r:
+        with urllib.request.urlopen(f"{daemon.http.url.rsplit('/', 1)[0]}{path}", timeout=60) as r:
             return r.read().decode()
 
     return await asyncio.to_thread(get)

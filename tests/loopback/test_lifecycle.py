@@ -62,7 +62,7 @@ def wait_for(condition, timeout_s=30.0):
 
 def scrape(lines):
     url = wait_for(lambda: announced(list(lines)))["metrics"]
-    with urllib.request.urlopen(url, timeout=5) as answer:
+    with urllib.request.urlopen(url, timeout=60) as answer:
         return series_of_text(answer.read().decode())
 
 
@@ -124,7 +124,7 @@ async def live_and_die(*, opcua):
     sections = {} if opcua else {"opcua": {"enabled": False}}
     async with Daemon(assemble_config(configuration(**sections))) as daemon:
         head = daemon.image.head
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while daemon.image.head < head + 30:  # noqa: ASYNC110 - frames announce nothing
                 await asyncio.sleep(0.005)
 

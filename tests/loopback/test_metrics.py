@@ -235,7 +235,7 @@ async def test_the_stimulus_moves_the_metric(robot, name, suffix, labels, stimul
     try:
         async with robot.difference() as diff:
             await stimulus(robot)
-        await wait_until(has_moved, 5.0)
+        await wait_until(has_moved)
     finally:
         await recovered(robot)
 

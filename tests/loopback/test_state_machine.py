@@ -212,10 +212,10 @@ async def test_clients_see_what_was_restored_while_the_daemon_is_paused(at_rest)
 
     assert await call(client, "LoadSnapshot", text("paused")) == "Good"
     for name, value in zip(seen, expected, strict=True):
-        await wait_until(partial(_reads, client, value, name), 2.0)
+        await wait_until(partial(_reads, client, value, name))
     assert await call(client, "Reset") == "Good"
     for name in seen:
-        await wait_until(partial(_reads, client, 0.0, name), 2.0)
+        await wait_until(partial(_reads, client, 0.0, name))
     assert daemon.scheduler.paused
 
 

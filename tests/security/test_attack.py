@@ -131,7 +131,7 @@ async def test_the_captures_are_valid(tmp_path: Path) -> None:
             async with Wire(rig.server.url) as wire:
                 await wire.log_in()
                 await wire.send(wire.message(data[24:]))
-                kind, _ = await asyncio.wait_for(wire.receive(), 5)
+                kind, _ = await asyncio.wait_for(wire.receive(), 60)
                 assert kind == b"MSG"
     finally:
         await rig.close()

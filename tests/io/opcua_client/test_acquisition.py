@@ -104,7 +104,7 @@ async def test_while_another_commands_the_peer_asks_seldom(peer):
         assert len(harness.gate.groups) <= 4
         assert harness.status.faults == {}
         harness.gate.refuse = {}
-        await wait_until(lambda: "wheel.fl.setpoint_rpm" in harness.gate.latest, 2)
+        await wait_until(lambda: "wheel.fl.setpoint_rpm" in harness.gate.latest)
     finally:
         task.cancel()
         await harness.link.stop()

@@ -67,7 +67,7 @@ async def test_link_survives(behaviour):
     before = Holdings.of()
     await harness.link.start()
     try:
-        await wait_until(lambda: harness.status.failed_attempts >= 2, 15)
+        await wait_until(lambda: harness.status.failed_attempts >= 2)
         assert harness.status.last_error
         assert "Traceback" not in harness.status.last_error
         assert not harness.status.connected

@@ -25,7 +25,7 @@ class Inbox:
         self.events.put_nowait(event)
 
     async def next(self) -> Any:
-        return await asyncio.wait_for(self.events.get(), 5)
+        return await asyncio.wait_for(self.events.get(), 60)
 
 
 @asynccontextmanager

@@ -35,7 +35,7 @@ async def test_node_opcua_reads_takes_control_writes_subscribes_and_calls(rig: R
         stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
     try:
-        out, err = await asyncio.wait_for(process.communicate(), 40)
+        out, err = await asyncio.wait_for(process.communicate(), 200)
     finally:
         plant.cancel()
         if process.returncode is None:
