@@ -141,8 +141,7 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	@cd $* && npm install --no-audit --no-fund --no-package-lock --loglevel=error
 	@touch $@
 
-# The versions of the lock; npm ci refuses a lock without the binaries of every other platform.
 page/node_modules/.installed: page/package-lock.json | $(VENV)/.debian
 	@echo "installing the npm packages of page"
-	@cd page && npm install --no-save --no-audit --no-fund --loglevel=error
+	@cd page && npm ci --no-audit --no-fund --loglevel=error
 	@touch $@

@@ -42,6 +42,7 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
             "tof_x_m": tof.mount_x_m,
             "tof_y_m": tof.mount_y_m,
             "tof_field_rad": tof.field_of_view_rad,
+            "mass_height_m": config.mechatronic.centre_of_mass_m[2],
         },
         walls=walls,
         folders={name: str((folder / path).absolute()) for name, path in paths.items()},
@@ -56,6 +57,7 @@ def _access(opcua: OpcUaConfig, folder: Path, endpoint: str, secret: str) -> Opc
         endpoint=endpoint if opcua.enabled else "",
         secret=secret,
         needs_login=opcua.anonymous_role is None,
+        max_failed_logins=opcua.max_failed_logins,
     )
     secure = [policy for policy in opcua.offered_policies if policy in SECURE_POLICIES]
     if not secure or not (opcua.is_secure or access.needs_login):

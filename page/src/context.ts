@@ -12,6 +12,8 @@ export interface Robot {
   tof_x_m: number;
   tof_y_m: number;
   tof_field_rad: number;
+  /** Of the body's centre of mass, standing. */
+  mass_height_m: number;
 }
 
 export interface Context {

@@ -5,13 +5,14 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { Context } from "./context";
 import { WHEELS } from "./context";
 import { live } from "./net";
+import { h, quality } from "./ui";
 
 export type Camera = "orbit" | "follow" | "top";
 
 const TRAIL = 3000;
 const TRAIL_STEP_M = 0.015;
 const WALL_HEIGHT_M = 0.5;
-const FINDERS = ["fl", "fr", "rl", "rr"] as const;
+const CORNERS = ["fl", "fr", "rl", "rr"] as const;
 const FAR_M = 4.99;
 
 interface Palette {
@@ -31,22 +32,22 @@ function isDark(): boolean {
   return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
 }
 
-/** Which of the lights (front left, front right, rear left, rear right) shine now, 0 .. 1. */
-function pattern(command: number, ms: number): [number, number, number, number] {
-  const blink = ms % 800 < 400 ? 1 : 0;
-  const at = Math.floor(ms / 180) % 4;
-  const round = [0, 1, 3, 2];
-  switch (command) {
-    case 1: return [0.35, 0.35, 0.35, 0.35];
-    case 2: return [1, 1, 0.6, 0.6];
-    case 3: return [blink, blink, blink, blink];
-    case 4: return [blink, 0.15, blink, 0.15];
-    case 5: return [0.15, blink, 0.15, blink];
-    case 6: { const wave = 0.5 + 0.5 * Math.sin(ms / 300); return [wave, wave, wave, wave]; }
-    case 7: return [0, 1, 2, 3].map((i) => (round[at] === i ? 1 : 0.1)) as [number, number, number, number];
-    case 8: return [0, 1, 2, 3].map((i) => (at % 2 === i % 2 ? 1 : 0.1)) as [number, number, number, number];
-    default: return [0, 0, 0, 0];
-  }
+/** A second robot, translucent: where another model, or the real one, is. */
+interface Ghost {
+  name: string;
+  signals: string[];
+  group: THREE.Group;
+  key: HTMLElement;
+}
+
+const GHOSTS = [
+  { name: "Body", colour: 0x0f8a6d, signals: ["mech.x_m", "mech.y_m", "mech.yaw_rad", "mech.z_m", "mech.roll_rad", "mech.pitch_rad"] },
+  { name: "Measured", colour: 0xd97706, signals: ["x_m", "y_m", "yaw_rad"].map((axis) => `measured.pose.${axis}`) },
+  { name: "Measured tag", colour: 0xb4308f, signals: ["x_m", "y_m", "yaw_rad"].map((axis) => `measured.nav.${axis}`) },
+];
+
+function lampOf(place: string): string[] {
+  return ["red", "green", "blue"].map((colour) => `lights.${place}.${colour}`);
 }
 
 class RobotModel {
@@ -61,7 +62,7 @@ class RobotModel {
     const wide = robot.track_m - 0.07;
     const long = Math.max(base + radius * 1.1, 0.3);
     const material = (color: number, extra = {}): THREE.MeshStandardMaterial =>
-      new THREE.MeshStandardMaterial({ color, roughness: 0.55, metalness: 0.1, transparent: ghost, opacity: ghost ? 0.32 : 1, ...extra });
+      new THREE.MeshStandardMaterial({ color, roughness: 0.55, metalness: 0.1, transparent: ghost, opacity: ghost ? 0.4 : 1, depthWrite: !ghost, ...extra });
     const body = new THREE.Mesh(new THREE.BoxGeometry(long, wide, 0.11), material(palette.body));
     body.position.z = radius + 0.035;
     const deck = new THREE.Mesh(new THREE.BoxGeometry(long * 0.62, wide * 0.78, 0.03), material(0x202a36));
@@ -101,21 +102,27 @@ class RobotModel {
     }
   }
 
-  light(colour: THREE.Color, shares: number[]): void {
-    this.lamps.forEach((lamp, i) => lamp.emissive.copy(colour).multiplyScalar(shares[i] ?? 0));
+  /** Show each lamp as it blinks now. */
+  light(): void {
+    this.lamps.forEach((lamp, i) => {
+      const [red, green, blue] = lampOf(CORNERS[i]!).map((name) => (live.value(name) || 0) / 255);
+      lamp.emissive.setRGB(red!, green!, blue!, THREE.SRGBColorSpace);
+    });
   }
 }
 
 /** Everything drawn. Throws where there is no WebGL. */
 export class Scene {
   readonly element: HTMLElement;
+  /** Which ghost has which colour; empty while there are none. */
+  readonly keys = h("ul", { class: "keys" });
   rays = true;
   private renderer: THREE.WebGLRenderer;
   private scene = new THREE.Scene();
   private camera = new THREE.PerspectiveCamera(45, 1, 0.05, 100);
   private controls: OrbitControls;
   private robot: RobotModel;
-  private ghosts: { group: THREE.Group; names: [string, string, string] }[] = [];
+  private ghosts: Ghost[] = [];
   private finder: THREE.LineSegments;
   private trail: THREE.Line;
   private trailCount = 0;
@@ -127,9 +134,10 @@ export class Scene {
   private observer: ResizeObserver;
   private stopFrames: () => void;
   private palette = isDark() ? DARK : LIGHT;
-  private timer: number;
+  private readonly signals: string[];
 
   constructor(private context: Context) {
+    this.signals = Scene.signals(context);
     this.renderer = new THREE.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.shadowMap.enabled = true;
@@ -159,7 +167,6 @@ export class Scene {
     this.observer = new ResizeObserver(() => this.resize());
     this.look("orbit");
     this.stopFrames = live.onFrame(() => this.changed());
-    this.timer = window.setInterval(() => this.flicker(), 90);
     window.addEventListener("themechange", this.retheme);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", this.retheme);
   }
@@ -169,12 +176,13 @@ export class Scene {
   }
 
   /** Signals that the picture is made of. */
-  static signals(): string[] {
-    const names = ["pose.x_m", "pose.y_m", "pose.yaw_rad", "lights.command", "lights.red", "lights.green", "lights.blue"];
+  static signals(context: Context): string[] {
+    const names = ["pose.x_m", "pose.y_m", "pose.yaw_rad"];
     for (const wheel of WHEELS) names.push(`wheel.${wheel}.angle_rad`);
-    for (const finder of FINDERS) names.push(`tof.${finder}_m`);
-    for (const part of ["pose", "nav"]) for (const axis of ["x_m", "y_m", "yaw_rad"]) names.push(`measured.${part}.${axis}`);
-    return names;
+    for (const corner of CORNERS) names.push(`tof.${corner}_m`, ...lampOf(corner));
+    for (const { signals } of GHOSTS) names.push(...signals);
+    const known = new Set(context.signals.map((signal) => signal.name));
+    return names.filter((name) => known.has(name));
   }
 
   look(mode: Camera): void {
@@ -204,7 +212,6 @@ export class Scene {
   close(): void {
     this.stopFrames();
     this.observer.disconnect();
-    window.clearInterval(this.timer);
     window.removeEventListener("themechange", this.retheme);
     matchMedia("(prefers-color-scheme: dark)").removeEventListener("change", this.retheme);
     cancelAnimationFrame(this.request);
@@ -220,7 +227,6 @@ export class Scene {
     this.palette = isDark() ? DARK : LIGHT;
     this.scene.clear();
     this.robot = new RobotModel(this.context, this.palette, false);
-    this.ghosts = [];
     this.build();
     this.signature = "";
     this.changed();
@@ -268,13 +274,16 @@ export class Scene {
     }
     (this.trail.material as THREE.LineBasicMaterial).color.set(p.trail);
     this.scene.add(this.robot.group, this.finder, this.trail);
-    for (const part of ["pose", "nav"]) {
-      const ghost = new RobotModel(this.context, { ...p, body: 0xd97706 }, true);
-      ghost.group.visible = false;
-      const names = ["x_m", "y_m", "yaw_rad"].map((axis) => `measured.${part}.${axis}`);
-      this.ghosts.push({ group: ghost.group, names: names as [string, string, string] });
-      this.scene.add(ghost.group);
-    }
+    this.ghosts = GHOSTS.map(({ name, colour, signals }) => {
+      const { group } = new RobotModel(this.context, { ...p, body: colour }, true);
+      group.visible = false;
+      group.rotation.order = "ZYX";
+      const swatch = h("span", { class: "swatch" });
+      swatch.style.background = `#${colour.toString(16).padStart(6, "0")}`;
+      this.scene.add(group);
+      return { name, signals, group, key: h("li", { hidden: true }, swatch, name) };
+    });
+    this.keys.replaceChildren(...this.ghosts.map(({ key }) => key));
   }
 
   private pose(): [number, number, number] {
@@ -282,13 +291,8 @@ export class Scene {
     return [x || 0, y || 0, yaw || 0];
   }
 
-  /** Patterns move without a signal that changes. */
-  private flicker(): void {
-    if (live.value("lights.command") >= 3) this.changed(true);
-  }
-
-  private changed(always = true): void {
-    if (always) this.dirty = true;
+  private changed(): void {
+    this.dirty = true;
     if (!this.request) this.request = requestAnimationFrame(() => this.draw());
   }
 
@@ -305,11 +309,9 @@ export class Scene {
 
   private draw(): void {
     this.request = 0;
-    const names = Scene.signals();
-    const lights = live.value("lights.command") >= 3 ? Math.floor(performance.now() / 90) : 0;
     const { position, quaternion } = this.camera;
     const view = `${position.x.toFixed(4)},${position.y.toFixed(4)},${position.z.toFixed(4)},${quaternion.x.toFixed(4)}`;
-    const signature = `${names.map((name) => live.value(name)).join()}|${lights}|${view}|${this.rays}|${this.trailCount}`;
+    const signature = `${this.signals.map((name) => live.value(name)).join()}|${view}|${this.rays}|${this.trailCount}`;
     if (!this.dirty || signature === this.signature) return;
     this.signature = signature;
     this.dirty = false;
@@ -327,24 +329,8 @@ export class Scene {
     });
     this.placeRays(x, y, yaw);
     this.extendTrail(x, y);
-    for (const ghost of this.ghosts) {
-      const [gx, gy, gyaw] = ghost.names.map((name) => {
-        const reading = live.get(name);
-        return reading && reading.status < 0x40000000 ? reading.value : NaN;
-      });
-      ghost.group.visible = Number.isFinite(gx! + gy! + gyaw!) && (gx !== 0 || gy !== 0 || gyaw !== 0);
-      if (ghost.group.visible) {
-        ghost.group.position.set(gx!, gy!, 0);
-        ghost.group.rotation.z = gyaw!;
-      }
-    }
-    const colour = new THREE.Color(
-      (live.value("lights.red") || 0) / 255,
-      (live.value("lights.green") || 0) / 255,
-      (live.value("lights.blue") || 0) / 255,
-    );
-    if (colour.r + colour.g + colour.b === 0) colour.set(0xfff1c9);
-    this.robot.light(colour, pattern(live.value("lights.command") || 0, performance.now()));
+    this.ghosts.forEach((ghost) => this.placeGhost(ghost));
+    this.robot.light();
     if (this.mode === "follow") {
       const back = 1.9;
       this.camera.position.set(x - back * Math.cos(yaw), y - back * Math.sin(yaw), 1.05);
@@ -353,10 +339,22 @@ export class Scene {
     }
   }
 
+  private placeGhost({ signals, group, key }: Ghost): void {
+    const [x, y, yaw, z, roll, pitch] = signals.map((name) => {
+      const reading = live.get(name);
+      return reading && quality(reading.status) !== "bad" && quality(reading.status) !== "uncertain" ? reading.value : NaN;
+    });
+    group.visible = Number.isFinite(x! + y! + yaw!) && (x !== 0 || y !== 0 || yaw !== 0);
+    key.hidden = !group.visible;
+    if (!group.visible) return;
+    group.position.set(x!, y!, z === undefined ? 0 : z - this.context.robot.mass_height_m);
+    group.rotation.set(roll ?? 0, pitch ?? 0, yaw!);
+  }
+
   private placeRays(x: number, y: number, yaw: number): void {
     const { tof_x_m: mx, tof_y_m: my } = this.context.robot;
     const points = this.finder.geometry.getAttribute("position") as THREE.BufferAttribute;
-    FINDERS.forEach((name, i) => {
+    CORNERS.forEach((name, i) => {
       const range = live.value(`tof.${name}_m`);
       const forward = name[0] === "f" ? 1 : -1;
       const side = name[1] === "l" ? my : -my;

@@ -1,6 +1,7 @@
 // A real browser that does what it is asked, one JSON line at a time.
 import { createRequire } from "node:module";
-import { readFileSync } from "node:fs";
+import { readFileSync, writeFileSync } from "node:fs";
+import { extname } from "node:path";
 import readline from "node:readline";
 import { chromium } from "playwright-core";
 
@@ -16,12 +17,18 @@ const server = await chromium.launchServer({
   ],
 });
 const browser = await chromium.connect(server.wsEndpoint());
-const LONG = 60000;
+const AXE = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
+const LONG = 120000;
 let page, tools, errors;
+
+async function leave() {
+  await page?.context().close();
+  page = undefined;
+}
 
 /** A tab of its own, without the cookies of the one before. */
 async function fresh({ width = 1280, height = 800, scheme = "light" } = {}) {
-  await page?.context().close();
+  await leave();
   const context = await browser.newContext({ viewport: { width, height }, colorScheme: scheme, ignoreHTTPSErrors: true });
   context.setDefaultTimeout(LONG);
   page = await context.newPage();
@@ -60,6 +67,7 @@ async function load(url, selector) {
 
 const doing = {
   fresh,
+  leave,
   open: ({ url }) => load(url, ".state[data-state='running']"),
   visit: ({ url, selector }) => load(url, selector),
   take: async () => {
@@ -73,7 +81,17 @@ const doing = {
   },
   down: ({ key }) => page.keyboard.down(key),
   up: ({ key }) => page.keyboard.up(key),
-  press: ({ key }) => page.keyboard.press(key),
+  press: async ({ key, times = 1 }) => {
+    for (let i = 0; i < times; i++) await page.keyboard.press(key);
+  },
+  /** Press Tab until a control of that name has the focus. */
+  to: async ({ name }) => {
+    for (let i = 0; i < 200; i++) {
+      await page.keyboard.press("Tab");
+      if ((await doing.focused()).includes(name)) return;
+    }
+    throw new Error(`the tab key does not reach '${name}'`);
+  },
   type: ({ text }) => page.keyboard.type(text),
   fill: ({ label, text }) => page.getByLabel(label).first().fill(text),
   click: ({ role, name }) => page.getByRole(role, { name }).first().click(),
@@ -96,13 +114,17 @@ const doing = {
     await tools.send("Debugger.pause");
   },
   thaw: () => tools.send("Debugger.disable"),
+  rest: ({ ms }) => page.waitForTimeout(ms),
   pid: () => server.process().pid,
   errors: () => errors,
-  shot: async ({ path }) => (await page.screenshot({ path }), true),
+  shot: async ({ path }) => {
+    const { data } = await tools.send("Page.captureScreenshot", { format: extname(path).slice(1), quality: 85 });
+    writeFileSync(path, Buffer.from(data, "base64"));
+  },
   axe: async () => {
     await tools.send("Page.setBypassCSP", { enabled: true });
-    await page.evaluate(readFileSync(require.resolve("axe-core/axe.min.js"), "utf8"));
-    const { violations } = await page.evaluate(() => window.axe.run());
+    if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(AXE);
+    const { violations } = await page.evaluate(() => window.axe.run({ resultTypes: ["violations"] }));
     return violations
       .filter((v) => ["serious", "critical"].includes(v.impact))
       .map((v) => `${v.id}: ${v.nodes.slice(0, 3).map((n) => `${n.target} ${n.failureSummary}`).join("; ")}`);

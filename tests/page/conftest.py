@@ -44,4 +44,4 @@ def browser(chromium):
     """A tab of its own in the one browser of all tests; afterwards it shows nothing."""
     chromium.do("fresh")
     yield chromium
-    chromium.do("fresh")
+    chromium.do("leave")

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import shutil
 import subprocess
 import time
@@ -13,6 +14,16 @@ from hilserver.image import ImageReader, read_frames
 
 HERE = Path(__file__).parent
 SETPOINTS = tuple(f"wheel.{wheel}.setpoint_rpm" for wheel in ("fl", "rl", "fr", "rr"))
+SEEN = (
+    "sim.tick",
+    "sim.state",
+    "control.mode",
+    "twist.linear_m_s",
+    "twist.angular_rad_s",
+    "velocity.linear_m_s",
+    "velocity.angular_rad_s",
+    "measured.velocity.angular_rad_s",
+)
 DEADMAN_MS = 300
 KEPT = 15_000
 """Frames that are looked at: somewhat fewer than the ring of the daemon holds."""
@@ -34,12 +45,16 @@ class Plant:
         names = ("twist.linear_m_s", "twist.angular_rad_s", *SETPOINTS)
         return max(abs(self.value(name)) for name in names)
 
-    def wait(self, condition, timeout_s=60.0):
+    def wait(self, condition, timeout_s=150.0):
         """Wait until `condition()`."""
         start_s = time.monotonic()
         while not condition():
-            assert time.monotonic() - start_s < timeout_s, "it did not come"
-            time.sleep(0.005)
+            assert time.monotonic() - start_s < timeout_s, f"it did not come: {self.seen()}"
+            time.sleep(0.02)
+
+    def seen(self):
+        """What the plant does, for whoever waits for something else."""
+        return {name: self.value(name) for name in SEEN}
 
     def silence_ms(self):
         """How long the last command was held without a new one until it ended, in ticks of 1 ms.
@@ -62,6 +77,28 @@ def page_url(daemon):
     said = json.loads(first)
     assert said["event"] == "operator page"
     return said["url"]
+
+
+def page_process(daemon):
+    """The process of the page that belongs to a daemon."""
+    words = ["pgrep", "-P", str(daemon.process.pid), "-f", "hilserver page"]
+    found = subprocess.run(words, capture_output=True, text=True, check=True)
+    return int(found.stdout.split()[0])
+
+
+def diagnoses(daemon):
+    """The processes of the diagnoses that run now."""
+    words = ["pgrep", "-P", str(page_process(daemon)), "-f", "diagnose"]
+    found = subprocess.run(words, check=False, capture_output=True, text=True)
+    return [int(pid) for pid in found.stdout.split()]
+
+
+def lift(pid):
+    """On a busy computer it would get no time at all; where we may, it gets some."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, pid, 0)
+        Path(f"/proc/{pid}/autogroup").write_text("0", encoding="ascii")
 
 
 class Browser:

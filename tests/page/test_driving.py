@@ -2,11 +2,10 @@
 
 import os
 import signal
-import subprocess
 
 import pytest
 
-from tests.page.rig import DEADMAN_MS, page_url
+from tests.page.rig import DEADMAN_MS, page_process, page_url
 
 pytestmark = [pytest.mark.page, pytest.mark.timeout(240)]
 LIMIT_MS = DEADMAN_MS + 2000 / 30
@@ -51,12 +50,6 @@ def ends_in_time(drive, plant, fall_silent, awake=lambda: None):
             break
     print(f"held for {held_ms} ms")
     assert min(held_ms) <= LIMIT_MS
-
-
-def page_process(daemon):
-    words = ["pgrep", "-P", str(daemon.process.pid), "-f", "hilserver page"]
-    found = subprocess.run(words, capture_output=True, text=True, check=True)
-    return int(found.stdout.split()[0])
 
 
 def test_a_held_key_drives_and_letting_go_stops(driving, plant):

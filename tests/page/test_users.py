@@ -13,6 +13,7 @@ from tests.page.test_security import Visitor, aiohttp, asyncio
 
 pytestmark = pytest.mark.timeout(240)
 PASSWORDS = {"olga": "see", "otto": "drive", "emma": "all"}
+FAILED = 3
 ROLES = {"olga": "observer", "otto": "operator", "emma": "engineer"}
 OPERATOR = {
     "Start", "Stop", "Pause", "Step", "Reset", "SetSpeed", "StartScenario", "StopScenario",
@@ -48,7 +49,7 @@ def secured(tmp_path_factory):
         f"{{name: {name}, password: '{hash_password(password, log_n=10)}', role: {ROLES[name]}}}"
         for name, password in PASSWORDS.items()
     ]
-    opcua = f"policies: [Basic256Sha256], users: [{', '.join(users)}], max_failed_logins: 1000"
+    opcua = f"policies: [Basic256Sha256], users: [{', '.join(users)}], max_failed_logins: {FAILED}"
     page = "page: {port: 0, max_clients: 5, tls: {certificate: page.pem, key: page.key}}"
     config = CONFIG.replace("page: {port: 0, max_clients: 5}", page)
     make_tls(folder)
@@ -106,12 +107,22 @@ async def test_nobody_sees_or_does_anything_before_the_log_in(visit):
 
 async def test_a_wrong_password_is_refused_and_the_right_one_is_not_kept_waiting(visit):
     visitor = await visit()
-    for name, password in (("otto", "wrong"), ("nobody", "drive"), ("otto", "")):
+    for name, password in (("otto", "wrong"), ("somebody", "drive"), ("otto", "")):
         status, answer = await visitor.call("login", name, password)
         assert (status, answer["text"]) == (409, "name or password is wrong")
     status, answer = await visitor.call("login", "otto", PASSWORDS["otto"])
     assert status == 200
     assert answer["result"]["user"] == "otto"
+
+
+async def test_who_fails_too_often_is_told_to_wait_and_nobody_else_is_locked_out(visit):
+    visitor = await visit()
+    for _ in range(FAILED):
+        _, answer = await visitor.call("login", "nobody", "wrong")
+        assert answer["text"] == "name or password is wrong"
+    _, answer = await visitor.call("login", "nobody", "wrong")
+    assert answer["text"].endswith("of this name or address: wait a minute")
+    assert (await visitor.call("login", "emma", PASSWORDS["emma"]))[0] == 200
 
 
 @pytest.mark.parametrize("name", PASSWORDS)

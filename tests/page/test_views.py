@@ -39,25 +39,15 @@ def test_every_control_is_reached_and_seen_by_the_tab_key(browser, url, key, vie
     browser.do("wait", selector=f"main[data-view='{view.lower()}']")
     count = browser.do("run", script=_CONTROLS)
     assert count >= 8
-    for _ in range(count + 4):
-        browser.do("press", key="Tab")
+    browser.do("press", key="Tab", times=count + 4)
     assert browser.do("run", script=_MISSED) == []
     assert browser.do("run", script="[...window.unseen]") == []
-
-
-def to(browser, name):
-    """Press Tab until a control of that name has the focus."""
-    for _ in range(200):
-        browser.do("press", key="Tab")
-        if name in (browser.do("focused") or ""):
-            return
-    pytest.fail(f"the tab key does not reach '{name}'")
 
 
 def test_a_whole_shift_by_keyboard(browser, url, plant):
     """Take control, drive, pause, step, force and release, stop, reset: no pointer."""
     browser.do("open", url=url)
-    to(browser, "Take control")
+    browser.do("to", name="Take control")
     browser.do("press", key="Enter")
     browser.do("wait", selector=".owner", text="You drive")
     browser.do("down", key="ArrowUp")
@@ -65,30 +55,32 @@ def test_a_whole_shift_by_keyboard(browser, url, plant):
     browser.do("up", key="ArrowUp")
     plant.wait(lambda: plant.command() == 0.0)
     browser.do("press", key="4")
-    to(browser, "Pause")
+    browser.do("to", name="Pause")
     browser.do("press", key="Enter")
     browser.do("wait", selector=".state", text="paused")
     tick = plant.value("sim.tick")
-    to(browser, "Step")
+    browser.do("to", name="Step")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("sim.tick") == tick + 100)
-    to(browser, "Run on")
+    browser.do("to", name="Run on")
     browser.do("press", key="Enter")
     browser.do("wait", selector=".state", text="running")
     browser.do("press", key="3")
-    to(browser, "Force battery.voltage_v")
+    browser.do("to", name="Find a signal")
+    browser.do("type", text="battery.v")
+    browser.do("to", name="Force battery.voltage_v")
     browser.do("press", key="Enter")
     browser.do("type", text="21.5")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("battery.voltage_v") == 21.5)
     browser.do("wait", selector=".list", text="battery.voltage_v")
-    to(browser, "Release battery.voltage_v")
+    browser.do("to", name="Release battery.voltage_v")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("battery.voltage_v") != 21.5)
     browser.do("run", script="document.activeElement.blur()")
     browser.do("press", key="x")
     plant.wait(lambda: plant.value("sim.state") == 3)
-    to(browser, "Reset")
+    browser.do("to", name="Reset")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("sim.state") == 1)
 

@@ -4,6 +4,13 @@ from collections import OrderedDict, deque
 from collections.abc import Hashable
 
 _MOST_KEYS = 1000
+WINDOW_S = 60.0
+
+
+def keys_of(name: str, address: str) -> tuple[Hashable, ...]:
+    """Return what a log-in counts for: its user name and, unless empty, where it comes from."""
+    keys = (("name", name[:64]), ("address", address))
+    return keys if address else keys[:1]
 
 
 class FailedAttempts:

@@ -13,11 +13,10 @@ from fnmatch import fnmatchcase
 from asyncua.crypto.permission_rules import User, UserRole
 
 from hilserver.config.server import OpcUaConfig, Role
-from hilserver.io.opcua_security.attempts import FailedAttempts
+from hilserver.io.opcua_security.attempts import WINDOW_S, FailedAttempts, keys_of
 from hilserver.io.opcua_security.passwords import MAX_PASSWORD_BYTES, hash_password, is_password
 from hilserver.io.opcua_server.logs import log
 
-_WINDOW_S = 60.0
 _MAX_WAITING = 10
 
 
@@ -39,7 +38,7 @@ class Access:
         self._anonymous = config.anonymous_role
         self._users = {user.name: user for user in config.users}
         self._write, self._call = config.permissions.write, config.permissions.call
-        self._attempts = FailedAttempts(config.max_failed_logins, _WINDOW_S)
+        self._attempts = FailedAttempts(config.max_failed_logins, WINDOW_S)
         self._turn = asyncio.Lock()
         self._waiting = 0
         self._nobodys_hash = hash_password("") if self._users else ""
@@ -63,9 +62,10 @@ class Access:
     async def log_in(self, name: str, password: bytes, address: str) -> RobotUser | None:
         """Return the user, None if name or password is wrong or too many attempts failed.
 
-        The answer tells nobody which of them it was, nor does the time it takes.
+        The answer tells nobody which of them it was, nor does the time it takes. Without an
+        address failures count for the name alone.
         """
-        keys = (("address", address), ("name", name[:64]))
+        keys = keys_of(name, address)
         now_s = time.monotonic()
         if any(self._attempts.is_blocked(key, now_s) for key in keys) or (
             self._waiting >= _MAX_WAITING

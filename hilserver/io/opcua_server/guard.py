@@ -77,10 +77,17 @@ class RobotInternalServer(QuickInternalServer):
 
         A teleoperation names itself: all it gains is the dead-man.
         """
-        given = (session_name or "").split(" ")[0]
-        if secrets.compare_digest(given.encode(), self.page_secret.encode()):
+        if self._is_page(session_name):
             return f"page:{next(self._page_numbers)}"
-        return TELEOP if given == "teleop" else SOURCE
+        return TELEOP if (session_name or "").split(" ")[0] == "teleop" else SOURCE
+
+    def visitor_of(self, session_name: str | None, address: str) -> str:
+        """Return where its user sits; the page names that as the second word, itself being here."""
+        return (session_name or "").split(" ")[1] if self._is_page(session_name) else address
+
+    def _is_page(self, session_name: str | None) -> bool:
+        given = (session_name or "").split(" ")[0]
+        return secrets.compare_digest(given.encode(), self.page_secret.encode())
 
     async def tell_limits(self) -> None:
         """Show the limits where clients look for them, below ServerCapabilities."""

@@ -315,6 +315,7 @@ class RobotProcessor:
         endpoints = await self.iserver.get_endpoints(asked, self._sockname)
         session = self.iserver.new_session(self, policy)
         session.source = self.iserver.source_of(params.SessionName)
+        session.visitor = self.iserver.visitor_of(params.SessionName, self.address)
         self.session = session
         response = ua.CreateSessionResponse()
         result = response.Parameters = session.create(params)
@@ -367,7 +368,7 @@ class RobotProcessor:
             is_encrypted=policy.Mode == ua.MessageSecurityMode.SignAndEncrypt,
             key=self.iserver.private_key,
             nonce=session.nonce,
-            address=self.address,
+            address=session.visitor,
         )
         if is_moved:
             if user != session.user:

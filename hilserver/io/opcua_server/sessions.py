@@ -59,6 +59,8 @@ class RobotSession:
         The connection that the session is bound to.
     source : str
         Name under which its writes reach the plant: ``opcua``, or ``page:<number>``.
+    visitor : str
+        Address that failed log-ins count for; empty: those of the user name alone.
     timeout_s : float
         The session ends when it is idle for so long [s].
     max_response_bytes : int
@@ -75,7 +77,7 @@ class RobotSession:
         self.nonce = create_nonce(32)
         self.texts: Sequence[str] = ()
         self.processor: Any = None
-        self.source = SOURCE
+        self.source, self.visitor = SOURCE, ""
         self.timeout_s = math.inf
         self.max_response_bytes = 0
         self.last_active_s = time.monotonic()

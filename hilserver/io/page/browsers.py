@@ -27,6 +27,8 @@ class Browser:
         Written into the page; whoever posts has to name it.
     user : str
         Name it has logged in with; empty: anonymous.
+    address : str
+        Where it is; empty: on this computer, which several users may reach through tunnels.
     live : int
         Open sockets.
     """
@@ -35,6 +37,7 @@ class Browser:
     key: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
     user: str = ""
+    address: str = ""
     live: int = 0
     seen_s: float = field(default_factory=time.monotonic)
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)

@@ -32,6 +32,10 @@ class RefusedError(Exception):
     """The daemon has refused; the sentence says why."""
 
 
+class WrongPasswordError(RefusedError):
+    """The daemon does not know this name with this password."""
+
+
 @dataclass(frozen=True)
 class Rights:
     """What the user of a session may do."""
@@ -61,13 +65,15 @@ class Hand:
         client = self._client
         return client is not None and client.uaclient.protocol is not None
 
-    async def connect(self, name: str = "", password: str = "") -> None:
-        """Open the session.
+    async def connect(self, name: str = "", password: str = "", address: str = "") -> None:
+        """Open the session, for a user at this address.
 
         Raises
         ------
         RefusedError
-            If the server does not answer, or does not know this user.
+            If the server does not answer.
+        WrongPasswordError
+            If it does not know this user.
         """
         access = self._access
         if not access.endpoint:
@@ -75,7 +81,7 @@ class Hand:
         await self.close()
         client = Client(access.endpoint, timeout=TIMEOUT_S, watchdog_intervall=30.0)
         client.name = "hilserver page"
-        client.description = f"{access.secret or 'page'} operator"
+        client.description = f"{access.secret or 'page'} {address} operator"
         try:
             if access.policy:
                 await _secure(client, access)
@@ -89,8 +95,9 @@ class Hand:
         except ua.UaStatusCodeError as error:
             await self.close()
             unknown = {ua.StatusCodes.BadUserAccessDenied, ua.StatusCodes.BadIdentityTokenRejected}
-            text = "name or password is wrong" if error.code in unknown else str(error)
-            raise RefusedError(text) from None
+            if error.code in unknown:
+                raise WrongPasswordError("name or password is wrong") from None
+            raise RefusedError(str(error)) from None
         except (OSError, TimeoutError, ua.UaError) as error:
             await self.close()
             raise RefusedError(f"the daemon's OPC UA server does not answer: {error}") from None

@@ -12,6 +12,7 @@ from typing import Any
 import structlog
 from aiohttp import web
 
+from hilserver.config.server import is_loopback
 from hilserver.image import ImageReader
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.page import bundle
@@ -21,6 +22,7 @@ from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.jobs import LOG_SUFFIXES, Jobs, files_in
 from hilserver.io.page.live import Live
+from hilserver.io.page.log_in import LogIns
 from hilserver.io.page.setup import Setup
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
@@ -46,6 +48,7 @@ class PageServer:
         self._assets = bundle.load()
         types = {signal["name"]: signal["type"] for signal in setup.signals}
         self._browsers = Browsers(lambda: Hand(setup.opcua, types))
+        self._log_ins = LogIns(setup.opcua.max_failed_logins)
         self._driving = Driving(setup.page.deadman_ms)
         self._jobs = Jobs(setup)
         self._live = Live(
@@ -157,6 +160,8 @@ class PageServer:
         browser = self._browsers.find(request.cookies.get(COOKIE))
         if browser is None:
             raise web.HTTPUnauthorized(text="load the page first")
+        address = request.remote or ""
+        browser.address = "" if is_loopback(address) else address
         return browser
 
     def _reader(self, request: web.Request) -> Browser:
@@ -263,10 +268,7 @@ class PageServer:
     async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
         if not self._setup.opcua.needs_login:
             raise RefusedError("nobody has to log in here")
-        async with browser.lock:
-            browser.user = ""
-            await browser.hand.connect(str(name)[:64], str(password)[:1024])
-            browser.user = str(name)[:64]
+        await self._log_ins.log_in(browser, str(name)[:64], str(password)[:1024])
         return await self._session(browser)
 
     async def _logout(self, browser: Browser) -> None:

@@ -20,6 +20,8 @@ class OpcUaAccess:
         Marks the page's sessions; empty: they are those of any client.
     needs_login : bool
         Whether a name and a password are needed.
+    max_failed_logins : int
+        Failed log-ins per name or address in a minute; the daemon counts the same.
     policy, certificate, key, application_uri : str
         Security policy, and what the page shows there: the server's own certificate, which it
         trusts and is known by. Empty in the clear.
@@ -28,6 +30,7 @@ class OpcUaAccess:
     endpoint: str = ""
     secret: str = field(default="", repr=False)
     needs_login: bool = False
+    max_failed_logins: int = 5
     policy: str = ""
     certificate: str = ""
     key: str = ""

@@ -48,9 +48,9 @@ export function driveView(context: Context): View {
     .then(({ Scene }) => {
       if (closed) return;
       scene = new Scene(context);
-      stage.prepend(scene.element);
+      stage.prepend(scene.element, scene.keys);
       scene.watch(stage);
-      live.want("scene", Scene.signals());
+      live.want("scene", Scene.signals(context));
     })
     .catch(() => {
       stage.classList.add("plain");

@@ -1,0 +1,115 @@
+"""``python -m tests.page.pictures FOLDER``: every view of the page, as it stands in the docs.
+
+A daemon with the body drives its eight in the hall of the example, beside a "real" robot that is
+a little off; a diagnosis is run and its report opened. Takes a few minutes.
+"""
+
+import asyncio
+import contextlib
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from asyncua import ua
+from hilserver_injector import Recipe, make
+
+from tests.helpers.daemons import running_daemon
+from tests.io.opcua_server.rig import RobotClient
+from tests.page.rig import Browser, Plant, diagnoses, lift, page_url
+
+BODY = Path(__file__).parents[2] / "examples" / "body" / "hall.yaml"
+CONFIG = """
+page: {port: 0}
+mechatronic: {enabled: true}
+sensors: {tof: {hall: hall.yaml}}
+scheduler:
+  realtime: {priority: 0, lock_memory: false, hold_latency_target: false}
+  limits: {single_overrun_ms: null, consecutive_overruns: null}
+  communication_timeout_ms: 0
+"""
+SIZES = {"": (1280, 800, "light"), "-phone": (390, 844, "light"), "-dark": (1280, 800, "dark")}
+VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis")
+OFF_M, OFF_RAD = 0.45, 0.25
+
+
+async def shadow(url, plant):
+    """Say, for ever, that the real robot is a little beside the simulated one."""
+    client = RobotClient(url, timeout=60)
+    await client.connect()
+    while True:
+        x, y, yaw = (plant.value(f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
+        real = {"x_m": x + OFF_M, "y_m": y, "yaw_rad": yaw - OFF_RAD}
+        await client.write_doubles(**{f"measured.pose.{k}": v for k, v in real.items()})
+        await asyncio.sleep(0.1)
+
+
+async def lights(url):
+    """Blink to the left, in amber."""
+    client = RobotClient(url, timeout=60)
+    await client.connect()
+    values = {"command": 4, "red": 255, "green": 160, "blue": 0}
+    for name, value in values.items():
+        await client.write((f"lights.{name}", value, ua.VariantType.Byte))
+    await client.disconnect()
+
+
+def prepare(folder):
+    """Give the daemon a hall, and a log to diagnose."""
+    shutil.copy(BODY, folder)
+    for name in ("recordings", "scenarios", "patches"):
+        (folder / name).mkdir()
+    table, _ = make(Recipe(seed=3, causes={"rotation_gain": 0.15}, duration_s=20.0))
+    table.write_csv(folder / "recordings" / "turns.csv")
+
+
+def diagnose(browser, daemon):
+    """Run a diagnosis on the page, and open its report."""
+    browser.do("view", name="Diagnosis")
+    browser.do("click", role="button", name="Diagnose turns.csv")
+    browser.do("wait", selector=".jobs progress")
+    while running := diagnoses(daemon):
+        lift(running[0])
+        time.sleep(1)
+    browser.do("wait", selector=".jobs .chip", text="done")
+    browser.do("click", role="button", name="Read the report")
+    browser.do("framed", selector="body")
+
+
+def views(browser, url, out):
+    """Take the pictures."""
+    for suffix, (width, height, scheme) in SIZES.items():
+        browser.do("fresh", width=width, height=height, scheme=scheme)
+        browser.do("open", url=url)
+        for name in VIEWS:
+            browser.do("view", name=name)
+            if name == "Diagnosis":
+                browser.do("click", role="button", name="Read the report")
+                browser.do("framed", selector="body")
+            browser.do("rest", ms=12_000 if name in ("Drive", "Watch") else 2_000)
+            browser.do("shot", path=str(out / f"{name.lower()}{suffix}.webp"))
+
+
+async def main(out):
+    """Take all pictures into a folder."""
+    with (
+        tempfile.TemporaryDirectory(prefix="hilserver-") as folder,
+        running_daemon(
+            Path(folder), "--demo", config=CONFIG, ring_frames=1 << 14, prepare=prepare
+        ) as daemon,
+        contextlib.closing(Browser(webgl=True)) as browser,
+    ):
+        url, beside = page_url(daemon), asyncio.create_task(shadow(daemon.url, Plant(daemon.image)))
+        await lights(daemon.url)
+        browser.do("fresh")
+        await asyncio.to_thread(browser.do, "open", url=url)
+        await asyncio.to_thread(diagnose, browser, daemon)
+        await asyncio.to_thread(views, browser, url, out)
+        beside.cancel()
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.mkdir(parents=True, exist_ok=True)
+    asyncio.run(main(target))
