@@ -10,6 +10,7 @@ import dataclasses
 import re
 from collections.abc import AsyncIterator
 
+from hilserver.config.timing import LimitsConfig
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import FailedError
@@ -60,8 +61,16 @@ async def running_controller(
 
 
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
-    """Return the same robot with the embedded controller as its only peer."""
+    """Return the same robot with the embedded controller as its only peer.
+
+    The default limits of overruns are off: a laptop that slept would leave it in the safe state.
+    """
+    scheduler = assembly.config.scheduler
+    if scheduler.limits == LimitsConfig():
+        limits = LimitsConfig(single_overrun_ms=None, consecutive_overruns=None)
+        scheduler = scheduler.model_copy(update={"limits": limits})
     control = assembly.config.control.model_copy(update={"source": "peer"})
     peer = demo_peer(endpoint).model_copy(update={"stale_after_ms": STALE_AFTER_MS})
-    config = assembly.config.model_copy(update={"peers": (peer,), "control": control})
+    changes = {"peers": (peer,), "control": control, "scheduler": scheduler}
+    config = assembly.config.model_copy(update=changes)
     return dataclasses.replace(assembly, config=config)

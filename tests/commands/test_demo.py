@@ -13,7 +13,7 @@ import pytest
 
 from hilserver.controller.path import Eight
 from tests.commands.test_cli import write_config
-from tests.helpers.daemons import NO_LIMITS, announced
+from tests.helpers.daemons import announced
 
 CLIENT = Path(__file__).parents[1] / "foreign_client"
 WATCH_S = 90.0
@@ -30,7 +30,7 @@ def distance_to(eight, x, y):
 @pytest.fixture
 def demo(tmp_path):
     command = [sys.executable, "-m", "hilserver", "run", "--demo"]
-    command += ["-c", str(write_config(tmp_path, NO_LIMITS))]
+    command += ["-c", str(write_config(tmp_path))]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         for line in process.stderr:
             if started := announced([line]):

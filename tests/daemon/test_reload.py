@@ -118,3 +118,11 @@ async def test_what_options_replaced_is_no_change(tmp_path, option, name) -> Non
     with structlog.testing.capture_logs() as said:
         assert await reloader.reload()
     assert [line["key"] for line in said] == ["recording.buffer_mb"]
+
+
+def test_only_limits_of_its_own_stop_a_demonstration(tmp_path) -> None:
+    path = write_config(tmp_path)
+    assert demonstrated(assemble(path), path).config.scheduler.limits.single_overrun_ms is None
+    stricter = "scheduler: {limits: {single_overrun_ms: 20.0}}\n"
+    path = write_config(tmp_path, stricter)
+    assert demonstrated(assemble(path), path).config.scheduler.limits.single_overrun_ms == 20.0
