@@ -36,7 +36,7 @@ OFF_M, OFF_RAD = 0.45, 0.25
 
 async def shadow(url, plant):
     """Say, for ever, that the real robot is a little beside the simulated one."""
-    client = RobotClient(url, timeout=60)
+    client = RobotClient(url)
     await client.connect()
     while True:
         x, y, yaw = (plant.value(f"pose.{name}") for name in ("x_m", "y_m", "yaw_rad"))
@@ -47,7 +47,7 @@ async def shadow(url, plant):
 
 async def lights(url):
     """Blink to the left, in amber."""
-    client = RobotClient(url, timeout=60)
+    client = RobotClient(url)
     await client.connect()
     values = {"command": 4, "red": 255, "green": 160, "blue": 0}
     for name, value in values.items():

@@ -22,7 +22,7 @@ LONG_S = 400
 
 async def write(url, *values):
     """Write values as an OPC UA client that drives."""
-    client = RobotClient(url, timeout=60)
+    client = RobotClient(url)
     await client.connect()
     for method in ("Reset", "Start"):  # whatever was done before
         await client.call(method)
