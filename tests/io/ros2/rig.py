@@ -4,31 +4,20 @@ import asyncio
 import contextlib
 import functools
 import socket
-import subprocess
-from pathlib import Path
 
 import numpy as np
 from mcap_ros2._dynamic import generate_dynamic
 
+from hilserver.bench.ros2_peers import arguments
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.ros.types import known_types
 from tests.loopback.rig import configuration, wait_until
 
-HERE = Path(__file__).parent
 PATIENCE_S = 120.0
 NEVER_SILENT_MS = 600_000.0
 """A host on a busy computer may pause; tests of silence set their own limit."""
 SILENT_MS = 1000.0
-
-
-def build(folder):
-    """Compile the Fast DDS peer; some seconds."""
-    program = folder / "fast_dds_peer"
-    source = HERE / "fast_dds_peer.cpp"
-    command = ["g++", "-O0", "-std=c++17", source, "-o", program, "-lfastrtps", "-lfastcdr"]
-    subprocess.run(command, check=True)
-    return program
 
 
 @contextlib.contextmanager
@@ -54,12 +43,6 @@ async def robot(domain, *, plant=None, **ros2):
         yield daemon
 
 
-def dds_name(type_name):
-    """``std_msgs/msg/String`` as rmw registers it."""
-    package, kind, name = type_name.split("/")
-    return f"{package}::{kind}::dds_::{name}_"
-
-
 @functools.cache
 def decoder(type_name):
     """Return code that is not ours nor that of rosbags."""
@@ -80,15 +63,11 @@ class Host:
     """
 
     def __init__(self, program, domain, *endpoints):
-        words = [str(domain)]
-        for mode, topic, type_name, quality in endpoints:
-            words += [mode, topic, dds_name(type_name), quality]
-        self._command = [str(program), *words]
+        self._command = [str(program), *arguments(domain, endpoints)]
         self.types = {topic: type_name for _, topic, type_name, _ in endpoints}
         self._numbers = {(mode, topic): n for n, (mode, topic, _, _) in enumerate(endpoints)}
         self._topics = [topic for _, topic, _, _ in endpoints]
         self.received = {topic: [] for mode, topic, _, _ in endpoints if mode == "r"}
-        self.late_ns = []
 
     async def __aenter__(self):
         pipe = asyncio.subprocess.PIPE
@@ -98,6 +77,7 @@ class Host:
         ready = asyncio.Event()
         self._reading = asyncio.create_task(self._read(ready))
         await asyncio.wait_for(ready.wait(), PATIENCE_S)
+        assert not self._reading.done(), "the host has ended by itself"
         return self
 
     async def __aexit__(self, *_):
@@ -110,9 +90,9 @@ class Host:
             if line == b"ready\n":
                 ready.set()
                 continue
-            number, late, cdr = line.split()
+            number, _late, _sequence, cdr = line.split()
             self.received[self._topics[int(number)]].append(bytes.fromhex(cdr.decode()))
-            self.late_ns.append(int(late))
+        ready.set()  # nothing more will come
 
     def write(self, topic, **fields):
         """Write one message."""

@@ -1,7 +1,8 @@
 // A Fast DDS participant configured as rmw_fastrtps does it: no type information, RELIABLE writers.
 // Arguments: the domain, then for each endpoint r|w, topic, type, reliable|best_effort.
 // Says "ready" when every writer has found a reader.
-// Standard input: lines of "<endpoint> <hex>" to write; standard output: "<endpoint> <ns> <hex>".
+// Standard input: lines of "<endpoint> <hex> [<times> <period in us>]" to write; standard output:
+// "<endpoint> <ns from written to here> <sequence of its writer> <hex>".
 #include <chrono>
 #include <cstring>
 #include <iostream>
@@ -74,7 +75,8 @@ class Listener : public DataReaderListener {
       auto late = std::chrono::duration_cast<std::chrono::nanoseconds>(now).count() -
                   info.source_timestamp.to_ns();
       std::ostringstream line;
-      line << number_ << ' ' << late << ' ' << std::hex;
+      line << number_ << ' ' << late << ' '
+           << info.sample_identity.sequence_number().to64long() << ' ' << std::hex;
       for (unsigned byte : bytes) line << (byte < 16 ? "0" : "") << byte;
       std::lock_guard<std::mutex> lock(out);
       std::cout << line.str() << std::endl;
@@ -141,13 +143,19 @@ int main(int argc, char** argv) {
   std::string line;
   while (std::getline(std::cin, line)) {
     std::istringstream words(line);
-    int number;
+    int number, times = 1, period_us = 0;
     std::string hex;
     words >> number >> hex;
+    if (!words.eof()) words >> times >> period_us;
     Bytes bytes;
     for (size_t i = 0; i + 1 < hex.size(); i += 2)
       bytes.push_back(std::stoul(hex.substr(i, 2), nullptr, 16));
-    writers[number]->write(&bytes);
+    auto due = std::chrono::steady_clock::now();
+    for (int i = 0; i < times; ++i) {
+      writers[number]->write(&bytes);
+      due += std::chrono::microseconds(period_us);
+      if (period_us > 0) std::this_thread::sleep_until(due);
+    }
   }
   participant->delete_contained_entities();
   DomainParticipantFactory::get_instance()->delete_participant(participant);

@@ -1,4 +1,4 @@
-"""Against Fast DDS as rmw_fastrtps configures it: every topic of every flavour, both ways."""
+"""Against Fast DDS and Cyclone DDS as ROS 2 configures them: every topic, both ways."""
 
 import math
 
@@ -24,8 +24,8 @@ def endpoints(flavour, space=""):
         yield "w", f"rt{space}/{subscribed.topic}", subscribed.type, "reliable"
 
 
-async def test_a_host_drives_by_rpm_and_reads_every_topic(fast_dds, domain):
-    host = Host(fast_dds, domain, *endpoints("iotbot_shield"))
+async def test_a_host_drives_by_rpm_and_reads_every_topic(peer, domain):
+    host = Host(peer, domain, *endpoints("iotbot_shield"))
     driving = host.repeating("rt/iotbot/rpm", **speeds(40, -30, 40, -30))
     async with robot(domain, publish=EXTRAS) as daemon, host, driving:
         seen = await host.sees("rt/iotbot/rpm/return", lambda m: m.front_left_rpm > 39.5)
@@ -123,8 +123,8 @@ async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
         assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
 
 
-async def test_edu_robot(fast_dds, domain):
-    host = Host(fast_dds, domain, *endpoints("eduard", "/eduard"))
+async def test_edu_robot(peer, domain):
+    host = Host(peer, domain, *endpoints("eduard", "/eduard"))
     async with robot(domain, flavour="eduard") as daemon, host:
         async with host.repeating("rt/eduard/cmd_vel", **twist(0.2)):
             seen = await host.sees("rt/eduard/odometry", lambda m: m.twist.twist.linear.x > 0.19)
@@ -147,8 +147,8 @@ async def test_edu_robot(fast_dds, domain):
         assert daemon.ros2.status.fault_counts.total() == 0
 
 
-async def test_the_five_topics_of_the_thesis(fast_dds, domain):
-    host = Host(fast_dds, domain, *endpoints("thesis_sil"))
+async def test_the_five_topics_of_the_thesis(peer, domain):
+    host = Host(peer, domain, *endpoints("thesis_sil"))
     driving = host.repeating("rt/rpm", **four_floats(10, 20, -30, -40))
     async with robot(domain, flavour="thesis_sil") as daemon, host, driving:
         asked = [10, 20, -30, -40]
