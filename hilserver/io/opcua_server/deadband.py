@@ -14,6 +14,7 @@ from asyncua.ua import uaprotocol_auto
 from hilserver.io.opcua_server.encoding import FixedDataValue
 
 _Trigger, _Deadband, _Codes = ua.DataChangeTrigger, ua.DeadbandType, ua.StatusCodes
+_STATUS_VALUE = _Trigger.StatusValue
 _NUMBERS = {
     ua.VariantType.SByte, ua.VariantType.Byte, ua.VariantType.Int16, ua.VariantType.UInt16,
     ua.VariantType.Int32, ua.VariantType.UInt32, ua.VariantType.Int64, ua.VariantType.UInt64,
@@ -39,20 +40,15 @@ class ChangeFilter:
         Changes up to this, in the variable's unit, are not reported; 0 reports any.
     """
 
-    trigger: ua.DataChangeTrigger = _Trigger.StatusValue
+    trigger: ua.DataChangeTrigger = _STATUS_VALUE
     band: float = 0.0
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether every change of value or status counts."""
-        return self.band == 0.0 and self.trigger == _Trigger.StatusValue
 
     def is_worth_reporting(self, last: FixedDataValue | None, new: FixedDataValue) -> bool:
         """Whether `new` is to be reported after `last`, which was reported before."""
         if last is None:
             return True
-        if self.is_plain:
-            return bool(last.content != new.content)
+        if self.trigger is _STATUS_VALUE and not self.band:
+            return last.content != new.content
         if last.code != new.code:
             return True
         if self.trigger == _Trigger.Status:

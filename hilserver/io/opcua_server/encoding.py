@@ -8,7 +8,6 @@ those of OPC 10000-6, 5.2; what does not look as expected is left to asyncua.
 import functools
 import struct
 import time
-from collections.abc import Iterable
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -28,13 +27,8 @@ _SCALARS = {
     }.items()
 }
 _HAS_VALUE, _HAS_STATUS, _HAS_SOURCE, _HAS_SERVER = 1, 2, 4, 8
-_Stamps = ua.TimestampsToReturn
-_MASKS = {
-    _Stamps.Source: _HAS_SOURCE,
-    _Stamps.Server: _HAS_SERVER,
-    _Stamps.Both: _HAS_SOURCE | _HAS_SERVER,
-    _Stamps.Neither: 0,
-}
+_MASKS = (_HAS_SOURCE, _HAS_SERVER, _HAS_SOURCE | _HAS_SERVER, 0)
+"""By number of TimestampsToReturn."""
 _U32, _I32 = struct.Struct("<I"), struct.Struct("<i")
 _RESPONSE = struct.Struct("<4sqIIBi3s")
 _REQUEST = struct.Struct("<qIIiI3s")
@@ -57,9 +51,9 @@ STATUS_CHANGE = numeric_id(ua.ObjectIds.StatusChangeNotification_Encoding_Defaul
 class FixedDataValue(ua.DataValue):  # type: ignore[misc]
     """A DataValue that nobody changes after it is made: its bytes are made once, for everybody."""
 
-    __slots__ = ("_content", "_encoded")
-    _content: bytes
-    _encoded: dict[ua.TimestampsToReturn, bytes]
+    @functools.cached_property
+    def _encoded(self) -> dict[int, bytes]:
+        return {}
 
     @classmethod
     def of(cls, value: ua.DataValue) -> "FixedDataValue":
@@ -68,14 +62,10 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
             return value
         return cls(value.Value, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
 
-    @property
+    @functools.cached_property
     def content(self) -> bytes:
         """Encoded value and status, without stamps: what decides whether something changed."""
-        try:
-            return self._content
-        except AttributeError:
-            self._content = self._value_bytes() + _U32.pack(self.code)
-        return self._content
+        return self._value_bytes() + _U32.pack(self.code)
 
     @property
     def code(self) -> int:
@@ -91,12 +81,15 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
             return bytes(variant_to_binary(variant))
         return scalar.pack(variant.VariantType.value, variant.Value)
 
-    def encoded(self, stamps: ua.TimestampsToReturn) -> bytes:
-        """Return the bytes of the value with the time stamps that are asked for."""
-        try:
-            found = self._encoded.get(stamps)
-        except AttributeError:
-            found, self._encoded = None, {}
+    def encoded(self, stamps: int) -> bytes:
+        """Return the bytes of the value with the time stamps that are asked for.
+
+        Parameters
+        ----------
+        stamps : int
+            Number of a TimestampsToReturn.
+        """
+        found = self._encoded.get(stamps)
         if found is None:
             found = self._encoded[stamps] = self._encode(_MASKS[stamps])
         return found
@@ -150,10 +143,10 @@ def extension(type_id: bytes, *parts: bytes) -> bytes:
     return type_id + b"\x01" + _I32.pack(len(body)) + body
 
 
-def notification_list(type_id: bytes, count: int, parts: Iterable[bytes]) -> bytes:
+def notification_list(type_id: bytes, parts: list[bytes]) -> bytes:
     """Return a DataChangeNotification or an EventNotificationList of encoded items."""
     tail = _NONE if type_id is DATA_CHANGE else b""
-    return extension(type_id, _I32.pack(count), *parts, tail)
+    return extension(type_id, _I32.pack(len(parts)), *parts, tail)
 
 
 def notification_message(sequence: int, data: list[bytes]) -> bytes:

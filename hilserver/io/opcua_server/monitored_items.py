@@ -12,14 +12,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from asyncua import ua
 from asyncua.server.monitored_item_service import WhereClauseEvaluator
 from asyncua.ua.ua_binary import struct_to_binary
 
 from hilserver.io.opcua_server.deadband import ChangeFilter, FilterError, change_filter
-from hilserver.io.opcua_server.encoding import FixedDataValue
+from hilserver.io.opcua_server.encoding import DATA_CHANGE, EVENTS, FixedDataValue
 from hilserver.io.opcua_server.reading import RefusedError, find, place_for_items, value_at
 
 LONGEST_SAMPLING_MS = 3_600_000.0
@@ -28,6 +28,7 @@ _OVERFLOW = 0x480
 _Codes = ua.StatusCodes
 _Modes = ua.MonitoringMode
 _Attributes = ua.AttributeIds
+_REPORTING = _Modes.Reporting
 _HANDLE = struct.Struct("<I")
 _quiet = logging.getLogger(__name__)
 
@@ -62,8 +63,9 @@ class ValueItem:
     item_id: int
     read: ua.ReadValueId
     place: Any
+    kind: ClassVar[bytes] = DATA_CHANGE
     handle: bytes
-    stamps: ua.TimestampsToReturn
+    stamps: int
     mode: ua.MonitoringMode
     size: int
     discard_oldest: bool
@@ -75,41 +77,28 @@ class ValueItem:
     queue: deque[FixedDataValue] = field(default_factory=deque)
     triggers: dict[int, None] = field(default_factory=dict)
 
-    def sample(self, now_s: float) -> bool:
-        """Look at the place; return whether something was queued."""
+    def sample(self, value: ua.DataValue, now_s: float) -> bool:
+        """Take what stands at the place if it is due and news; return whether it was queued."""
         if self.interval_s:
             if now_s < self.due_s:
                 return False
-            self._step(now_s)
-        value = self.place.value
-        if value is self.seen:
-            return False
+            missed = math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
+            self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
         self.seen = value
-        value = FixedDataValue.of(value)
-        if not self.change.is_worth_reporting(self.reported, value):
+        fixed = FixedDataValue.of(value)
+        if not self.change.is_worth_reporting(self.reported, fixed):
             return False
-        self.reported = value
-        self._put(value)
-        return True
-
-    def _step(self, now_s: float) -> None:
-        missed = math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
-        self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
-
-    def _put(self, value: FixedDataValue) -> None:
-        """Queue a value; what is lost is marked by the overflow bit beside the gap."""
+        self.reported = fixed
         queue = self.queue
-        if len(queue) < self.size:
-            queue.append(value)
-            return
-        if self.discard_oldest:
-            queue.popleft()
-            queue.append(value)
-        else:
-            queue[-1] = value
-        if self.size > 1:
+        is_full = len(queue) >= self.size
+        if is_full:
+            queue.popleft() if self.discard_oldest else queue.pop()
+        queue.append(fixed)
+        if is_full and self.size > 1:
+            # What is lost is marked beside the gap.
             end = 0 if self.discard_oldest else -1
             queue[end] = _with_overflow(queue[end])
+        return True
 
     def shorten(self) -> None:
         """Drop what a shorter queue has no room for."""
@@ -131,6 +120,7 @@ class EventItem:
     """A monitored source of events."""
 
     item_id: int
+    kind: ClassVar[bytes] = EVENTS
     node_id: ua.NodeId
     handle: bytes
     mode: ua.MonitoringMode
@@ -190,7 +180,7 @@ class MonitoredItems:
 
     Attributes
     ----------
-    ready, ready_events : dict
+    ready : dict
         Items with something to send.
     """
 
@@ -212,8 +202,7 @@ class MonitoredItems:
         self._each_frame: list[ValueItem] = []
         self._all: list[ValueItem] = []
         self._has_links = False
-        self.ready: dict[int, ValueItem] = {}
-        self.ready_events: dict[int, EventItem] = {}
+        self.ready: dict[int, Item] = {}
 
     def __len__(self) -> int:
         return len(self._values) + len(self._events)
@@ -238,7 +227,7 @@ class MonitoredItems:
     # --- services ---------------------------------------------------------------------------------
 
     def create(
-        self, request: ua.MonitoredItemCreateRequest, stamps: ua.TimestampsToReturn, room: Room
+        self, request: ua.MonitoredItemCreateRequest, stamps: int, room: Room
     ) -> ua.MonitoredItemCreateResult:
         """Create an item, if there is room."""
         result = ua.MonitoredItemCreateResult()
@@ -301,7 +290,7 @@ class MonitoredItems:
         return item
 
     def modify(
-        self, request: ua.MonitoredItemModifyRequest, stamps: ua.TimestampsToReturn, room: Room
+        self, request: ua.MonitoredItemModifyRequest, stamps: int, room: Room
     ) -> ua.MonitoredItemModifyResult:
         """Change an item."""
         result = ua.MonitoredItemModifyResult()
@@ -338,7 +327,6 @@ class MonitoredItems:
         self._values.pop(item_id, None)
         self._events.pop(item_id, None)
         self.ready.pop(item_id, None)
-        self.ready_events.pop(item_id, None)
         if self._has_links:
             for other in self._items():
                 other.triggers.pop(item_id, None)
@@ -351,7 +339,6 @@ class MonitoredItems:
             return int(_Codes.BadMonitoredItemIdInvalid)
         was, item.mode = item.mode, mode
         self.ready.pop(item_id, None)
-        self.ready_events.pop(item_id, None)
         if mode == _Modes.Disabled:
             item.forget()
         elif isinstance(item, EventItem):
@@ -411,7 +398,12 @@ class MonitoredItems:
 
     def _look_at(self, items: list[ValueItem], now_s: float) -> None:
         # All are sampled before any is noted: one may trigger another further back.
-        for item in [item for item in items if item.sample(now_s)]:
+        news = [
+            item
+            for item in items
+            if (value := item.place.value) is not item.seen and item.sample(value, now_s)
+        ]
+        for item in news:
             self._note(item)
 
     def _note(self, item: Item) -> None:
@@ -421,15 +413,9 @@ class MonitoredItems:
         for number in item.triggers:
             linked = self.get(number)
             if linked is not None and linked.mode == _Modes.Sampling and linked.queue:
-                self._list(linked)
-        if item.mode == _Modes.Reporting:
-            self._list(item)
-
-    def _list(self, item: Item) -> None:
-        if isinstance(item, ValueItem):
+                self.ready[number] = linked
+        if item.mode is _REPORTING:
             self.ready[item.item_id] = item
-        else:
-            self.ready_events[item.item_id] = item
 
     def arrange(self) -> None:
         """Note which items are to be looked at when; after every change of items."""

@@ -34,11 +34,9 @@ def _codes(codes: Sequence[int]) -> list[ua.StatusCode]:
     return [ua.StatusCode(code) for code in codes]
 
 
-def _check_stamps(stamps: int) -> ua.TimestampsToReturn:
-    if isinstance(stamps, ua.TimestampsToReturn) and stamps != ua.TimestampsToReturn.Invalid:
-        return stamps
-    if isinstance(stamps, int) and stamps in (0, 1, 2, 3):
-        return ua.TimestampsToReturn(stamps)
+def _check_stamps(stamps: int) -> int:
+    if stamps in (0, 1, 2, 3):
+        return int(stamps)
     raise ServiceError(_Codes.BadTimestampsToReturnInvalid)
 
 

@@ -152,7 +152,7 @@ class Subscription:
         self._timer = loop.call_later(delay_s, self._service.rotation.add, self)
 
     def _has_news(self) -> bool:
-        return self.is_enabled and bool(self.items.ready or self.items.ready_events)
+        return self.is_enabled and bool(self.items.ready)
 
     def _send(self) -> bool:
         request = self.session.take_publish_request(self)
@@ -172,23 +172,18 @@ class Subscription:
         """Return as many notifications as a message may hold."""
         room = min(longest, _MAX_MESSAGE_BYTES) if longest else _MAX_MESSAGE_BYTES
         room -= _ANSWER_BYTES + 4 * len(self.retained)
-        data, count = [], 0
-        kinds: tuple[tuple[bytes, dict[int, Any]], ...] = (
-            (encoding.DATA_CHANGE, self.items.ready),
-            (encoding.EVENTS, self.items.ready_events),
-        )
-        for kind, ready in kinds:
-            parts: list[bytes] = []
-            while ready and count + len(parts) < self.max_notifications and (room > 0 or not parts):
-                number, item = next(iter(ready.items()))
-                parts.append(item.pop())
-                room -= len(parts[-1])
-                if not item.queue:
-                    del ready[number]
-            if parts:
-                data.append(encoding.notification_list(kind, len(parts), parts))
-                count += len(parts)
-        return data
+        parts: dict[bytes, list[bytes]] = {encoding.DATA_CHANGE: [], encoding.EVENTS: []}
+        count, ready = 0, self.items.ready
+        for number, item in tuple(ready.items()):
+            own = parts[item.kind]
+            while item.queue and count < self.max_notifications and room > 0:
+                own.append(item.pop())
+                count += 1
+                room -= len(own[-1])
+            if item.queue:
+                break
+            del ready[number]
+        return [encoding.notification_list(kind, own) for kind, own in parts.items() if own]
 
     def _retain(self, message: bytes) -> None:
         self.retained[self._sequence] = message

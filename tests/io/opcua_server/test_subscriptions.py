@@ -320,10 +320,10 @@ async def test_an_item_looks_at_most_once_per_interval_and_the_last_value_gets_t
     item, now_s, samples = watching(place, interval_ms), 1.0, []
     for step in steps_ms:
         place.value = value_of(now_s)
-        if item.sample(now_s):
+        if item.sample(place.value, now_s):
             samples.append(item.queue.popleft().Value.Value)
         last, now_s = now_s, now_s + step * 1e-3
-    if item.sample(now_s + interval_ms * 1e-3):
+    if item.sample(place.value, now_s + interval_ms * 1e-3):
         samples.append(item.queue.popleft().Value.Value)
     assert samples == sorted(set(samples))
     assert samples[0] == 1.0
