@@ -51,7 +51,8 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
     point, ties = _weighed(p, selected)
-    explained = max(p.base.deviance - point.deviance, 0.0)
+    weighed = point
+    explained = max(p.base.deviance - point.deviance, 0.0) if point.model.fitted else 0.0
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     doubtful = set(without_unknown(problem, point, unknown))
     if point.model.fitted:
@@ -62,7 +63,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         less = fit(problem, point.model.without(index), point, iterations=3)
         rows += _left_out(point, less, "dropped", "unknown structure explains as much")
         point = less
-    if unknown or doubtful:
+    if doubtful or (unknown and explained > 0.0):
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
     drift: dict[str, float] = {}
     changing = with_drift(p.library, point, rng)
@@ -80,7 +81,8 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if not drift and fails(p, point):
         rows += _left_out(point, p.base, "dropped", "far more remains than it explains")
         point, unknown = problem.point(Model(), p.base.poses), []
-    if not point.model.fitted and not unknown:  # a gross misfit is never left without a word
+    if not point.model.fitted and not unknown and point is not weighed:
+        # a gross misfit is never left without a word
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0)
     scrubbed = scrubs(problem, point, unknown)
     if scrubbed:

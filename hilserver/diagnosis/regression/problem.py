@@ -21,6 +21,7 @@ from hilserver.diagnosis.noise.fitting import (
 )
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import NEAR, Reading, noise_of_readings
+from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -85,10 +86,7 @@ class Problem:
     def __post_init__(self) -> None:
         self.weights = np.ones(len(self.stage.stack))
         self._runs = list(self.stage.stack.runs())
-        segments = self.stage.stack.segment
-        order = np.argsort(segments, kind="stable")
-        bounds = np.flatnonzero(np.diff(segments[order])) + 1
-        self._members = np.split(order, bounds) if len(order) else []
+        self._poses = FreePoses(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
             name: Reading(*step_of(self.stack.values[edge]), limits.get(name, np.inf))
@@ -148,34 +146,17 @@ class Problem:
             out[part] = whitener.whiten(self.stack.t_s[part], two[part], self.weights[part])
         return out[:, 0] if columns.ndim == 1 else out
 
-    def bases(self, nuisance: Array | None) -> list[Array] | None:
-        """Return an orthonormal base of the whitened initial pose columns of each segment."""
-        if nuisance is None:
-            return None
-        white = self.whiten(nuisance)
-        bases = []
-        for rows in self._members:
-            u, s, _ = np.linalg.svd(white[rows], full_matrices=False)
-            bases.append(u[:, s > 1e-9 * max(s[0], 1e-30)])
-        return bases
+    def bases(self, nuisance: Array | None) -> Bases | None:
+        """Return bases of what the initial poses of the segments explain."""
+        return None if nuisance is None else self._poses.bases(self.whiten(nuisance))
 
-    def project(self, white: Array, bases: list[Array] | None) -> Array:
+    def project(self, white: Array, bases: Bases | None) -> Array:
         """Take the free initial poses out of whitened columns."""
-        if bases is None:
-            return white
-        out = white.copy()
-        for rows, base in zip(self._members, bases, strict=True):
-            out[rows] -= base @ (base.T @ white[rows])
-        return out
+        return white if bases is None else self._poses.project(white, bases)
 
     def pose_step(self, white: Array, nuisance: Array) -> Array:
         """Return the step of the initial poses that explains most of a whitened residual."""
-        columns = self.whiten(nuisance)
-        step = np.zeros((len(self.stage.segments), 3))
-        for rows in self._members:
-            solution, *_ = np.linalg.lstsq(columns[rows], white[rows], rcond=1e-9)
-            step[self.stack.segment[rows[0]]] = solution
-        return step
+        return self._poses.step(self.whiten(nuisance), white)
 
     # --- points -----------------------------------------------------------------------------------
     def point(self, model: Model, poses: Array, *, pose_steps: int = 1) -> Point:
