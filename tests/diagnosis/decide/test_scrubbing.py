@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.diagnosis.catalogue.library import pose_candidates
@@ -22,6 +22,7 @@ def told(a, half=0.01):
     return as_friction(ROBOT, Fitted(GAIN, (a,)), own)
 
 
+@settings(max_examples=25)
 @given(ratio=st.floats(1.2, 5.0))
 def test_it_is_the_inverse_of_the_plant(ratio):
     even = ROBOT.track_m / (ROBOT.wheelbase_m**2 + ROBOT.track_m**2)

@@ -99,8 +99,8 @@ def test_each_log_alone_whoever_does_the_work(logs, folder):
     nothing_is_found(read(folder / "one" / "sound"))
     assert each(logs, folder / "two", "--jobs", "2") == alone
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    with distributed.LocalCluster(processes=True, **options) as cluster:
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(processes=False, **options) as cluster:
         found = each(logs, folder / "dask", "--dask", cluster.scheduler_address)
     for name, text in found.items():
         assert json.loads(text) == json.loads(alone[name]), name

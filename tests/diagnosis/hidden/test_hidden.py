@@ -28,7 +28,7 @@ NULL = [("nothing drive", 101, 120.0), ("nothing drive", 102, 120.0),
         ("nothing drive", 103, 60.0), ("nothing bench", 101, 15.0)]  # fmt: skip
 NAMED = [
     ("rotation_gain", 1, 120.0, "yaw_rad"),
-    ("wheel_radius", 1, 240.0, "position_m"),
+    ("wheel_radius", 1, 150.0, "position_m"),
     ("side_slip", 1, 240.0, None),
     ("nav_latency", 1, 120.0, None),
     ("gyro_bias", 1, 120.0, "gyro_z_rad_s"),
@@ -151,10 +151,14 @@ def test_what_tyres_bend_is_no_further_cause():
     assert finding.causes == ("rotation_gain", "friction_anisotropy")
 
 
-@pytest.mark.parametrize("seed", [27, 41, 73], ids=str)
-def test_a_ranging_anchor_that_is_off_is_named_and_no_scale_of_the_navigation(seed):
+@pytest.mark.parametrize(
+    ("seed", "duration_s"),
+    [pytest.param(27, 360.0, marks=pytest.mark.long), (41, 180.0), (73, 360.0)],
+    ids=str,
+)
+def test_a_ranging_anchor_that_is_off_is_named_and_no_scale_of_the_navigation(seed, duration_s):
     """Seeds 27 and 73: a scale explains much of it; 41: too weak for the screen of all causes."""
-    drawn = SCENARIOS["radio"].draw(seed).logs["drive.csv"]
+    drawn = replace(SCENARIOS["radio"].draw(seed).logs["drive.csv"], duration_s=duration_s)
     error_m = drawn.causes["nav_anchor_off"]
     found = judged(drawn)
     (finding,) = found.findings.findings
