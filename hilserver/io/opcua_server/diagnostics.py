@@ -5,6 +5,7 @@ variable ``slices.plant.overruns``. A figure that is None has no value yet
 (BadWaitingForInitialData).
 """
 
+import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
@@ -43,10 +44,17 @@ class Diagnostics:
     flat : str or None
         Figure that stands for its entry: ``audit.<item>`` shows the figure "ok", the other figures
         are below it.
+    every_s : float
+        The provider is not asked more often [s].
     """
 
     def __init__(
-        self, builder: AddressSpaceBuilder, group: str, provider: Provider, flat: str | None = None
+        self,
+        builder: AddressSpaceBuilder,
+        group: str,
+        provider: Provider,
+        flat: str | None = None,
+        every_s: float = 0.0,
     ) -> None:
         self._builder = builder
         self._group = group
@@ -57,16 +65,21 @@ class Diagnostics:
         self._types: dict[str, ua.VariantType] = {}
         self._last: dict[str, object] = {}
         self._is_full = False
+        self._every_s, self._due_s = every_s, 0.0
+        self._table: Table = {}
 
     def publish(self) -> Table:
-        """Ask the provider, write what changed, and return the table."""
-        table = self._provider()
-        for entry, figures in table.items():
+        """Ask the provider if that is due, write what changed, and return the table."""
+        now_s = time.monotonic()
+        if now_s < self._due_s:
+            return self._table
+        self._due_s, self._table = now_s + self._every_s, self._provider()
+        for entry, figures in self._table.items():
             name = entry.replace(".", "_")
             for figure, value in sorted(figures.items(), key=lambda row: row[0] != self._flat):
                 path = f"{self._group}.{name}"
                 self._show(path if figure == self._flat else f"{path}.{figure}", value)
-        return table
+        return self._table
 
     def _show(self, path: str, value: Figure) -> None:
         if self._last.get(path, _NEVER) == value and type(self._last[path]) is type(value):

@@ -34,11 +34,13 @@ _RESPONSE = struct.Struct("<4sqIIBi3s")
 _REQUEST = struct.Struct("<qIIiI3s")
 _NONE = struct.pack("<i", -1)
 _NULL_HEADER = b"\0\0\0"
+_FOUR_BYTES = b"\1\0"
+"""Node id in four bytes, namespace 0 (OPC 10000-6, 5.2.2.9)."""
 
 
 def numeric_id(identifier: int) -> bytes:
     """Return a numeric node id of namespace 0."""
-    return struct.pack("<BBH", 1, 0, identifier)
+    return _FOUR_BYTES + struct.pack("<H", identifier)
 
 
 _PUBLISH_RESPONSE = numeric_id(ua.ObjectIds.PublishResponse_Encoding_DefaultBinary)
@@ -170,6 +172,14 @@ def status_codes(codes: list[int]) -> bytes:
 
 
 # --- requests -------------------------------------------------------------------------------------
+
+
+def service_id(body: Buffer) -> Any:
+    """Take the type of a request off `body`; None if it is not of namespace 0."""
+    if body._data[body.cur_pos : body.cur_pos + 2] == _FOUR_BYTES:
+        return int.from_bytes(body.read(4)[2:], "little")
+    type_id = nodeid_from_binary(body)
+    return type_id.Identifier if type_id.NamespaceIndex == 0 else None
 
 
 class Head(NamedTuple):

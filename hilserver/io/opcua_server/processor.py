@@ -220,8 +220,7 @@ class RobotProcessor:
 
     def _process_message(self, request_id: int, body: Buffer) -> Outcome:
         """Answer one message; raise if not even its header can be read."""
-        type_id = nodeid_from_binary(body)
-        service = type_id.Identifier if type_id.NamespaceIndex == 0 else None
+        service = encoding.service_id(body)
         session, token = self.session, None
         head = None if session is None else encoding.request_head(body, session.token_bytes)
         if head is None:

@@ -35,6 +35,8 @@ from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.signals import SignalTable, State
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
+_SLICES_EVERY_S = 1.0
+"""They have changed every time, and there are many of them."""
 _WARN_BEFORE = timedelta(days=30)
 _POLICY_TYPES: dict[Policy, ua.SecurityPolicyType] = {
     "None": ua.SecurityPolicyType.NoSecurity,
@@ -261,7 +263,13 @@ class OpcUaServer:
         self._owner_place = place(model.CONTROL_SOURCE)
         self._owner_shown = ""
         self._diagnostics = {
-            group: Diagnostics(builder, group, provider, flat="ok" if group == "audit" else None)
+            group: Diagnostics(
+                builder,
+                group,
+                provider,
+                flat="ok" if group == "audit" else None,
+                every_s=_SLICES_EVERY_S if group == "slices" else 0.0,
+            )
             for group, provider in self._providers.items()
         }
         self._robot_events = RobotEvents(
