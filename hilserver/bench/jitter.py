@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.bench import cyclictest
+from hilserver.bench.jitter_company import COMPANY, chosen
 from hilserver.bench.jitter_subjects import Subject, bare_pacing, loaded_daemon
 from hilserver.bench.linear_histogram import (
     PERCENTILES,
@@ -90,6 +91,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the daemon under OPC UA load (default), or the bare pacing loop",
     )
     parser.add_argument(
+        "--with",
+        dest="beside",
+        type=_names,
+        default=(),
+        metavar="NAMES",
+        help=f"what the daemon serves besides, of {','.join(COMPANY)}; it is also measured without",
+    )
+    parser.add_argument(
         "--backend",
         choices=("thread", "timerfd", "both"),
         default="both",
@@ -97,25 +106,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _names(text: str) -> tuple[str, ...]:
+    try:
+        return chosen(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure; the raw histograms stand in the first figure of each back end."""
     results = []
     for backend in ("thread", "timerfd") if args.backend == "both" else (args.backend,):
-        comparison = compare(args, backend)
-        prefix = "" if backend == "thread" else f"{backend}_"
-        figures = [comparison.result(percent, prefix) for percent in PERCENTILES]
-        figures[0].raw.update(comparison.raw)
-        results += figures
+        for beside in dict.fromkeys(((), args.beside)):
+            comparison = compare(args, backend, beside)
+            prefix = "with_" * bool(beside) + ("" if backend == "thread" else f"{backend}_")
+            figures = [comparison.result(percent, prefix) for percent in PERCENTILES]
+            figures[0].raw.update(comparison.raw)
+            results += figures
     return results
 
 
-def compare(args: argparse.Namespace, backend: str) -> Comparison:
+def compare(args: argparse.Namespace, backend: str, beside: tuple[str, ...] = ()) -> Comparison:
     """Measure one back end and cyclictest in alternating blocks."""
     comparison = Comparison(backend)
     # Fail before anything is started if cyclictest is missing.
     cyclictest.command(period_us=1, priority=0, duration_s=1, bins=1)
     subject_of = SUBJECTS[args.subject]
-    with subject_of(backend, period_us=args.period_us, priority=args.priority) as subject:
+    how: dict[str, Any] = {"period_us": args.period_us, "priority": args.priority}
+    with subject_of(backend, **how, beside=beside) as subject:
         comparison.load = subject.load
         bins = len(subject.statistics.linear_counts)
         # The event loop has no real-time priority; cyclictest is then shown at the one asked for.

@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from hilserver.bench.jitter_company import Place, company, sections
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
@@ -82,8 +83,12 @@ class Subject:
 
 
 @contextlib.contextmanager
-def bare_pacing(backend: str, *, period_us: int, priority: int) -> Iterator[Subject]:
+def bare_pacing(
+    backend: str, *, period_us: int, priority: int, beside: tuple[str, ...] = ()
+) -> Iterator[Subject]:
     """Run the pacing loop with an empty step and a busy event loop."""
+    if beside:
+        raise FailedError(f"--with {','.join(beside)} needs --subject daemon")
     with tempfile.TemporaryDirectory(dir="/dev/shm", prefix="hilserver-") as folder:
         path = Path(folder) / "statistics"
         module = "hilserver.bench.pacing_subject"
@@ -94,13 +99,22 @@ def bare_pacing(backend: str, *, period_us: int, priority: int) -> Iterator[Subj
 
 
 @contextlib.contextmanager
-def loaded_daemon(backend: str, *, period_us: int, priority: int) -> Iterator[Subject]:
-    """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each."""
+def loaded_daemon(
+    backend: str, *, period_us: int, priority: int, beside: tuple[str, ...] = ()
+) -> Iterator[Subject]:
+    """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each.
+
+    Parameters
+    ----------
+    beside : tuple of str
+        What the daemon serves besides, see `jitter_company`.
+    """
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
         port, image = _free_port(), f"bench-jitter-{os.getpid()}"
         url = f"opc.tcp://127.0.0.1:{port}/hilserver"
         path = Path(folder) / "config.yaml"
-        settings = _settings(backend, period_us, priority, image, url)
+        place = Place(Path(folder), _free_port())
+        settings = _settings(backend, period_us, priority, image, url) | sections(beside, place)
         path.write_text(yaml.safe_dump(settings), encoding="utf-8")
         arguments = ["-c", _DAEMON, "run", "-c", str(path)]
         with piped(python(*arguments), name="hilserver run") as daemon:
@@ -108,8 +122,9 @@ def loaded_daemon(backend: str, *, period_us: int, priority: int) -> Iterator[Su
             load = ["-m", "hilserver.bench.opcua_load", url]
             load += [str(N_CLIENTS), str(N_NODES), str(RATE_HZ)]
             text = f"{N_CLIENTS} OPC UA clients, {N_NODES} nodes at {RATE_HZ} Hz each"
-            with piped(python(*load), name="the OPC UA clients") as clients:
-                subject = Subject(statistics, [text])
+            clients_of = piped(python(*load), name="the OPC UA clients")
+            with company(beside, place) as others, clients_of as clients:
+                subject = Subject(statistics, [text, *others])
                 time.sleep(SETTLE_S)
                 began = time.monotonic()
                 yield subject
@@ -129,6 +144,7 @@ def _settings(backend: str, period_us: int, priority: int, image: str, url: str)
             },
             "policy": "skip",  # as cyclictest: one late wake-up is one sample
             "realtime": {"priority": priority},
+            "limits": {"single_overrun_ms": None, "consecutive_overruns": None},  # it drives on
         },
         "image": {"name": image},
         "opcua": {"endpoint": url},

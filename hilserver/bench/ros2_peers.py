@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilserver.errors import FailedError
+from hilserver.ros.flavours import FLAVOURS
 from hilserver.ros.types import Types, known_types
 
 Endpoint = tuple[str, str, str, str]
@@ -36,6 +37,14 @@ def dds_name(type_name: str) -> str:
     """``std_msgs/msg/String`` as rmw registers it."""
     package, kind, name = type_name.split("/")
     return f"{package}::{kind}::dds_::{name}_"
+
+
+def published() -> Iterable[tuple[str, str, str]]:
+    """Yield DDS topic, type and reliability of what a daemon of `iotbot_shield` can write."""
+    flavour = FLAVOURS["iotbot_shield"]
+    for topic in (*flavour.published, *flavour.extras.values()):
+        quality = "reliable" if topic.qos.reliable else "best_effort"
+        yield f"rt/{topic.topic.lstrip('/')}", topic.type, quality
 
 
 def arguments(domain: int, endpoints: Iterable[Endpoint]) -> list[str]:

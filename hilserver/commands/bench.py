@@ -16,6 +16,7 @@ BENCHES = {
     "page": "what the operator page costs: server, plant's deadlines, browser",
     "loop": "set-point to pose and back over TCP, two processes",
     "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
+    "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",
     "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
     "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
 }
