@@ -24,7 +24,6 @@ from typing import Any, Final
 from hilserver.commands.options import add_config, config_path, number_within
 from hilserver.commands.teleop_hold import Hold
 from hilserver.commands.teleop_keys import ASK, END, Key, KeyReader, Word
-from hilserver.config.root import load_config
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
@@ -84,9 +83,15 @@ def run(args: argparse.Namespace) -> int:
     """Drive until the user ends it; return 0, or 1 if the daemon is lost."""
     if not sys.stdin.isatty():
         raise FailedError("teleop reads keys from a terminal; start it in one")
-    endpoint = args.endpoint or load_config(config_path(args)).opcua.endpoint
+    endpoint = args.endpoint or _configured(args)
     password = getpass.getpass() if args.user else ""
     return event_loop.run(_drive(args, endpoint, password))
+
+
+def _configured(args: argparse.Namespace) -> str:
+    from hilserver.config.root import load_config  # noqa: PLC0415 - slow to import
+
+    return load_config(config_path(args)).opcua.endpoint
 
 
 async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:

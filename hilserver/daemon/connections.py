@@ -19,7 +19,7 @@ from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
 from hilserver.io import peer_metrics
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
-from hilserver.io.opcua_server import OpcUaServer
+from hilserver.io.opcua_server.server import OpcUaServer
 from hilserver.io.peer_status import PeerStatus
 from hilserver.io.shield import ShieldLink
 from hilserver.io.shield import metrics as shield_metrics

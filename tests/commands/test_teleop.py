@@ -120,6 +120,15 @@ class Terminal:
         except TimeoutError:
             pytest.fail(f"not within {WAIT_S:g} s: {what}; it shows {self.shown[-200:]!r}")
 
+    async def held_by_repeats(self, condition):
+        """Press w as a keyboard repeats it until a condition is met."""
+        self.type("w")
+        await asyncio.sleep(0.5)  # a terminal's delay before it repeats
+        async with asyncio.timeout(WAIT_S):
+            while not condition():
+                self.type("w")
+                await asyncio.sleep(0.03)
+
     async def drives(self):
         await self.until(lambda: self.read(SPEED) > 0.2, "it drives")
 
@@ -184,12 +193,7 @@ in_terminal = pytest.mark.asyncio(loop_scope="module")
 @pytest.mark.timeout(600)
 async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
     assert "hold ends with 150 ms without a key repeat" in terminal.look()
-    terminal.type("w")
-    await asyncio.sleep(0.5)  # a terminal's delay before it repeats
-    for _ in range(40):
-        terminal.type("w")
-        await asyncio.sleep(0.03)
-    await terminal.drives()
+    await terminal.held_by_repeats(lambda: terminal.read(SPEED) > 0.2)
     await terminal.stops()
     assert "age" in terminal.look()
 
@@ -197,8 +201,9 @@ async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
 @in_terminal
 @pytest.mark.timeout(600)
 async def test_one_press_stops_by_itself(terminal):
+    x = terminal.read("pose.x_m")
     terminal.type("\x1b[A")
-    await terminal.drives()
+    await terminal.until(lambda: terminal.read("pose.x_m") > x + 0.02, "it drives")
     await terminal.stops()
 
 
@@ -248,3 +253,31 @@ async def test_lights_and_the_end(terminal):
     await terminal.until(lambda: terminal.read("lights.state") == 3, "flash all")
     terminal.type("x")
     assert await asyncio.to_thread(terminal.process.wait, WAIT_S) == 0
+
+
+@in_terminal
+@pytest.mark.long
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("protocol", ["kitty", "repeats"])
+async def test_letting_go_is_at_the_plant_within_200_ms(terminal, protocol):
+    """From the release, or the last repeat of a key, to the first tick that has the zero."""
+    if protocol == "kitty":
+        terminal.type("\x1b[?11u")
+    image, slot = terminal.daemon.image, terminal.daemon.table.slot("twist.linear_m_s")
+    took_ms = []
+    for _ in range(20):
+        if protocol == "kitty":
+            terminal.type("\x1b[119;1:1u")
+            await terminal.drives()
+            terminal.type("\x1b[119;1:3u")
+        else:
+            await terminal.held_by_repeats(lambda: terminal.read(SPEED) > 0.2)
+            terminal.type("w")
+        begin, tick = image.head, image.latest().tick
+        await terminal.until(lambda: terminal.read("twist.linear_m_s") == 0.0, "the zero comes")
+        frames = (image.frame(number) for number in range(begin, image.head))
+        zero = next(frame.tick for frame in frames if frame and frame.values[slot] == 0.0)
+        took_ms.append((zero - tick) * terminal.daemon.assembly.base_period_ns * 1e-6)
+        await terminal.stops()
+    print(f"{protocol}: release to plant {sorted(took_ms)} ms")
+    assert sorted(took_ms)[10] <= 200.0

@@ -6,12 +6,13 @@ A new method is a row here, and a line in ``docs/reference/opcua-address-space.m
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from hilserver.core.control import Control
-from hilserver.faults import Faults
-from hilserver.faults.model import parse_faults
 from hilserver.signals import ValueType
+
+if TYPE_CHECKING:  # clients use this table too, and need no compiler
+    from hilserver.core.control import Control
+    from hilserver.faults import Faults
 
 T = TypeVar("T")
 STRING = "String"
@@ -53,12 +54,14 @@ class Files(Protocol):
 class Parts:
     """What the methods act on."""
 
-    def __init__(self, control: Control, faults: Faults | None, files: Files | None = None) -> None:
+    def __init__(
+        self, control: "Control", faults: "Faults | None", files: Files | None = None
+    ) -> None:
         self.control = control
         self._faults, self._files = faults, files
 
     @property
-    def faults(self) -> Faults:
+    def faults(self) -> "Faults":
         """The faults.
 
         Raises
@@ -114,6 +117,12 @@ def _plain(name: str) -> str:
     return name
 
 
+def _inject(on: Parts, text: str) -> object:
+    from hilserver.faults.model import parse_faults  # noqa: PLC0415 - clients need no compiler
+
+    return on.faults.inject(*parse_faults(text))
+
+
 _SIGNAL = Argument("signal", STRING, "Name of the signal")
 _SNAPSHOT = Argument("name", STRING, "Plain file name in the snapshot directory, no path")
 _SCENARIO = Argument("name", STRING, "Plain file name in folders.scenarios, no path")
@@ -162,7 +171,7 @@ METHODS = (
     Method(
         "InjectFault",
         "Inject a fault",
-        lambda on, text: on.faults.inject(*parse_faults(text)),
+        _inject,
         (Argument("fault", STRING, "Description of the fault, JSON"),),
     ),
     Method("ClearFaults", "End all injected faults", lambda on: on.faults.clear()),

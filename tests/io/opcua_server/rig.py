@@ -20,8 +20,8 @@ from hilserver.image import ProcessImage
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
-from hilserver.io.opcua_server import OpcUaServer
 from hilserver.io.opcua_server.model import NAMESPACE_URI
+from hilserver.io.opcua_server.server import OpcUaServer
 from hilserver.plant.layout import WHEELS
 from hilserver.signals import Ranges, SignalTable, robot_table
 
