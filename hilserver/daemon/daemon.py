@@ -38,10 +38,12 @@ from hilserver.faults import Play
 from hilserver.faults.scenario import Stage
 from hilserver.io.peer_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
+from hilserver.io.recorder.marks import Marks
 from hilserver.io.recorder.state_service import StateService
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
 from hilserver.scheduler import StopReason
+from hilserver.scheduler.pacing_virtual import BATCH_TICKS
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
@@ -196,6 +198,9 @@ class Daemon:
 
     async def _start_recorder(self) -> None:
         """Attach the recorder before the first tick; it ends after the last one."""
+        if self.clock.simulated:
+            marks = Marks(self.image, self.image.name, BATCH_TICKS)
+            self.scheduler.after_batch.append(marks.wait)
         if self.config.recording.file is None:
             return
         what = (self.config.recording, self.image.name, self.assembly.folder)

@@ -17,6 +17,7 @@ from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
 
 POLL_S = 0.02
+POLL_SIMULATED_S = 0.002
 SUPERVISE_S = 0.25
 REPEAT_S = 5.0
 STATE_WITHIN_S = 2.0
@@ -63,7 +64,8 @@ class Recorder:
         if settings.bag is None:
             check_suffix(settings.path)
         self.stop = threading.Event()
-        self._source, self._waits = Source(name), settings.waits
+        self._source = Source(name, is_inside=settings.waits)
+        self._waits = settings.waits or self._source.mark is not None
         self._run = make_run(self._source.description)
         self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
@@ -133,7 +135,7 @@ class Recorder:
             self._read()
             if gone or (end_s is not None and now_s >= end_s):
                 break
-            self.stop.wait(POLL_S)
+            self.stop.wait(POLL_SIMULATED_S if self._waits else POLL_S)
         self._read()
         return self._close()
 
@@ -186,6 +188,7 @@ class Recorder:
             _say(f"{_losses(*counts)} so far")
 
     def _close(self) -> str:
+        self._source.release_time()
         in_time = self._writing.close(CLOSE_WITHIN_S)
         self._source.close()
         error = self._writing.error

@@ -13,6 +13,7 @@ from hilserver.image import FrameBatch, ImageReader, read_frames
 from hilserver.image.layout import REQUEST_SAVE
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
+from hilserver.io.recorder.marks import Mark
 from hilserver.logs.log import State
 from hilserver.logs.writer import Segmented
 
@@ -24,10 +25,17 @@ _DESCRIBED_WITHIN_S = 5.0
 class Source:
     """The process image of one daemon, as a recorder sees it.
 
+    Parameters
+    ----------
+    is_inside : bool
+        True: read by the daemon itself, between two batches of ticks.
+
     Attributes
     ----------
     lost : int
         Frames that the ring had dropped before they were read.
+    mark : Mark or None
+        With it simulated time waits; None in real time, which waits for nobody.
 
     Raises
     ------
@@ -35,7 +43,7 @@ class Source:
         If no daemon runs under that name.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, is_inside: bool = False) -> None:
         self._name = name
         self._reader = ImageReader.attach(name)
         self._fd = os.open(path_of(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -45,6 +53,7 @@ class Source:
         self.description = self._describe()
         self._ring_length = self._reader.control.ring_length
         self._shadow = ShadowReader(self._reader)
+        self.mark = Mark(name) if self._is_simulated and not is_inside else None
         self._next = max(0, self._reader.head)
         self._last_tick: int | None = None
         self._segment = 0
@@ -66,6 +75,11 @@ class Source:
                     ) from None
                 time.sleep(0.01)
 
+    @property
+    def _is_simulated(self) -> bool:
+        configuration = self.description["run"].get("configuration") or {}
+        return bool(configuration.get("scheduler", {}).get("backend") == "virtual")
+
     def refresh(self) -> bool:
         """Read the description again; return whether it has changed (the audit comes late)."""
         try:
@@ -86,7 +100,9 @@ class Source:
         ask_for_state(self._name)
 
     def frames(self) -> Segmented | None:
-        """Return the next frames, None if there is none yet."""
+        """Return the next frames, None if there is none yet; those before are done with."""
+        if self.mark is not None:
+            self.mark.move(self._next)
         head = self._reader.head
         if head - self._next > self._ring_length - _MARGIN_FRAMES:
             self._skip_to(head - self._ring_length + 2 * _MARGIN_FRAMES)
@@ -149,9 +165,16 @@ class Source:
         fcntl.flock(self._fd, fcntl.LOCK_UN)
         return True
 
+    def release_time(self) -> None:
+        """Have simulated time wait no longer."""
+        if self.mark is not None:
+            self.mark.close()
+            self.mark = None
+
     def close(self) -> None:
         """Let go of the image, and of a request that nobody has answered."""
         take_request(self._name)
+        self.release_time()
         os.close(self._fd)
 
 

@@ -1,0 +1,92 @@
+"""How far recorders have read: simulated time waits for them.
+
+A recorder of a daemon in virtual time keeps a small locked file beside the image, with the number
+of the frame that it reads next. The daemon looks at these files between two batches of ticks and
+waits for the slowest, unless that one has died or has not moved for `PATIENCE_S`.
+"""
+
+import contextlib
+import fcntl
+import os
+import sys
+import time
+from pathlib import Path
+
+import structlog
+
+from hilserver.image import ImageReader
+from hilserver.image.shared_file import SharedFile, path_of
+
+PATIENCE_S = 30.0
+MARGIN_FRAMES = 128
+_LOOK_S = 0.001
+_WORD = 8
+_log = structlog.get_logger(__name__)
+
+
+def _prefix(image: str) -> str:
+    return f"{image}.reader-"
+
+
+class Mark:
+    """The mark of this process beside the image `image`; at frame 0 until it is moved."""
+
+    def __init__(self, image: str) -> None:
+        self._file = SharedFile(f"{_prefix(image)}{os.getpid()}", _WORD)
+
+    def move(self, number: int) -> None:
+        """Say that all frames before `number` have been read."""
+        self._file.map[:_WORD] = number.to_bytes(_WORD, sys.byteorder)
+
+    def close(self) -> None:
+        """Remove the mark."""
+        self._file.close()
+
+
+class Marks:
+    """The marks beside an image, as its daemon sees them.
+
+    Parameters
+    ----------
+    batch_frames : int
+        How many frames are made before the next look.
+    """
+
+    def __init__(self, image: ImageReader, name: str, batch_frames: int) -> None:
+        self._image, self._path, self._prefix = image, path_of(name), path_of(_prefix(name)).name
+        self._room = image.control.ring_length - batch_frames - MARGIN_FRAMES
+        self._given_up: dict[Path, int] = {}
+
+    def wait(self) -> None:
+        """Return when the next batch overwrites nothing that a recorder still has to read."""
+        for path in self._path.parent.glob(f"{self._prefix}*"):
+            with contextlib.suppress(OSError):  # it has just ended, or is somebody else's
+                fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+                try:
+                    self._wait_for(path, fd)
+                finally:
+                    os.close(fd)
+
+    def _wait_for(self, path: Path, fd: int) -> None:
+        least, last, deadline_s = self._image.head - self._room, -1, 0.0
+        while (number := int.from_bytes(os.pread(fd, _WORD, 0), sys.byteorder)) < least:
+            if self._given_up.get(path) == number or _is_left_behind(path, fd):
+                return
+            if number != last:
+                last, deadline_s = number, time.monotonic() + PATIENCE_S
+            elif time.monotonic() > deadline_s:
+                _log.warning("a recorder stands still: time goes on without it", mark=path.name)
+                self._given_up[path] = number
+                return
+            time.sleep(_LOOK_S)
+
+
+def _is_left_behind(path: Path, fd: int) -> bool:
+    """Remove the mark of a recorder that has died; return whether nobody is behind a mark."""
+    if os.fstat(fd).st_nlink and os.fstat(fd).st_uid == os.geteuid():
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        path.unlink(missing_ok=True)
+    return True
