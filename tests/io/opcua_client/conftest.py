@@ -17,6 +17,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import Refusal
+from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.faults import Line
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 
@@ -137,7 +138,7 @@ class Peer:
         self.sequence = 0
 
     async def start(self) -> "Peer":
-        self.server = Server()
+        self.server = Server(iserver=QuickInternalServer())
         await self.server.init()
         self.server.set_endpoint(f"opc.tcp://127.0.0.1:{self.port}/UA/NodeRedAgv")
         self.server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
