@@ -5,6 +5,7 @@ from typing import Any
 import asyncua
 from asyncua import Server, ua, uamethod
 
+from hilserver.core.standard_nodes import QuickInternalServer
 from tests.security.pki import Pki
 
 
@@ -14,7 +15,7 @@ class Stock:
     async def start(self, pki: Pki) -> None:
         assert asyncua.__version__.startswith("2.1."), "the holes are those of this version"
         self.calls = 0
-        server = self.server = Server()
+        server = self.server = Server(iserver=QuickInternalServer())
         await server.init()
         server.set_endpoint("opc.tcp://127.0.0.1:0/stock")
         await server.set_application_uri(pki.server.uri)
