@@ -43,6 +43,7 @@ from hilserver.diagnosis.schema.findings import (
     NotJudged,
     overall,
 )
+from hilserver.diagnosis.thresholds import LOST_SHARE
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -50,7 +51,6 @@ Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
 
 HORIZON_S = 5.0
-LOST_SHARE = 0.01
 CEILING_DIGITS = 5
 """The rest of a ceiling hangs on how many threads share its large products."""
 DRIVEN = ("speed_rpm", "duty_pct")

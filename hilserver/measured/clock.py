@@ -7,12 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.thresholds import SHORTEST_SEGMENT_S
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-LONGEST_S = 30.0
-"""Segments are cut to this length: a free pose each, yet long enough for slow effects."""
-SHORTEST_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ def cut(
     edges: list[tuple[float, float]] = []
     for i, s in enumerate(log.spans):
         length = s.end_s - s.start_s
-        if length < SHORTEST_S:
+        if length < SHORTEST_SEGMENT_S:
             continue
         n = 1 if longest_s is None else max(1, int(np.ceil(length / longest_s - 1e-9)))
         since = length / n * np.arange(n + 1)

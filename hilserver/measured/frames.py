@@ -17,6 +17,7 @@ from hilserver.logs import Log
 from hilserver.measured.channels import DUTY_COMMANDS, SETPOINTS, TWIST
 from hilserver.measured.data import Array
 from hilserver.measured.names import is_input, known_signals
+from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
 from hilserver.signals import MEASURED
 
 TICK: Final = "sim.tick"
@@ -24,10 +25,6 @@ COMMAND: Final = "internal.command"
 POSE_REQUEST: Final = "internal.pose_request"
 MODE: Final = "control.mode"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
-FEWEST_RUNS: Final = 20
-"""Fewer different values do not tell how often a new one comes."""
-ENOUGH_ROWS: Final = 20_000
-"""The simulation's wheels show no noise that more rows would average."""
 BAD: Final = 0x8000_0000
 UNCERTAIN: Final = 0x4000_0000
 
@@ -218,7 +215,7 @@ def _first_of_each(values: Array) -> Array:
     """Return values that come from outside: each once, where it came, and as often as usual."""
     there = np.flatnonzero(np.isfinite(values))
     first = np.flatnonzero(np.diff(values[there], prepend=np.nan) != 0.0)
-    if len(first) < FEWEST_RUNS:
+    if len(first) < FEWEST_VALUES:
         return values
     length = np.diff(first, append=len(there))
     since = np.arange(len(there)) - np.repeat(first, length)

@@ -2,20 +2,12 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 
 from hilserver.measured.data import Array, Channel, MeasuredLog, Span
 from hilserver.measured.names import is_input
-
-PAUSE_S: Final = 3.0
-"""Shorter gaps are bridged: the wheels' loops are replayed from the set-points, ..."""
-USUAL_STEPS: Final = 20.0
-"""... and in slow recordings so many usual steps between two samples."""
-
-JUMP_S: Final = 1e5
-"""No pause but a clock that was set: what follows is counted on from there."""
+from hilserver.measured.thresholds import JUMP_S, PAUSE_S, USUAL_STEPS
 
 Edges = list[tuple[float, float]]
 

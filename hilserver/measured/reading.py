@@ -12,7 +12,6 @@ from hilserver.errors import LogError
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_endless
 from hilserver.measured.bag import is_bag, read_bag
-from hilserver.measured.clock import SHORTEST_S as SEGMENT_S
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, builtin_mappings, load_mapping
@@ -25,10 +24,12 @@ from hilserver.measured.tables import (
     read_own_parquet,
     refuse_foreign,
 )
-
-SHORTEST_S, LONGEST_S = 1.0, 28_800.0
-LATEST_S = 1e11
-"""Later stamps are none, and too coarse: seconds since 1970 are 1.8e9."""
+from hilserver.measured.thresholds import (
+    LATEST_S,
+    LONGEST_LOG_S,
+    SHORTEST_LOG_S,
+    SHORTEST_SEGMENT_S,
+)
 
 
 def read_measured(
@@ -71,15 +72,15 @@ def read_measured(
     pooled = without_jumps(cut_at_pauses(_pool(log, recordings)))
     longest_s = max(span.end_s - span.start_s for span in pooled.spans)
     total_s = sum(span.end_s - span.start_s for span in pooled.spans)
-    if total_s > LONGEST_S:
+    if total_s > LONGEST_LOG_S:
         raise LogError(
-            f"{paths[0]}: lasts {total_s:.6g} s; a diagnosis takes {LONGEST_S:g} s at most: cut a"
-            " part out, or correct the unit of its time"
+            f"{paths[0]}: lasts {total_s:.6g} s; a diagnosis takes {LONGEST_LOG_S:g} s at most: cut"
+            " a part out, or correct the unit of its time"
         )
-    if longest_s < SEGMENT_S:
+    if longest_s < SHORTEST_SEGMENT_S:
         raise LogError(
             f"{paths[0]}: the longest of {len(pooled.spans)} segments lasts {longest_s:.3g} s; a"
-            f" diagnosis needs {SEGMENT_S:g} s without a pause: number runs, not rows"
+            f" diagnosis needs {SHORTEST_SEGMENT_S:g} s without a pause: number runs, not rows"
         )
     return pooled
 
@@ -99,9 +100,9 @@ def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> 
             " seconds, or name the unit in a mapping, as time: {unit: ns}"
         )
     seconds = sum(span.end_s - span.start_s for span in _spans(recording, 0)[0])
-    if seconds < SHORTEST_S:
+    if seconds < SHORTEST_LOG_S:
         raise LogError(
-            f"{path}: holds only {seconds:.3g} s; a diagnosis needs at least {SHORTEST_S:g} s"
+            f"{path}: holds only {seconds:.3g} s; a diagnosis needs at least {SHORTEST_LOG_S:g} s"
         )
     return recording
 

@@ -1,24 +1,17 @@
 """The resolution of a channel: readings that are whole multiples of a step."""
 
-from typing import Final
-
 import numpy as np
 
 from hilserver.measured.data import Array
-
-FEWEST: Final = 100
-EXACT: Final = 0.02
-"""Share of a step that readings may lie beside whole multiples: files round, too."""
-OFTEN: Final = 0.5
-"""Different values by samples; where there are more, the step is far below the noise."""
+from hilserver.measured.thresholds import FEWEST_READINGS, STEP_EXACT, STEP_OFTEN
 
 
 def step_of(values: Array) -> tuple[float, float]:
     """Return the step that readings come in and one of them; (0, 0) where there is none."""
-    if len(values) < FEWEST:
+    if len(values) < FEWEST_READINGS:
         return 0.0, 0.0
     different = np.unique(values)
-    if len(different) < 3 or len(different) > OFTEN * len(values):
+    if len(different) < 3 or len(different) > STEP_OFTEN * len(values):
         return 0.0, 0.0
     gaps = np.diff(different)
     gaps = gaps[gaps > 1e-9 * np.abs(different).max()]
@@ -32,4 +25,4 @@ def step_of(values: Array) -> tuple[float, float]:
         if not step > 0.0:
             return 0.0, 0.0
     beside = np.abs(different - origin - step * np.rint((different - origin) / step))
-    return (step, float(origin)) if beside.max() < EXACT * step else (0.0, 0.0)
+    return (step, float(origin)) if beside.max() < STEP_EXACT * step else (0.0, 0.0)

@@ -17,8 +17,7 @@ from hilserver.measured.mapping import PER_SECOND, ColumnMap, LogMapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.parquet import read_parquet
 from hilserver.measured.proposal import ForeignTable
-
-_ABSURD = 1e12
+from hilserver.measured.thresholds import ABSURD
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
 
 def refuse_absurd(values: Array, name: str, where: Callable[[int, str], str]) -> None:
     """Refuse infinite and impossibly large values; `where` names the place of a row and `name`."""
-    wrong = np.flatnonzero(np.abs(values) > _ABSURD)
+    wrong = np.flatnonzero(np.abs(values) > ABSURD)
     if wrong.size:
         row = int(wrong[0])
         raise LogError(

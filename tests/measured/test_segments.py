@@ -6,7 +6,8 @@ import pytest
 from hypothesis import strategies as st
 
 from hilserver.diagnosis.replay.stack import make_stack
-from hilserver.measured.clock import SHORTEST_S, cut
+from hilserver.measured.clock import cut
+from hilserver.measured.thresholds import SHORTEST_SEGMENT_S
 from tests.diagnosis.toy import PERIOD_S, SIGNAL, measured_log
 
 SPANS = st.lists(st.integers(2, 2500), min_size=1, max_size=8)
@@ -27,7 +28,7 @@ def stack_of(log, *, longest_s=10.0, block_s=3.0, **options):
 def test_segments_cover_their_spans_and_are_no_longer_than_asked(lengths, longest_s):
     log = log_of(lengths)
     segments = cut(log, PERIOD_S, longest_s)
-    usable = [s for s in log.spans if s.end_s - s.start_s >= SHORTEST_S]
+    usable = [s for s in log.spans if s.end_s - s.start_s >= SHORTEST_SEGMENT_S]
     assert sorted(set(segments.span)) == [i for i, s in enumerate(log.spans) if s in usable]
     for i in set(segments.span):
         mine = np.flatnonzero(segments.span == i)
@@ -52,7 +53,7 @@ def test_every_sample_is_in_one_block_of_its_segment(lengths, longest_s, block_s
     segments = cut(log, PERIOD_S, longest_s)
     hypothesis.assume(len(segments) > 0)
     stack = make_stack(log, [SIGNAL], segments, block_s=block_s)
-    kept = [n for n in lengths if (n - 1) * PERIOD_S >= SHORTEST_S - 1e-9]
+    kept = [n for n in lengths if (n - 1) * PERIOD_S >= SHORTEST_SEGMENT_S - 1e-9]
     assert len(stack) == sum(kept)
     assert np.all((stack.block >= 0) & (stack.block < stack.n_blocks))
     assert len(stack.fold) == stack.n_blocks

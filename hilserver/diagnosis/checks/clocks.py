@@ -12,20 +12,21 @@ import numpy as np
 from hilserver.diagnosis.checks.motion import RAD_S_PER_RPM
 from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    CLOCK_ALIKE_S,
+    CLOCK_BASELINE_S,
+    CLOCK_CHUNK_S,
+    CLOCK_FEWEST_CHUNKS,
+    CLOCK_LARGEST_S,
+    CLOCK_LEAST_S,
+    CLOCK_SIGMAS,
+    CLOCK_SLOWEST_WHEELS_S,
+)
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-LARGEST_S = 1.0
 GRID_S = 0.02
-CHUNK_S = 30.0
-FEWEST_CHUNKS = 6
-LEAST_S = 0.06
-SIGMAS = 6.0
-BASELINE_S = 1.0
-ALIKE_S = 0.03
-SLOWEST_WHEELS_S = 0.06
-"""Between slower samples the wheels do too much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,18 +53,19 @@ class Lag:
     @property
     def is_early(self) -> bool:
         """Whether the source clearly tells before it happens."""
-        return self.offset_s < -max(LEAST_S, SIGMAS * self.offset_sd_s)
+        return self.offset_s < -max(CLOCK_LEAST_S, CLOCK_SIGMAS * self.offset_sd_s)
 
     @property
     def is_off(self) -> bool:
         """Whether there clearly is a delay of either sign."""
-        return abs(self.offset_s) > max(LEAST_S, SIGMAS * self.offset_sd_s)
+        return abs(self.offset_s) > max(CLOCK_LEAST_S, CLOCK_SIGMAS * self.offset_sd_s)
 
     @property
     def drifts(self) -> bool:
         """Whether the delay clearly grows."""
         return (
-            abs(self.drift) > SIGMAS * self.drift_sd and abs(self.drift) * self.length_s > LEAST_S
+            abs(self.drift) > CLOCK_SIGMAS * self.drift_sd
+            and abs(self.drift) * self.length_s > CLOCK_LEAST_S
         )
 
 
@@ -100,7 +102,7 @@ def _judge(lags: list[Lag]) -> tuple[str, Lag] | None:
     best = min(lags, key=lambda lag: lag.offset_sd_s)
     if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
         return "clock_drift", best
-    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], ALIKE_S):
+    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], CLOCK_ALIKE_S):
         return None
     together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
     return ("clock_offset", best) if best.is_early or (best.is_off and together) else None
@@ -140,7 +142,7 @@ def _wheel_motion(log: MeasuredLog) -> Motion | None:
     if not log.has(*names):
         return None
     left = log[names[0]]
-    if row_period_s(left) > SLOWEST_WHEELS_S:
+    if row_period_s(left) > CLOCK_SLOWEST_WHEELS_S:
         return None
     right = _at(left, log[names[1]], log[names[1]].values)
     forward = left.with_values((left.values - right) * RAD_S_PER_RPM)
@@ -185,10 +187,10 @@ def _lag(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | None:
     if len(t_path) < 100 or len(t_rate) < 100:
         return None
     s_path = np.unwrap(s_path) if is_angle else s_path
-    begin = max(t_path[0], t_rate[0]) + LARGEST_S
-    end = min(t_path[-1], t_rate[-1]) - LARGEST_S
-    n = int((end - begin) / CHUNK_S)
-    if n < FEWEST_CHUNKS:
+    begin = max(t_path[0], t_rate[0]) + CLOCK_LARGEST_S
+    end = min(t_path[-1], t_rate[-1]) - CLOCK_LARGEST_S
+    n = int((end - begin) / CLOCK_CHUNK_S)
+    if n < CLOCK_FEWEST_CHUNKS:
         return None
     borders = np.linspace(begin, end, n + 1)
     delays = np.array(
@@ -196,7 +198,7 @@ def _lag(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | None:
     )
     middle = (borders[:-1] + borders[1:]) / 2.0
     good = np.isfinite(delays)
-    if good.sum() < FEWEST_CHUNKS:
+    if good.sum() < CLOCK_FEWEST_CHUNKS:
         return None
     return _line_through(middle[good], delays[good], float(end - begin))
 
@@ -208,7 +210,7 @@ def _line_through(t: Array, delay: Array, length_s: float) -> Lag | None:
         slope, at_zero = np.polyfit(t[keep], delay[keep], 1)
         error = np.abs(delay - slope * t - at_zero)
         keep = error <= max(4.0 * float(np.median(error)), 0.02)
-    if keep.sum() < FEWEST_CHUNKS:
+    if keep.sum() < CLOCK_FEWEST_CHUNKS:
         return None
     slope, at_zero = np.polyfit(t[keep], delay[keep], 1)
     error = delay[keep] - slope * t[keep] - at_zero
@@ -225,12 +227,12 @@ def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: 
     times = t[first:last]
     if len(times) < 50:
         return float("nan")
-    way = s[first:last] - np.interp(times - BASELINE_S, t, s)
-    tries = np.arange(-LARGEST_S, LARGEST_S + GRID_S / 2, GRID_S)
+    way = s[first:last] - np.interp(times - CLOCK_BASELINE_S, t, s)
+    tries = np.arange(-CLOCK_LARGEST_S, CLOCK_LARGEST_S + GRID_S / 2, GRID_S)
     left = np.empty(len(tries))
     for index, delay in enumerate(tries):
         at = times - delay
-        other = np.interp(at, t_rate, s_rate) - np.interp(at - BASELINE_S, t_rate, s_rate)
+        other = np.interp(at, t_rate, s_rate) - np.interp(at - CLOCK_BASELINE_S, t_rate, s_rate)
         left[index] = _unexplained(way, other)
     best = int(np.argmin(left))
     if not 0 < best < len(tries) - 1 or left[best] > 0.5:

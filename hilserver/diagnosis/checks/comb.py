@@ -9,20 +9,23 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.thresholds import (
+    COMB_ALIKE,
+    COMB_CLEAR,
+    COMB_FEW,
+    COMB_FEWEST,
+    COMB_LARGEST_STEP_RPM,
+    COMB_LEAST_STEP_RPM,
+    COMB_MOST,
+    COMB_NOTICEABLE,
+    COMB_TIMES,
+)
+
 Array = NDArray[np.float64]
 
-MOST = 8
-FEWEST = 500
-NOTICEABLE = 0.02
 PADDED = 4
-CLEAR, TIMES = 0.05, 5.0
-"""Least coefficient of a rounded quantity, and by how much it exceeds that of a smooth one."""
-LEAST_STEP_RPM, LARGEST_STEP_RPM = 0.2, 6.0
 SAMPLES = 6_000
 REACH = 8
-FEW = 100
-ALIKE = 0.5
-"""Share of its coefficient that a step must have on the way from one speed to another."""
 
 
 def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
@@ -37,8 +40,10 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
     for step in _suspects(channels, smooth):
         pairs = [lattice(v, s, step) for v, s in zip(channels, smooth, strict=True)]
         rounded, follows = (float(np.mean(part)) for part in zip(*pairs, strict=True))
-        clear = rounded > max(CLEAR, TIMES * follows) and (best is None or rounded > best[0])
-        if clear and on_the_way(channels, step) > ALIKE * rounded:
+        clear = rounded > max(COMB_CLEAR, COMB_TIMES * follows) and (
+            best is None or rounded > best[0]
+        )
+        if clear and on_the_way(channels, step) > COMB_ALIKE * rounded:
             best = (rounded, step)
     return None if best is None else best[1]
 
@@ -48,12 +53,12 @@ def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]
     thinned = [
         (v[:: max(1, len(v) // SAMPLES)], s[:: max(1, len(v) // SAMPLES)])
         for v, s in zip(channels, smooth, strict=True)
-        if len(v) >= FEWEST
+        if len(v) >= COMB_FEWEST
     ]
     if not thinned:
         return []
     low, high = min(v.min() for v, _ in thinned), max(v.max() for v, _ in thinned)
-    width = LEAST_STEP_RPM / 8.0
+    width = COMB_LEAST_STEP_RPM / 8.0
     if not width < high - low < 1e6 * width:
         return []
     edges = np.arange(low, high + 2.0 * width, width)
@@ -63,10 +68,10 @@ def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]
         noise = 1.4826 * float(np.median(np.abs(v - s)))
         faded = np.exp(-2.0 * (np.pi * noise * frequency) ** 2)
         line += (_spectrum(v, edges) - faded * _spectrum(s, edges)) / len(thinned)
-    inside = (frequency >= 1.0 / LARGEST_STEP_RPM) & (frequency <= 1.0 / LEAST_STEP_RPM)
+    inside = (frequency >= 1.0 / COMB_LARGEST_STEP_RPM) & (frequency <= 1.0 / COMB_LEAST_STEP_RPM)
     line = np.where(inside, line, 0.0)
     found: list[float] = []
-    while len(found) < MOST and line.max(initial=0.0) > NOTICEABLE:
+    while len(found) < COMB_MOST and line.max(initial=0.0) > COMB_NOTICEABLE:
         peak = int(line.argmax())
         values = [v for v, _ in thinned]
         found.append(1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1])))
@@ -113,7 +118,7 @@ def on_the_way(channels: Sequence[Array], step: float) -> float:
         one_way = (np.minimum(before, after) > step) | (np.maximum(before, after) < -step)
         passing.append(here[one_way])
     found = np.concatenate(passing)
-    return float(np.cos(2.0 * np.pi / step * found).mean()) if len(found) > FEW else 0.0
+    return float(np.cos(2.0 * np.pi / step * found).mean()) if len(found) > COMB_FEW else 0.0
 
 
 def _sharpened(values: list[Array], frequency: float, width: float) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import along
+from hilserver.diagnosis.thresholds import FRAME_MOVED_RAD_S, FRAME_STANDS, FRAME_TURNED_RAD_S
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
@@ -14,11 +15,6 @@ from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
-TURNED_RAD_S, STANDS = 0.1, 0.05
-"""Turn rate that the wheels must have asked for, and the share of it that is no turn at all."""
-MOVED_RAD_S = 0.02
-"""Turn rate that is more than the noise of wheel speeds."""
-
 
 def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
     """Return whether the machine did not turn although its wheels did: it stood on a frame.
@@ -26,15 +22,15 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
     Its kinematics cannot be judged then: they would all be wrong by the same whole.
     """
     turn = asked_turn(log, robot)
-    if turn is None or not _turning(turn, TURNED_RAD_S):
+    if turn is None or not _turning(turn, FRAME_TURNED_RAD_S):
         return False
-    return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < STANDS
+    return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < FRAME_STANDS
 
 
 def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
     """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
     turn = asked_turn(log, robot)
-    return turn is not None and not log.has(*POSITION) and not _turning(turn, MOVED_RAD_S)
+    return turn is not None and not log.has(*POSITION) and not _turning(turn, FRAME_MOVED_RAD_S)
 
 
 def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:

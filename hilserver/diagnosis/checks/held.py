@@ -19,15 +19,16 @@ from hilserver.diagnosis.checks.support import (
     subset,
 )
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    HELD_FEWEST_RUNS,
+    HELD_QUANTA,
+    HELD_SHARE,
+    HELD_SLOWEST_HZ,
+    HELD_SPREAD,
+)
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-
-FEWEST_RUNS = 20
-SLOWEST_HZ = 1.5
-QUANTA = 4.0
-HELD_SHARE = 0.8
-SPREAD = 3.0
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -82,21 +83,21 @@ def _rate(channel: Channel, runs: Runs, changes: Array) -> tuple[float, float] |
     """Return the rate of the slower clock and its standard error; None if nothing is held."""
     steps = np.abs(np.diff(channel.values))[np.diff(channel.span) == 0]
     moving = steps[steps > 0]
-    if len(moving) < FEWEST_RUNS:
+    if len(moving) < HELD_FEWEST_RUNS:
         return None
-    real = max(QUANTA * resolution(channel.values), 0.2 * float(np.median(moving)))
+    real = max(HELD_QUANTA * resolution(channel.values), 0.2 * float(np.median(moving)))
     full = (runs.before >= real) & (runs.after >= real) & np.isfinite(runs.duration_s)
-    if full.sum() < FEWEST_RUNS:
+    if full.sum() < HELD_FEWEST_RUNS:
         return None
     length, duration = runs.length[full], runs.duration_s[full]
     if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first[full], changes):
         return None
     low, middle, high = np.quantile(length, [0.1, 0.5, 0.9])
-    if high > SPREAD * max(low, 1.0) or middle < 2:
+    if high > HELD_SPREAD * max(low, 1.0) or middle < 2:
         return None
     usual = duration[(length > 0.5 * middle) & (length < 1.6 * middle)]
     rate_hz = 1.0 / float(usual.mean())
-    if rate_hz < SLOWEST_HZ or rate_hz * row_period_s(channel) > 0.67:
+    if rate_hz < HELD_SLOWEST_HZ or rate_hz * row_period_s(channel) > 0.67:
         return None
     return rate_hz, rate_hz**2 * float(usual.std()) / np.sqrt(len(usual))
 

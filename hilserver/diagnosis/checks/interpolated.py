@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import data_fault, row_period_s, subset
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    RAMP_FEWEST_PIECES,
+    RAMP_ON_THE_CLOCK,
+    RAMP_SAME_SLOPE,
+    RAMP_SLOWEST_S,
+)
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-
-SLOWEST_S = 0.5
-FEWEST_PIECES = 15
-ON_THE_CLOCK = 0.9
-SAME_SLOPE = 0.02
 
 Ints = NDArray[np.int64]
 
@@ -57,8 +58,8 @@ def _pieces(channel: Channel) -> tuple[Ints, NDArray[np.float64]]:
     slope = np.where(inside, np.diff(channel.values) / np.where(inside, dt, 1.0), np.nan)
     size = np.maximum(np.abs(slope[1:]), np.abs(slope[:-1]))
     moving = np.abs(slope[np.nan_to_num(slope) != 0])
-    least = SAME_SLOPE * float(np.median(moving)) if len(moving) else 0.0
-    bends = ~(np.abs(np.diff(slope)) <= SAME_SLOPE * size + 0.1 * least)
+    least = RAMP_SAME_SLOPE * float(np.median(moving)) if len(moving) else 0.0
+    bends = ~(np.abs(np.diff(slope)) <= RAMP_SAME_SLOPE * size + 0.1 * least)
     first = np.concatenate(([0], np.flatnonzero(bends) + 1))
     return first, slope[first]
 
@@ -74,14 +75,14 @@ def _period_rows(channel: Channel) -> tuple[int, Ints] | None:
     whole[1:] &= whole[:-1]  # the first piece of a span begins anywhere
     whole[:-1] &= np.isfinite(slope[1:])
     sloped = whole & (slope != 0)
-    if sloped.sum() < FEWEST_PIECES:
+    if sloped.sum() < RAMP_FEWEST_PIECES:
         return None
     lengths, counts = np.unique(length[sloped], return_counts=True)
     rows = int(lengths[np.argmax(counts)])
-    if rows < 2 or rows * row_s > SLOWEST_S or counts.max() < FEWEST_PIECES:
+    if rows < 2 or rows * row_s > RAMP_SLOWEST_S or counts.max() < RAMP_FEWEST_PIECES:
         return None
     multiple = np.mean(length[sloped] % rows == 0)
-    if multiple < ON_THE_CLOCK or counts.max() < 0.3 * sloped.sum():
+    if multiple < RAMP_ON_THE_CLOCK or counts.max() < 0.3 * sloped.sum():
         return None
     return rows, first[sloped]
 

@@ -1,23 +1,16 @@
 """Limited channels: readings that stand at one value while the robot goes beyond it."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from hilserver.diagnosis.checks.frame import asked_turn
 from hilserver.diagnosis.checks.support import data_fault
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import LIMITED_BEYOND, LIMITED_FEWEST, LIMITED_INSIDE
 from hilserver.measured.channels import DUTIES, GYRO
 from hilserver.measured.data import Array, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
-
-FEWEST: Final = 10
-"""Readings at the limit; fewer bend nothing."""
-INSIDE: Final = 0.9
-"""Share of the limit up to which readings follow the turn."""
-BEYOND: Final = 0.05
-"""Share of the limit by which the turn exceeds it on average, where there is one."""
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -44,14 +37,14 @@ def _ends_at(values: Array, most: float) -> bool:
 
 def _limit(values: Array, asked: Array | None) -> float | None:
     """Return the largest reading if the turn that was asked for goes on beyond it."""
-    if asked is None or len(values) < FEWEST:
+    if asked is None or len(values) < LIMITED_FEWEST:
         return None
     limit = float(np.abs(values).max())
     at = np.abs(values) >= limit * (1.0 - 1e-9)
-    inside = np.abs(values) < INSIDE * limit
+    inside = np.abs(values) < LIMITED_INSIDE * limit
     power = float(asked[inside] @ asked[inside])
-    if at.sum() < FEWEST or power == 0.0:
+    if at.sum() < LIMITED_FEWEST or power == 0.0:
         return None
     ratio = float(asked[inside] @ values[inside]) / power
     beyond = np.sign(values[at]) * ratio * asked[at] / limit - 1.0
-    return limit if float(np.median(beyond)) > BEYOND else None
+    return limit if float(np.median(beyond)) > LIMITED_BEYOND else None

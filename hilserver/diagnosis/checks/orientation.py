@@ -21,16 +21,17 @@ from hilserver.diagnosis.checks.motion import (
 )
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    LARGEST_SKEW_RAD,
+    SIGN_FEWEST_WINDOWS,
+    SIGN_SLOWEST_RAD_S,
+    SIGN_SURE,
+)
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 
 MIRROR = dict(zip(WHEELS, RIGHT_WHEELS + LEFT_WHEELS, strict=True))
-SURE = 0.7
-"""Least correlation at which a sign is believed."""
-SLOWEST_M_S, SLOWEST_RAD_S = 0.02, 0.03
-FEWEST_WINDOWS = 15
-LARGEST_SKEW_RAD = 0.3
 Found = tuple[MeasuredLog, list[Finding]]
 
 
@@ -98,7 +99,7 @@ def _wheels_by_setpoints(log: MeasuredLog, _robot: RobotParameters) -> Found:
 def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | None:
     """Return a, b of y = a own + b other; None if it does not fit or the two are too alike."""
     good = finite(y, own, other)
-    if good.sum() < FEWEST_WINDOWS:
+    if good.sum() < SIGN_FEWEST_WINDOWS:
         return None
     x = np.stack([own[good], other[good]], axis=1)
     y = y[good]
@@ -107,7 +108,7 @@ def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | No
         return _one_weight(y, x, size)
     solution = np.linalg.lstsq(x, y, rcond=None)[0]
     left = float(((y - x @ solution) ** 2).sum() / max((y**2).sum(), 1e-300))
-    return (float(solution[0]), float(solution[1])) if left < 1 - SURE**2 else None
+    return (float(solution[0]), float(solution[1])) if left < 1 - SIGN_SURE**2 else None
 
 
 def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
@@ -115,7 +116,7 @@ def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
     if not size[0]:
         return None
     found = line(y, x[:, 0])
-    if found is None or abs(found.correlation) < SURE:
+    if found is None or abs(found.correlation) < SIGN_SURE:
         return None
     mirrored = float((x[:, 0] * x[:, 1]).sum())
     return (found.slope, 0.0) if mirrored < 0 else None
@@ -152,16 +153,16 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     Twice the angles, so that driving backwards counts the same.
     """
     found = _course(log)
-    if found is None or len(found[0]) < FEWEST_WINDOWS:
+    if found is None or len(found[0]) < SIGN_FEWEST_WINDOWS:
         return log, []
     course, yaw, speed = found
     alike = _resultant(2.0 * (course - yaw), speed)
     mirrored = _resultant(2.0 * (course + yaw), speed)
-    if mirrored < SURE or mirrored < alike + 0.3:
+    if mirrored < SIGN_SURE or mirrored < alike + 0.3:
         return log, []
     rate = rate_in(log["nav.yaw_rad"], windows_of(log))
-    others = [line(rate, other, SLOWEST_RAD_S) for other in _other_rates(log, robot)]
-    votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SURE]
+    others = [line(rate, other, SIGN_SLOWEST_RAD_S) for other in _other_rates(log, robot)]
+    votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SIGN_SURE]
     if sum(votes) > 0:
         text = "the tag's y axis points right: its course turns against its heading"
         return _flipped(log, ["nav.y_m"], mirrored, text)
@@ -227,7 +228,7 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
 def _is_aligned(log: MeasuredLog) -> bool:
     """Return whether the heading lies along the course, forward or backward."""
     found = _course(log)
-    if found is None or len(found[0]) < FEWEST_WINDOWS:
+    if found is None or len(found[0]) < SIGN_FEWEST_WINDOWS:
         return False
     course, yaw, speed = found
     return bool(abs(np.angle((speed * np.exp(2j * (course - yaw))).sum())) < 2.0 * LARGEST_SKEW_RAD)
@@ -268,5 +269,5 @@ def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
 
 def _against(rate: Array | None, other: Array | None) -> bool:
     """Return whether two turn rates clearly have opposite signs."""
-    found: Line | None = line(rate, other, SLOWEST_RAD_S)
-    return found is not None and found.n >= FEWEST_WINDOWS and found.correlation < -SURE
+    found: Line | None = line(rate, other, SIGN_SLOWEST_RAD_S)
+    return found is not None and found.n >= SIGN_FEWEST_WINDOWS and found.correlation < -SIGN_SURE

@@ -14,16 +14,15 @@ from hilserver.diagnosis.checks.support import (
     subset,
 )
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    FEWEST_BURSTS,
+    MISSING_IN_BURSTS,
+    MISSING_ROWS,
+    MISSING_SLOWEST_S,
+    SHORTEST_BURST,
+)
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
-
-SHORTEST_BURST = 4
-FEWEST_BURSTS = 3
-MISSING_ROWS = 0.05
-"""Single rows go missing in sound logs, too."""
-MISSING_IN_BURSTS = 0.02
-SLOWEST_S = 0.22
-"""Slower channels keep no steady clock of which one could say that a sample is missing."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -105,7 +104,7 @@ def _missing(channel: Channel, fewest: int) -> float:
         return 0.0
     means = np.convolve(steps, np.ones(20) / 20, mode="valid")
     period_s = float(np.quantile(means, 0.3))
-    if not 0 < period_s < SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
+    if not 0 < period_s < MISSING_SLOWEST_S or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7:
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
     lost[lost < fewest] = 0

@@ -16,16 +16,17 @@ from hilserver.diagnosis.checks.support import (
     subset,
 )
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    SPARSE_BETTER,
+    SPARSE_FEWEST_ROWS,
+    SPARSE_FEWEST_RUNS,
+    SPARSE_MULTIPLE,
+    SPARSE_SHORTER_SHARE,
+    SPARSE_USUAL_SHARE,
+)
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-
-FEWEST_ROWS = 3
-"""Between faster set-points the stamps of the rows themselves are too coarse."""
-BETTER = 0.7
-FEWEST_RUNS = 20
-USUAL_SHARE, SHORTER_SHARE = 0.2, 0.05
-MULTIPLE = 12.0
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -51,15 +52,15 @@ def _rate(channel: Channel) -> tuple[float, float] | None:
     """Return the rate of the slower clock and its standard error; None where there is none."""
     lasted = runs_of(channel).duration_s
     lasted = lasted[np.isfinite(lasted)]
-    if len(lasted) < FEWEST_RUNS:
+    if len(lasted) < SPARSE_FEWEST_RUNS:
         return None
-    period_s = float(np.quantile(lasted, 0.5 * USUAL_SHARE))
+    period_s = float(np.quantile(lasted, 0.5 * SPARSE_USUAL_SHARE))
     usual = lasted[np.abs(lasted - period_s) < 0.3 * period_s]
-    if len(usual) < max(FEWEST_RUNS, USUAL_SHARE * len(lasted)):
+    if len(usual) < max(SPARSE_FEWEST_RUNS, SPARSE_USUAL_SHARE * len(lasted)):
         return None
-    if np.mean(lasted < 0.7 * period_s) > SHORTER_SHARE:
+    if np.mean(lasted < 0.7 * period_s) > SPARSE_SHORTER_SHARE:
         return None
-    some = lasted[lasted < MULTIPLE * period_s]
+    some = lasted[lasted < SPARSE_MULTIPLE * period_s]
     periods = np.rint(some / float(np.median(usual)))
     period_s = float(some.sum() / periods.sum())
     sd = float((some - periods * period_s).std()) * np.sqrt(len(some)) / float(periods.sum())
@@ -85,14 +86,16 @@ def _lines(channel: Channel, period_s: float) -> Channel:
 def _knew(channel: Channel, lines: Channel, speed: Channel, period_s: float) -> bool:
     """Return whether a speed follows the lines, and sooner than the held set-points allow."""
     row_s = row_period_s(channel)
-    if period_s < (FEWEST_ROWS - 0.5) * row_s:
+    if period_s < (SPARSE_FEWEST_ROWS - 0.5) * row_s:
         return False
     lags = np.arange(-1.0, 1.51, 0.05) * period_s
     by_lines = _misfit(lines, speed, lags)
     by_stairs = _misfit(channel, speed, lags, held=True)
     best = int(np.argmin(by_lines))
     soon = lags[best] + 0.75 * row_s < 0.5 * period_s
-    return bool(soon and lags[best] > -0.5 * period_s and by_lines[best] < BETTER * by_stairs.min())
+    return bool(
+        soon and lags[best] > -0.5 * period_s and by_lines[best] < SPARSE_BETTER * by_stairs.min()
+    )
 
 
 def _misfit(inputs: Channel, speed: Channel, lags: Array, *, held: bool = False) -> Array:

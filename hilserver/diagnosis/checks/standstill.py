@@ -6,11 +6,10 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.schema.findings import Detectable, Finding, NotJudged, Verdict
+from hilserver.diagnosis.thresholds import STILL_RPM
 from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import MeasuredLog
 
-STILL_RPM: Final = 1.0
-"""A wheel below is at rest but for its noise."""
 SHOWN_AT_REST: Final = frozenset({"gyro_bias"})
 
 

@@ -7,12 +7,11 @@ import numpy as np
 
 from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import STUCK_FEWEST, STUCK_MOVED_RPM
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-FEWEST: Final = 100
-MOVED_RPM: Final = 5.0
 AXES: Final = {"nav.x_m": "nav.y_m", "nav.y_m": "nav.x_m"}
 TURNS: Final = ("nav.yaw_rad", "imu.gyro_z_rad_s")
 
@@ -38,13 +37,13 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
 
 
 def _is_constant(channel: Channel) -> bool:
-    return len(channel) >= FEWEST and float(np.ptp(channel.values)) == 0.0
+    return len(channel) >= STUCK_FEWEST and float(np.ptp(channel.values)) == 0.0
 
 
 def _is_noisy(channel: Channel) -> bool:
     """Return whether a channel goes up and down from row to row."""
     steps = np.diff(channel.values)
-    return len(steps) >= FEWEST and alternates(steps)
+    return len(steps) >= STUCK_FEWEST and alternates(steps)
 
 
 def _should_change(log: MeasuredLog, name: str) -> bool:
@@ -52,12 +51,12 @@ def _should_change(log: MeasuredLog, name: str) -> bool:
     if name in AXES:
         other = log.channels.get(AXES[name])
         known = other is not None and (_is_noisy(other) or _is_constant(other))
-        return known and any(_range(log, wheel) > MOVED_RPM for wheel in WHEELS)
+        return known and any(_range(log, wheel) > STUCK_MOVED_RPM for wheel in WHEELS)
     if name in TURNS:
-        return max(_range(log, "fl", "fr"), _range(log, "rl", "rr")) > MOVED_RPM
+        return max(_range(log, "fl", "fr"), _range(log, "rl", "rr")) > STUCK_MOVED_RPM
     _, _, wheel_part = name.partition("wheel.")
     wheel, _, quantity = wheel_part.partition(".")
-    return quantity in ("speed_rpm", "duty_pct") and _range(log, wheel) > MOVED_RPM
+    return quantity in ("speed_rpm", "duty_pct") and _range(log, wheel) > STUCK_MOVED_RPM
 
 
 def _range(log: MeasuredLog, *wheels: str) -> float:

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.schema.findings import Finding, Interval, Parameter, Verdict
+from hilserver.diagnosis.thresholds import ALTERNATING
 from hilserver.measured.data import Array, Channel
 from hilserver.measured.names import is_input
 
-ALTERNATING = 0.35
-"""Share of steps against the one before, in a channel with noise of its own."""
 SPAN_S = 1e6
 """Longer than any span; tells the stamps of two spans apart."""
 

@@ -1,24 +1,21 @@
 """Set-points above the configured top speed: the plant scales them down, the machine may not."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import TOO_FAST_ROUNDED
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-
-ROUNDED: Final = 1.01
-"""Times max_rpm that a set-point may show where it was only rounded."""
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Tell of set-points that the replay scales down; the log is left as it is."""
     names = [name for wheel in WHEELS if (name := f"wheel.{wheel}.setpoint_rpm") in log]
     fastest = {name: float(np.abs(log[name].values).max(initial=0.0)) for name in names}
-    slow = max(fastest.values(), default=0.0) <= ROUNDED * robot.max_rpm
+    slow = max(fastest.values(), default=0.0) <= TOO_FAST_ROUNDED * robot.max_rpm
     if slow or not log.drive_is_known:
         return log, []
     name = max(fastest, key=lambda one: fastest[one])

@@ -15,6 +15,7 @@ from hilserver.diagnosis.checks.motion import (
 )
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
 from hilserver.measured.data import Array, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -39,10 +40,6 @@ LENGTH = {
     1e-3: "is a thousand times too small",
 }
 SHARE = {0.01: "holds a share of 1 where per cent is meant"}
-UNITY = 4.0
-"""A real effect changes a channel less than by this factor."""
-ALIKE = 0.8
-CLOSE = 1.6
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -63,9 +60,11 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 Fault = tuple[float, Line, str]
 
 
-def _known(ratio: Line | None, factors: dict[float, str], close: float = CLOSE) -> Fault | None:
+def _known(
+    ratio: Line | None, factors: dict[float, str], close: float = UNIT_CLOSE
+) -> Fault | None:
     """Return the factor of a unit that a ratio is near to, None if it is none."""
-    if ratio is None or abs(ratio.correlation) < ALIKE or 1 / UNITY < abs(ratio.slope) < UNITY:
+    if ratio is None or abs(ratio.correlation) < UNIT_ALIKE or 1 / UNITY < abs(ratio.slope) < UNITY:
         return None
     size = abs(ratio.slope)
     factor = min(factors, key=lambda f: abs(float(np.log(size / f))))

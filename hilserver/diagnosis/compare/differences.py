@@ -12,12 +12,9 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, score
 from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.diagnosis.thresholds import BEYOND_SD, COMPARE_INEXACT
 
 Array = NDArray[np.float64]
-
-BEYOND, INEXACT = 5.0, 0.2
-"""Errors, and share of the difference, by which a value may lie beyond what is possible: it is
-linear, and the effect need not be."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +52,9 @@ class Difference:
         if not c.linear:
             return True
         low, high = min(c.low) - min(c.null), max(c.high) - max(c.null)
-        share = INEXACT * abs(self.values[1] - self.values[0])
+        share = COMPARE_INEXACT * abs(self.values[1] - self.values[0])
         return all(
-            low - share - BEYOND * error <= value <= high + share + BEYOND * error
+            low - share - BEYOND_SD * error <= value <= high + share + BEYOND_SD * error
             for value, error in zip(self.values, self.errors, strict=True)
         )
 

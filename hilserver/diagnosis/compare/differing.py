@@ -8,16 +8,14 @@ from scipy import stats
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.compare.differences import Difference
-from hilserver.diagnosis.decide.identifiability import GROUP_COSINE, rivals
-from hilserver.diagnosis.decide.trial import TIE
+from hilserver.diagnosis.decide.identifiability import rivals
 from hilserver.diagnosis.findings.explain import separating_experiment
 from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Parameter, Verdict
-
-LEVEL = 0.01
+from hilserver.diagnosis.thresholds import COMPARE_LEVEL, GROUP_COSINE, TIE
 
 
 def difference_findings(
@@ -34,7 +32,7 @@ def difference_findings(
     for stage, p in prepared.items():
         mine = sorted(
             (d for d in differences
-             if d.stage == stage and d.p < LEVEL and d.is_worth_a_name and d.is_possible),
+             if d.stage == stage and d.p < COMPARE_LEVEL and d.is_worth_a_name and d.is_possible),
             key=lambda d: -d.gain,
         )  # fmt: skip
         if not mine:
@@ -114,7 +112,7 @@ def smallest_differences(differences: Sequence[Difference], count: int) -> tuple
     """Return, by cause, the smallest difference that `count` judged ones would have shown."""
     sizes: dict[str, Detectable] = {}
     for d in differences:
-        aim = float(stats.t.ppf(1.0 - 0.5 * LEVEL / count, max(d.dof, 1.0))) + 0.95
+        aim = float(stats.t.ppf(1.0 - 0.5 * COMPARE_LEVEL / count, max(d.dof, 1.0))) + 0.95
         size = max(aim * float(np.hypot(*d.errors)), d.candidate.least)
         cause = d.candidate.cause
         if cause not in sizes or size < sizes[cause].size:

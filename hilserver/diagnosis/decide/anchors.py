@@ -11,32 +11,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.decide.structure import (
-    INEXACT,
-    LEAST_SHARE,
-    Unknown,
-    alone,
-    holds_out,
-    joint_gain,
-)
-from hilserver.diagnosis.decide.trial import LEAST_SAVED, TIE, cost
+from hilserver.diagnosis.decide.structure import Unknown, alone, holds_out, joint_gain
+from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import RANGING, anchor_fields
-from hilserver.diagnosis.regression import screen
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.thresholds import (
+    ANCHOR_LEAST_GAIN,
+    ANCHOR_LEAST_T,
+    ANCHOR_LEVEL,
+    INEXACT,
+    LEAST_USEFUL,
+    SCREEN_LEVEL,
+    SELECTION_LEAST_SAVED,
+    TIE,
+)
 from hilserver.measured.channels import POSITION
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.0005
-"""Family-wise over the anchors, beside the levels of the screen and of unknown structure."""
-LEAST_T = 3.4
-"""Below it no p is as small as `LEVEL`."""
-LEAST_GAIN = 20.0
-"""Deviance that an anchor must save."""
 SIDES = ("low x and low y", "high x and low y", "high x and high y", "low x and high y")
 
 
@@ -127,16 +123,20 @@ def anchor_off(
     best = int(np.argmax(scores.gain))
     t, gain = abs(float(scores.t[best])), float(scores.gain[best])
     positions = sum(e.stop - e.start for n, e in stack.edges.items() if n in POSITION)
-    if t < LEAST_T or gain < max(LEAST_GAIN, LEAST_SHARE * positions, INEXACT * explained):
+    if t < ANCHOR_LEAST_T or gain < max(
+        ANCHOR_LEAST_GAIN, LEAST_USEFUL * positions, INEXACT * explained
+    ):
         return None
     others = [u.gain for u in unknown if u.family.name != RANGING]
     if gain - TIE < max(_rival(library, point), *others, 0.0):
         return None
     p = float(adjusted(np.array([t]), null_maxima([scores], rng))[0])
-    if p >= LEVEL or not holds_out(problem, white[:, [best]], point.left, LEAST_SAVED):
+    if p >= ANCHOR_LEVEL or not holds_out(
+        problem, white[:, [best]], point.left, SELECTION_LEAST_SAVED
+    ):
         return None
     half_m = 1.96 * float(scores.deviation[best] / scores.information[best])
-    return fields.anchor(best, float(scores.size[best]), half_m), p * screen.LEVEL / LEVEL
+    return fields.anchor(best, float(scores.size[best]), half_m), p * SCREEN_LEVEL / ANCHOR_LEVEL
 
 
 @dataclass(frozen=True)

@@ -8,27 +8,25 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE, MODEL_SHARE
+from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.thresholds import (
+    DRIFT_FEWEST_BLOCKS,
+    DRIFT_LEAST_BESIDE,
+    DRIFT_LEAST_BETTER,
+    DRIFT_LEAST_GAIN,
+    DRIFT_LEVEL,
+    DRIFT_PARTS,
+    DRIFT_RIVALS,
+    MODEL_SHARE,
+)
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.001
-LEAST_GAIN = 40.0
-LEAST_BETTER = 20.0
-"""Deviance by which a cause that drifts must beat one that does not, to stand in its place."""
-LEAST_BESIDE = 0.1
-"""Share of what a cause explains that must be left of it beside the change of another."""
 OF_A_PLACE = {"surface_change"}
 """What changes along the log may look like these: early and late the robot is at other places."""
-RIVALS = 3
-PARTS = 4
-"""Parts of the log in which a cause may have a size and a trend of its own, when causes are
-compared."""
-FEWEST_BLOCKS = 2 * PARTS
-"""In shorter recordings nobody can tell a change from noise."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,11 @@ def course(problem: Problem) -> Array:
 
 
 def parts(problem: Problem) -> list[NDArray[np.bool_]]:
-    """Return the blocks of each of `PARTS` equal parts of the log."""
+    """Return the blocks of each of `DRIFT_PARTS` equal parts of the log."""
     stack, time = problem.stack, course(problem)[:, 0]
     middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
-    number = np.clip((0.5 * PARTS * (middle + 1.0)).astype(int), 0, PARTS - 1)
-    return [number == k for k in range(PARTS)]
+    number = np.clip((0.5 * DRIFT_PARTS * (middle + 1.0)).astype(int), 0, DRIFT_PARTS - 1)
+    return [number == k for k in range(DRIFT_PARTS)]
 
 
 def inside(point: Point) -> bool:
@@ -95,7 +93,8 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
     return {
         f.candidate.cause: float(p[mine].min())
         for f, mine in zip(point.model.fitted, point.model.slices, strict=True)
-        if p[mine].min() < LEVEL and s.gain[mine].max() > max(LEAST_GAIN, inexact(f, mine))
+        if p[mine].min() < DRIFT_LEVEL
+        and s.gain[mine].max() > max(DRIFT_LEAST_GAIN, inexact(f, mine))
     }
 
 
@@ -106,7 +105,7 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
     first = point
-    if library.problem.stack.n_blocks < FEWEST_BLOCKS:
+    if library.problem.stack.n_blocks < DRIFT_FEWEST_BLOCKS:
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
@@ -147,7 +146,7 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
     p = adjusted(t, null_maxima(found, rng))
     best = int(np.argmax(gain))
-    if p[best] >= LEVEL or gain[best] <= LEAST_GAIN:
+    if p[best] >= DRIFT_LEVEL or gain[best] <= DRIFT_LEAST_GAIN:
         return point
     c = library.candidates[chosen[free[best]]]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
@@ -186,7 +185,7 @@ def _rearranged(
                 continue
             other = model.swapped(index, c, c.beginning)
             found = cost(other)
-            if found < least - LEAST_BETTER:
+            if found < least - DRIFT_LEAST_BETTER:
                 model, least = other, found
     drift = {
         new.candidate.cause
@@ -237,7 +236,7 @@ def _without_stand_ins(
             share = beside / max(alone, 1e-9)
             shares.append(share if drift - {f.candidate.cause} else np.inf)
         weakest = int(np.argmin(shares))
-        if shares[weakest] > LEAST_BESIDE:
+        if shares[weakest] > DRIFT_LEAST_BESIDE:
             break
         model = model.without(weakest)
         least = cost(model)
@@ -257,11 +256,11 @@ def _one_for_all(
         (_saved(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), target), i)
         for k, i in enumerate(chosen)
     ]
-    for _, i in sorted(saved, reverse=True)[:RIVALS]:
+    for _, i in sorted(saved, reverse=True)[:DRIFT_RIVALS]:
         c = library.candidates[i]
         other = Model().plus(c, c.beginning)
         found = cost(other)
-        if found < least + LEAST_BETTER:
+        if found < least + DRIFT_LEAST_BETTER:
             return other, found
     return model, least
 
@@ -283,7 +282,7 @@ def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
         for k, i in enumerate(chosen)
         if library.candidates[i].cause not in point.model.causes
     ]  # fmt: skip
-    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:RIVALS]]
+    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:DRIFT_RIVALS]]
 
 
 def _saved(columns: Array, target: Array) -> float:

@@ -7,20 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.decide.trial import TIE, Trial, cost, possible
+from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.thresholds import (
+    GROUP_COSINE,
+    RIVAL_CLEAR_Z,
+    RIVAL_COSINE,
+    RIVAL_ENOUGH,
+    RIVAL_MOST_SWAPS,
+    TIE,
+)
 
 Array = NDArray[np.float64]
-
-RIVAL_COSINE = 0.6
-GROUP_COSINE = 0.95
-CLEAR_Z = 2.33
-"""Deviations of a difference over the blocks from which one cause is clearly better (1 %)."""
-ENOUGH = 10.0
-"""What a single block says about two models counts up to this deviance: where one is far off, few
-blocks hold nearly all of the difference, and would pass for a doubt."""
-MOST_SWAPS = 4
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Rival:
     @property
     def close(self) -> bool:
         """Whether it explains the data about as well."""
-        return self.worse < TIE or self.z < CLEAR_Z
+        return self.worse < TIE or self.z < RIVAL_CLEAR_Z
 
     @property
     def ties(self) -> bool:
@@ -179,7 +178,7 @@ def deviations(difference: Array, more: float = 0.0) -> float:
     As they are, or bounded, whichever is clearer: of a cause that changes along the log, the half
     of the blocks that its mean fits worse would outvote the others.
     """
-    bounded = np.clip(difference, -ENOUGH, ENOUGH)
+    bounded = np.clip(difference, -RIVAL_ENOUGH, RIVAL_ENOUGH)
     return max(
         float((d.sum() + more) / (np.sqrt((d**2).sum()) + 1e-9)) for d in (difference, bounded)
     )
@@ -196,7 +195,7 @@ def settle(
         By accepted cause, see `rivals`.
     """
     near = near or {}
-    for _ in range(MOST_SWAPS):
+    for _ in range(RIVAL_MOST_SWAPS):
         ties: dict[str, list[Rival]] = {}
         swapped = None
         for index, f in enumerate(point.model.fitted):

@@ -6,12 +6,13 @@ import numpy as np
 
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.thresholds import (
+    LOST_LARGE_STEP_RPM,
+    LOST_LATE_S,
+    LOST_RESPONSE_S,
+    LOST_SHARP_S,
+)
 from hilserver.measured.channels import SETPOINTS, SPEEDS
-
-LARGE_STEP_RPM = 4.0
-RESPONSE_S = 0.15
-LATE_S, SHARP_S = 0.008, 0.002
-"""A step counts as late from here on; and only if its delay is known so well."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +54,12 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
             first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
-            for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
-                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
+            for a in np.flatnonzero(np.abs(np.diff(s)) > LOST_LARGE_STEP_RPM) + 1:
+                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + LOST_RESPONSE_S])
                 power = float(g[low:high] @ g[low:high])
-                if power <= 0.0 or noise / np.sqrt(power) > SHARP_S:
+                if power <= 0.0 or noise / np.sqrt(power) > LOST_SHARP_S:
                     continue
-                late.append(-float(r[low:high] @ g[low:high]) / power > LATE_S)
+                late.append(-float(r[low:high] @ g[low:high]) / power > LOST_LATE_S)
     if len(late) < 12:
         return None
     return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))

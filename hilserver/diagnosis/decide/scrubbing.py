@@ -9,21 +9,24 @@ from collections.abc import Sequence
 
 from scipy.optimize import brentq
 
-from hilserver.diagnosis.decide.structure import INEXACT, Unknown
+from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.diagnosis.thresholds import (
+    INEXACT,
+    SCRUBBING_LARGEST_RATIO,
+    SCRUBBING_LATE_S,
+    SCRUBBING_MUCH,
+    SCRUBBING_SMALLEST_RATIO,
+)
 from hilserver.measured.channels import POSITION, YAW
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
-MUCH = -0.15
-"""Smaller differences of the rotation gain are dimensions rather than tyres."""
-LATE_S = 0.03
 LATENCIES = ("imu_latency", "yaw_latency", "clock_offset")
 BENT = ("rotation_gain_speed", "rotation_gain_radius")
 TURNING = "velocity.angular_rad_s"
-SMALLEST_RATIO, LARGEST_RATIO = 0.2, 20.0
 
 
 def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
@@ -32,7 +35,7 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
     if robot.wheelbase_m is None or not log.has(*POSITION, YAW):
         return False
     gain = next((f for f in point.model.fitted if f.candidate.cause == "rotation_gain"), None)
-    if gain is None or gain.theta[0] > MUCH:
+    if gain is None or gain.theta[0] > SCRUBBING_MUCH:
         return False
     irregular = bool(unknown) and unknown[0].family.regressors[0] == TURNING
     return irregular or late_turn(point) is not None
@@ -41,7 +44,7 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
 def late_turn(point: Point) -> int | None:
     """Return the index of a latency of the turn that is no longer than tyres can make it."""
     for index, f in enumerate(point.model.fitted):
-        if f.candidate.cause in LATENCIES and 0.0 < f.theta[0] < LATE_S:
+        if f.candidate.cause in LATENCIES and 0.0 < f.theta[0] < SCRUBBING_LATE_S:
             return index
     return None
 
@@ -75,8 +78,8 @@ def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Paramet
         return float(
             brentq(
                 lambda r: anisotropy(robot.wheelbase_m or 0.0, robot.track_m, r, 0.0)[0] - wanted,
-                SMALLEST_RATIO,
-                LARGEST_RATIO,
+                SCRUBBING_SMALLEST_RATIO,
+                SCRUBBING_LARGEST_RATIO,
                 xtol=1e-4,
             )
         )

@@ -9,41 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.shape_search import refined, searched
-from hilserver.diagnosis.decide.trial import (
-    LEAST_SAVED,
-    TIE,
-    Trial,
-    holds,
-    physical,
-    possible,
-    wald,
-)
+from hilserver.diagnosis.decide.trial import Trial, holds, physical, possible, wald
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.regression.screen import (
-    GROSS,
-    LEVEL,
-    Scores,
-    adjusted,
-    critical,
-    null_maxima,
-)
+from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.schema.decisions import SelectionRow
+from hilserver.diagnosis.thresholds import (
+    GROSS,
+    SCREEN_LEVEL,
+    SELECTION_LEAST_GAIN,
+    SELECTION_LEAST_LINEAR,
+    SELECTION_LEAST_SAVED,
+    SELECTION_MOST_CAUSES,
+    SELECTION_MOST_FITTED,
+    SELECTION_MOST_SHAPES,
+    SELECTION_NEARLY_ALL,
+    SELECTION_TRIALS,
+    TIE,
+)
 
 Array = NDArray[np.float64]
-
-MOST_CAUSES = 6
-TRIALS = 8
-"""Candidates of a round that are fitted: those with the largest linear gain, ..."""
-MOST_FITTED = 3
-"""... and so many causes in full, each with all its shapes."""
-MOST_SHAPES = 4
-"""Shapes of a cause that are fitted where much is left to explain."""
-NEARLY_ALL = 0.9
-"""Share of a deviance that an effect saves which another effect with a cosine of 0.95 saves."""
-LEAST_LINEAR, LEAST_GAIN = 9.0, 10.0
-"""Deviance that a cause must save: linearly, and in its fit."""
 
 
 @dataclass
@@ -78,14 +64,14 @@ def best_starts(
     shapes: dict[int, float] = {}
     for j, owner in enumerate(library.owner):
         c, gain = library.candidates[owner], float(scores.gain[j])
-        if gain < LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
+        if gain < SELECTION_LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
             continue
         if gross and c.moved is not None:
             shapes[int(owner)] = max(gain, shapes.get(int(owner), 0.0))
         if c.cause not in found or gain > found[c.cause][1]:
             found[c.cause] = (int(owner), gain)
-    out = sorted(found.values(), key=lambda item: -item[1])[:TRIALS]
-    more = sorted(shapes.items(), key=lambda item: -item[1])[:MOST_SHAPES]
+    out = sorted(found.values(), key=lambda item: -item[1])[:SELECTION_TRIALS]
+    more = sorted(shapes.items(), key=lambda item: -item[1])[:SELECTION_MOST_SHAPES]
     return out + [item for item in more if item[0] not in {index for index, _ in out}]
 
 
@@ -142,7 +128,7 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
             model = model.plus(c, c.beginning)
         trial = fit(problem, model, point, iterations=12)
         gain = point.deviance - trial.deviance
-        if gain < LEAST_SAVED + TIE * added or not physical(trial):
+        if gain < SELECTION_LEAST_SAVED + TIE * added or not physical(trial):
             continue
         if holds(problem, point, trial.model, trial):
             return trial
@@ -177,7 +163,7 @@ def _forward(
     pool: ThreadPoolExecutor,
 ) -> Selected:
     selected, start = Selected(point), point
-    for round_ in range(MOST_CAUSES):
+    for round_ in range(SELECTION_MOST_CAUSES):
         scores = library.scores(point)
         if round_:
             maxima = null_maxima([scores, *other], rng)
@@ -195,16 +181,16 @@ def _forward(
             ps,
         )
         trials = [trial for trial in tried if trial is not None]
-        least = max(LEAST_GAIN, own_error(point, start.deviance))
+        least = max(SELECTION_LEAST_GAIN, own_error(point, start.deviance))
         best = refined(problem, point, trials, pool)
         accepted = _accepted(problem, point, best, least, limit, selected)
         if accepted is None:
             break
-        near = [t for t in best if t.gain > NEARLY_ALL * accepted.gain]
+        near = [t for t in best if t.gain > SELECTION_NEARLY_ALL * accepted.gain]
         selected.near[accepted.candidate.cause] = near
         point = both_at_once(problem, accepted.point, library)
         for cause in point.model.causes:
-            selected.p.setdefault(cause, min(accepted.p, LEVEL))
+            selected.p.setdefault(cause, min(accepted.p, SCREEN_LEVEL))
         point = with_noise_anew(problem, library, point)
     selected.point = point
     return selected
@@ -237,7 +223,7 @@ def _accepted(
     causes: set[str] = set()
     for trial in trials:
         causes.add(trial.candidate.cause)
-        if len(causes) > MOST_FITTED:
+        if len(causes) > SELECTION_MOST_FITTED:
             break
         fitted = fit(problem, trial.point.model, trial.point, iterations=4)
         z = wald(problem, fitted, len(fitted.model.fitted) - 1)

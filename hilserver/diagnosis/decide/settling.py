@@ -20,13 +20,11 @@ from hilserver.diagnosis.decide.structure import (
 )
 from hilserver.diagnosis.decide.trial import worth_a_name
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.regression.screen import GROSS, Scores
+from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
-
-LEAST_GAIN = 10.0
-LEFT_SHARE = 0.1
+from hilserver.diagnosis.thresholds import GROSS, SETTLING_LEAST_GAIN, SETTLING_LEFT_SHARE
 
 
 @dataclass
@@ -104,7 +102,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
         return point, {}
     exchanged, ties = settle(p.library, point, selected.near)
     rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
-    point = prune(problem, exchanged, LEAST_GAIN)
+    point = prune(problem, exchanged, SETTLING_LEAST_GAIN)
     rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
@@ -136,10 +134,10 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
     if len(point.model.fitted) < 2:
         return None
     for rival in (r for found in ties.values() for r in found):
-        less = prune(problem, rival.point, LEAST_GAIN)
+        less = prune(problem, rival.point, SETTLING_LEAST_GAIN)
         fewer = len(less.model.fitted) < len(point.model.fitted)
         stands = rival.candidate.cause in less.model.causes
-        if fewer and stands and less.deviance < point.deviance + LEAST_GAIN:
+        if fewer and stands and less.deviance < point.deviance + SETTLING_LEAST_GAIN:
             return less
     return None
 
@@ -153,7 +151,7 @@ def fails(p: Prepared, point: Point) -> bool:
     gross = point.deviance > GROSS * len(point.left)
     if p.problem.stage.name != "drive" or not point.model.fitted or not gross:
         return False
-    return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
+    return point.deviance > SETTLING_LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
 
 
 def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:

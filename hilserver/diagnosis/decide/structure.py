@@ -8,32 +8,21 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.unknown import Family, drive_families, pose_families
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.regression.screen import (
+from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.thresholds import (
+    DOMINANCE,
     GROSS,
-    Blocks,
-    adjusted,
-    null_maxima,
-    orthogonal,
-    score,
+    INEXACT,
+    LEAST_USEFUL,
+    STRUCTURE_FEWEST_BLOCKS,
+    STRUCTURE_LEAST_BETTER,
+    STRUCTURE_LEAST_GAIN,
+    STRUCTURE_LEAST_T,
+    STRUCTURE_LEVEL,
+    SUBSTITUTE,
 )
 
 Array = NDArray[np.float64]
-
-LEVEL = 0.001
-LEAST_GAIN = 40.0
-LEAST_T = 3.0
-FEWEST_BLOCKS = 4
-"""In shorter recordings the noise is not known well enough to call a misfit gross."""
-LEAST_SHARE = 0.001
-"""Of the samples' variance: what explains less is of no use to anybody."""
-INEXACT = 0.005
-"""Share of what the accepted causes explain that their own form may leave."""
-LEAST_BETTER = 50.0
-"""Deviance by which a column of unknown structure must beat a cause to put it in doubt."""
-SUBSTITUTE = 0.5
-"""|cos| between a cause's effect and a column that could stand in its place."""
-DOMINANCE = 4.0
-"""A named cause stays beside unknown structure only if it explains so many times as much."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +77,7 @@ def remaining(
     order = blocks.order
     scores, strong = [], []
     gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
-    gross = gross and stack.n_blocks >= FEWEST_BLOCKS
+    gross = gross and stack.n_blocks >= STRUCTURE_FEWEST_BLOCKS
     most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)
@@ -97,20 +86,20 @@ def remaining(
         white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
         scores.append(score(white[order], point.left[order], blocks))
         t = float(np.abs(scores[-1].t).max(initial=0.0))
-        if t <= LEAST_T and not gross:
+        if t <= STRUCTURE_LEAST_T and not gross:
             continue
         slim = Family(family.name, family.regressors, np.zeros((0, 0)))
         u = Unknown(slim, t, 1.0, joint_gain(white, point.left), white)
         if gross and (most is None or u.gain > most.gain):
             most = u
-        least = max(LEAST_GAIN, LEAST_SHARE * len(stack), INEXACT * explained)
-        if t > LEAST_T and u.gain > least and holds_out(problem, white, point.left):
+        least = max(STRUCTURE_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
+        if t > STRUCTURE_LEAST_T and u.gain > least and holds_out(problem, white, point.left):
             strong.append(u)
     maxima = null_maxima(scores, rng)
     found = []
     for u in strong:
         p = float(adjusted(np.array([u.t]), maxima)[0])
-        if p < LEVEL:
+        if p < STRUCTURE_LEVEL:
             found.append(Unknown(u.family, u.t, p, u.gain, u.white))
     if not found and most is not None:
         return [most]
@@ -159,7 +148,7 @@ def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
     saved = (columns.T @ target)[usable] ** 2 / squares[usable]
     explained = float(target @ target - point.left @ point.left)
     most = saved[alike > SUBSTITUTE].max(initial=0.0)
-    return bool(most > explained * (1.0 + INEXACT) + LEAST_BETTER)
+    return bool(most > explained * (1.0 + INEXACT) + STRUCTURE_LEAST_BETTER)
 
 
 def joint_gain(white: Array, left: Array) -> float:
@@ -173,7 +162,9 @@ def joint_gain(white: Array, left: Array) -> float:
     return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
 
 
-def holds_out(problem: Problem, white: Array, left: Array, least: float = LEAST_GAIN) -> bool:
+def holds_out(
+    problem: Problem, white: Array, left: Array, least: float = STRUCTURE_LEAST_GAIN
+) -> bool:
     """Return whether a family explains blocks that its coefficients were not fitted to."""
     stack = problem.stack
     norm = np.sqrt((white**2).sum(axis=0))

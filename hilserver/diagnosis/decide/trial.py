@@ -10,16 +10,9 @@ from hilserver.diagnosis.regression.intervals import covariance
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import freedom_of, normal, orthogonal
 from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.thresholds import SELECTION_LEAST_SAVED, SHAPED, TIE
 
 Array = NDArray[np.float64]
-
-TIE = 4.0
-"""Deviance within which two causes explain the data alike, per parameter."""
-SHAPED = 0.005
-"""Share of what it explains that a cause costs whose shape was chosen among many, the edge of a
-region say: a shape can always be bent around what the form of a simpler cause leaves."""
-LEAST_SAVED = 8.0
-"""Deviance that a cause must save on held-out blocks."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +75,7 @@ def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
         point = fit(problem, model, start, rows=train, iterations=2)
         part = fold == test
         saved.append(float((without.loss - point.loss)[part].sum()))
-    return sum(saved) > LEAST_SAVED and min(saved) > -1.0
+    return sum(saved) > SELECTION_LEAST_SAVED and min(saved) > -1.0
 
 
 def wald(problem: Problem, point: Point, index: int) -> float:

@@ -7,29 +7,21 @@ from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.screen import Scores, student
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
-
-POWER = 0.95
-"""Standard deviations above the critical value: about 83 % exceed it."""
-SELECTION = 1.25
-"""Deviations that a selection asks beyond the screen: a cause must hold on other blocks as well.
-
-Measured: with nothing for it, 10 of 26 effects of the stated size were found (`hilserver bench
-diagnose --class size`), as if the critical value were so much higher.
-"""
-LEAST_GAIN = 10.0
-LEAST_TIMES = 1.3
-"""An effect of just its least size is fitted below it, and gets no name, half of the times."""
-HOPELESS = 12.0
-"""A cause whose smallest visible size is so many times its reference size is not judged, nor is one
-whose smallest visible size is none that it can have."""
+from hilserver.diagnosis.thresholds import (
+    DETECTABLE_LEAST_GAIN,
+    DETECTABLE_LEAST_TIMES,
+    DETECTABLE_POWER_SD,
+    DETECTABLE_SELECTION_SD,
+    HOPELESS,
+)
 
 
 def smallest(
     library: Library, scores: Scores, t_critical: float
 ) -> tuple[list[Detectable], list[NotJudged]]:
     """Return sizes for the causes of one stage, and those that the drive did not excite."""
-    least = np.maximum(student(t_critical, scores.freedom), np.sqrt(LEAST_GAIN))
-    needed = least + SELECTION + POWER
+    least = np.maximum(student(t_critical, scores.freedom), np.sqrt(DETECTABLE_LEAST_GAIN))
+    needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
     found: dict[str, tuple[float, str, float]] = {}
     for i, c in enumerate(library.candidates):
         part = next(iter(c.terms(c.start)))
@@ -74,7 +66,7 @@ def _size(candidate: Candidate, times: float, norm: float) -> float | None:
         size = abs(candidate.start[0] - candidate.null[0]) * times
     else:
         return None
-    return float(max(size, LEAST_TIMES * candidate.least))
+    return float(max(size, DETECTABLE_LEAST_TIMES * candidate.least))
 
 
 def _largest(candidate: Candidate, k: int) -> float:

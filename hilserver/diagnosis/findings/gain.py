@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
+from hilserver.diagnosis.thresholds import GAIN_FEWEST_RUNS
 from hilserver.measured.channels import GYRO, POSITION, TAG, YAW
 
 Array = NDArray[np.float64]
 
 RESAMPLES = 400
-FEWEST_RUNS = 4
 SEGMENTS_APART_S = 1e7
 """Longer than any segment; tells the stamps of two segments apart."""
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
@@ -120,7 +120,7 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
             continue
         begins = np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s)
         runs += [(number, begin, begin + horizon_s) for begin in begins]
-    if len(runs) < FEWEST_RUNS:
+    if len(runs) < GAIN_FEWEST_RUNS:
         return None
     segments, begin, end = (np.array(column) for column in zip(*runs, strict=True))
     starts = {n: _nearest(problem, n, segments, begin) for n in names}

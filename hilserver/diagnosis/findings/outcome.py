@@ -17,13 +17,12 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
+from hilserver.diagnosis.thresholds import READING_COARSE_SHARE
 from hilserver.measured.channels import SETPOINTS
 
 Array = NDArray[np.float64]
 
 PUBLIC = {"shift.nav": "clock_offset.nav"}
-COARSE_SHARE = 0.002
-"""Half the interval of a step that the values' spectrum tells, by the step."""
 ROUNDED_S = {
     "actuation_delay",
     "control_period",
@@ -172,7 +171,7 @@ def lost(steps: LostSteps) -> Finding:
 
 def coarse(step_rpm: float) -> Finding:
     """Return the finding of wheel speeds that come in steps."""
-    half = COARSE_SHARE * step_rpm
+    half = READING_COARSE_SHARE * step_rpm
     finding = Finding(
         verdict=Verdict.NAMED,
         causes=("encoder_quantization",),

@@ -13,37 +13,34 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-from hilserver.diagnosis.noise.whitening import (
-    SMALLEST_DOF,
-    Array,
-    NoiseModel,
-    Whitener,
-    robust_weights,
-)
+from hilserver.diagnosis.noise.whitening import Array, NoiseModel, Whitener, robust_weights
 from hilserver.diagnosis.noise.windows import Windows
+from hilserver.diagnosis.thresholds import (
+    NOISE_COLOURED_NATS,
+    NOISE_GATE_SD,
+    NOISE_GATED_MAX,
+    NOISE_SMALLEST_DOF,
+    NOISE_TAILED_NATS,
+    NOISE_TAU_MAX_S,
+    NOISE_WINDOW_S,
+    SHORT_DOF,
+)
 
 __all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
 
-TAU_MAX_S: Final = 5.0
-WINDOW_S: Final = 12.0
-GATE_SD: Final = 5.0
 SAMPLES_MAX: Final = 12_000
-_GATED_MAX = 0.2  # more is no tail: the gate would cut a misfit
-_COLOURED_NATS = 6.0  # an Ornstein-Uhlenbeck part must earn its two parameters
-_TAILED_NATS = 3.0
 _SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
 _LOGIT_RANGE = (-8.0, 10.0)
-_DOFS = (SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
+_DOFS = (NOISE_SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
 _FALLBACK_SD = 1e-9
-_SHORT_DOF = 4.0
 _LAGS = 40
 
 
 def fit_noise(
     residuals: Iterable[tuple[Array, Array]],
     *,
-    window_s: float = WINDOW_S,
-    tau_max_s: float = TAU_MAX_S,
+    window_s: float = NOISE_WINDOW_S,
+    tau_max_s: float = NOISE_TAU_MAX_S,
     floor_sd: float = _FALLBACK_SD,
 ) -> NoiseModel:
     """Fit white + Ornstein-Uhlenbeck noise with tails.
@@ -67,10 +64,10 @@ def fit_noise(
     windows = Windows.cut(residuals, window_s, SAMPLES_MAX)
     if windows.samples < 8 or not windows.spread > floor_sd:
         return NoiseModel(floor_sd)
-    windows.gate_level(2.0 * GATE_SD)
+    windows.gate_level(2.0 * NOISE_GATE_SD)
     model = _fit(windows, tau_max_s, None)
-    if windows.gate_innovations(model, GATE_SD) > _GATED_MAX:
-        windows.gate_level(2.0 * GATE_SD)
+    if windows.gate_innovations(model, NOISE_GATE_SD) > NOISE_GATED_MAX:
+        windows.gate_level(2.0 * NOISE_GATE_SD)
     else:
         model = _fit(windows, tau_max_s, model)
     dof = _tail_dof(windows.innovations(model))
@@ -101,7 +98,7 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
         return NoiseModel(_FALLBACK_SD), _FALLBACK_SD
     scale = float(np.mean(square))
     for _ in range(20):
-        scale = float(np.mean(square * (_SHORT_DOF + 1.0) / (_SHORT_DOF + square / scale)))
+        scale = float(np.mean(square * (SHORT_DOF + 1.0) / (SHORT_DOF + square / scale)))
     sd = max(math.sqrt(scale), _FALLBACK_SD)
     bounded = [np.clip(r / sd, -3.0, 3.0) for r in residuals]
     power = sum(float(r @ r) for r in bounded)
@@ -111,7 +108,7 @@ def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
         if together < 0.05:
             break
         total += 2.0 * together
-    return NoiseModel(sd * math.sqrt(total), tail_dof=_SHORT_DOF), sd
+    return NoiseModel(sd * math.sqrt(total), tail_dof=SHORT_DOF), sd
 
 
 def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseModel:
@@ -140,7 +137,7 @@ def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseM
     options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 80}
     best = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
     white, white_sd = windows.likelihood(1.0, 0.0, 1.0)
-    if -best.fun - white < _COLOURED_NATS:
+    if -best.fun - white < NOISE_COLOURED_NATS:
         return NoiseModel(white_sd)
     tau_s = math.exp(min(max(best.x[0], tau_range[0]), tau_range[1]))
     share = 1.0 / (1.0 + math.exp(-min(max(best.x[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1])))
@@ -157,7 +154,7 @@ def _tail_dof(innovations: Array) -> float:
         -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0),
         math.inf,
     )
-    best += _TAILED_NATS
+    best += NOISE_TAILED_NATS
     for candidate in _DOFS:
         value = _student_likelihood(square, candidate)
         if value > best:

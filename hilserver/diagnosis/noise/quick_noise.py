@@ -8,29 +8,28 @@ from scipy.ndimage import median_filter
 
 from hilserver.diagnosis.noise.readings import FLOOR_SD
 from hilserver.diagnosis.noise.whitening import NoiseModel
+from hilserver.diagnosis.thresholds import (
+    NOISE_FAR_SD,
+    NOISE_FEW_FAR,
+    NOISE_WHITE,
+    OUTLIER_AROUND_S,
+    OUTLIER_SD,
+    OUTLIERS_IN_A_ROW,
+)
 
 Array = NDArray[np.float64]
 
-OUTLIER = 6.0
-"""Positions whose whitened residual lies beyond this many deviations take no part in fits, ..."""
-AROUND_S = 1.05
-MOST_IN_A_ROW = 4
-"""... if no more than so many of them follow each other: a longer stretch is an effect."""
-WHITE = 0.05
-"""Largest autocorrelation at the first lags of a channel that is taken for white at once."""
-FAR, FEW = 5.0, 0.002
-"""Share of samples beyond so many robust deviations with which a channel is no plain noise."""
 WITHIN_3_SD = 0.97334
 """Variance of a normal variable that lies within three deviations, by that of all."""
 
 
 def isolated(white: Array) -> NDArray[np.bool_]:
     """Return which samples are outliers: far off, and only few in a row."""
-    bad = np.abs(white) > OUTLIER
+    bad = np.abs(white) > OUTLIER_SD
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
     out = np.zeros(len(bad), dtype=bool)
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - begin <= MOST_IN_A_ROW:
+        if end - begin <= OUTLIERS_IN_A_ROW:
             out[begin:end] = True
     return out
 
@@ -38,13 +37,13 @@ def isolated(white: Array) -> NDArray[np.bool_]:
 def spikes(t_s: Array, residual: Array) -> NDArray[np.bool_]:
     """Return which samples are far from their neighbours, alone or in a burst.
 
-    A burst of up to half of `AROUND_S` does not move the median about it.
+    A burst of up to half of `OUTLIER_AROUND_S` does not move the median about it.
     """
     if len(t_s) < 20:
         return np.zeros(len(t_s), dtype=bool)
-    width = round(AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
+    width = round(OUTLIER_AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
     aside = np.abs(residual - median_filter(residual, size=max(width, 5), mode="nearest"))
-    return np.asarray(aside > OUTLIER * 1.4826 * max(float(np.median(aside)), 1e-9))
+    return np.asarray(aside > OUTLIER_SD * 1.4826 * max(float(np.median(aside)), 1e-9))
 
 
 def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
@@ -52,15 +51,15 @@ def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
     pieces = [r for _, r in parts if len(r) > 20]
     if not pieces:
         return None
-    far = FAR * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
-    if np.mean(np.abs(np.concatenate(pieces)) > far) > FEW:
+    far = NOISE_FAR_SD * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
+    if np.mean(np.abs(np.concatenate(pieces)) > far) > NOISE_FEW_FAR:
         return None  # outliers would count as noise, and hide the correlation of the rest
     power = sum(float(r @ r) for r in pieces)
     if power <= 0.0:
         return None
     for lag in (1, 2, 4, 8, 16):
         together = sum(float(r[lag:] @ r[:-lag]) for r in pieces)
-        if abs(together) > WHITE * power:
+        if abs(together) > NOISE_WHITE * power:
             return None
     return NoiseModel(float(np.sqrt(power / sum(len(r) for r in pieces))))
 

@@ -17,22 +17,20 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from hilserver.diagnosis.noise.whitening import NoiseModel
+from hilserver.diagnosis.thresholds import (
+    READING_CALM,
+    READING_FEWEST_CALM,
+    READING_LATER_S,
+    READING_LEAST_NOISE,
+    READING_LEAST_SHARE,
+    READING_MOST_NOISE,
+)
 
 Array = NDArray[np.float64]
 
 FLOOR_SD = 1e-6
 """Deviation that a channel without any noise is given."""
 HARMONICS = np.arange(1, 6)
-LEAST_NOISE, MOST_NOISE = 0.02, 50.0
-"""Range of the noise by the step."""
-CALM = 0.1
-"""Share of a step by which the quantity may move between two samples that tell the noise."""
-FEWEST_CALM = 50
-LATER_S = 0.1
-NEAR = 0.99
-"""Share of a limit beyond which readings show less than the noise."""
-LEAST_SHARE = 0.01
-"""Of the variance that lasts; less is white."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +113,8 @@ def noise_of_readings(
     step = reading.step
     moved = np.concatenate([np.diff(exact) for _, exact, _ in parts])
     jumped = np.concatenate([np.diff(read) for _, _, read in parts])
-    calm = np.abs(moved) < CALM * step
-    if calm.sum() < FEWEST_CALM:
+    calm = np.abs(moved) < READING_CALM * step
+    if calm.sum() < READING_FEWEST_CALM:
         return None
     square = np.square(jumped[calm] - moved[calm])
     for _ in range(3):
@@ -127,14 +125,14 @@ def noise_of_readings(
     def excess(noise_sd: float) -> float:
         return noise_sd**2 + step**2 / 12.0 - lasting(noise_sd, step) - seen
 
-    low, high = LEAST_NOISE * step, MOST_NOISE * step
+    low, high = READING_LEAST_NOISE * step, READING_MOST_NOISE * step
     noise_sd = low if excess(low) > 0.0 else float(brentq(excess, low, high))
     whole = noise_sd**2 + step**2 / 12.0
-    if lasting(noise_sd, step) < LEAST_SHARE * whole:
+    if lasting(noise_sd, step) < READING_LEAST_SHARE * whole:
         return NoiseModel(math.sqrt(whole))
     slow, tau_s = _memory([(t, _mean_error(x, reading, noise_sd)) for t, x, _ in parts])
     slow = min(slow, 0.99 * whole)
-    if slow < LEAST_SHARE * whole:
+    if slow < READING_LEAST_SHARE * whole:
         return NoiseModel(math.sqrt(whole))
     return NoiseModel(math.sqrt(whole - slow), math.sqrt(slow), tau_s)
 
@@ -153,7 +151,7 @@ def _mean_error(exact: Array, reading: Reading, noise_sd: float) -> Array:
 def _memory(parts: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
     """Return variance and correlation time of what of a series lasts from sample to sample."""
     period_s = float(np.median(np.concatenate([np.diff(t) for t, _ in parts])))
-    far = max(round(LATER_S / max(period_s, 1e-6)), 3)
+    far = max(round(READING_LATER_S / max(period_s, 1e-6)), 3)
     together = []
     for lag in (1, far):
         pairs = [(r[lag:], r[:-lag]) for _, r in parts if len(r) > lag]

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilserver.compiled import kernel
+from hilserver.diagnosis.thresholds import NOISE_SMALLEST_DOF
 
 Array = NDArray[np.float64]
 
-SMALLEST_DOF = 2.1
 _TINY = 1e-300
 
 
@@ -127,7 +127,7 @@ def robust_weights(innovations: Array, dof: float) -> Array:
     """
     if math.isinf(dof):
         return np.ones_like(innovations)
-    dof = max(dof, SMALLEST_DOF)
+    dof = max(dof, NOISE_SMALLEST_DOF)
     weights: Array = (dof + 1.0) / (dof - 2.0 + np.square(innovations))
     return weights
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.decide.trial import TIE
 from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.thresholds import TIE
 
 Array = NDArray[np.float64]
 

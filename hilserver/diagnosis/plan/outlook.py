@@ -7,8 +7,7 @@ import numpy as np
 
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.checks.standstill import at_rest
-from hilserver.diagnosis.decide.identifiability import GROUP_COSINE
-from hilserver.diagnosis.findings.detectable import HOPELESS, smallest
+from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.plan.information import (
     Z_APART,
     Array,
@@ -29,6 +28,7 @@ from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
+from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
 from hilserver.plant.parameters import RobotParameters
 
 Tell = Callable[[str, float], None]

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.thresholds import MODEL_SHARE
 
 Array = NDArray[np.float64]
 
-MODEL_SHARE = 0.005
-"""Share of a value that the plant's own steps of time may cost: no machine runs at them."""
 ABRUPT_SHARE: Final = {
     "coulomb_friction": 0.02,
     "stribeck_friction": 0.02,

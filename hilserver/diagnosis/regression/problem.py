@@ -20,18 +20,17 @@ from hilserver.diagnosis.noise.fitting import (
     short_noise,
 )
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
-from hilserver.diagnosis.noise.readings import NEAR, Reading, noise_of_readings
+from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stack import Stack
+from hilserver.diagnosis.thresholds import NOISE_SHORT_S, READING_NEAR
 from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
-SHORT_S = 6.0
-"""In segments that are all shorter the noise counts as white, see `short_noise`."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +218,7 @@ class Problem:
     # --- noise ------------------------------------------------------------------------------------
     def learn_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
-        if self.stage.segments.longest_s < SHORT_S:
+        if self.stage.segments.longest_s < NOISE_SHORT_S:
             self._learn_short_noise(raw)
             return
         for name in self.stack.channels:
@@ -240,7 +239,7 @@ class Problem:
         stack, reading, parts = self.stack, self.readings[name], []
         exact = stack.values - raw
         for part in (part for n, _, part in self._runs if n == name):
-            free = np.abs(exact[part]) < NEAR * reading.limit
+            free = np.abs(exact[part]) < READING_NEAR * reading.limit
             columns = (stack.t_s[part], raw[part], exact[part], stack.values[part])
             parts.append(tuple(column[free] for column in columns))
         residuals = [(t, r) for t, r, _, _ in parts]

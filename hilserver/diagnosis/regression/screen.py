@@ -20,16 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.thresholds import FLIPS, LEAST_FREEDOM, SCREEN_LEVEL
+
 Array = NDArray[np.float64]
 Real = NDArray[Any]
 """Of 32 or 64 bits."""
 
-FLIPS = 4999
-LEVEL = 0.002
-GROSS = 1.5
-"""Variance of the whitened residual that is no noise, whatever a test with few blocks says."""
-LEAST_FREEDOM = 0.5
-"""Of a direction that shows in a single block."""
 SQUARE = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
 
 
@@ -211,6 +207,6 @@ def adjusted(t: Array, maxima: Array) -> Array:
     return np.asarray((above + 1) / (len(ordered) + 1))
 
 
-def critical(maxima: Array, level: float = LEVEL) -> float:
+def critical(maxima: Array, level: float = SCREEN_LEVEL) -> float:
     """Return the |t| that only a share `level` of the flips exceeds."""
     return float(np.quantile(maxima, 1.0 - level))

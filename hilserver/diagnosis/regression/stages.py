@@ -10,22 +10,17 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.regression.screen import GROSS
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.thresholds import GROSS, READING_SAME_STEP, RIPPLE_ANSWERED
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, float], None]
-
-SAME_STEP = 0.02
-"""Share by which the step of rounded readings may differ from that of their values' spectrum."""
-ANSWERED = 0.5
-"""Share of the ripple of a coarse loop from which on the measured duty shows it."""
 
 
 @dataclass
@@ -169,7 +164,7 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     rounded = [problem.readings[n].step for n in names if problem.readings[n].step > 0.0]
     if step is None or not rounded:
         return step
-    own = all(abs(step - one) < SAME_STEP * one for one in rounded)
+    own = all(abs(step - one) < READING_SAME_STEP * one for one in rounded)
     return step if own and _answered(problem, base, step) else None
 
 
@@ -188,7 +183,7 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
     if not edges:
         return False
     smooth, stepped = ripple(base.predicted), ripple(coarse)
-    return ripple(stack.values) - smooth > ANSWERED * (stepped - smooth)
+    return ripple(stack.values) - smooth > RIPPLE_ANSWERED * (stepped - smooth)
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:

@@ -14,8 +14,9 @@ from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, TAG, YAW
-from hilserver.measured.clock import LONGEST_S, cut
+from hilserver.measured.clock import cut
 from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.plant.layout import N_Y, P_DT, P_SEED
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
@@ -46,7 +47,7 @@ class PoseStage:
     Attributes
     ----------
     segments : Segments
-        Spans cut to at most `LONGEST_S`; each has a free initial pose.
+        Spans cut to at most `LONGEST_SEGMENT_S`; each has a free initial pose.
     stack : Stack
         Measured position, yaw and turn rate.
     left, right : ndarray, shape (ticks,)
@@ -62,7 +63,7 @@ class PoseStage:
         drive: tuple[DriveStage, Array] | None,
         *,
         block_s: float,
-        longest_s: float | None = LONGEST_S,
+        longest_s: float | None = LONGEST_SEGMENT_S,
         jobs: int = 1,
     ) -> None:
         log = paired(log)

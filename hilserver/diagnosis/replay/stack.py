@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.thresholds import FOLD_RUNS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-MANY = 6
-"""From so many runs, or else segments, on they are held out whole."""
 
 
 @dataclass(frozen=True)
@@ -152,8 +151,8 @@ def _blocks(
     # The segments of one run share its floor, its beginning and its course, so where there are
     # several runs, whole ones are held out.
     runs, run = np.unique(segments.span, return_inverse=True)
-    if len(runs) >= MANY:
+    if len(runs) >= FOLD_RUNS:
         fold = run[owner] % 2
     else:
-        fold = owner % 2 if len(segments) >= MANY else np.arange(len(owner)) % 2
+        fold = owner % 2 if len(segments) >= FOLD_RUNS else np.arange(len(owner)) % 2
     return block, int(start[-1]), np.asarray(fold)

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.diagnosis.decide.structure import LEVEL, Unknown
+from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.unknown import peaks
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.schema.evidence import Dependence
+from hilserver.diagnosis.thresholds import STRUCTURE_LEVEL
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 from hilserver.plant.layout import WHEELS
@@ -93,7 +94,7 @@ def _critical(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> flo
     """Return the critical statistic of the structures that were found."""
     blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
     scores = [score(u.white[blocks.order], point.left[blocks.order], blocks) for u in unknown]
-    return critical(null_maxima(scores, np.random.default_rng(0)), LEVEL)
+    return critical(null_maxima(scores, np.random.default_rng(0)), STRUCTURE_LEVEL)
 
 
 def _left(problem: Problem, point: Point, u: Unknown) -> _Left:

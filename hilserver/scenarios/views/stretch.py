@@ -4,7 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.measured.clock import LONGEST_S, cut
+from hilserver.measured.clock import cut
+from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.scenarios.views.case import Array, Case
 
 NEARLY: Final = 0.98
@@ -18,7 +19,7 @@ def stretch(
 
     A simulated pose starts anew in every segment, so that its stretch lies within one.
     """
-    longest = None if channel.startswith("wheel") else LONGEST_S
+    longest = None if channel.startswith("wheel") else LONGEST_SEGMENT_S
     segments = cut(case.log, case.robot.period_s, longest)
     per_s = (len(t_s) - 1) / (t_s[-1] - t_s[0])
     n = max(round(length_s * per_s), 2)

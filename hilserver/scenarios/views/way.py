@@ -7,7 +7,7 @@ import numpy as np
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Path
-from hilserver.measured.clock import LONGEST_S
+from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.scenarios.views.case import POINTS, WIDTH, Array, Case, Legend
 from hilserver.scenarios.views.stretch import stretch
 
@@ -37,7 +37,7 @@ class Way:
         t_s = case.series("nav.x_m").t_s[: len(way.measured)]
         other = way.measured if way.extended is None else way.extended
         apart = np.hypot(*(other - way.simulated).T)
-        begin, end = stretch(case, "nav.x_m", t_s, apart, LONGEST_S)
+        begin, end = stretch(case, "nav.x_m", t_s, apart, LONGEST_SEGMENT_S)
         part = (t_s >= begin) & (t_s <= end)
         tracks = [way.measured, way.simulated, way.extended]
         return [track[part] for track in tracks if track is not None]

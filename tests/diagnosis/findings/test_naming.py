@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.identifiability import GROUP_COSINE, Rival, cosines, prune, settle
+from hilserver.diagnosis.decide.identifiability import Rival, cosines, prune, settle
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.settling import with_fewer
 from hilserver.diagnosis.decide.structure import holds_out, imitated, joint_gain, remaining
 from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import Family
-from hilserver.diagnosis.findings.detectable import POWER
 from hilserver.diagnosis.regression.problem import fit
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.thresholds import DETECTABLE_POWER_SD, GROUP_COSINE
 from tests.diagnosis import toy
 
 N = 3000
@@ -202,7 +202,7 @@ def test_an_effect_of_the_smallest_visible_size_is_usually_seen():
         library, base = toy.library(problem)
         scores = library.scores(base)
         limit = critical(null_maxima([scores], rng, flips=999))
-        size = (limit + POWER) * scores.deviation[0] / scores.information[0]
+        size = (limit + DETECTABLE_POWER_SD) * scores.deviation[0] / scores.information[0]
         values = problem.stack.values + size * columns["a"]
         library, base = toy.library(toy.problem(values, columns))
         scores = library.scores(base)

@@ -26,7 +26,7 @@ NULL = ("nothing drive", 103, 60.0)
 
 
 def no_finding_without_an_effect():
-    family_wise_error_holds(null_draws(100), level=screen.LEVEL, most=0.01)
+    family_wise_error_holds(null_draws(100), level=screen.SCREEN_LEVEL, most=0.01)
 
 
 def held_out_means_held_out():

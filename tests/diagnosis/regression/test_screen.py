@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hilserver.diagnosis.regression.screen import (
-    LEVEL,
     Blocks,
     adjusted,
     critical,
@@ -19,6 +18,7 @@ from hilserver.diagnosis.regression.screen import (
     score,
     student,
 )
+from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 from tests.diagnosis.assertions import family_wise_error_holds
 from tests.diagnosis.toy import ornstein_uhlenbeck, smooth
 
@@ -39,7 +39,7 @@ def null_draws(n, *, tau_s=0.6, seed=1, scale=lambda rng, m: 1.0):
 
 
 def test_the_family_wise_error_holds_under_autocorrelation():
-    family_wise_error_holds(null_draws(300), level=LEVEL, most=0.01)
+    family_wise_error_holds(null_draws(300), level=SCREEN_LEVEL, most=0.01)
 
 
 def test_the_family_wise_error_holds_where_the_noise_changes_from_block_to_block():
@@ -47,7 +47,7 @@ def test_the_family_wise_error_holds_where_the_noise_changes_from_block_to_block
         return np.repeat(rng.choice([0.3, 1.0, 3.0], size=N_BLOCKS), PER_BLOCK)
 
     draws = null_draws(300, tau_s=0.2, seed=2, scale=uneven)
-    family_wise_error_holds(draws, level=LEVEL, most=0.01)
+    family_wise_error_holds(draws, level=SCREEN_LEVEL, most=0.01)
 
 
 def test_an_effect_is_found_and_its_size_too():
@@ -121,7 +121,7 @@ def test_p_values_count_the_flips_that_reach_as_far():
     maxima = np.array([1.0, 2.0, 3.0, 4.0])
     assert adjusted(np.array([0.5, 2.0, -3.5, 9.0]), maxima) == pytest.approx([1.0, 0.8, 0.4, 0.2])
     assert critical(np.arange(1001.0), 0.01) == pytest.approx(990.0)
-    assert LEVEL <= 0.01, "the family-wise error of a whole log"
+    assert SCREEN_LEVEL <= 0.01, "the family-wise error of a whole log"
 
 
 def test_two_parameters_are_looked_at_from_four_sides():
