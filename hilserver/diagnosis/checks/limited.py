@@ -1,16 +1,20 @@
 """Limited channels: readings that stand at one value while the robot goes beyond it."""
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from hilserver.diagnosis.checks.frame import asked_turn
 from hilserver.diagnosis.checks.support import data_fault
-from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.schema.findings import Finding, Parameter
 from hilserver.diagnosis.thresholds import LIMITED_BEYOND, LIMITED_FEWEST, LIMITED_INSIDE
 from hilserver.measured.channels import DUTIES, GYRO
 from hilserver.measured.data import Array, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
+
+AT: Final = 1.0 - 1e-9
+"""Share of a limit at which a reading stands: files round."""
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -27,8 +31,19 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
             f"{GYRO}: no reading lies beyond {limit:.4g} rad/s although the robot turned faster:"
             " the sensor or its driver is limited; choose a larger range."
         )
-        found = [data_fault("limited_channel", [GYRO], limit, None, "rad/s", text)]
+        found = [_finding(log[GYRO].values, limit, text)]
     return replace(log, limits=limits), found
+
+
+def _finding(values: Array, limit: float, text: str) -> Finding:
+    """Return the finding with the limits that readings reached, each by itself."""
+    finding = data_fault("limited_channel", [GYRO], limit, None, "rad/s", text)
+    reached = {
+        f"limited_channel.{end}": Parameter(value=side * limit, ci95=None, unit="rad/s")
+        for end, side in (("low", -1.0), ("high", 1.0))
+        if (side * values >= limit * AT).any()
+    }
+    return finding.model_copy(update={"parameters": {**finding.parameters, **reached}})
 
 
 def _ends_at(values: Array, most: float) -> bool:
@@ -40,7 +55,7 @@ def _limit(values: Array, asked: Array | None) -> float | None:
     if asked is None or len(values) < LIMITED_FEWEST:
         return None
     limit = float(np.abs(values).max())
-    at = np.abs(values) >= limit * (1.0 - 1e-9)
+    at = np.abs(values) >= limit * AT
     inside = np.abs(values) < LIMITED_INSIDE * limit
     power = float(asked[inside] @ asked[inside])
     if at.sum() < LIMITED_FEWEST or power == 0.0:
