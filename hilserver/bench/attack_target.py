@@ -24,7 +24,7 @@ from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics
 
-START_WITHIN_S = 120.0
+START_WITHIN_S = 300.0
 _LOOK_BACK, _EVERY = 1500, 2
 """Frames: fewer than the ring keeps; every second one shows an age to 2 ms."""
 _SAFE = 3

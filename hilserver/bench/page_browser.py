@@ -28,23 +28,29 @@ window.calls = (method) => fetch("./api/call", { method: "POST", body: JSON.stri
   headers: { "Content-Type": "application/json",
     "X-Hilserver-Token": document.querySelector('meta[name="token"]').content } });
 """
-_REPEATED = """(async () => {
+_BEGIN = """(async () => {
   const socket = window.sockets.at(-1), handle = socket.onmessage;
   const frame = await new Promise((done) => {
     socket.onmessage = (e) => { handle(e); if (typeof e.data !== "string") done(e.data); };
   });
+  socket.onmessage = (e) => { if (typeof e.data === "string") handle(e); };
   const view = new DataView(frame), n = view.getUint16(2, true);
   const first = Array.from({ length: n }, (_, i) => view.getFloat64(16 + 8 * i, true));
-  for (let k = 1; k <= %d; k++) {
-    for (let i = 0; i < n; i++) view.setFloat64(16 + 8 * i, first[i] + k / 30, true);
-    handle({ data: frame });
-    if (k %% 500 === 0) await new Promise(requestAnimationFrame);
-  }
-  socket.onmessage = handle;
+  let k = 0;
+  window.repeat = async (times) => {
+    for (const end = k + times; k < end; k++) {
+      for (let i = 0; i < n; i++) view.setFloat64(16 + 8 * i, first[i] + k / 30, true);
+      handle({ data: frame });
+    }
+    await new Promise(requestAnimationFrame);
+  };
+  window.resume = () => { socket.onmessage = handle; };
 })()"""
 _SHOWN = "/[0-9]/.test((document.querySelector('.dial b') || {}).textContent)"
+_PAUSED = "document.querySelector('.state').dataset.state === 'paused'"
 _SCRIPTS = ("FunctionCall", "EvaluateScript", "FireAnimationFrame", "TimerFire")
 _STILL_S = 3.0
+_AT_ONCE = 500
 
 
 async def measure(url: str, rate_hz: float, seconds: float, frames: int) -> list[Result]:
@@ -80,6 +86,7 @@ async def measure(url: str, rate_hz: float, seconds: float, frames: int) -> list
 
 async def _draws_when_still(tab: Tab) -> float:
     await tab.run("window.calls('Pause')")
+    await tab.wait_for(_PAUSED)
     await asyncio.sleep(2.0)
     before = await tab.run("window.draws")
     await asyncio.sleep(_STILL_S)
@@ -102,7 +109,10 @@ async def _show(tab: Tab, view: str, frames: int) -> None:
     await tab.run(f"location.hash = '{view}'")
     await tab.wait_for(f"document.querySelector('main').dataset.view === '{view}'")
     await asyncio.sleep(1.0)
-    await tab.run(_REPEATED % frames)
+    await tab.run(_BEGIN)
+    for done in range(0, frames, _AT_ONCE):
+        await tab.run(f"window.repeat({min(_AT_ONCE, frames - done)})")
+    await tab.run("window.resume()")
 
 
 def _per_frame_ms(events: list[dict[str, Any]], rate_hz: float) -> list[float]:

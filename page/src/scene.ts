@@ -62,7 +62,7 @@ class RobotModel {
     const wide = robot.track_m - 0.07;
     const long = Math.max(base + radius * 1.1, 0.3);
     const material = (color: number, extra = {}): THREE.MeshStandardMaterial =>
-      new THREE.MeshStandardMaterial({ color, roughness: 0.55, metalness: 0.1, transparent: ghost, opacity: ghost ? 0.4 : 1, depthWrite: !ghost, ...extra });
+      new THREE.MeshStandardMaterial({ color: ghost ? palette.body : color, roughness: 0.55, metalness: 0.1, transparent: ghost, opacity: ghost ? 0.4 : 1, depthWrite: !ghost, ...extra });
     const body = new THREE.Mesh(new THREE.BoxGeometry(long, wide, 0.11), material(palette.body));
     body.position.z = radius + 0.035;
     const deck = new THREE.Mesh(new THREE.BoxGeometry(long * 0.62, wide * 0.78, 0.03), material(0x202a36));

@@ -54,7 +54,8 @@ export function number(value: number | null | undefined, type = "Double"): strin
   const size = Math.abs(value);
   if (size >= 100000) return value.toExponential(2);
   const digits = size >= 1000 ? 0 : size >= 100 ? 1 : size >= 10 ? 2 : 3;
-  return value.toFixed(digits).replace("-", "\u2212");
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "\u2212");
 }
 
 /** Microseconds in the unit a reader expects. */
@@ -76,6 +77,11 @@ export function seconds(value: number): string {
   if (value < 10) return `${value.toFixed(1)} s`;
   if (value < 120) return `${value.toFixed(0)} s`;
   return value < 7200 ? `${(value / 60).toFixed(0)} min` : `${(value / 3600).toFixed(0)} h`;
+}
+
+/** The name of a signal, which a narrow column breaks between its words. */
+export function signalName(name: string): HTMLElement {
+  return h("code", {}, ...name.split(/(?<=[._])/).flatMap((word) => [h("wbr"), word]));
 }
 
 export type Quality = "good" | "forced" | "uncertain" | "bad";

@@ -217,7 +217,7 @@ class Live:
         return {
             "type": "board",
             "board": self.board,
-            "driver": None if driver is None else driver.number,
+            "driver": None if driver is None or self.find(driver.number) is None else driver.number,
             "clients": len(self._clients),
             "jobs": self._jobs.view(),
         }

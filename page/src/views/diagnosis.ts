@@ -24,12 +24,12 @@ export function diagnosisView(context: Context): View {
         ? files.logs.map((log) =>
             h("li", {}, h("code", {}, log.name), h("span", { class: "hint" }, bytes(log.bytes)),
               action("Diagnose", async () => toast(`Diagnosis ${await call("diagnose", log.name)} has started.`), { disabled: !may(context, "Start"), "aria-label": `Diagnose ${log.name}` })))
-        : [h("li", { class: "note" }, `No logs in ${folder(files.folders, "recordings")}: record a run, or put one there.`)]),
+        : [h("li", { class: "note" }, `No logs yet: record a run, or put one into the folder ${files.folders["recordings"]}.`)]),
     );
     patches.replaceChildren(
       ...(files.patches.length
         ? files.patches.map(({ name }) => h("li", {}, h("code", {}, name), action("Load", () => call("LoadPatch", name), { disabled: !may(context, "LoadPatch"), "aria-label": `Load ${name}` })))
-        : [h("li", { class: "note" }, `No patches in ${folder(files.folders, "patches")}.`)]),
+        : [h("li", { class: "note" }, `No patches yet: a diagnosis makes them, or the folder ${files.folders["patches"]} has them.`)]),
     );
   }
   load().catch((error: Error) => toast(error.message, "error"));
@@ -94,8 +94,4 @@ function gapRow(name: string, gap: number, unit: string): HTMLElement {
   const points = course.map((value, i) => `${COURSE - course.length + i},${(22 - (20 * Math.abs(value)) / most).toFixed(1)}`).join(" ");
   const line = svg("svg", { viewBox: `0 0 ${COURSE} 24`, class: "course", "aria-hidden": "true" }, svg("polyline", { points }));
   return h("div", { "data-gap": name }, h("dt", {}, name), line, h("dd", {}, `${number(gap)} ${unit}`));
-}
-
-function folder(folders: Record<string, string>, name: string): string {
-  return folders[name] ?? `the folder '${name}'`;
 }

@@ -15,6 +15,7 @@ const KEYS: Record<string, [number, number]> = {
   ArrowRight: [1, 0],
 };
 const DEAD_ZONE = 0.12;
+const TWIST = 1;
 const WHEEL_NAMES: Record<string, string> = { fl: "front left", rl: "rear left", fr: "front right", rr: "rear right" };
 
 let share = 0.5;
@@ -127,14 +128,19 @@ export function driveView(context: Context): View {
   // --- lights -----------------------------------------------------------------------------------
 
   const light = h("select", {}, ...LIGHTS.map((name, i) => h("option", { value: i }, name)));
-  light.addEventListener("change", () => void write("lights.command", Number(light.value)));
+  light.addEventListener("change", async () => {
+    const pattern = Number(light.value);
+    if (pattern) await paint(); // a colour that nobody has chosen yet is black
+    await write("lights.command", pattern);
+  });
   const colour = h("input", { type: "color", value: "#ffd080", "aria-label": "Colour of the lights" });
-  colour.addEventListener("change", async () => {
+  colour.addEventListener("change", () => void paint());
+  async function paint(): Promise<void> {
     const value = parseInt(colour.value.slice(1), 16);
     await write("lights.red", value >> 16);
     await write("lights.green", (value >> 8) & 255);
     await write("lights.blue", value & 255);
-  });
+  }
   async function write(name: string, value: number): Promise<void> {
     await call("write", name, value).catch((error: Error) => toast(error.message, "error"));
   }
@@ -170,12 +176,14 @@ export function driveView(context: Context): View {
       const kind = quality(live.get(name)?.status ?? 0x80000000);
       if (value.dataset.quality !== kind) value.dataset.quality = kind;
     }
+    const byTwist = live.value("control.mode") === TWIST;
     for (const { wheel, actual, wanted, value } of bars) {
+      if (wanted.hidden !== byTwist) wanted.hidden = byTwist; // nobody writes set-points of wheels then
       const sign = wheel[1] === "l" ? 1 : -1;
       const speed = sign * live.value(`wheel.${wheel}.speed_rpm`);
       place(actual, speed / robot.max_rpm);
       place(wanted, (sign * live.value(`wheel.${wheel}.setpoint_rpm`)) / robot.max_rpm, true);
-      setText(value, Number.isFinite(speed) ? speed.toFixed(0).replace(/^-0$/, "0") : "–");
+      setText(value, Number.isFinite(speed) ? speed.toFixed(0).replace(/^-0$/, "0").replace("-", "\u2212") : "–");
     }
     for (const { place: at, value } of finders) {
       const reading = live.get(`tof.${at}_m`);
@@ -196,6 +204,7 @@ export function driveView(context: Context): View {
     ...WHEELS.flatMap((wheel) => [`wheel.${wheel}.speed_rpm`, `wheel.${wheel}.setpoint_rpm`]),
     ...["fl", "fr", "rl", "rr"].map((at) => `tof.${at}_m`),
     "lights.command",
+    "control.mode",
   ]);
 
   // --- keys, gamepad, letting go ----------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 import { may, type Context, type View } from "../context";
 import { call, get, live, type Signal } from "../net";
-import { action, field, h, number, quality, qualityName, seconds, setText, toast } from "../ui";
+import { action, field, h, number, quality, qualityName, seconds, setText, signalName, toast } from "../ui";
 
 const FAULTS: Record<string, Record<string, number>> = {
   bias: { offset: 1 },
@@ -90,7 +90,7 @@ export function signalsView(context: Context): View {
     scenarios.replaceChildren(
       ...(files.length
         ? files.map(({ name }) => h("li", {}, h("code", {}, name), action("Start", () => call("StartScenario", name), { disabled: !may(context, "StartScenario"), "aria-label": `Start ${name}` })))
-        : [h("li", { class: "note" }, `No scenarios in ${folders["scenarios"] ?? "the folder"}.`)]),
+        : [h("li", { class: "note" }, `No scenarios yet: put one into the folder ${folders["scenarios"]}.`)]),
     );
   }
   loadScenarios().catch((error: Error) => toast(error.message, "error"));
@@ -167,7 +167,7 @@ function makeRow(context: Context, signal: Signal): Row {
   const act = h("td", {});
   const row: Row = {
     signal, value, quality: kind.firstElementChild as HTMLElement, age, act,
-    element: h("tr", {}, h("th", { scope: "row", title: signal.description }, h("code", {}, signal.name)), value, h("td", { class: "unit" }, signal.unit), kind, age, act),
+    element: h("tr", {}, h("th", { scope: "row", title: signal.description }, signalName(signal.name)), value, h("td", { class: "unit" }, signal.unit), kind, age, act),
     last: NaN, status: -1, changed: performance.now(),
   };
   if (may(context, "Force") && !signal.name.startsWith("sim.")) offerForce(row);

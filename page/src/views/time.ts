@@ -46,9 +46,9 @@ export function timeView(context: Context): View {
 
   async function load(): Promise<void> {
     const files = await get<{ snapshots: File[]; logs: File[]; folders: Record<string, string> }>("logs");
-    snapshots.replaceChildren(...entries(files.snapshots, `No snapshots in ${files.folders["snapshots"]}.`, (each) =>
+    snapshots.replaceChildren(...entries(files.snapshots, "No snapshots yet.", (each) =>
       action("Load", () => call("LoadSnapshot", each.name), { disabled: !may(context, "LoadSnapshot"), "aria-label": `Load ${each.name}` })));
-    recordings.replaceChildren(...entries(files.logs, `No recordings in ${files.folders["recordings"]}.`, () => null));
+    recordings.replaceChildren(...entries(files.logs, "No recordings yet.", () => null));
   }
   load().catch((error: Error) => toast(error.message, "error"));
 

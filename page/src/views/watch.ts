@@ -4,9 +4,10 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Context, View } from "../context";
 import { live, type Figures, type Slice } from "../net";
-import { bytes, h, micros, number, seconds, setText, toast } from "../ui";
+import { bytes, h, micros, number, seconds, setText, signalName, toast } from "../ui";
 
 const LONGEST_S = 120;
+const HOLE_S = 1;
 const COLOURS = ["#0b6bcb", "#d9480f", "#2b8a3e", "#9c36b5", "#b08900", "#0c8599"];
 const MOST_LINES = 6;
 
@@ -24,7 +25,12 @@ class History {
 
   add(t: number): void {
     if (this.times.length && t < this.times[this.times.length - 1]!) this.clear();
-    if (this.times[this.times.length - 1] === t) return;
+    const last = this.times[this.times.length - 1];
+    if (last === t) return;
+    if (last !== undefined && t - last > HOLE_S * Math.max(1, live.slow.board.speed ?? 1)) {
+      this.times.push((last + t) / 2); // nothing was seen: no line is drawn there
+      for (const values of this.series.values()) values.push(null);
+    }
     this.times.push(t);
     for (const [name, values] of this.series) {
       const value = live.value(name);
@@ -196,7 +202,7 @@ export function watchView(context: Context): View {
       ...context.signals
         .filter((signal) => signal.name.toLowerCase().includes(text))
         .map((signal) => {
-          const button = h("button", { type: "button", draggable: "true", title: signal.description, onclick: () => add(signal.name) }, h("code", {}, signal.name), h("i", {}, signal.unit));
+          const button = h("button", { type: "button", draggable: "true", title: signal.description, onclick: () => add(signal.name) }, signalName(signal.name), h("i", {}, signal.unit));
           button.addEventListener("dragstart", (event) => event.dataTransfer?.setData("text/plain", signal.name));
           return h("li", {}, button);
         }),
