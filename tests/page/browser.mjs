@@ -58,7 +58,7 @@ async function load(url, selector) {
       await page.goto(url);
       break;
     } catch (error) {
-      if (tries > 60) throw error;
+      if (tries > 300) throw error;
       await new Promise((resolve) => setTimeout(resolve, 500));
     }
   }
