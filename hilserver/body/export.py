@@ -1,11 +1,14 @@
 """The robot for other programs: MJCF with wheels that turn, URDF for RViz and Foxglove."""
 
+import math
 from xml.etree import ElementTree as Xml
 
 from hilserver.body.parameters import PLATES_M, WHEEL_WIDTH_M, BodyParameters
-from hilserver.plant.layout import WHEELS
+from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 
-_CHASSIS_Z_M = 0.5 * PLATES_M[2]
+FINDER_HEIGHT_M = 0.045
+"""EduArt's range finders above the floor."""
+_FINDERS = ("fl", "fr", "rl", "rr")
 
 
 def _text(*numbers: float) -> str:
@@ -54,29 +57,51 @@ def robot_mjcf(body: BodyParameters) -> str:
     return _document(root)
 
 
-def robot_urdf(body: BodyParameters) -> str:
-    """Return links and joints of the robot; ``base_link`` is its centre of mass (REP-105)."""
-    root = Xml.Element("robot", name="hilserver")
-    base = Xml.SubElement(root, "link", name="base_link")
-    visual = Xml.SubElement(base, "visual")
-    Xml.SubElement(visual, "origin", xyz=_text(*_chassis_m(body)), rpy="0 0 0")
-    Xml.SubElement(Xml.SubElement(visual, "geometry"), "box", size=_text(*PLATES_M))
-    inertial = Xml.SubElement(base, "inertial")
+def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
+    """Return links and joints of the robot; ``base_link`` is its centre of mass (REP-105).
+
+    Joints and frames have the names of the messages in ROS 2; `prefix` stands before them.
+    """
+    root, base = Xml.Element("robot", name="hilserver"), f"{prefix}base_link"
+    link = Xml.SubElement(root, "link", name=base)
+    _visual(link, _text(*_chassis_m(body)), "0 0 0", "box", size=_text(*PLATES_M))
+    inertial = Xml.SubElement(link, "inertial")
     Xml.SubElement(inertial, "mass", value=_text(body.mass_kg))
     ixx, iyy, izz = (_text(moment) for moment in body.moments_kg_m2)
     Xml.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
-    for name, centre in zip(WHEELS, body.wheels_m.tolist(), strict=True):
-        wheel = Xml.SubElement(Xml.SubElement(root, "link", name=f"wheel_{name}"), "visual")
-        Xml.SubElement(wheel, "origin", xyz="0 0 0", rpy="1.57079633 0 0")
-        radius, width = _text(body.robot.wheel_radius_m), _text(WHEEL_WIDTH_M)
-        geometry = Xml.SubElement(wheel, "geometry")
-        Xml.SubElement(geometry, "cylinder", radius=radius, length=width)
-        joint = Xml.SubElement(root, "joint", name=f"wheel_{name}", type="continuous")
-        Xml.SubElement(joint, "parent", link="base_link")
-        Xml.SubElement(joint, "child", link=f"wheel_{name}")
+    size = {"radius": _text(body.robot.wheel_radius_m), "length": _text(WHEEL_WIDTH_M)}
+    for wheel, centre in zip(WHEELS, body.wheels_m.tolist(), strict=True):
+        name = f"wheel_{WHEEL_WORDS[wheel].replace(' ', '_')}"
+        link = Xml.SubElement(root, "link", name=prefix + name)
+        _visual(link, "0 0 0", "1.57079633 0 0", "cylinder", **size)
+        joint = _joint(root, f"{prefix}base_to_{name}", "continuous", base, prefix + name)
         Xml.SubElement(joint, "origin", xyz=_text(*centre), rpy="0 0 0")
         Xml.SubElement(joint, "axis", xyz="0 1 0")
+    tof, (ahead, aside, height) = body.robot.tof, body.centre_of_mass_m
+    for place in _FINDERS:
+        words = WHEEL_WORDS[place].split()
+        name, is_front, is_left = "/".join(words), place[0] == "f", place[1] == "l"
+        Xml.SubElement(root, "link", name=f"{prefix}range/{name}")
+        joint_name = f"{prefix}base_to_range_{'_'.join(words)}"
+        joint = _joint(root, joint_name, "fixed", base, f"{prefix}range/{name}")
+        x_m = tof.mount_x_m if is_front else -tof.mount_x_m
+        y_m = tof.mount_y_m if is_left else -tof.mount_y_m
+        where = _text(x_m - ahead, y_m - aside, FINDER_HEIGHT_M - height)
+        Xml.SubElement(joint, "origin", xyz=where, rpy=f"0 0 {0.0 if is_front else math.pi:.9g}")
     return _document(root)
+
+
+def _visual(link: Xml.Element, xyz: str, rpy: str, shape: str, **size: str) -> None:
+    visual = Xml.SubElement(link, "visual")
+    Xml.SubElement(visual, "origin", xyz=xyz, rpy=rpy)
+    Xml.SubElement(Xml.SubElement(visual, "geometry"), shape, size)
+
+
+def _joint(root: Xml.Element, name: str, kind: str, parent: str, child: str) -> Xml.Element:
+    joint = Xml.SubElement(root, "joint", name=name, type=kind)
+    Xml.SubElement(joint, "parent", link=parent)
+    Xml.SubElement(joint, "child", link=child)
+    return joint
 
 
 def _document(root: Xml.Element) -> str:

@@ -3,13 +3,9 @@
 import argparse
 
 from hilserver.body.export import robot_mjcf, robot_urdf
-from hilserver.body.parameters import BodyParameters
 from hilserver.commands.options import add_config, config_path, out_file
-from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, MechatronicConfig
 from hilserver.daemon.assembly import assemble
-from hilserver.errors import EXIT_DONE, ConfigError
-from hilserver.plant.errors import PlantError
-from hilserver.plant.parameters import RobotParameters
+from hilserver.errors import EXIT_DONE
 
 EXAMPLE = "hilserver model --format urdf -o robot.urdf"
 _FORMATS = {"urdf": robot_urdf, "mjcf": robot_mjcf}
@@ -25,16 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the robot of a configuration; needs no extra."""
     assembly = assemble(config_path(args))
-    text = _FORMATS[args.format](_body(assembly.config.mechatronic, assembly.robot))
+    text = _FORMATS[args.format](assembly.body)
     if args.out is None:
         print(text, end="")
     else:
         args.out.write_text(text, encoding="utf-8")
     return EXIT_DONE
-
-
-def _body(section: MechatronicConfig, robot: RobotParameters) -> BodyParameters:
-    try:
-        return section.body(robot, DEFAULT_PERIOD_MS * 1e-3)
-    except PlantError as error:
-        raise ConfigError(str(error)) from None

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from hilserver import __version__
 from hilserver.body.engine import Engine
+from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
 from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
@@ -67,6 +68,20 @@ class Assembly:
     def folder(self) -> Path:
         """Folder that relative paths of the configuration start from."""
         return Path.cwd() if self.path is None else self.path.resolve().parent
+
+    @property
+    def body(self) -> BodyParameters:
+        """The robot's body, whether or not the mechatronic model runs.
+
+        Raises
+        ------
+        ConfigError
+            If it could not stand.
+        """
+        try:
+            return self.config.mechatronic.body(self.robot, DEFAULT_PERIOD_MS * 1e-3)
+        except PlantError as error:
+            raise ConfigError(str(error)) from None
 
     @contextmanager
     def at(self, *location: str | int) -> Iterator[None]:

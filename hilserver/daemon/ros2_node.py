@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from hilserver.body.export import robot_urdf
 from hilserver.core.clock import UtcClock
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core
@@ -27,6 +28,7 @@ def make_ros2(core: Core, clock: UtcClock, supervision: Supervision) -> "Ros2Nod
         gate=core.gate,
         events=core.events,
         clock=clock,
+        description=lambda prefix: robot_urdf(core.assembly.body, prefix),
         latest=core.image.latest,
         on_stale=lambda: supervision.on_silence(NAME, host),
         on_restored=lambda: supervision.on_sound(NAME),

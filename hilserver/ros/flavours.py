@@ -14,8 +14,6 @@ from hilserver.ros.robot import Robot
 
 FAST_S, ODOMETRY_S, STATUS_S = 0.02, 0.1, 0.5
 FLOATS: Final = "std_msgs/msg/Float32MultiArray"
-DESCRIPTION: Final = ("robot_description", "std_msgs/msg/String", LATCHED)
-"""Topic, type and quality of the robot's model, on request."""
 EDU_RELIABLE, EDU_BEST_EFFORT = Qos(depth=2), Qos(reliable=False, depth=2)
 
 
@@ -28,6 +26,12 @@ class Published:
     make: Callable[[Robot], Iterator[Any]]
     period_s: float | None = FAST_S
     qos: Qos = DEFAULT
+
+
+DESCRIPTION: Final = Published(
+    "robot_description", "std_msgs/msg/String", lambda _: iter(()), None, LATCHED
+)
+"""The robot's model, on request; written once, when the node starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,7 @@ class Flavour:
         """Every name that can be renamed."""
         written = [topic.topic for topic in (*self.published, *self.extras.values())]
         read = [topic.topic for topic in self.subscribed]
-        names = [*written, *read, DESCRIPTION[0], *(service.name for service in self.served)]
+        names = [*written, *read, DESCRIPTION.topic, *(service.name for service in self.served)]
         return tuple(dict.fromkeys(names))
 
 

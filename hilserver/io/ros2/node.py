@@ -25,7 +25,6 @@ from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
-from hilserver.ros.description import urdf
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Subscribed
 from hilserver.ros.robot import Odometer, Robot, Shape
 from hilserver.ros.types import Types
@@ -64,6 +63,8 @@ class World:
 
     Attributes
     ----------
+    description : callable
+        The robot as URDF, with a prefix before the names of frames and joints.
     latest : callable
         The newest frame, None before the first.
     on_stale, on_restored : callable
@@ -75,6 +76,7 @@ class World:
     gate: Gate
     events: EventBus
     clock: UtcClock
+    description: Callable[[str], str]
     latest: Callable[[], Frame | None]
     on_stale: Callable[[], None]
     on_restored: Callable[[], None]
@@ -152,24 +154,14 @@ class Ros2Node:
 
     def _join(self) -> Participant:
         participant, wire = Participant(self.config), self._wire
-        for published in self._published():
-            name = self.config.full_name(published.topic)
-            made = participant.writer(
-                f"rt{name}",
-                wire.make(published.type),
-                published.qos,
-                self._types.hash(published.type),
-            )
-            self._outs[name] = published, made
-        for subscribed in self._flavour.subscribed:
-            name = self.config.full_name(subscribed.topic)
-            reader = participant.reader(
-                f"rt{name}",
-                wire.make(subscribed.type),
-                subscribed.qos,
-                self._types.hash(subscribed.type),
-            )
-            self._ins[name] = subscribed, reader
+
+        def opened(open_one: Callable[..., Any], topic: Any) -> tuple[str, tuple[Any, Any]]:
+            name, kind = self.config.full_name(topic.topic), topic.type
+            made = open_one(f"rt{name}", wire.make(kind), topic.qos, self._types.hash(kind))
+            return name, (topic, made)
+
+        self._outs = dict(opened(participant.writer, topic) for topic in self._published())
+        self._ins = dict(opened(participant.reader, topic) for topic in self._flavour.subscribed)
         self._services = [
             Service(served, self.config, self._types, wire, participant)
             for served in self._flavour.served
@@ -177,23 +169,17 @@ class Ros2Node:
         kinds = [published.type for published, _ in self._outs.values()]
         for kind in kinds + [subscribed.type for subscribed, _ in self._ins.values()]:
             self._types.prepare(kind)
-        self._describe(participant, wire)
+        if self.config.publish.robot_description:
+            name, (description, writer) = opened(participant.writer, DESCRIPTION)
+            text = self._world.description(self.robot.frame_prefix)
+            writer.write(self._types.encode(self.robot.make(description.type, data=text)))
+            self._outs[name] = description, writer
         return participant
 
     def _published(self) -> list[Published]:
         asked = self.config.publish.model_dump()
         extras = [topic for name, topic in self._flavour.extras.items() if asked[name]]
         return [*self._flavour.published, *extras]
-
-    def _describe(self, participant: Participant, wire: WireTypes) -> None:
-        if not self.config.publish.robot_description:
-            return
-        topic, kind, qos = DESCRIPTION
-        name = self.config.full_name(topic)
-        writer = participant.writer(f"rt{name}", wire.make(kind), qos, self._types.hash(kind))
-        text = urdf(self._world.shape, self.robot.frame_prefix)
-        writer.write(self._types.encode(self.robot.make(kind, data=text)))
-        self._outs[name] = Published(topic, kind, lambda _: iter(()), None, qos), writer
 
     async def stop(self) -> None:
         """Leave the domain."""

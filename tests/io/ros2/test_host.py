@@ -12,6 +12,8 @@ from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, SILENT_MS, Host, robot, speeds, twist, value
 from tests.loopback.rig import wait_until
 
+pytestmark = pytest.mark.timeout(900)  # on a busy computer
+
 RPM = "iotbot_interface/msg/RotationSpeed"
 DRIVE = ("w", "rt/iotbot/rpm", RPM, "reliable")
 RETURN = ("r", "rt/iotbot/rpm/return", RPM, "reliable")
@@ -152,7 +154,7 @@ async def test_defect_2_drives_on(fast_dds, domain):
             await drives(daemon)
         await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
         await wait_until(
-            lambda: daemon.ros2.status.input_age_s(time.monotonic_ns()) > 1.5, PATIENCE_S
+            lambda: daemon.ros2.status.input_age_s(time.monotonic_ns()) > 2.5, PATIENCE_S
         )
         assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(50.0, abs=1.0)
         daemon.faults.clear()

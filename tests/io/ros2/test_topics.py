@@ -9,6 +9,8 @@ from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, Host, four_floats, robot, speeds, twist, value
 from tests.loopback.rig import wait_until
 
+pytestmark = pytest.mark.timeout(900)  # on a busy computer
+
 EXTRAS = {"tf": True, "clock": True, "odom": True, "pose_stamped": True}
 
 
@@ -27,7 +29,8 @@ def endpoints(flavour, space=""):
 async def test_a_host_drives_by_rpm_and_reads_every_topic(peer, domain):
     host = Host(peer, domain, *endpoints("iotbot_shield"))
     driving = host.repeating("rt/iotbot/rpm", **speeds(40, -30, 40, -30))
-    async with robot(domain, publish=EXTRAS) as daemon, host, driving:
+    published = EXTRAS | {"robot_description": True}
+    async with robot(domain, publish=published) as daemon, host, driving:
         seen = await host.sees("rt/iotbot/rpm/return", lambda m: m.front_left_rpm > 39.5)
         assert seen.front_right_rpm == pytest.approx(-30, abs=1)
         for topic in host.received:
