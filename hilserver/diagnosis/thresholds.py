@@ -124,6 +124,7 @@ SELECTION_NEARLY_ALL: Final = 0.9
 SELECTION_LEAST_LINEAR: Final = 9.0  # deviance that a cause must save, linearly
 SELECTION_LEAST_GAIN: Final = 10.0  # deviance that a cause must save, fitted
 SELECTION_LEAST_SAVED: Final = 8.0  # deviance that a cause must save on held-out blocks
+SELECTION_PLAUSIBLE_SD: Final = 4.0  # prior deviations that no machine exceeds (specification)
 TIE: Final = 4.0  # deviance, per parameter, within which two causes explain alike
 SHAPED: Final = 0.005  # share of its gain that a shape costs: it bends to what is left
 # share of the best trial's gain from which another shape is worth a search

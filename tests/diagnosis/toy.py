@@ -53,11 +53,11 @@ class LinearStage(DriveStage):
         return predicted
 
 
-def candidate(name, least=0.0, hidden=0):
+def candidate(name, least=0.0, hidden=0, prior=np.inf):
     return Candidate(
         cause=name, label=name, stage="drive", start=(0.0,), null=(0.0,), step=(0.1,),
         terms=lambda theta: {name: float(theta[0])}, low=(-np.inf,), high=(np.inf,), least=least,
-        hidden=hidden,
+        hidden=hidden, prior=prior,
     )  # fmt: skip
 
 
@@ -68,11 +68,14 @@ def problem(values, columns, *, block_s=1.0, noise_sd=1.0):
     return made
 
 
-def library(made, names=None, hidden=None):
+def library(made, names=None, hidden=None, prior=None):
     """All columns of a problem as candidates, and its empty model."""
-    hidden = hidden or {}
+    hidden, prior = hidden or {}, prior or {}
     base = made.point(Model(), np.zeros((0, 3)))
-    candidates = [candidate(n, hidden=hidden.get(n, 0)) for n in names or made.stage.columns]
+    candidates = [
+        candidate(n, hidden=hidden.get(n, 0), prior=prior.get(n, np.inf))
+        for n in names or made.stage.columns
+    ]
     raw = [made.column(base, c).astype(np.float32) for c in candidates]
     lib = Library(made, candidates, raw)
     lib.rewhiten(base)

@@ -46,6 +46,8 @@ class Candidate:
     moved : callable, optional
         From a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
         shape, for a finer search.
+    prior : float
+        Standard deviation about null of what sound machines have; infinite: any size is usual.
     """
 
     cause: str
@@ -62,6 +64,7 @@ class Candidate:
     hidden: int = 0
     tried: tuple[float, ...] = ()
     moved: "Callable[[float], Candidate] | None" = None
+    prior: float = math.inf
 
     @property
     def weight(self) -> int:

@@ -1,6 +1,6 @@
 """Forward selection with held-out blocks, joint refit, and a swap check against every rival."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -9,11 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.shape_search import refined, searched
-from hilserver.diagnosis.decide.trial import Trial, holds, physical, possible, wald
+from hilserver.diagnosis.decide.trial import (
+    Trial,
+    at_bound,
+    holds,
+    implausible,
+    physical,
+    possible,
+    wald,
+    worth_a_name,
+)
+from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
+from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.thresholds import (
     GROSS,
@@ -53,7 +64,7 @@ class Selected:
 
 
 def best_starts(
-    scores: Scores, library: Library, *, gross: bool = False
+    scores: Scores, library: Library, barred: frozenset[str], *, gross: bool = False
 ) -> list[tuple[int, float]]:
     """Return the candidates that could explain most, with their linear gain; one of each cause.
 
@@ -64,7 +75,8 @@ def best_starts(
     shapes: dict[int, float] = {}
     for j, owner in enumerate(library.owner):
         c, gain = library.candidates[owner], float(scores.gain[j])
-        if gain < SELECTION_LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15):
+        weak = gain < SELECTION_LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15)
+        if c.cause in barred or weak:
             continue
         if gross and c.moved is not None:
             shapes[int(owner)] = max(gain, shapes.get(int(owner), 0.0))
@@ -149,8 +161,71 @@ def select(
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         for name, library in libraries.items():
             other = [s for n, s in scores.items() if n != name]
-            out[name] = _forward(problems[name], library, points[name], other, rng, maxima, pool)
+            search = partial(
+                _forward, problems[name], library, points[name], other, rng, maxima, pool
+            )
+            out[name] = _plausible(problems[name], library, points[name], search)
     return out
+
+
+def _plausible(
+    problem: Problem,
+    library: Library,
+    base: Point,
+    search: Callable[[frozenset[str]], Selected],
+) -> Selected:
+    """Search, and once more without a first choice that no machine would have.
+
+    What was taken first shapes all that follows, and no exchange of one cause for another leads
+    from it to several that explain the data as well. At a bound it explains nothing at all.
+    """
+    beginning = _noise(problem)
+    first = search(frozenset())
+    barred = frozenset(f.candidate.cause for f in first.point.model.fitted if _excessive(f))
+    if not barred:
+        return first
+    own = _noise(problem)
+    _hear(problem, library, beginning, base)
+    other = search(barred)
+    impossible = any(at_bound(f) for f in first.point.model.fitted if _excessive(f))
+    noises = (own, _noise(problem))
+    cheaper = all(_cost(problem, other, n) <= _cost(problem, first, n) for n in noises)
+    if not any(map(_excessive, other.point.model.fitted)) and (impossible or cheaper):
+        gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
+        why = "of a size that no machine has; others explain as much"
+        other.rows[:0] = [SelectionRow(cause, "swapped", None, why) for cause in gone]
+        return other
+    _hear(problem, library, own, first.point)
+    if impossible:
+        return Selected(problem.point(Model(), base.poses), rows=first.rows)
+    return first
+
+
+Noises = tuple[dict[str, NoiseModel], Array]
+
+
+def _excessive(f: Fitted) -> bool:
+    """Return whether a cause worth a name is at a bound, or larger than any machine has it."""
+    return worth_a_name(f) and (at_bound(f) or implausible(f))
+
+
+def _noise(problem: Problem) -> Noises:
+    return dict(problem.noise), problem.weights.copy()
+
+
+def _hear(problem: Problem, library: Library, noise: Noises, point: Point) -> None:
+    """Take a noise model that was learned before."""
+    problem.noise, problem.weights = dict(noise[0]), noise[1].copy()
+    library.rewhiten(point)
+
+
+def _cost(problem: Problem, selected: Selected, noise: Noises) -> float:
+    """Return the deviance of a model under some noise, and what its parameters cost."""
+    own = problem.noise, problem.weights
+    problem.noise, problem.weights = noise
+    point = fit(problem, selected.point.model, selected.point, iterations=2)
+    problem.noise, problem.weights = own
+    return point.deviance + sum(TIE * f.candidate.weight for f in point.model.fitted)
 
 
 def _forward(
@@ -161,6 +236,7 @@ def _forward(
     rng: np.random.Generator,
     maxima: Array,
     pool: ThreadPoolExecutor,
+    barred: frozenset[str],
 ) -> Selected:
     selected, start = Selected(point), point
     for round_ in range(SELECTION_MOST_CAUSES):
@@ -171,7 +247,7 @@ def _forward(
         gross = point.deviance > GROSS * len(point.left)
         if np.abs(scores.t).max(initial=0.0) < limit and not gross:
             break
-        starts = best_starts(scores, library, gross=gross)
+        starts = best_starts(scores, library, barred, gross=gross)
         ts = [float(np.abs(scores.t[library.owner == index]).max()) for index, _ in starts]
         ps = adjusted(np.array(ts), maxima).tolist()
         tried = pool.map(

@@ -54,14 +54,16 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     doubtful = set(without_unknown(problem, point, unknown))
     if point.model.fitted:
-        doubtful |= set(imitated(problem, point, families_of(problem, point)))
         contest = scale_or_anchor(problem, point)
         doubtful |= {contest.index} if contest is not None and contest.lost else set()
     for index in sorted(doubtful, reverse=True):
-        less = fit(problem, point.model.without(index), point, iterations=3)
-        rows += _left_out(point, less, "dropped", "unknown structure explains as much")
-        point = less
-    if doubtful or (unknown and explained > 0.0):
+        point = _dropped(problem, point, index, rows)
+    while point.model.fitted:
+        imitation = imitated(problem, point, families_of(problem, point))
+        if imitation is None:
+            break
+        point = _dropped(problem, point, imitation, rows)
+    if point is not weighed or (unknown and explained > 0.0):
         unknown = remaining(problem, point, rng, families_of(problem, point), 0.0) or unknown
     drift: dict[str, float] = {}
     changing = with_drift(p.library, point, rng)
@@ -93,6 +95,13 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     scores = p.library.scores(p.base)
     return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor, in_doubt)
+
+
+def _dropped(problem: Problem, point: Point, index: int, rows: list[SelectionRow]) -> Point:
+    """Return a model without a cause that unknown structure stands for."""
+    less = fit(problem, point.model.without(index), point, iterations=3)
+    rows += _left_out(point, less, "dropped", "unknown structure explains as much")
+    return less
 
 
 def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Rival]]]:

@@ -113,42 +113,54 @@ def alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
     return np.delete(accepted, mine, axis=1), own
 
 
-def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> list[int]:
-    """Return the accepted causes that a single column of unknown structure explains better.
+def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int | None:
+    """Return the accepted cause that a column of unknown structure most clearly explains better.
 
-    What the other causes explain is taken out of both. Only columns that could stand in its place
-    count: others explain something else, which may well be more. And a column that is better by
-    little may be a twin of the cause, whose own form is exact and the column's linear.
+    On blocks that neither was fitted to, what the other causes explain taken out of both. Only
+    columns that could stand in its place count: others explain something else, which may well be
+    more. And a column that is better by little may be a twin of the cause, whose own form is exact
+    and the column's linear. It is one cause at a time: without it, the next may be needed.
     """
     accepted = problem.accepted(point)
     if accepted is None:
-        return []
+        return None
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
-    doubtful: set[int] = set()
+    better = np.zeros(len(point.model.fitted))
     for family in families:  # one at a time: those of the drive together would fill the memory
         white = problem.project(problem.whiten(family.columns), bases)
-        doubtful |= {
-            index
-            for index in range(len(point.model.fitted))
-            if index not in doubtful and _is_better(white, point, accepted, index)
-        }
-    return sorted(doubtful)
+        for index in range(len(better)):
+            more = _better(problem, white, point, accepted, index)
+            better[index] = max(better[index], more)
+    return int(np.argmax(better)) if better.any() else None
 
 
-def _is_better(white: Array, point: Point, accepted: Array, index: int) -> bool:
-    """Return whether one of a family's columns explains more in the place of a cause."""
+def _better(problem: Problem, white: Array, point: Point, accepted: Array, index: int) -> float:
+    """Return by how much one of a family's columns explains more in the place of a cause; or 0."""
     others, own = alone(point, accepted, index)
     target = orthogonal((point.left + own)[:, None], others)[:, 0]
-    effect = orthogonal(own[:, None], others)[:, 0]
+    effect = orthogonal(own[:, None], others)
     columns = orthogonal(white, others)
     squares = (columns**2).sum(axis=0)
     usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
-    length = np.sqrt(squares[usable] * float(effect @ effect)) + 1e-300
-    alike = np.abs(columns.T @ effect)[usable] / length
-    saved = (columns.T @ target)[usable] ** 2 / squares[usable]
-    explained = float(target @ target - point.left @ point.left)
-    most = saved[alike > SUBSTITUTE].max(initial=0.0)
-    return bool(most > explained * (1.0 + INEXACT) + STRUCTURE_LEAST_BETTER)
+    length = np.sqrt(squares * float((effect**2).sum())) + 1e-300
+    usable &= np.abs(columns.T @ effect)[:, 0] / length > SUBSTITUTE
+    if not usable.any():
+        return 0.0
+    saved = _saved_held_out(problem, columns[:, usable], target)
+    explained = float(_saved_held_out(problem, effect, target)[0])
+    more = float(saved.max()) - explained * (1.0 + INEXACT) - STRUCTURE_LEAST_BETTER
+    return max(more, 0.0)
+
+
+def _saved_held_out(problem: Problem, columns: Array, target: Array) -> Array:
+    """Return the deviance that each column alone saves on blocks it was not fitted to."""
+    fold, saved = problem.stack.fold[problem.stack.block], np.zeros(columns.shape[1])
+    for test in (0, 1):
+        a, b = columns[fold != test], target[fold != test]
+        size = (a.T @ b) / ((a**2).sum(axis=0) + 1e-300)
+        a, b = columns[fold == test], target[fold == test]
+        saved += 2.0 * size * (a.T @ b) - size**2 * (a**2).sum(axis=0)
+    return saved
 
 
 def joint_gain(white: Array, left: Array) -> float:

@@ -10,7 +10,12 @@ from hilserver.diagnosis.regression.intervals import covariance
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import freedom_of, normal, orthogonal
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.thresholds import SELECTION_LEAST_SAVED, SHAPED, TIE
+from hilserver.diagnosis.thresholds import (
+    SELECTION_LEAST_SAVED,
+    SELECTION_PLAUSIBLE_SD,
+    SHAPED,
+    TIE,
+)
 
 Array = NDArray[np.float64]
 
@@ -38,14 +43,24 @@ def cost(candidate: Candidate, explained: float) -> float:
 
 def possible(point: Point) -> bool:
     """Return whether every parameter is inside its range and not at its edge."""
-    for f in point.model.fitted:
-        c = f.candidate
-        for value, low, high in zip(f.theta, c.low, c.high, strict=True):
-            width = high - low
-            margin = 1e-6 * width if np.isfinite(width) else 0.0
-            if value <= low + margin or value >= high - margin:
-                return False
-    return True
+    return not any(map(at_bound, point.model.fitted))
+
+
+def at_bound(f: Fitted) -> bool:
+    """Return whether a parameter of a cause rests on the edge of its range: it explains nothing."""
+    c = f.candidate
+    for value, low, high in zip(f.theta, c.low, c.high, strict=True):
+        width = high - low
+        margin = 1e-6 * width if np.isfinite(width) else 0.0
+        if value <= low + margin or value >= high - margin:
+            return True
+    return False
+
+
+def implausible(f: Fitted) -> bool:
+    """Return whether a cause is larger than it is in any machine one would expect."""
+    away = (abs(v - null) for v, null in zip(f.theta, f.candidate.null, strict=True))
+    return max(away) > SELECTION_PLAUSIBLE_SD * f.candidate.prior
 
 
 def worth_a_name(fitted: Fitted) -> bool:

@@ -230,11 +230,24 @@ def test_a_cause_yields_to_a_column_of_unknown_structure_that_explains_more():
         truth = 0.9 * columns["named"] + np.sqrt(1.0 - 0.9**2) * columns["own"]
         history = Family("history", ("velocity.linear_m_s",), truth[:, None])
         aside = Family("time", ("t_s",), columns["aside"][:, None])
-        for values, wanted in ((truth, [0]), (columns["named"], [])):
+        for values, wanted in ((truth, 0), (columns["named"], None)):
             problem = toy.problem(0.5 * values + rng.normal(size=N), {"named": columns["named"]})
             base = problem.point(Model(), np.zeros((0, 3)))
             point = fit(problem, toy.model("named"), base)
             assert imitated(problem, point, [aside, history]) == wanted
+
+
+def test_a_column_that_explains_only_what_it_was_fitted_to_puts_no_cause_in_doubt():
+    """It follows the noise of this very log; on the other half of the blocks it says nothing."""
+    rng = np.random.default_rng(3)
+    columns = columns_of(rng, "named")
+    noise = 4.0 * rng.normal(size=N)
+    problem = toy.problem(0.5 * columns["named"] + noise, columns)
+    point = fit(problem, toy.model("named"), problem.point(Model(), np.zeros((0, 3))))
+    half = problem.stack.fold[problem.stack.block] == 0
+    learned = 0.5 * columns["named"] + np.where(half, noise, -0.2 * noise)
+    family = Family("time", ("t_s",), learned[:, None])
+    assert imitated(problem, point, [family]) is None
 
 
 def test_a_gross_misfit_is_never_left_without_a_word():

@@ -1,0 +1,59 @@
+"""A first choice that no machine would have is left where others explain as much."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.decide.selection import Selected, _plausible, select
+from hilserver.diagnosis.regression.problem import fit
+from hilserver.diagnosis.replay.model import Model
+from tests.diagnosis import toy
+
+N = 2400
+LURE = {"lure": 0.05}
+
+
+def selected(values, columns):
+    problem = toy.problem(values, columns)
+    library, base = toy.library(problem, prior=LURE)
+    rng = np.random.default_rng(0)
+    return select({"drive": problem}, {"drive": library}, {"drive": base}, rng)["drive"]
+
+
+@pytest.fixture
+def drawn():
+    """Two causes, and one that looks like their sum: it explains more than either alone."""
+    rng = np.random.default_rng(1)
+    a, b, aside = (30.0 * toy.smooth(rng, N) for _ in range(3))
+    return rng.normal(size=N), {"a": a, "b": b, "lure": a + b + 0.3 * aside}
+
+
+def test_two_causes_stand_for_one_that_is_far_too_large(drawn):
+    noise, columns = drawn
+    found = selected(0.6 * columns["a"] + 0.6 * columns["b"] + noise, columns)
+    assert sorted(found.point.model.causes) == ["a", "b"]
+    assert found.point.model.theta() == pytest.approx([0.6, 0.6], abs=0.1)
+    assert ("lure", "swapped") in {(row.cause, row.action) for row in found.rows}
+
+
+def test_what_alone_explains_the_data_stays_whatever_its_size(drawn):
+    noise, columns = drawn
+    found = selected(0.6 * columns["lure"] + noise, columns)
+    assert found.point.model.causes == ("lure",)
+
+
+@pytest.mark.parametrize("others_help", [True, False])
+def test_a_cause_at_its_bound_explains_nothing(drawn, others_help):
+    """Others stand for it even if they explain less; without any there is no name at all."""
+    noise, columns = drawn
+    problem = toy.problem(0.6 * columns["lure"] + noise, columns)
+    library, base = toy.library(problem)
+    edge = replace(toy.candidate("lure"), high=(0.5,))
+    at_edge = fit(problem, Model().plus(edge, (0.1,)), base)
+    assert at_edge.model.theta() == pytest.approx(0.5)
+    other = fit(problem, toy.model("a"), base) if others_help else base
+    found = _plausible(
+        problem, library, base, lambda barred: Selected(other if barred else at_edge)
+    )
+    assert found.point.model.causes == (("a",) if others_help else ())
