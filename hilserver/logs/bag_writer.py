@@ -50,7 +50,8 @@ class BagWriter:
         self._types = Types()
         self._types.add(topics.FRAME_TYPE, self._layout.schema)
         self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
-        period_ns = int(run["base_period_ns"])
+        # Rows of others come when they come: with the longest period, each is a message.
+        period_ns = 1_000_000_000 if run.get("foreign") else int(run["base_period_ns"])
         self._eduart = topics.Eduart(self._types, list(self._layout.names), period_ns)
         plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
         path.parent.mkdir(parents=True, exist_ok=True)

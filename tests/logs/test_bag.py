@@ -1,6 +1,7 @@
 """A bag keeps every bit, opens in foreign readers, and holds EduArt's topics beside the signals."""
 
 import itertools
+import json
 import math
 
 import numpy as np
@@ -80,6 +81,25 @@ def test_a_diagnosis_sees_the_same_numbers_in_recording_and_bag(recording, tmp_p
             np.testing.assert_array_equal(ours, theirs, err_msg=name)
 
 
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_a_diagnosis_says_the_same_of_log_and_bag(tmp_path):
+    """All of it but the name and hash of the log; 18 s of a drive that pulls aside."""
+    assert commands.main(["scenarios", "make", "pulls_aside", "-o", str(tmp_path / "s")]) == 0
+    lines = (tmp_path / "s" / "logs" / "drive.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text("".join(lines[:900]))
+    convert(tmp_path / "log.csv", tmp_path / "bag")
+    config, said = str(tmp_path / "s" / "config.yaml"), []
+    for log in ("log.csv", "bag"):
+        out = tmp_path / f"of_{log}"
+        words = ["diagnose", str(tmp_path / log), "-c", config, "-o", str(out), "--jobs", "1"]
+        assert commands.main(words) == 0
+        said.append(json.loads((out / "findings.json").read_text()))
+        del said[-1]["logs"]
+    assert said[0]["findings"]
+    assert json.dumps(said[0]) == json.dumps(said[1])
+
+
 def test_foreign_numbers_survive_csv_bag_mcap_parquet_csv(tmp_path):
     rng = np.random.default_rng(1)
     t_s = np.cumsum(rng.uniform(1e-3, 0.03, 300))
@@ -151,6 +171,15 @@ def test_the_recording_of_the_thesis_maps_the_targets(recording, tmp_path):
     np.testing.assert_array_equal(
         log.columns["wheel.fl.speed_rpm"], log.columns["wheel.fl.setpoint_rpm"]
     )
+
+
+def test_every_row_of_others_is_a_message(tmp_path):
+    rows = "".join(f"{t},20.0\n" for t in (0.0, 0.0203, 0.0391, 0.0612))
+    (tmp_path / "0.csv").write_text(f"t_s,battery.voltage_v\n{rows}")
+    convert(tmp_path / "0.csv", tmp_path / "bag")
+    with Reader(tmp_path / "bag") as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts["/iotbot/battery"] == 4
 
 
 def test_a_few_signals_give_the_topics_that_they_suffice_for(tmp_path):
