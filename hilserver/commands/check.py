@@ -8,6 +8,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import EXIT_DONE
+from hilserver.io.opcua_server.model import describe as address_space
 from hilserver.plant.layout import WHEELS
 
 EXAMPLE = "hilserver check -c config.yaml"
@@ -32,6 +33,8 @@ def run(args: argparse.Namespace) -> int:
         args.schema.write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
         return EXIT_DONE
     assembly = assemble(config_path(args))
+    with assembly.at("blocks"):  # a name or a unit of theirs that OPC UA cannot show
+        address_space(assembly.table)
     print("\n".join(describe(assembly)))
     return EXIT_DONE
 

@@ -106,6 +106,20 @@ def test_a_bad_configuration_is_one_sentence_and_exit_78(
         assert len(printed.splitlines()) == 1
 
 
+def test_check_refuses_a_unit_that_the_server_cannot_show(tmp_path, monkeypatch, capsys):
+    (tmp_path / "own.py").write_text(
+        "from hilserver.plant.blocks import Output, block\n\n"
+        "@block(inputs=(), outputs=(Output('far', unit='parsec', low=0.0, high=1.0),))\n"
+        "def away(dt_s, u, y, x, p):\n    y[0] = 0.0\n"
+    )
+    write_config(tmp_path, "blocks:\n  - {name: a, function: 'own.py:away', slice: sensors}\n")
+    monkeypatch.chdir(tmp_path)
+    assert main(["check"]) == 78
+    printed = capsys.readouterr().err
+    assert "config.yaml:4: blocks: unit 'parsec' is unknown; write one of" in printed
+    assert len(printed.splitlines()) == 1
+
+
 def test_check_says_what_the_configuration_means(tmp_path):
     run = hilserver("check", "-c", str(write_config(tmp_path)), cwd=tmp_path)
     assert run.returncode == 0, run.stderr
