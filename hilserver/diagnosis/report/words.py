@@ -87,9 +87,15 @@ class Change:
         ends = None if gain.ci95 is None else (1.0 / gain.ci95[1], 1.0 / gain.ci95[0])
         return cls(1.0 / gain.ratio, False, ends)
 
+    @property
+    def is_none(self) -> bool:
+        """Whether the error is, in two digits, what it was."""
+        return number(self.factor, digits=2) == "1"
+
     def __str__(self) -> str:
-        """``3.2 times smaller`` or ``1.1 times larger``, with the interval."""
+        """``3.2 times smaller``, ``1.1 times larger`` or ``unchanged``, with the interval."""
         text = f"{number(self.factor, digits=2)} times {'smaller' if self.is_better else 'larger'}"
+        text = "unchanged" if self.is_none else text
         if self.ci95 is None:
             return text
         low, high = (number(end, digits=2) for end in self.ci95)
