@@ -1,4 +1,4 @@
-"""What changes along a log is named, also where its mean is nought or another cause looks alike."""
+"""What changes along a log is named, also where its mean is zero or another cause looks alike."""
 
 import numpy as np
 import pytest

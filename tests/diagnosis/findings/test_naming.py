@@ -210,7 +210,7 @@ def test_an_effect_of_the_smallest_visible_size_is_usually_seen():
     assert 0.65 <= seen / 60 <= 0.97, f"{seen} of 60"
 
 
-def test_columns_of_noughts_and_of_any_unit_have_a_ridge_fit():
+def test_columns_of_zeros_and_of_any_unit_have_a_ridge_fit():
     rng = np.random.default_rng(8)
     columns = columns_of(rng, "a", "b") | {"nothing": np.zeros(N)}
     columns["b"] *= 1e-6

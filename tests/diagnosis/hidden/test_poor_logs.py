@@ -89,7 +89,7 @@ def pooled(*logs):
     return replace(logs[0], channels=channels, spans=spans)
 
 
-@pytest.mark.parametrize("later_s", [0.0, 3e7], ids=["both from nought", "a later year first"])
+@pytest.mark.parametrize("later_s", [0.0, 3e7], ids=["both from zero", "a later year first"])
 def test_the_stamps_of_two_logs_are_not_mixed(later_s):
     first = moved(sound(), later_s)
     both = diagnose(pooled(first, sound()), assembly(), jobs=1)
@@ -103,7 +103,7 @@ def test_the_stamps_of_two_logs_are_not_mixed(later_s):
 @pytest.mark.parametrize(
     "words", [["setpoint", "speed"], ["nav.", "gyro"], ["speed", "nav."]], ids=" ".join
 )
-def test_what_one_of_two_logs_lacks_is_not_taken_for_nought(words):
+def test_what_one_of_two_logs_lacks_is_not_taken_for_zero(words):
     nothing_is_found(judged(pooled(sound(), only(sound(), *words))))
 
 

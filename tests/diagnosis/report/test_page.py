@@ -111,7 +111,7 @@ def test_a_comparison_has_its_own_headline(verdict):
     assert "differ" in Reader(page).text.split("measured")[0]
 
 
-def test_hundred_segments_that_all_begin_at_nought_follow_each_other():
+def test_hundred_segments_that_all_begin_at_zero_follow_each_other():
     given = evidence(20_000)
     span = np.repeat(np.arange(200), 100)
     t = np.tile(np.arange(100) * 0.02, 200)
