@@ -26,8 +26,9 @@ async def write(url, *values):
     await client.connect()
     for method in ("Reset", "Start"):  # whatever was done before
         await client.call(method)
+    control = ("control.source", "opcua", ua.VariantType.String)
     async with asyncio.timeout(LONG_S):  # a page that was left has control for a moment longer
-        while await client.write(("control.source", "opcua", ua.VariantType.String)) != ["Good"]:
+        while await client.write(control) != ["Good"]:  # noqa: ASYNC110
             await asyncio.sleep(0.1)
     for value in values:
         assert await client.write(value) == ["Good"], value
