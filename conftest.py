@@ -6,6 +6,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import hypothesis
+import pytest
+import structlog
 
 ROOT = Path(__file__).parent
 sys.path.insert(0, str(ROOT / "tests" / "injector"))
@@ -21,3 +23,10 @@ hypothesis.settings.load_profile("hilserver")
 
 _INSTALLED = any(point.name == "hilserver" for point in entry_points(group="pytest11"))
 pytest_plugins = ["pytester"] if _INSTALLED else ["pytester", "hilserver.testing.plugin"]
+
+
+@pytest.fixture(autouse=True)
+def _own_logging():
+    """Forget the logging that a command set up in the process of the tests."""
+    yield
+    structlog.reset_defaults()

@@ -21,7 +21,8 @@ async def test_a_lost_peer_fires_and_clears(node_red, tmp_path) -> None:
         def is_safe() -> bool:
             return alerts().get("HilserverSafeState") == "firing"
 
-        await until(lambda: not alerts(), 60, "the alerts of the start clear")
+        watched = {"HilserverPeerLost", "HilserverSafeState"}  # a busy computer raises others
+        await until(lambda: not watched & alerts().keys(), 60, "the alerts of the start clear")
         await rig.peer.kill()
         fired_s = await until(
             lambda: alerts().get("HilserverPeerLost") == "firing", 60, "the alert fires"
