@@ -27,7 +27,7 @@ async def write(url, *values):
     for method in ("Reset", "Start"):  # whatever was done before
         await client.call(method)
     control = ("control.source", "opcua", ua.VariantType.String)
-    async with asyncio.timeout(LONG_S):  # a page that was left has control for a moment longer
+    async with asyncio.timeout(60):
         while await client.write(control) != ["Good"]:  # noqa: ASYNC110
             await asyncio.sleep(0.1)
     for value in values:
@@ -36,8 +36,11 @@ async def write(url, *values):
 
 
 @pytest.fixture
-def turning(daemon):
+def turning(browser, url, daemon):
     """The simulation is asked to turn, and the real robot turns 15 % more."""
+    browser.do("open", url=url)  # a page that drove before outranks OPC UA until it gives back
+    browser.do("click", role="button", name="Take control")
+    browser.do("click", role="button", name="Give back")
     double = ua.VariantType.Double
     mode = ("control.mode", 1, ua.VariantType.Byte)
     turn = ("twist.angular_rad_s", TURN_RAD_S, double)
