@@ -34,8 +34,9 @@ CORES := $(shell env -u OMP_NUM_THREADS nproc)
 SHARED := --numprocesses $(shell expr $(CORES) + 1) --maxprocesses 8 --dist worksteal
 APART := --numprocesses 2 --dist loadfile
 # A real-time test fails where other tests, or other guests of the host, hold the cores for seconds.
-# What failed beside others runs once more by itself, and has to pass then.
+# What failed beside others has two more tries by itself; a defect fails in all of them.
 ONCE_MORE := --- once more, one by one: what failed beside others
+LAST_FAILED := $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
 # Threads of the linear algebra would wait for each other on cores that all processes share.
 test test-long: export OPENBLAS_NUM_THREADS := 1
 
@@ -44,7 +45,7 @@ test: test-tools lint ## Install what the tests need, lint, run all tests but th
 ifeq ($(strip $(ARGS)),)
 	@failed=; $(BIN)/python -m pytest $(SHARED) $(addprefix --ignore=,$(TIMED)) || failed=1; \
 	    $(BIN)/python -m pytest $(APART) $(TIMED) || failed=1; \
-	    if [ "$$failed" ]; then echo "$(ONCE_MORE)"; $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; fi
+	    if [ "$$failed" ]; then echo "$(ONCE_MORE)"; $(LAST_FAILED) || $(LAST_FAILED); fi
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif

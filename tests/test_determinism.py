@@ -61,7 +61,7 @@ def recorded_writes():
 async def drive(backend, writes):
     async with Bench(backend) as bench:
         bench.push(writes)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(120):
             await bench.scheduler.advance(N_TICKS)
         assert bench.image.head == N_TICKS
         return bench.hash_from(0)
@@ -103,7 +103,7 @@ async def test_a_snapshot_continues_bit_exactly_in_a_new_process(tmp_path):
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=120,
         cwd=Path(__file__).parent.parent,
         check=False,
     )

@@ -40,7 +40,7 @@ def run_on_a_terminal(folder, *options, until):
                     shown += os.read(master, 65536).decode()
                 except OSError:  # the other side of the pty is closed
                     break
-            assert process.wait(20) == 0
+            assert process.wait(120) == 0
             os.close(master)
     return re.sub(r"\x1b\[[0-9;]*m", "", shown)
 

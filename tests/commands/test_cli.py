@@ -16,7 +16,7 @@ from hilserver import commands
 from hilserver.commands import COMMANDS, main
 
 
-def hilserver(*words, cwd, timeout=60):
+def hilserver(*words, cwd, timeout=120):
     return subprocess.run(
         [sys.executable, "-m", "hilserver", *words],
         capture_output=True,
@@ -145,7 +145,7 @@ def test_signals_end_the_daemon_cleanly(tmp_path, number):
         time.sleep(0.2)
         os.kill(process.pid, number)
         rest = process.stderr.read()
-        assert process.wait(20) == 0, rest
+        assert process.wait(120) == 0, rest
     assert "Traceback" not in "".join(lines) + rest
 
 
@@ -175,7 +175,7 @@ def test_signals_end_a_start_cleanly(tmp_path, number, after_s):
         time.sleep(after_s)
         os.kill(process.pid, number)
         told = process.stderr.read()
-        assert process.wait(20) == 0, told
+        assert process.wait(120) == 0, told
     assert told == ""
 
 
@@ -300,6 +300,6 @@ def test_two_daemons_with_one_image_name(tmp_path):
         second = hilserver("run", "-c", str(path), cwd=tmp_path)
         first.send_signal(signal.SIGTERM)
         first.stderr.read()
-        assert first.wait(20) == 0
+        assert first.wait(120) == 0
     assert second.returncode == 1
     assert f"another hilserver uses the process image '{name}'" in second.stderr

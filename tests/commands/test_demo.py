@@ -19,7 +19,7 @@ CLIENT = Path(__file__).parents[1] / "foreign_client"
 WATCH_S = 90.0
 """A lap takes 26 s; longer where the computer is busy."""
 
-pytestmark = [pytest.mark.node_red, pytest.mark.timeout(200)]
+pytestmark = pytest.mark.node_red
 
 
 def distance_to(eight, x, y):
@@ -69,5 +69,5 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
     assert seen["speeds"] == pytest.approx(seen["setpoints"], abs=0.5)
     process.send_signal(signal.SIGINT)
     rest = process.stderr.read()
-    assert process.wait(20) == 0
+    assert process.wait(120) == 0
     assert "Traceback" not in rest

@@ -190,7 +190,6 @@ in_terminal = pytest.mark.asyncio(loop_scope="module")
 
 
 @in_terminal
-@pytest.mark.timeout(600)
 async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
     assert "hold ends with 150 ms without a key repeat" in terminal.look()
     await terminal.held_by_repeats(lambda: terminal.read(SPEED) > 0.2)
@@ -199,7 +198,6 @@ async def test_holding_by_repeats_drives_and_letting_go_stops(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(600)
 async def test_one_press_stops_by_itself(terminal):
     x = terminal.read("pose.x_m")
     terminal.type("\x1b[A")
@@ -208,7 +206,6 @@ async def test_one_press_stops_by_itself(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(600)
 async def test_with_the_kitty_protocol_a_hold_lasts_until_its_release(terminal):
     assert "\x1b[?u" in terminal.look()
     terminal.type("\x1b[?11u")
@@ -228,7 +225,6 @@ async def test_with_the_kitty_protocol_a_hold_lasts_until_its_release(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(600)
 async def test_closing_the_terminal_stops(terminal):
     terminal.type("\x1b[?11u\x1b[119;1:1u")
     await terminal.drives()
@@ -238,7 +234,6 @@ async def test_closing_the_terminal_stops(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(600)
 async def test_the_daemon_stops_what_a_killed_teleoperation_held(terminal):
     terminal.type("\x1b[?11u\x1b[119;1:1u")
     await terminal.drives()
@@ -247,7 +242,6 @@ async def test_the_daemon_stops_what_a_killed_teleoperation_held(terminal):
 
 
 @in_terminal
-@pytest.mark.timeout(600)
 async def test_lights_and_the_end(terminal):
     terminal.type("3")
     await terminal.until(lambda: terminal.read("lights.state") == 3, "flash all")
@@ -257,7 +251,6 @@ async def test_lights_and_the_end(terminal):
 
 @in_terminal
 @pytest.mark.long
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("protocol", ["kitty", "repeats"])
 async def test_letting_go_is_at_the_plant_within_200_ms(terminal, protocol):
     """From the release, or the last repeat of a key, to the first tick that has the zero."""

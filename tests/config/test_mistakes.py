@@ -108,7 +108,6 @@ def complaint(tmp_path, text):
         ),
     ],
 )
-@pytest.mark.timeout(10)
 def test_told_in_one_sentence(tmp_path, text, expected):
     told = complaint(tmp_path, text)
     assert expected in told
@@ -132,7 +131,6 @@ def test_let_through(tmp_path, text):
     assemble(path)
 
 
-@pytest.mark.timeout(10)
 def test_what_is_no_file_is_named(tmp_path):
     with pytest.raises(ConfigError, match="is a directory"):
         assemble(tmp_path)
@@ -142,7 +140,6 @@ def test_what_is_no_file_is_named(tmp_path):
         assemble(fifo)
 
 
-@pytest.mark.timeout(10)
 def test_an_endless_file_is_not_read_to_its_end():
     with pytest.raises(ConfigError, match="/dev/zero: larger than"):
         assemble(Path("/dev/zero"))

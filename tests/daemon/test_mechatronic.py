@@ -14,8 +14,6 @@ from hilserver.image.status import GOOD
 from hilserver.plant.layout import BAD_OUT_OF_SERVICE
 from hilserver.scheduler import faults
 
-pytestmark = pytest.mark.timeout(900)  # compiles a step of its own on a busy computer
-
 TORQUE = {"driven_by": "torque", "sensors": "body"}
 
 

@@ -19,7 +19,6 @@ recording: {buffer_mb: 1}
 SCENARIO = "steps: [{at_s: 0, write: {wheels.setpoints_rpm: [30, 30, -30, -30]}}]\n"
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", ["run.mcap", "run.csv"])
 def test_a_recording_begins_at_tick_0_and_holds_every_tick_of_the_duration(tmp_path, name):
     (tmp_path / "config.yaml").write_text(CONFIG)

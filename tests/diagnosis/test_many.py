@@ -78,7 +78,7 @@ def test_workers_end_with_the_process_that_started_them(tmp_path, how):
     run = "if __name__ == '__main__': list(in_processes(wait_forever, tasks, 2))"
     parent, pids = campaign(tmp_path, [run])
     parent.send_signal(how)
-    parent.wait(20)
+    parent.wait(120)
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
 
 
@@ -91,7 +91,7 @@ def test_a_campaign_that_is_stopped_ends_at_once(tmp_path):
     ]
     parent, pids = campaign(tmp_path, run)
     parent.send_signal(signal.SIGTERM)
-    assert parent.wait(20) == 0
+    assert parent.wait(120) == 0
     until(lambda: [pid for pid in pids if alive(pid)], lambda left: not left)
 
 
@@ -101,7 +101,7 @@ def test_closing_the_results_ends_the_workers():
     until(multiprocessing.active_children, lambda left: not left)
 
 
-def until(look, good, within_s=30.0):
+def until(look, good, within_s=120.0):
     end = time.monotonic() + within_s
     while time.monotonic() < end:
         found = look()

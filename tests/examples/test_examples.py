@@ -7,12 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hilserver.commands import main
 from hilserver.daemon.assembly import assemble
 from tests.io.opcua_client.conftest import free_port
-from tests.loopback.rig import column, configuration, running, wait_until
+from tests.loopback.rig import configuration, running, wait_until
 from tests.node_red.node_red import NodeRed, missing, with_sink
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -30,14 +31,17 @@ def test_every_folder_is_listed():
 
 
 async def test_own_controller_drives_a_square_and_gives_control_back():
-    async with running(configuration(control={"source": "peer"})) as (daemon, _):
+    # Where the computer holds the controller up, the robot waits for it.
+    control = {"source": "peer", "command_timeout_ms": 200}
+    async with running(configuration(control=control)) as (daemon, _):
         program = started("own-controller/drive_square.py", daemon.server.url)
-        text, _ = await asyncio.to_thread(program.communicate, timeout=90)
+        text, _ = await asyncio.to_thread(program.communicate, timeout=120)
         assert program.returncode == 0
-        x, y = (float(v) for v in re.search(r"corner 4: x (\S+) m, y (\S+) m", text).groups())
-        assert abs(x) < 0.3
-        assert abs(y) < 0.3
-        assert max(column(daemon, "pose.x_m")) > 0.5
+        corners = re.findall(r"corner \d: x (\S+) m, y (\S+) m", text)
+        xs, ys = np.array(corners, dtype=float).T
+        assert len(corners) == 4
+        assert np.hypot(xs[-1], ys[-1]) < 0.4
+        assert max(xs) > 0.5
         assert daemon.gate.owner == "peer"
 
 
@@ -101,6 +105,6 @@ def test_foreign_csv_and_bag_tell_the_same(tmp_path):
     low, high = parameters["rotation_gain"]["ci95"]
     assert low <= -0.25 <= high
     program = started("bag/make_bag.py", str(tmp_path / "drive"))
-    program.communicate(timeout=60)
+    program.communicate(timeout=120)
     ((same, _),) = diagnosed(bag, tmp_path / "drive", tmp_path / "bag")
     assert same == causes

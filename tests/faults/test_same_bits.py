@@ -44,7 +44,7 @@ async def drive(backend, faults=FAULTS):
     async with Rig(backend) as rig:
         prepare(rig)
         rig.faults.inject(*faults, start_tick=0)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(120):
             await rig.advance(N)
         return digest(rig)
 
@@ -84,7 +84,7 @@ async def test_a_snapshot_carries_active_and_waiting_faults(tmp_path, first_tick
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=120,
         cwd=Path(__file__).parent.parent.parent,
         check=False,
     )

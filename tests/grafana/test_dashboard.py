@@ -51,7 +51,7 @@ def complaints(dashboard: dict, folder: Path) -> str:
         ["node", str(modules / "typescript/bin/tsc"), *options.split(), str(source)],
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=120,
         cwd=folder,
         check=False,
     )

@@ -25,19 +25,23 @@ class RunningDaemon:
     def stop(self):
         """End it as systemd would; return its exit code."""
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(40)
+        return self.process.wait(120)
 
     def kill(self):
         self.process.kill()
-        self.process.wait(10)
+        self.process.wait(120)
 
 
-NO_LIMITS = "scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}\n"
+NO_LIMITS = """
+scheduler:
+  communication_timeout_ms: 0
+  limits: {single_overrun_ms: null, consecutive_overruns: null}
+"""
 """For a robot that has to drive on where a busy computer holds it up."""
 
 
 @contextlib.contextmanager
-def running_daemon(folder, *options, config="", opcua="", ring_frames=2048, prepare=None):
+def running_daemon(folder, *options, config="", opcua="", ring_frames=1 << 14, prepare=None):
     """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml.
 
     `opcua` is added to that section; `prepare` is called with the folder before the start.
@@ -58,7 +62,7 @@ def running_daemon(folder, *options, config="", opcua="", ring_frames=2048, prep
             yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
         finally:
             process.kill()
-            process.wait(10)
+            process.wait(120)
             path_of(image).unlink(missing_ok=True)  # what a killed daemon leaves in /dev/shm
 
 
@@ -107,7 +111,7 @@ def wait_for_start(process):
     assert line.startswith("recording to"), process.stderr.read()
 
 
-def finish(process, timeout_s=40):
+def finish(process, timeout_s=120.0):
     """Wait for a process; return exit code and what it said on stderr."""
     _, text = process.communicate(timeout=timeout_s)
     return process.returncode, text

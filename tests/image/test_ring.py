@@ -89,7 +89,7 @@ def write_in_process(name: str, ready: Any, go: Any) -> None:
     values, words = np.frombuffer(memory, np.float64), np.frombuffer(memory, np.int64)
     write_frames(0, values, words)  # loaded before the race
     ready.set()
-    assert go.wait(60)
+    assert go.wait(120)
     write_frames(N_FRAMES, values, words)
 
 
@@ -103,10 +103,10 @@ def test_million_frames_between_two_processes(image, copy, locked):
     ready, go = spawn.Event(), spawn.Event()
     writer = spawn.Process(target=write_in_process, args=(image.name, ready, go))
     writer.start()
-    assert ready.wait(60)
+    assert ready.wait(120)
     go.set()
     whole, torn = loop(N_FRAMES, image.values, image.words, *scratch)
-    writer.join(30)
+    writer.join(120)
     assert writer.exitcode == 0
     assert whole + torn > 0, "the reader saw nothing"
     if locked:

@@ -28,7 +28,8 @@ def configuration(*, scheduler=None, **sections):
         "image": {"name": "auto", "ring_frames": RING_FRAMES},
         "opcua": {"endpoint": "opc.tcp://127.0.0.1:0/hilserver", "max_events_per_s": 1000},
         "metrics": {"port": 0},
-        "scheduler": {"realtime": LIGHT, "limits": limits} | (scheduler or {}),
+        "scheduler": {"realtime": LIGHT, "limits": limits, "communication_timeout_ms": 0}
+        | (scheduler or {}),
     }
     return Config.model_validate(ours | sections)
 
@@ -50,7 +51,7 @@ def running(config, folder=None):
     return serving(assemble_config(config, folder))
 
 
-async def wait_until(condition, timeout_s=60.0):
+async def wait_until(condition, timeout_s=120.0):
     """Wait until `condition()`, plain or awaitable, is true."""
     async with asyncio.timeout(timeout_s):
         while True:
@@ -66,7 +67,7 @@ async def scrape(daemon, path="/metrics"):
     """GET of the daemon's HTTP server, as text."""
 
     def get():
-        with urllib.request.urlopen(f"{daemon.http.url.rsplit('/', 1)[0]}{path}", timeout=60) as r:
+        with urllib.request.urlopen(f"{daemon.http.url.rsplit('/', 1)[0]}{path}", timeout=120) as r:
             return r.read().decode()
 
     return await asyncio.to_thread(get)

@@ -48,11 +48,11 @@ def daemon_process(folder, text):
             yield process, lines
         finally:
             process.terminate()
-            process.wait(20)
-            reader.join(5)
+            process.wait(120)
+            reader.join(120)
 
 
-def wait_for(condition, timeout_s=30.0):
+def wait_for(condition, timeout_s=120.0):
     end_s = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < end_s, "it did not come"
@@ -62,7 +62,7 @@ def wait_for(condition, timeout_s=30.0):
 
 def scrape(lines):
     url = wait_for(lambda: announced(list(lines)))["metrics"]
-    with urllib.request.urlopen(url, timeout=60) as answer:
+    with urllib.request.urlopen(url, timeout=120) as answer:
         return series_of_text(answer.read().decode())
 
 
@@ -77,7 +77,7 @@ blocks:
   - {{name: busy, function: '{HERE / "blocks.py"}:always_busy', inputs: {{busy: lights.blue}}}}
 """
     with daemon_process(tmp_path, text) as (process, lines):
-        assert process.wait(60) == 3
+        assert process.wait(120) == 3
     assert "stopped by policy 'fail'" in "".join(lines)
     assert "Traceback" not in "".join(lines)
 
@@ -124,7 +124,7 @@ async def live_and_die(*, opcua):
     sections = {} if opcua else {"opcua": {"enabled": False}}
     async with Daemon(assemble_config(configuration(**sections))) as daemon:
         head = daemon.image.head
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(120):
             while daemon.image.head < head + 30:  # noqa: ASYNC110 - frames announce nothing
                 await asyncio.sleep(0.005)
 

@@ -69,7 +69,7 @@ async def closed_without_answer(reader: asyncio.StreamReader) -> bool:
 
 async def until(condition: Callable[[], bool]) -> None:
     """Let the loop turn until `condition` holds, for 5 s at most."""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(120):
         while not condition():  # noqa: ASYNC110 (the server has no event for it, nor needs one)
             await asyncio.sleep(0.001)
 

@@ -150,7 +150,7 @@ class NodeRed:
         if self.process.returncode is None:
             self.process.send_signal(number)
             try:
-                async with asyncio.timeout(10):
+                async with asyncio.timeout(120):
                     await self.process.wait()
             except TimeoutError:
                 self.process.kill()

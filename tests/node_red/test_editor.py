@@ -10,12 +10,12 @@ import pytest
 from tests.io.opcua_client.conftest import free_port
 from tests.node_red.node_red import shipped_flow
 
-pytestmark = [pytest.mark.node_red, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.node_red
 LIMIT_S = 120.0
 
 
 def get(url):
-    with urllib.request.urlopen(url, timeout=10) as answer:
+    with urllib.request.urlopen(url, timeout=120) as answer:
         return answer.read().decode()
 
 

@@ -11,7 +11,7 @@ from hilserver.io.peer_status import PeerStatus
 from tests.io.opcua_client.conftest import make_harness, wait_until
 from tests.node_red.node_red import shipped_flow, test_flow, with_sink
 
-pytestmark = [pytest.mark.node_red, pytest.mark.timeout(200)]
+pytestmark = pytest.mark.node_red
 
 PLAIN_READ = {
     f"ns=1;s=AGV.rpm_set_{wheel}": f"wheel.{wheel.lower()}.setpoint_rpm"

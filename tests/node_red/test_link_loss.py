@@ -19,7 +19,7 @@ from tests.node_red.black_hole import THEIRS, peer_network
 from tests.node_red.node_red import shipped_flow
 from tests.node_red.resources import Holdings
 
-pytestmark = [pytest.mark.node_red, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.node_red
 
 STALE_S = 0.5
 NOTICE_S = 0.3

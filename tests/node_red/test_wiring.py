@@ -15,7 +15,7 @@ from hilserver.daemon.daemon import Daemon
 from hilserver.plant.layout import WHEEL_WORDS
 from tests.node_red.node_red import shipped_flow
 
-pytestmark = [pytest.mark.node_red, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.node_red
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SPEED_RPM = 20.0

@@ -135,7 +135,7 @@ class Browser:
     def close(self):
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             self.process.stdin.close()
-            self.process.wait(20)
+            self.process.wait(120)
         self.process.kill()
         self.process.wait()
         self.process.stdout.close()

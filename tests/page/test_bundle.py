@@ -52,7 +52,6 @@ def test_the_lock_names_no_host():
     assert '"resolved"' not in (SOURCE / "package-lock.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.page
 def test_a_rebuild_gives_the_same_bundle(tmp_path):
     npm = shutil.which("npm")

@@ -12,7 +12,7 @@ from hilserver_injector import Recipe, make
 from tests.io.opcua_server.rig import RobotClient
 from tests.page.rig import diagnoses, lift
 
-pytestmark = [pytest.mark.page, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.page
 GAIN = 0.15
 TURN_RAD_S = 0.3
 LARGE_RAD_S, SMALL_RAD_S = 0.03, 0.015
@@ -27,7 +27,7 @@ async def write(url, *values):
     for method in ("Reset", "Start"):  # whatever was done before
         await client.call(method)
     control = ("control.source", "opcua", ua.VariantType.String)
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while await client.write(control) != ["Good"]:  # noqa: ASYNC110
             await asyncio.sleep(0.1)
     for value in values:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.page.rig import DEADMAN_MS, page_process, page_url
 
-pytestmark = [pytest.mark.page, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.page
 LIMIT_MS = DEADMAN_MS + 2000 / 30
 """The dead-man's time and two frames."""
 TRIES = 3

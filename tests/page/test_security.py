@@ -12,8 +12,6 @@ import pytest
 
 from tests.page.rig import page_url
 
-pytestmark = pytest.mark.timeout(180)
-
 
 class Visitor:
     """What a browser does, by hand: cookie, token, ticket."""
@@ -67,7 +65,7 @@ async def visitor(daemon):
 
 async def closed(socket):
     """Wait until the server has closed; return its code."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(120):
         while not socket.closed:
             await socket.receive()
     return socket.close_code
@@ -165,7 +163,7 @@ async def test_random_frames_end_the_socket_and_nothing_else(visitor, plant):
 async def test_forged_commands_do_not_move_the_robot(visitor, plant, message):
     socket = await visitor.live()
     await socket.send_json(message)
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(120):
         while (answer := await socket.receive_json())["type"] != "refused":
             pass
     assert answer["text"]
@@ -180,15 +178,15 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
     await socket.send_json({"subscribe": ["sim.tick"], "number": 1})
     command = {"mode": "twist", "linear": 0.2, "turn": 0.0}
     await socket.send_json({"drive": command | {"seen": await stamp(socket) - 400}})
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(120):
         while (await socket.receive()).type is not aiohttp.WSMsgType.TEXT:
             pass  # refused: the picture is too old
     assert plant.command() == 0.0
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(120):
         while plant.command() == 0.0:
             await socket.send_json({"drive": command | {"seen": await stamp(socket)}})
     await socket.close()
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(120):
         while plant.command() != 0.0:  # noqa: ASYNC110 - the plant tells nobody
             await asyncio.sleep(0.01)
     await visitor.call("give", "opcua")
@@ -196,7 +194,7 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
 
 async def stamp(socket):
     """The time stamp of the next frame."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(120):
         while (message := await socket.receive()).type is not aiohttp.WSMsgType.BINARY:
             pass
     return int.from_bytes(message.data[4:8], "little")
@@ -253,7 +251,7 @@ async def test_a_client_that_does_not_read_loses_frames_and_slows_nobody(visitor
         await socket.send_json({"subscribe": names, "number": 1})
     lazy._reader._protocol.pause_reading()
     frames = 0
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(120):
         while frames < 60:
             frames += (await eager.receive()).type is aiohttp.WSMsgType.BINARY
     lazy._reader._protocol.resume_reading()

@@ -11,7 +11,6 @@ from tests.page.conftest import CONFIG
 from tests.page.rig import Plant, page_url
 from tests.page.test_security import Visitor, aiohttp, asyncio
 
-pytestmark = pytest.mark.timeout(600)
 PASSWORDS = {"olga": "see", "otto": "drive", "emma": "all"}
 FAILED = 3
 ROLES = {"olga": "observer", "otto": "operator", "emma": "engineer"}

@@ -2,7 +2,7 @@
 
 import pytest
 
-pytestmark = [pytest.mark.page, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.page
 VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis")
 _CONTROLS = """
 window.controls = new Set([...document.querySelectorAll(

@@ -6,7 +6,7 @@ from tests.node_red.node_red import shipped_flow
 from tests.prometheus.rig import running_rig
 from tests.prometheus.server import missing, until
 
-pytestmark = [pytest.mark.prometheus, pytest.mark.node_red, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.prometheus, pytest.mark.node_red]
 
 FOR_S = 5
 """`for` of HilserverPeerLost."""

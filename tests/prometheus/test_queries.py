@@ -24,7 +24,7 @@ from tests.node_red.node_red import shipped_flow, test_flow
 from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
 from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until
 
-pytestmark = [pytest.mark.prometheus, pytest.mark.node_red, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.prometheus, pytest.mark.node_red]
 
 DASHBOARD = Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "hilserver.json"
 HOLD_S = 2.5

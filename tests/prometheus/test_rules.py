@@ -32,7 +32,7 @@ def promtool(*words: str) -> str:
     if sentence := missing():
         pytest.fail(sentence, pytrace=False)
     done = subprocess.run(
-        ["promtool", *words], capture_output=True, text=True, timeout=60, cwd=ROOT, check=False
+        ["promtool", *words], capture_output=True, text=True, timeout=120, cwd=ROOT, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

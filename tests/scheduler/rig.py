@@ -54,7 +54,7 @@ def make(step, *, backend="thread", slices=SLICES, **options):
     return rig
 
 
-async def until(condition, timeout_s=10.0):
+async def until(condition, timeout_s=120.0):
     """Wait for a condition of a running scheduler; fails with a time-out."""
     async with asyncio.timeout(timeout_s):
         while not condition():  # noqa: ASYNC110 - compiled code sets no event

@@ -156,7 +156,7 @@ asyncio.run(main())  # neither stop() nor anything else
 
 def test_a_program_that_forgets_to_stop_still_ends():
     root = Path(__file__).parents[2]
-    done = subprocess.run([sys.executable, "-c", FORGETFUL], cwd=root, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", FORGETFUL], cwd=root, timeout=120, check=False)
     assert done.returncode == 0
 
 
@@ -176,7 +176,7 @@ async def test_waiters_are_released_when_the_scheduler_ends():
     await asyncio.sleep(0.02)
     assert not waiter.done()
     await rig.scheduler.stop()
-    async with asyncio.timeout(1):
+    async with asyncio.timeout(120):
         await waiter
 
 

@@ -44,7 +44,6 @@ def check(found: dict[str, dict], count: int) -> None:
     assert all(block["reads"] > 0 for block in raw["blocks"])
 
 
-@pytest.mark.timeout(240)
 def test_two_thousand_packets_and_the_floods(tmp_path: Path) -> None:
     sizes = (
         "--packets",
@@ -57,7 +56,7 @@ def test_two_thousand_packets_and_the_floods(tmp_path: Path) -> None:
         "1",
         "--no-control",
     )
-    check(campaign(tmp_path / "attack.json", *sizes, timeout_s=220), 2000)
+    check(campaign(tmp_path / "attack.json", *sizes, timeout_s=800), 2000)
 
 
 MOST_TIMES = 2.0

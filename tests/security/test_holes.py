@@ -30,7 +30,7 @@ class Ignore:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while not condition():  # noqa: ASYNC110 - what is waited for is not an event
             await asyncio.sleep(0.01)
 

@@ -170,7 +170,7 @@ async def orphaned(rig: Rig, count: int) -> list[int]:
         await dead.log_in()
         numbers = await subscribe(dead, count)
     sessions = rig.server._server.iserver.sessions
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while all(session.processor is not None for session in sessions.values()):  # noqa: ASYNC110
             await asyncio.sleep(0.01)
     return numbers

@@ -186,10 +186,10 @@ class Container:
         """Halt; kill what does not."""
         self._nspawn.terminate()
         try:
-            self._nspawn.wait(20)
+            self._nspawn.wait(120)
         except subprocess.TimeoutExpired:
             self._nspawn.kill()
-            self._nspawn.wait(20)
+            self._nspawn.wait(120)
 
 
 def wait_until(condition: Callable[[], object], limit_s: float, what: str) -> float:

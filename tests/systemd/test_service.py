@@ -11,7 +11,7 @@ from tests.helpers.prom_diff import series_of_text
 from tests.systemd.container import wait_until
 from tests.systemd.service import START_LIMIT_S, UNIT, Service
 
-pytestmark = [pytest.mark.systemd, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.systemd
 
 SCHED_OTHER, SCHED_FIFO = 0, 1
 

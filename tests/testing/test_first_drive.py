@@ -20,7 +20,7 @@ def demo(tmp_path_factory):
 
 def lines(program, daemon):
     command = [sys.executable, FOLDER / program, daemon.url]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout.splitlines()
 

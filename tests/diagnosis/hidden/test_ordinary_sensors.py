@@ -27,7 +27,6 @@ def some(logs, quick):
     return [pytest.param(log, marks=[] if log in quick else [pytest.mark.long]) for log in logs]
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("key", some(NULL, ()))
 def test_ordinary_sensors_are_no_effect(key):
     """What a sensor's limit keeps from the log is said; nothing else is."""
@@ -41,7 +40,6 @@ def test_ordinary_sensors_are_no_effect_in_a_short_log(key):
     assert {*said(findings)} <= {"data_fault: limited_channel"}
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("log", some(BESIDE, IN_ANY_RUN), ids=str)
 def test_ordinary_sensors_hide_no_cause(log):
     findings = judged(ordinary(recipe(*log))).findings

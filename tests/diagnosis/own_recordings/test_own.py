@@ -38,7 +38,6 @@ def nothing_is_found_in(recording, rows, folder):
     nothing_is_found(found_in(read(recording, folder, ROWS[rows])))
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize(("drive", "rows"), sorted(QUICK))
 def test_nothing_is_found_in_a_short_recording(drive, rows, recorded, tmp_path):
     short = replace(DROVE[drive], seconds=QUICK_S)

@@ -56,11 +56,11 @@ def speaking_peer():
     thread = threading.Thread(target=peer.run)
     thread.start()
     try:
-        assert peer.listens.wait(30.0)
+        assert peer.listens.wait(120)
         yield peer
     finally:
         peer.ends.set()
-        thread.join(30.0)
+        thread.join(120)
 
 
 def harness_of(peer, mode):

@@ -141,7 +141,7 @@ class RobotClient(Client):
     """asyncua's client that names our nodes by their path, and waits where the machine is busy."""
 
     def __init__(self, url: str) -> None:
-        super().__init__(url, timeout=60, watchdog_intervall=3600)
+        super().__init__(url, timeout=120, watchdog_intervall=3600)
 
     async def connect(self) -> None:
         await super().connect()

@@ -184,7 +184,7 @@ async def test_restart_on_the_same_port_leaves_nothing_behind(tmp_path: Path) ->
         rig.set("pose.x_m", 1.0)
         assert await again.read("pose.x_m") == 1.0
     await rig.close()
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while not own_tasks() <= before:  # noqa: ASYNC110 - the client's tasks end by themselves
             await asyncio.sleep(0.01)
 

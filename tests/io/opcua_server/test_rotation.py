@@ -39,7 +39,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 async def until_done(rotation: Rotation) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while len(rotation):  # noqa: ASYNC110
             await asyncio.sleep(0)
 

@@ -67,7 +67,7 @@ async def test_current_time_is_live(client: RobotClient) -> None:
 
 async def until_slices_show(rig: Rig, client: RobotClient, overruns: int) -> None:
     """Slices are shown once a second."""
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while True:
             rig.server.publish_diagnostics()
             found = (await client.data_value("slices.plant.overruns")).Value

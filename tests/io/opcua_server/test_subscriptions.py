@@ -34,7 +34,7 @@ class Notes:
         self.news.set()
 
     async def wait(self, count: int) -> list[Any]:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(120):
             while len(self.values) < count:
                 self.news.clear()
                 await self.news.wait()
@@ -192,7 +192,7 @@ async def test_no_more_notifications_than_asked_for(rig: Rig, client: RobotClien
     await subscription.create_monitored_items([item(client, SamplingInterval=0.0)])
     for i in range(6):
         rig.set(NODE, 0.5 + i * 0.5)
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while sum(size for size, _ in sizes) < 7:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
     assert [row for row in sizes if row[0]] == [(3, True), (3, True), (1, False)]

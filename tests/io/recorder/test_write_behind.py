@@ -23,7 +23,7 @@ class SlowDisk:
 
     def write(self, batch):
         self.busy.set()
-        assert self.go.wait(20)
+        assert self.go.wait(120)
         self.batches.append(batch)
 
     def flush(self): ...
@@ -50,7 +50,7 @@ def test_what_a_slow_disk_does_not_take_is_dropped_and_counted():
     batch = batch_of(ramp(10))
     behind = writing(disk, buffer_bytes=3 * batch.frames.n_bytes)
     assert behind.put(batch)
-    assert disk.busy.wait(10)
+    assert disk.busy.wait(120)
     assert [behind.put(batch) for _ in range(5)] == [True, True, False, False, False]
     assert behind.dropped == 30
     disk.go.set()

@@ -12,8 +12,6 @@ from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, SILENT_MS, Host, robot, speeds, twist, value
 from tests.loopback.rig import wait_until
 
-pytestmark = pytest.mark.timeout(900)  # on a busy computer
-
 RPM = "iotbot_interface/msg/RotationSpeed"
 DRIVE = ("w", "rt/iotbot/rpm", RPM, "reliable")
 RETURN = ("r", "rt/iotbot/rpm/return", RPM, "reliable")

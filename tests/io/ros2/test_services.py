@@ -2,12 +2,8 @@
 
 import struct
 
-import pytest
-
 from tests.io.ros2.rig import PATIENCE_S, Host, robot, value
 from tests.loopback.rig import wait_until
-
-pytestmark = pytest.mark.timeout(900)  # on a busy computer
 
 ENABLE = "iotbot_interface/srv/SendEnable"
 CALL, ANSWER = "rq/iotbot/srv/send_enableRequest", "rr/iotbot/srv/send_enableReply"

@@ -9,8 +9,6 @@ from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, Host, four_floats, robot, speeds, twist, value
 from tests.loopback.rig import wait_until
 
-pytestmark = pytest.mark.timeout(900)  # on a busy computer
-
 EXTRAS = {"tf": True, "clock": True, "odom": True, "pose_stamped": True}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hilserver.io.shield import words as w
 
-pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.asyncio(loop_scope="module")]
 
 
 @pytest.fixture(autouse=True)

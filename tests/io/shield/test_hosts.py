@@ -12,7 +12,7 @@ from hilserver.io.shield import words as w
 from hilserver.io.shield.protocol import BYTE_NS, Command, request
 from tests.io.shield.conftest import random_bytes, running_robot
 
-pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.asyncio(loop_scope="module")]
 
 LINE_MS = (11 + 32) * 10 / 115.2 + 1.0
 """Request, reply delay and response on a line of 115200 baud."""
@@ -144,7 +144,6 @@ async def test_a_mistyped_device_ends_the_start_with_a_sentence(tmp_path, host_p
 
 
 @pytest.mark.long
-@pytest.mark.timeout(600)
 async def test_a_million_random_bytes_at_the_speed_of_the_line(tmp_path, host_program):
     async with running_robot(tmp_path, host_program) as robot:
         await flooded(robot, random_bytes(1_000_000))
