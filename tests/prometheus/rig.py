@@ -77,6 +77,6 @@ async def running_rig(peer: NodeRed, folder: Path, *, blocks: bool = False) -> A
     with running_prometheus(folder, f"127.0.0.1:{port}") as prometheus:
         async with Daemon(built) as daemon:
             rig = Rig(daemon, peer, prometheus, port, blocks, line)
-            await until(lambda: rig.is_fresh, 30, "the peer delivers")
-            await until(prometheus.target_is_up, 30, "Prometheus scrapes the daemon")
+            await until(lambda: rig.is_fresh, 120, "the peer delivers")
+            await until(prometheus.target_is_up, 120, "Prometheus scrapes the daemon")
             yield rig

@@ -20,7 +20,7 @@ from tests.io.opcua_client.conftest import free_port
 DEPLOY = Path(__file__).parents[2] / "deploy" / "prometheus"
 SCRAPE_S = 0.25
 RATE_S = 1
-START_LIMIT_S = 30.0
+START_LIMIT_S = 120.0
 
 Series = dict[frozenset[tuple[str, str]], list[float]]
 
