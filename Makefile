@@ -39,6 +39,8 @@ ONCE_MORE := --- once more, one by one: what failed beside others
 LAST_FAILED := $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
 # Threads of the linear algebra would wait for each other on cores that all processes share.
 test test-long: export OPENBLAS_NUM_THREADS := 1
+# An environment that forbids compiled modules makes every process of the tests compile them anew.
+test test-long: export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: test
 test: test-tools lint ## Install what the tests need, lint, run all tests but the long ones

@@ -25,7 +25,7 @@ USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0
 QUANTA_RPM = (0.25, 0.5, 1.0)
 RATES_RPM_S = (80.0, 150.0, 400.0)
 LIMITS_PCT = (85.0, 65.0, 45.0)
-MEASURED = 0.05
+MEASURED_LENGTH = 0.05
 """Prior deviation of a length that somebody measured: wheels and distances between anchors."""
 
 
@@ -89,7 +89,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
     """
     stage: StageName = "pose"
     found = [
-        replace(single("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0), prior=MEASURED),
+        replace(single("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0), prior=MEASURED_LENGTH),
         # 10 m with it cost about half the heading of a full turn with the least rotation_gain
         single("wheel_radius_difference", stage, 0.005, 0.0005, -0.5, 0.5),
         single("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
@@ -103,7 +103,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
         single("nav_frame_yaw", stage, 0.01, 0.005, -3.2, 3.2),
         single("nav_latency", stage, 0.02, 0.008, 0.0, 1.5),
         single("yaw_latency", stage, 0.02, 0.01, 0.0, 1.5),
-        replace(single("nav_scale", stage, 0.01, 0.003, -0.5, 1.0), prior=MEASURED),
+        replace(single("nav_scale", stage, 0.01, 0.003, -0.5, 1.0), prior=MEASURED_LENGTH),
         single("gyro_bias", stage, 0.002, 0.0005, -1.0, 1.0),
         single("gyro_scale", stage, 0.01, 0.003, -0.95, 3.0),
         single("imu_latency", stage, 0.01, 0.004, 0.0, 1.5),

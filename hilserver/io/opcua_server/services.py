@@ -11,7 +11,7 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from hilserver.io.opcua_server import encoding
-from hilserver.io.opcua_server.monitored_items import Room
+from hilserver.io.opcua_server.items import Room
 from hilserver.io.opcua_server.reading import RefusedError
 from hilserver.io.opcua_server.sessions import RobotSession
 

@@ -15,8 +15,9 @@ from asyncua.common.utils import ServiceError
 
 from hilserver.config.server import OpcUaConfig, OpcUaShare
 from hilserver.io.opcua_server import encoding
+from hilserver.io.opcua_server.items import Room
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.monitored_items import MonitoredItems, Room
+from hilserver.io.opcua_server.monitored_items import MonitoredItems
 from hilserver.io.opcua_server.rotation import Rotation
 
 LONGEST_PUBLISHING_MS = 3_600_000.0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hilserver.io.opcua_server.deadband import ChangeFilter, FilterError, change_filter
 from hilserver.io.opcua_server.encoding import FixedDataValue
-from hilserver.io.opcua_server.monitored_items import ValueItem
+from hilserver.io.opcua_server.items import ValueItem
 from tests.io.opcua_server.rig import Rig, RobotClient
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -1,0 +1,153 @@
+"""One monitored item: filters what it sees and queues it within bounds."""
+
+import math
+import struct
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from asyncua import ua
+from asyncua.ua.ua_binary import struct_to_binary
+
+from hilserver.io.opcua_server.deadband import ChangeFilter
+from hilserver.io.opcua_server.encoding import DATA_CHANGE, EVENTS, FixedDataValue
+
+HANDLE = struct.Struct("<I")
+_OVERFLOW = 0x480
+"""InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)."""
+
+
+@dataclass
+class Room:
+    """How much more a session may have monitored."""
+
+    items: int
+    queued_values: int
+
+    def take(self, asked: int, longest: int) -> int:
+        """Return the queue size granted: 0 means one value, never no limit (5.12.1.5)."""
+        size = max(1, min(asked, longest, self.queued_values + 1))
+        self.items -= 1
+        self.queued_values -= size - 1
+        return size
+
+
+@dataclass(slots=True, eq=False)
+class ValueItem:
+    """A monitored attribute.
+
+    Attributes
+    ----------
+    place : asyncua AttributeValue
+        Where the value stands.
+    interval_s : float
+        Sampling interval [s]; 0: every change.
+    """
+
+    item_id: int
+    read: ua.ReadValueId
+    place: Any
+    kind: ClassVar[bytes] = DATA_CHANGE
+    handle: bytes
+    stamps: int
+    mode: ua.MonitoringMode
+    size: int
+    discard_oldest: bool
+    change: ChangeFilter
+    interval_s: float
+    due_s: float = 0.0
+    seen: Any = None
+    reported: FixedDataValue | None = None
+    queue: deque[FixedDataValue] = field(default_factory=deque)
+    triggers: dict[int, None] = field(default_factory=dict)
+
+    def sample(self, value: ua.DataValue, now_s: float) -> bool:
+        """Take what stands at the place if it is due and news; return whether it was queued."""
+        if self.interval_s:
+            if now_s < self.due_s:
+                return False
+            missed = math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
+            self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
+        self.seen = value
+        fixed = FixedDataValue.of(value)
+        if not self.change.is_worth_reporting(self.reported, fixed):
+            return False
+        self.reported = fixed
+        queue = self.queue
+        is_full = len(queue) >= self.size
+        if is_full:
+            queue.popleft() if self.discard_oldest else queue.pop()
+        queue.append(fixed)
+        if is_full and self.size > 1:
+            # What is lost is marked beside the gap.
+            end = 0 if self.discard_oldest else -1
+            queue[end] = _with_overflow(queue[end])
+        return True
+
+    def shorten(self) -> None:
+        """Drop what a shorter queue has no room for."""
+        while len(self.queue) > self.size:
+            self.queue.popleft()
+
+    def forget(self) -> None:
+        """Begin anew: whatever stands there next is a change."""
+        self.queue.clear()
+        self.seen = self.reported = None
+
+    def pop(self) -> bytes:
+        """Return the oldest notification."""
+        return self.handle + self.queue.popleft().encoded(self.stamps)
+
+
+@dataclass(slots=True, eq=False)
+class EventItem:
+    """A monitored source of events."""
+
+    item_id: int
+    kind: ClassVar[bytes] = EVENTS
+    node_id: ua.NodeId
+    handle: bytes
+    mode: ua.MonitoringMode
+    size: int
+    discard_oldest: bool
+    filter: ua.EventFilter
+    where: Any
+    queue: deque[bytes] = field(default_factory=deque)
+    triggers: dict[int, None] = field(default_factory=dict)
+
+    def take(self, event: Any) -> bool:
+        """Queue an event that passes the filter; return whether it did."""
+        if self.mode == ua.MonitoringMode.Disabled or not self.where.eval(event):
+            return False
+        fields = ua.EventFieldList(EventFields=event.to_event_fields(self.filter.SelectClauses))
+        if len(self.queue) >= self.size:
+            if not self.discard_oldest:
+                return False
+            self.queue.popleft()
+        self.queue.append(bytes(struct_to_binary(fields))[HANDLE.size :])
+        return True
+
+    def shorten(self) -> None:
+        """Drop what a shorter queue has no room for."""
+        while len(self.queue) > self.size:
+            self.queue.popleft()
+
+    def forget(self) -> None:
+        """Drop what is queued."""
+        self.queue.clear()
+
+    def pop(self) -> bytes:
+        """Return the oldest notification."""
+        return self.handle + self.queue.popleft()
+
+
+Item = ValueItem | EventItem
+
+
+def _with_overflow(value: FixedDataValue) -> FixedDataValue:
+    return FixedDataValue(
+        value.Value,
+        ua.StatusCode(value.code | _OVERFLOW),
+        value.SourceTimestamp,
+        value.ServerTimestamp,
+    )
