@@ -18,7 +18,7 @@ _NODES = ("pose.x_m", "pose.y_m", "pose.yaw_rad", "sim.tick", "wheel.fl.speed_rp
 async def main(url: str) -> None:
     """Read until standard input ends."""
     latencies_ms: list[float] = []
-    async with Client(url, timeout=20, watchdog_intervall=3600) as client:
+    async with Client(url, timeout=60, watchdog_intervall=3600) as client:
         index = await client.get_namespace_index("urn:hilserver:robot")
         nodes = [client.get_node(ua.NodeId(name, index)) for name in _NODES]
 

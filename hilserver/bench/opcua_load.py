@@ -31,7 +31,7 @@ class Load:
 
     async def client(self, offset: float) -> None:
         """Connect and read until cancelled; `offset` (0 .. 1) spreads the clients in time."""
-        async with Client(self._url, timeout=10, watchdog_intervall=3600) as client:
+        async with Client(self._url, timeout=60, watchdog_intervall=3600) as client:
             nodes = await _variables(client.nodes.objects, self._n_nodes)
             loop = asyncio.get_running_loop()
             planned = loop.time() + offset * self._period_s

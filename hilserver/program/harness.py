@@ -39,7 +39,8 @@ def _run(main: Callable[[], int]) -> int:
         return EXIT_FAILED
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        print(f"hilserver: {place}{(error.strerror or str(error)).lower()}", file=sys.stderr)
+        reason = (error.strerror or str(error)).lower() or "no answer in time"
+        print(f"hilserver: {place}{reason}", file=sys.stderr)
         _drop_output()
         return EXIT_FAILED
     return code
