@@ -179,16 +179,16 @@ def _plausible(
     What was taken first shapes all that follows, and no exchange of one cause for another leads
     from it to several that explain the data as well. At a bound it explains nothing at all.
     """
-    beginning = _noise(problem)
+    beginning = problem.noise, problem.weights
     first = search(frozenset())
     barred = frozenset(f.candidate.cause for f in first.point.model.fitted if _excessive(f))
     if not barred:
         return first
-    own = _noise(problem)
+    own = problem.noise, problem.weights
     _hear(problem, library, beginning, base)
     other = search(barred)
     impossible = any(at_bound(f) for f in first.point.model.fitted if _excessive(f))
-    noises = (own, _noise(problem))
+    noises = own, (problem.noise, problem.weights)
     cheaper = all(_cost(problem, other, n) <= _cost(problem, first, n) for n in noises)
     if not any(map(_excessive, other.point.model.fitted)) and (impossible or cheaper):
         gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
@@ -201,7 +201,7 @@ def _plausible(
     return first
 
 
-Noises = tuple[dict[str, NoiseModel], Array]
+Noises = tuple[Mapping[str, NoiseModel], Array]
 
 
 def _excessive(f: Fitted) -> bool:
@@ -209,22 +209,15 @@ def _excessive(f: Fitted) -> bool:
     return worth_a_name(f) and (at_bound(f) or implausible(f))
 
 
-def _noise(problem: Problem) -> Noises:
-    return dict(problem.noise), problem.weights.copy()
-
-
 def _hear(problem: Problem, library: Library, noise: Noises, point: Point) -> None:
     """Take a noise model that was learned before."""
-    problem.noise, problem.weights = dict(noise[0]), noise[1].copy()
+    problem.noise, problem.weights = noise
     library.rewhiten(point)
 
 
 def _cost(problem: Problem, selected: Selected, noise: Noises) -> float:
     """Return the deviance of a model under some noise, and what its parameters cost."""
-    own = problem.noise, problem.weights
-    problem.noise, problem.weights = noise
-    point = fit(problem, selected.point.model, selected.point, iterations=2)
-    problem.noise, problem.weights = own
+    point = fit(problem.under(*noise), selected.point.model, selected.point, iterations=2)
     return point.deviance + sum(TIE * f.candidate.weight for f in point.model.fitted)
 
 

@@ -6,7 +6,7 @@ that went through the same whitening and projection.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,20 +70,21 @@ class Problem:
     ----------
     stage : DriveStage or PoseStage
     noise : mapping of str to NoiseModel
-        By channel.
+        By channel; learned anew it is another one.
     weights : ndarray, shape (n,)
-        1, or 0 for outliers.
+        1, or 0 for outliers; likewise.
     ripples : bool
         The drive hunts in a way that no replay can follow: what it leaves is noise.
     """
 
     stage: DriveStage | PoseStage
-    noise: dict[str, NoiseModel] = field(default_factory=dict)
+    noise: Mapping[str, NoiseModel] = field(default_factory=dict)
     weights: Array = field(default_factory=lambda: np.zeros(0))
     ripples: bool = False
 
     def __post_init__(self) -> None:
-        self.weights = np.ones(len(self.stage.stack))
+        if not len(self.weights):
+            self.weights = np.ones(len(self.stage.stack))
         self._runs = list(self.stage.stack.runs())
         self._poses = FreePoses(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
@@ -96,6 +97,10 @@ class Problem:
     def stack(self) -> Stack:
         """The stage's samples."""
         return self.stage.stack
+
+    def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
+        """Return the same stage under another noise."""
+        return replace(self, noise=noise, weights=weights)
 
     # --- predictions ------------------------------------------------------------------------------
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
@@ -221,18 +226,19 @@ class Problem:
         if self.stage.segments.longest_s < NOISE_SHORT_S:
             self._learn_short_noise(raw)
             return
-        for name in self.stack.channels:
-            self.noise[name] = self._noise_of(name, raw)
-        self.weights = np.ones(len(self.stack))
+        self.noise = {name: self._noise_of(name, raw) for name in self.stack.channels}
+        weights = np.ones(len(self.stack))
         for name, _, part in self._runs:
             if name in OUTLIER_CHANNELS:
-                self.weights[part] = ~spikes(self.stack.t_s[part], raw[part])
+                weights[part] = ~spikes(self.stack.t_s[part], raw[part])
+        self.weights = weights
         for _ in range(2):
-            white = self.whiten(raw)
+            white, weights = self.whiten(raw), self.weights.copy()
             for name in OUTLIER_CHANNELS:
                 if name in self.stack.edges:
                     edge = self.stack.edges[name]
-                    self.weights[edge] *= ~isolated(white[edge])
+                    weights[edge] *= ~isolated(white[edge])
+            self.weights = weights
 
     def _noise_of(self, name: str, raw: Array) -> NoiseModel:
         """Return the noise of a channel; what stands at a limit does not show any."""
@@ -251,12 +257,13 @@ class Problem:
         return plain_noise(residuals) or fit_noise(residuals)
 
     def _learn_short_noise(self, raw: Array) -> None:
-        self.weights = np.ones(len(self.stack))
+        noise, weights = {}, np.ones(len(self.stack))
         for name in self.stack.channels:
             mine = [part for n, _, part in self._runs if n == name]
-            self.noise[name], scale = short_noise([raw[part] for part in mine])
+            noise[name], scale = short_noise([raw[part] for part in mine])
             for part in mine:
-                self.weights[part] = robust_weights(raw[part] / scale, self.noise[name].tail_dof)
+                weights[part] = robust_weights(raw[part] / scale, noise[name].tail_dof)
+        self.noise, self.weights = noise, weights
 
 
 def fit(

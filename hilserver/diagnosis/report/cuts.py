@@ -118,8 +118,7 @@ def _whole_chain(drive: Problem, pose: Prepared) -> list[CutRow]:
     """Return the residuals of the pose with simulated wheel speeds, initial poses free."""
     given = pose.problem.stage
     stage = pose_stage(given.log.without(SPEEDS), given.robot, drive.stage, {})
-    problem = Problem(stage, dict(pose.problem.noise))
-    problem.weights = pose.problem.weights
+    problem = Problem(stage, pose.problem.noise, pose.problem.weights)
     point = problem.point(Model(), problem.start_poses({}), pose_steps=POSE_STEPS)
     residual = problem.residual(point.predicted)
     taken = _taken_by_start(problem, point.predicted, point.poses)
