@@ -186,7 +186,10 @@ class OpcUaConfig(BaseModel):
         " read, write and command without a password",
     )
     max_failed_logins: int = Field(
-        default=5, ge=1, le=1000, description="Failed log-ins per address or name in a minute"
+        default=5,
+        ge=1,
+        le=1000,
+        description="Failed log-ins in a minute per user name, and per address but loopback",
     )
     max_message_bytes: int = Field(
         default=262_144,

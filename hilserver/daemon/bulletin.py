@@ -67,6 +67,7 @@ class Bulletin:
     def _slices(self) -> dict[str, dict[str, Any]]:
         table = _table(figures.slice_table(self.scheduler))
         for name, slice_ in slices_by_name(self.scheduler).items():
+            table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
             table[name]["latency_counts"] = slice_.latency_counts.tolist()
         return table
 

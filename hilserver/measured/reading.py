@@ -58,8 +58,8 @@ def read_measured(
     recordings = [_read(path, table, sampling) for path in paths]
     if not recordings:
         raise LogError("there is no log; name at least one")
-    sources = tuple(Source(str(path), _sha256(path)) for path in paths)
-    _refuse_others(sources, recordings)
+    sources = tuple(Source(_shown(path), _sha256(path)) for path in paths)
+    _refuse_others(paths, sources, recordings)
     log = MeasuredLog(
         sources=sources,
         channels={},
@@ -130,18 +130,28 @@ def _by_kind(path: Path, mapping: LogMapping | None, sampling: Sampling | None) 
     return read_mapped(path, mapping)
 
 
-def _refuse_others(sources: Sequence[Source], recordings: Sequence[Recording]) -> None:
+def _refuse_others(
+    paths: Sequence[Path], sources: Sequence[Source], recordings: Sequence[Recording]
+) -> None:
     """Refuse what cannot be pooled: one log twice, and recordings of different machines."""
-    for index, source in enumerate(sources):
-        for earlier, recording in zip(sources[:index], recordings, strict=False):
-            if source.sha256 == earlier.sha256:
-                raise LogError(f"{source.file}: is the same as {earlier.file}; name it once")
-            machines = {recording.machine, recordings[index].machine} - {None}
+    for index, path in enumerate(paths):
+        for earlier in range(index):
+            if sources[index].sha256 == sources[earlier].sha256:
+                raise LogError(f"{path}: is the same as {paths[earlier]}; name it once")
+            machines = {recordings[earlier].machine, recordings[index].machine} - {None}
             if len(machines) > 1:
                 raise LogError(
-                    f"{source.file}: was recorded with another plant than {earlier.file}; pool logs"
-                    " of one machine, or use --each"
+                    f"{path}: was recorded with another plant than {paths[earlier]}; pool logs of"
+                    " one machine, or use --each"
                 )
+
+
+def _shown(path: Path) -> str:
+    """Return how a log is named in reports, which travel: not by its place on this computer."""
+    if not path.is_absolute():
+        return str(path)
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else path.name
 
 
 def _sha256(path: Path) -> str:

@@ -4,6 +4,7 @@ import "./style.css";
 import type { Context, Robot, View } from "./context";
 import { may } from "./context";
 import { call, get, live, type Session, type Signal } from "./net";
+import { grewLately, overruns } from "./overruns";
 import { action, field, h, micros, number, setText, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
 import { driveView } from "./views/drive";
@@ -117,9 +118,9 @@ function showBoard(context: Context): void {
   wheel.disabled = !live.connected || !context.session.drive;
   setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
   const plant = board.slices?.["plant"];
-  const least = plant?.["margin_min_us"] as number | null | undefined;
-  setText(margin, micros(least));
-  margin.classList.toggle("warn", least != null && least < 0);
+  setText(margin, micros(plant?.["margin_last_us"] as number | null | undefined));
+  margin.title = `Least so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
+  margin.classList.toggle("warn", !!plant && grewLately("plant", overruns(plant)));
 }
 
 function showAge(): void {

@@ -2,6 +2,9 @@
 
 import pytest
 
+from hilserver.diagnosis.report import render
+from tests.diagnosis.sample import evidence, findings
+
 pytestmark = pytest.mark.page
 VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis")
 _CONTROLS = """
@@ -29,6 +32,17 @@ def test_no_view_has_a_serious_fault_of_accessibility(browser, url, scheme):
         browser.do("view", name=name)
         assert browser.do("axe") == [], name
     assert browser.do("errors") == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_report_has_a_serious_fault_of_accessibility(browser, tmp_path, scheme):
+    """What stands in the frame of the view Diagnosis, with everything unfolded."""
+    report = tmp_path / "report.html"
+    report.write_text(render(findings(), evidence()), encoding="utf-8")
+    browser.do("fresh", width=700, scheme=scheme)
+    browser.do("visit", url=report.as_uri(), selector="main")
+    browser.do("run", script="document.querySelectorAll('details').forEach((d) => d.open = true)")
+    assert browser.do("axe") == []
 
 
 @pytest.mark.parametrize(("key", "view"), list(zip("12345", VIEWS, strict=True)))

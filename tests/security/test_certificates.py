@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
-from hilserver.io.opcua_security.attempts import FailedAttempts
+from hilserver.io.opcua_security.attempts import FailedAttempts, keys_of
 from hilserver.io.opcua_security.certificate import (
     first_of_chain,
     key_to_pem,
@@ -251,20 +251,32 @@ async def test_nobody_is_refused(ours: Rig, pki: Pki) -> None:
         await client.connect()
 
 
-async def test_guessing_is_slowed_down(pki: Pki, tmp_path: Path) -> None:
+async def test_guessing_is_slowed_down_for_that_name(pki: Pki, tmp_path: Path) -> None:
     rig = Rig(tmp_path, max_failed_logins=3, **pki.config())
     await rig.server.start()
     try:
         for password in ("a", "b", "c"):
             assert await login(rig, pki, password) == "BadUserAccessDenied"
-        # The right one does not help any more: three wrong ones came from this address.
+        # The right one does not help any more: three wrong ones came for this name.
         assert await login(rig, pki, "all") == "BadUserAccessDenied"
+        assert await login(rig, pki, "drive", "otto") == "Good"  # beside her on this computer
     finally:
         await rig.close()
 
 
-async def login(rig: Rig, pki: Pki, password: str) -> str:
-    client = await pki.secure(RobotClient(rig.server.url), "emma", password=password)
+@pytest.mark.parametrize(
+    ("address", "counts"),
+    [("192.0.2.7", True), ("fe80::1", True), ("127.0.0.1", False), ("::1", False), ("", False)],
+)
+async def test_log_ins_count_for_the_name_and_for_an_address_of_another_computer(
+    address: str, counts: bool
+) -> None:
+    keys = (("name", "emma"), ("address", address))
+    assert keys_of("emma", address) == (keys if counts else keys[:1])
+
+
+async def login(rig: Rig, pki: Pki, password: str, user: str = "emma") -> str:
+    client = await pki.secure(RobotClient(rig.server.url), user, password=password)
     try:
         await client.connect()
     except ua.UaStatusCodeError as error:

@@ -3,14 +3,19 @@
 from collections import OrderedDict, deque
 from collections.abc import Hashable
 
+from hilserver.config.server import is_loopback
+
 _MOST_KEYS = 1000
 WINDOW_S = 60.0
 
 
 def keys_of(name: str, address: str) -> tuple[Hashable, ...]:
-    """Return what a log-in counts for: its user name and, unless empty, where it comes from."""
+    """Return what a log-in counts for: its user name and the address it comes from.
+
+    This computer's own address does not count, nor does none: several users share it.
+    """
     keys = (("name", name[:64]), ("address", address))
-    return keys if address else keys[:1]
+    return keys[:1] if not address or is_loopback(address) else keys
 
 
 class FailedAttempts:

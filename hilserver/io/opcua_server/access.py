@@ -62,8 +62,7 @@ class Access:
     async def log_in(self, name: str, password: bytes, address: str) -> RobotUser | None:
         """Return the user, None if name or password is wrong or too many attempts failed.
 
-        The answer tells nobody which of them it was, nor does the time it takes. Without an
-        address failures count for the name alone.
+        The answer tells nobody which of them it was, nor does the time it takes.
         """
         keys = keys_of(name, address)
         now_s = time.monotonic()

@@ -28,7 +28,7 @@ class Browser:
     user : str
         Name it has logged in with; empty: anonymous.
     address : str
-        Where it is; empty: on this computer, which several users may reach through tunnels.
+        Where it is; empty: not known yet.
     live : int
         Open sockets.
     """

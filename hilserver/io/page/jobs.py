@@ -37,7 +37,7 @@ def file_in(folder: Path, name: object) -> Path:
         raise RefusedError(f"{str(name)!r:.60} is no plain file name")
     path = folder / name
     if not path.is_file():
-        raise RefusedError(f"there is no '{name}' in {folder}")
+        raise RefusedError(f"there is no '{name}' in the folder {folder.name}")
     return path
 
 
@@ -167,7 +167,8 @@ class Jobs:
     async def _follow(self, job: Job, process: asyncio.subprocess.Process) -> None:
         lines: deque[str] = deque(maxlen=12)
         while process.stdout is not None and (data := await process.stdout.readline()):
-            line = data.decode(errors="replace").rstrip()[:400]
+            text = data.decode(errors="replace").rstrip()[:400]
+            line = text.replace(f"{job.folder.parent}/", "")  # its place on this computer
             if match := _PROGRESS.match(line):
                 job.share, job.stage = int(match[1]) / 100, match[2]
             else:

@@ -12,7 +12,6 @@ from typing import Any
 import structlog
 from aiohttp import web
 
-from hilserver.config.server import is_loopback
 from hilserver.image import ImageReader
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.page import bundle
@@ -160,8 +159,7 @@ class PageServer:
         browser = self._browsers.find(request.cookies.get(COOKIE))
         if browser is None:
             raise web.HTTPUnauthorized(text="load the page first")
-        address = request.remote or ""
-        browser.address = "" if is_loopback(address) else address
+        browser.address = request.remote or ""
         return browser
 
     def _reader(self, request: web.Request) -> Browser:

@@ -4,6 +4,7 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Context, View } from "../context";
 import { live, type Figures, type Slice } from "../net";
+import { grewLately, OVERRUNS } from "../overruns";
 import { bytes, h, micros, number, seconds, setText, signalName, toast } from "../ui";
 
 const LONGEST_S = 120;
@@ -300,7 +301,10 @@ function figure(value: unknown): number | null {
 
 function sliceCard(name: string, slice: Slice, bounds: number[]): HTMLElement {
   const us = (key: string): string => micros(figure(slice[key]));
-  const least = figure(slice["margin_min_us"]);
+  const count = (key: (typeof OVERRUNS)[number]): [string, string, boolean] => {
+    const value = Number(slice[key] ?? 0);
+    return [key.replace("_", " "), String(value), grewLately(`${name} ${key}`, value)];
+  };
   return h(
     "section",
     { class: "panel card", "aria-label": `Slice ${name}` },
@@ -308,12 +312,11 @@ function sliceCard(name: string, slice: Slice, bounds: number[]): HTMLElement {
     rows([
       ["execution, mean", us("execution_mean_us")],
       ["execution, max", us("execution_max_us")],
-      ["margin, least", micros(least), least !== null && least < 0],
+      ["margin, last", us("margin_last_us")],
+      ["margin, least", us("margin_min_us")],
       ["wake latency, max", us("latency_max_us")],
       ["jitter", us("jitter_us")],
-      ["late wakes", String(slice["late_wakes"] ?? 0), Number(slice["late_wakes"]) > 0],
-      ["long runs", String(slice["long_runs"] ?? 0), Number(slice["long_runs"]) > 0],
-      ["missed ticks", String(slice["missed_ticks"] ?? 0), Number(slice["missed_ticks"]) > 0],
+      ...OVERRUNS.map(count),
     ]),
     histogram(slice.latency_counts ?? [], bounds),
   );
