@@ -1,11 +1,13 @@
 """Measured data in, findings out: what the simulation gets wrong, why, and the remedy.
 
 Writes findings.json, report.html and, where the model can be extended, model_patch.yaml. Several
-logs are taken for one machine and pooled, unless --each gives every log a report of its own.
+logs are taken for one machine and pooled, unless --each gives every log a report of its own;
+--group says which belong together, and the report what they share.
 """
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Generator
 from contextlib import closing
@@ -21,6 +23,7 @@ from hilserver.program.progress import Progress
 from hilserver.program.workers import in_processes
 
 EXAMPLE = "hilserver diagnose run1.csv run2.csv -c config.yaml -o diagnosis"
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
 _ERRORS = {2: LogError, 78: ConfigError}
 
 
@@ -52,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--dask", metavar="ADDRESS", help="with --each: on this Dask cluster, as tcp://host:8786"
     )
     parser.add_argument(
+        "--group",
+        action="append",
+        type=_group,
+        metavar="NAME=LOG,LOG",
+        help="logs of one floor or load, without LOG; twice or more: what do the groups share?",
+    )
+    parser.add_argument(
         "--compare", nargs="+", type=Path, metavar="A", help="logs before, without LOG"
     )
     parser.add_argument(
@@ -73,6 +83,17 @@ def _count(text: str) -> int:
     return value
 
 
+def _group(text: str) -> tuple[str, tuple[Path, ...]]:
+    name, _, logs = text.partition("=")
+    paths = tuple(Path(log) for log in logs.split(",") if log)
+    if not _NAME.fullmatch(name) or not paths:
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a group; write its name (letters, digits, - and _) and its logs, as"
+            " sand=run1.csv,run2.csv"
+        )
+    return name, paths
+
+
 def run(args: argparse.Namespace) -> int:
     """Diagnose; return 0 whatever was found, 2 if a log cannot be read."""
     _check(args)
@@ -86,6 +107,7 @@ def run(args: argparse.Namespace) -> int:
         mapping=args.mapping,
         seed=args.seed,
         jobs=args.jobs,
+        groups=tuple(args.group or ()),
     )
     progress = Progress()
     try:
@@ -123,7 +145,9 @@ def _check(args: argparse.Namespace) -> None:
         raise FailedError(
             "--compare A... --against B... cannot be combined with other logs or --each"
         )
-    if not args.compare and not args.logs:
+    if args.group:
+        _check_groups(args)
+    elif not args.compare and not args.logs:
         raise FailedError("name at least one log, or two sets with --compare and --against")
     if args.test and (args.compare or args.each):
         raise FailedError("--test cannot be combined with --compare or --each")
@@ -131,6 +155,17 @@ def _check(args: argparse.Namespace) -> None:
         raise FailedError("--dask distributes many logs: use it with --each")
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the report")
+
+
+def _check_groups(args: argparse.Namespace) -> None:
+    if args.logs or args.each or args.compare or args.test:
+        raise FailedError("--group cannot be combined with other logs, --each, --compare or --test")
+    names = [name for name, _ in args.group]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise FailedError(f"--group {twice} is there twice; write its logs with commas in one")
+    if len(names) < 2:
+        raise FailedError("--group compares groups of logs: name two or more, or leave it out")
 
 
 def _each(args: argparse.Namespace) -> int:

@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--patch", type=os.fspath, metavar="FILE", help="the model patch that the daemon runs with"
     )
+    parser.add_argument("--group", metavar="NAME", help="the group of that patch")
     parser.add_argument("--beside", type=int, metavar="FD", help=argparse.SUPPRESS)
 
 

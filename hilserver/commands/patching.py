@@ -1,20 +1,25 @@
-"""The option ``--patch``: a configuration with the terms of a diagnosis laid over it."""
+"""The options ``--patch`` and ``--group``: a configuration with what a diagnosis has fitted."""
 
 import argparse
 import sys
 from pathlib import Path
 
 from hilserver.commands.options import config_path
+from hilserver.config.patch import Patch, load_patch
 from hilserver.daemon.assembly import Assembly, assemble
+from hilserver.errors import FailedError
 
 
 def add_patch(parser: argparse.ArgumentParser) -> None:
-    """Add ``--patch``."""
+    """Add ``--patch`` and ``--group``."""
     parser.add_argument(
         "--patch",
         type=Path,
         metavar="FILE",
         help="extend the plant with a model_patch.yaml written by 'hilserver diagnose'",
+    )
+    parser.add_argument(
+        "--group", metavar="NAME", help="with --patch: its group, where it differs by floor or load"
     )
 
 
@@ -27,11 +32,33 @@ def assembled(args: argparse.Namespace) -> Assembly:
     ------
     ConfigError
         One line per complaint.
+    FailedError
+        If a group is named without a patch.
     """
-    assembly = assemble(config_path(args), args.patch)
+    _check(args)
+    assembly = assemble(config_path(args), args.patch, args.group)
     if assembly.patch is not None:
         warn(assembly.patch.notice(assembly.config.sha256))
     return assembly
+
+
+def patch_of(args: argparse.Namespace) -> Patch | None:
+    """Return the patch that was asked for, if any.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be used.
+    FailedError
+        If a group is named without a patch.
+    """
+    _check(args)
+    return None if args.patch is None else load_patch(args.patch, args.group)
+
+
+def _check(args: argparse.Namespace) -> None:
+    if args.patch is None and args.group is not None:
+        raise FailedError("--group names a group of a patch: use it with --patch")
 
 
 def warn(notice: str | None) -> None:

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from hilserver.commands.options import add_config
-from hilserver.commands.patching import add_patch, assembled
-from hilserver.config.patch import load_patch
+from hilserver.commands.patching import add_patch, assembled, patch_of
 from hilserver.core.snapshot import read_snapshot
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, UserError
@@ -86,7 +85,7 @@ def _open(args: argparse.Namespace) -> tuple[Log, Assembly]:
         return read_log(args.log, _names(assembly)), assembly
     log = read_log(args.log)
     if log.is_ours:
-        return log, assembly_of(log, None if args.patch is None else load_patch(args.patch))
+        return log, assembly_of(log, patch_of(args))
     assembly = assembled(args)
     return read_log(args.log, _names(assembly)), assembly
 

@@ -67,6 +67,9 @@ class ModelPatch(_Model):
     schema_: Literal["hilserver.model_patch/1"] = Field(alias="schema", description="this format")
     made_from: MadeFrom
     terms: dict[str, PatchTerm] = Field(description="terms by name, as in plant.terms")
+    groups: dict[str, dict[str, PatchTerm]] | None = Field(
+        None, description="more terms by group of logs (floor, load); a run takes one group"
+    )
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True
@@ -74,35 +77,65 @@ class ModelPatch(_Model):
 
     @model_validator(mode="after")
     def _known_terms(self) -> Self:
-        try:
-            complete({name: term.value for name, term in self.terms.items()})
-        except PlantError as error:
-            raise ValueError(str(error).removeprefix("plant.")) from None
-        for name, term in self.terms.items():
-            unit = TERMS[main_part(name)].unit
-            if term.unit != unit:
-                raise ValueError(f"terms.{name}.unit: the term has the unit {unit!r}")
+        for group in self.groups or (None,):
+            terms = self.terms_of(group)
+            try:
+                complete({name: term.value for name, term in terms.items()})
+            except PlantError as error:
+                raise ValueError(self._placed(str(error).removeprefix("plant."), group)) from None
+            for name, term in terms.items():
+                unit = TERMS[main_part(name)].unit
+                if term.unit != unit:
+                    text = f"terms.{name}.unit: the term has the unit {unit!r}"
+                    raise ValueError(self._placed(text, group))
         return self
+
+    def _placed(self, text: str, group: str | None) -> str:
+        """Return a complaint about a term with the key where the file has it."""
+        if group is None or any(text.startswith(f"terms.{name}") for name in self.terms):
+            return text
+        return text.replace("terms.", f"groups.{group}.", 1)
+
+    def terms_of(self, group: str | None) -> dict[str, PatchTerm]:
+        """Return the terms that all groups share, with those of one group."""
+        return self.terms if group is None else {**self.terms, **(self.groups or {})[group]}
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A patch and where it was read from; None: from a recording."""
+    """A patch and where it was read from.
+
+    Attributes
+    ----------
+    model : ModelPatch
+        With the terms of one group, where it had groups.
+    path : Path or None
+        None: from a recording.
+    group : str or None
+        The group that was taken.
+    of_group : frozenset of str
+        Terms that are those of the group alone.
+    """
 
     model: ModelPatch
     path: Path | None = None
+    group: str | None = None
+    of_group: frozenset[str] = frozenset()
 
     @property
     def sha256(self) -> str:
         """Hash of what it says; comments and order of the file do not count."""
-        text = json.dumps(self.model.model_dump(mode="json", by_alias=True), sort_keys=True)
+        text = json.dumps(self._content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
     def provenance(self) -> dict[str, Any]:
         """What a recording carries, enough to lay the patch over its configuration again."""
-        content = self.model.model_dump(mode="json", by_alias=True)
-        return {"sha256": self.sha256, "content": content}
+        return {"sha256": self.sha256, "content": self._content}
+
+    @property
+    def _content(self) -> dict[str, Any]:
+        return self.model.model_dump(mode="json", by_alias=True, exclude={"groups"})
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         """Return the plant with the terms of the patch.
@@ -132,7 +165,8 @@ class Patch:
 
     def refusal(self, term: str, message: str) -> ConfigError:
         """Return the error for a complaint about one term: file, line, key."""
-        return ConfigError(place(self.path, ("terms", term)) + message)
+        where = ("groups", self.group or "", term) if term in self.of_group else ("terms", term)
+        return ConfigError(place(self.path, where) + message)
 
     def notice(self, config_sha256: str) -> str | None:
         """Return a warning if the patch was made for another configuration."""
@@ -145,15 +179,32 @@ class Patch:
         )
 
 
-def load_patch(path: Path) -> Patch:
+def load_patch(path: Path, group: str | None = None) -> Patch:
     """Read a patch.
+
+    Parameters
+    ----------
+    group : str, optional
+        Which of its groups to take, where it has some.
 
     Raises
     ------
     ConfigError
         One line per complaint: file, line and key.
     """
-    return Patch(load(path, ModelPatch), path)
+    model = load(path, ModelPatch)
+    groups = model.groups or {}
+    names = ", ".join(groups)
+    if group is None and groups:
+        raise ConfigError(f"{path}: differs by group; take one of them with --group: {names}")
+    if group is not None and not groups:
+        raise ConfigError(f"{path}: has no groups; leave --group {group} out")
+    if group is None:
+        return Patch(model, path)
+    if group not in groups:
+        raise ConfigError(f"{path}: has no group '{group}'; it has {names}")
+    taken = model.model_copy(update={"terms": model.terms_of(group), "groups": None})
+    return Patch(taken, path, group, frozenset(groups[group]))
 
 
 def patch_of(run: Mapping[str, Any]) -> Patch | None:

@@ -148,15 +148,20 @@ class Assembly:
         }
 
 
-def assemble(path: Path | None, patch: Path | None = None) -> Assembly:
+def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:
     """Load and check a configuration, and a patch over it, down to the last signal name.
+
+    Parameters
+    ----------
+    group : str, optional
+        Which group of the patch to take, where it has some.
 
     Raises
     ------
     ConfigError
         One sentence per complaint with file, line and key.
     """
-    laid_over = None if patch is None else load_patch(patch)
+    laid_over = None if patch is None else load_patch(patch, group)
     return _Builder(load_config(path), path, laid_over).build()
 
 

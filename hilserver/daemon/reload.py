@@ -86,13 +86,14 @@ class Reloader:
     async def reload(self) -> bool:
         """Read the file and apply it; return False if it was refused as a whole."""
         path = self._daemon.assembly.path
-        patch = None if self._daemon.assembly.patch is None else self._daemon.assembly.patch.path
+        patch = self._daemon.assembly.patch
+        at, group = (None, None) if patch is None else (patch.path, patch.group)
         if path is None:
             _log.warning("reload: the daemon runs without a configuration file; nothing to read")
             return False
         async with self._lock:
             try:
-                new = (await asyncio.to_thread(assemble, path, patch)).config
+                new = (await asyncio.to_thread(assemble, path, at, group)).config
             except ConfigError as error:
                 for line in str(error).splitlines():
                     _log.error("reload refused, the old configuration stays", reason=line)

@@ -1,7 +1,7 @@
 """A whole diagnosis: from measured data to findings, with the evidence behind them."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,33 +9,20 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.checks.frame import on_a_frame, standing
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
-from hilserver.diagnosis.decide.lost_steps import lost_steps
-from hilserver.diagnosis.decide.selection import select
-from hilserver.diagnosis.decide.settling import Judged, settled
+from hilserver.diagnosis.decide.settling import Judged
+from hilserver.diagnosis.examine import Tell, beside, examine, noise_of_all, smallest_of
 from hilserver.diagnosis.findings.ceiling import ceilings
-from hilserver.diagnosis.findings.detectable import smallest
+from hilserver.diagnosis.findings.estimate import estimate_of, joint
 from hilserver.diagnosis.findings.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.findings.other_logs import gain_on
-from hilserver.diagnosis.findings.outcome import (
-    coarse,
-    extension,
-    lost,
-    misplaced_anchor,
-    named,
-    outliers,
-    structure,
-)
-from hilserver.diagnosis.regression.screen import critical, null_maxima
-from hilserver.diagnosis.regression.stages import Prepared, machine, prepare_all
-from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.findings.outcome import extension, named
+from hilserver.diagnosis.findings.worth import explained, with_worth
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.showing import Shown, evidence
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import (
-    Detectable,
     Finding,
     Findings,
     Gain,
@@ -43,12 +30,10 @@ from hilserver.diagnosis.schema.findings import (
     NotJudged,
     overall,
 )
-from hilserver.diagnosis.thresholds import LOST_SHARE
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
-Tell = Callable[[str, float], None]
 
 HORIZON_S = 5.0
 CEILING_DIGITS = 5
@@ -119,17 +104,9 @@ def judge(
 
     tell = progress or silent
     rng = np.random.default_rng(seed)
-    robot = machine(log, robot)
-    tell("checking the data", 0.0)
-    checked = check(log, robot)
-    log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
-    lap("checks")
-    prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
-    lap("effects")
-    tell("selecting causes", 0.0)
-    judged = _judge(prepared, rng, jobs)
-    lap("selection")
-    found = list(checked.findings)
+    examined = examine(log, robot, rng, jobs, tell, lap)
+    log, robot, judged = examined.log, examined.robot, examined.judged
+    found = list(examined.checked.findings)
     fitted: dict[int, Fitted] = {}
     for stage, j in judged.items():
         fitted |= _findings(stage, j, found)
@@ -142,18 +119,25 @@ def judge(
         totals = gain_on(check(test, robot).log, robot, models, horizon_s, rng)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
-    found = [
-        _with_gain(f, fitted.get(i), judged, own, after, horizon_s, rng)
-        for i, f in enumerate(found)
-    ]
+    estimates = {stage: estimate_of(j.prepared.problem, j.point) for stage, j in judged.items()}
+    wholes = {
+        stage: explained(j.prepared.problem, j.point, before[stage], after[stage])
+        for stage, j in judged.items()
+    }
+    for i, f in fitted.items():
+        stage = f.candidate.stage
+        index, total = judged[stage].point.model.fitted.index(f), of_stage(own, stage)
+        found[i] = with_worth(
+            found[i], index, wholes[stage], estimates[stage], horizon_s, rng, total
+        )
     ceiling = _ceilings(judged, before, horizon_s, rng)
-    sizes, unseen = _detectable(judged, rng)
+    sizes, unseen = smallest_of(judged, rng)
     if stood_still(log):
         sizes, unseen = at_rest(sizes, unseen)
         found.append(too_little_motion())
     lap("gain")
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
-    reasons = vocabulary_reasons(judged_causes, reasons, set(prepared))
+    reasons = vocabulary_reasons(judged_causes, examined.reasons, set(judged))
     findings = Findings(
         verdict=overall(found),
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
@@ -164,6 +148,8 @@ def judge(
         findings=tuple(found),
         total_gain=totals if fitted else {},
         ceiling=ceiling,
+        joint=joint(list(estimates.values())),
+        noise=noise_of_all(judged),
         smallest_detectable=tuple(sizes),
         not_judged=(
             *unseen,
@@ -176,18 +162,6 @@ def judge(
     return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
 
 
-def _judge(prepared: dict[str, Prepared], rng: np.random.Generator, jobs: int) -> dict[str, Judged]:
-    """Select, swap, prune; map what remains; drop what the remains put in doubt."""
-    selected = select(
-        {n: p.problem for n, p in prepared.items()},
-        {n: p.library for n, p in prepared.items()},
-        {n: p.base for n, p in prepared.items()},
-        rng,
-        jobs,
-    )
-    return {name: settled(p, selected[name], rng) for name, p in prepared.items()}
-
-
 def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     """Add the findings of one stage; return which of them is which fitted cause."""
     problem, fitted = j.prepared.problem, {}
@@ -198,17 +172,7 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
         for f, finding in zip(j.point.model.fitted, causes, strict=True):
             fitted[len(found)] = f
             found.append(finding)
-    if j.prepared.coarse_rpm is not None:
-        found.append(coarse(j.prepared.coarse_rpm))
-    if stage == "pose" and (strays := outliers(problem, j.point)) is not None:
-        found.append(strays)
-    if j.anchor is not None:
-        found.append(misplaced_anchor(*j.anchor))
-    steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None
-    if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
-        found.append(lost(steps))
-    elif j.unknown:
-        found.append(structure(j.unknown, stage))
+    found += beside(stage, j)
     return fitted
 
 
@@ -230,29 +194,9 @@ def _gains(
     return totals, before, after
 
 
-def _with_gain(
-    finding: Finding,
-    fitted: Fitted | None,
-    judged: Mapping[str, Judged],
-    totals: Mapping[str, Gain],
-    after: Mapping[str, Array],
-    horizon_s: float,
-    rng: np.random.Generator,
-) -> Finding:
-    """Add what one cause gains: all others on, with and without it."""
-    if fitted is None:
-        return finding
-    stage = fitted.candidate.stage
-    j = judged[stage]
-    problem = j.prepared.problem
-    if len(j.point.model.fitted) == 1:
-        own = {k: g for k, g in totals.items() if (k in DRIVEN) == (stage == "drive")}
-        return finding.model_copy(update={"gain": own})
-    without = j.point.model.without(j.point.model.fitted.index(fitted))
-    start = problem.point(without, j.point.poses)
-    reduced = held_out(problem, crossed(problem, start, without))
-    own = gains(problem, reduced, after[stage], horizon_s, rng, fold=reported(problem))
-    return finding.model_copy(update={"gain": own})
+def of_stage(gains: Mapping[str, Gain], stage: str) -> dict[str, Gain]:
+    """Return the gains of the quantities that a stage judges."""
+    return {key: gain for key, gain in gains.items() if (key in DRIVEN) == (stage == "drive")}
 
 
 def _ceilings(
@@ -285,17 +229,3 @@ def _shown(
         )
         for stage, j in judged.items()
     }
-
-
-def _detectable(
-    judged: Mapping[str, Judged], rng: np.random.Generator
-) -> tuple[list[Detectable], list[NotJudged]]:
-    scores = {n: j.prepared.library.scores(j.point) for n, j in judged.items()}
-    limit = critical(null_maxima(list(scores.values()), rng)) if scores else 0.0
-    sizes: list[Detectable] = []
-    silent: list[NotJudged] = []
-    for name, j in judged.items():
-        more, not_judged = smallest(j.prepared.library, scores[name], limit)
-        sizes += more
-        silent += not_judged
-    return sizes, silent

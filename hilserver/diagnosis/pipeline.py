@@ -1,17 +1,19 @@
 """One diagnosis from files to documents, in this process: what a worker runs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.compare.comparison import compare
 from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.groups.diagnosing import diagnose_groups
 from hilserver.diagnosis.memory import share_arenas
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
-from hilserver.errors import EXIT_DONE, UserError
+from hilserver.errors import EXIT_DONE, LogError, UserError
+from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignTable
@@ -29,6 +31,8 @@ class Task:
     ----------
     logs : tuple of Path
         Of one machine, pooled.
+    groups : tuple of (str, tuple of Path)
+        Not empty: groups of logs of one machine, by name, in place of `logs`.
     against : tuple of Path
         Not empty: do these differ from `logs`, and in what?
     mapping : str or None
@@ -46,6 +50,7 @@ class Task:
     seed: int = 0
     jobs: int = 1
     test: tuple[Path, ...] = ()
+    groups: tuple[tuple[str, tuple[Path, ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,12 +79,36 @@ def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
     """
     assembly = assemble(task.config)
     sampling = Sampling.of(assembly.config)
+    if task.groups:
+        read = {name: read_measured(p, task.mapping, sampling) for name, p in task.groups}
+        refuse_twice(read)
+        return diagnose_groups(read, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
     log = read_measured(task.logs, task.mapping, sampling)
     if task.against:
         other = read_measured(task.against, task.mapping, sampling)
         return compare(log, other, assembly, seed=task.seed, jobs=task.jobs, progress=progress)
     test = read_measured(task.test, task.mapping, sampling) if task.test else None
     return diagnose(log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test)
+
+
+def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
+    """Refuse a log that stands in two groups.
+
+    Raises
+    ------
+    LogError
+        If there is one.
+    """
+    seen: dict[str, tuple[str, str]] = {}
+    for name, log in groups.items():
+        for source in log.sources:
+            if source.sha256 in seen:
+                other, file = seen[source.sha256]
+                raise LogError(
+                    f"{source.file}: is in group {name} the same as {file} in group {other}; name"
+                    " it in one of them"
+                )
+            seen[source.sha256] = (name, source.file)
 
 
 def run(task: Task, progress: Progress | None = None) -> Outcome:

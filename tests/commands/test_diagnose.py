@@ -9,6 +9,7 @@ from hilserver.commands import main
 from hilserver.diagnosis import pipeline
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.errors import LogError
+from hilserver.measured.data import MeasuredLog, Source
 from hilserver.program.progress import Progress
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
@@ -124,12 +125,42 @@ def test_two_sets_are_compared(stages, capsys):
         ),
         (["a.csv", "--dask", "tcp://h:1", "-o", "out"], "use it with --each"),
         (["a.csv", "-o", "file"], "file: is a file"),
+        (["--group", "a=a.csv", "-o", "out"], "name two or more"),
+        (["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"], "--group a is there twice"),
+        (["--group", "a=a.csv", "--group", "b=b.csv", "c.csv", "-o", "o"], "cannot be combined"),
     ],
 )
 def test_options_that_do_not_fit_are_a_sentence(stages, tmp_path, capsys, words, complaint):
     (tmp_path / "file").write_text("")
     assert main(["diagnose", *words]) == 1
     assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["a.csv", "=a.csv", "a=", "two words=a.csv"])
+def test_what_is_no_group_is_a_sentence(stages, capsys, text):
+    with pytest.raises(SystemExit):
+        main(["diagnose", "--group", text, "-o", "out"])
+    assert "is not a group" in capsys.readouterr().err
+
+
+def test_groups_reach_the_engine(stages, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def judge(logs, assembly, **options):
+        asked.append(logs)
+        return Diagnosis(findings(), evidence(300))
+
+    def read(paths, mapping, sampling):
+        return MeasuredLog(tuple(Source(p.name, p.stem) for p in paths), {}, ())
+
+    monkeypatch.setattr(pipeline, "diagnose_groups", judge)
+    monkeypatch.setattr(pipeline, "read_measured", read)
+    groups = ["--group", "asphalt=a.csv,b.csv", "--group", "sand=s.csv"]
+    assert main(["diagnose", *groups, "-o", "out"]) == 0
+    files = {name: [s.file for s in log.sources] for name, log in asked[0].items()}
+    assert files == {"asphalt": ["a.csv", "b.csv"], "sand": ["s.csv"]}
+    assert main(["diagnose", "--group", "a=a.csv", "--group", "b=a.csv", "-o", "out"]) == 2
+    assert "name it in one of them" in capsys.readouterr().err
 
 
 def test_a_bad_configuration_is_exit_78(stages, tmp_path, capsys):

@@ -5,7 +5,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from hilserver.commands import main
-from hilserver.config.patch import json_schema, load_patch
+from hilserver.config.patch import json_schema, load_patch, patch_of
 from hilserver.config.plant import PlantConfig
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import ConfigError
@@ -120,9 +120,58 @@ def test_a_patch_for_another_configuration_is_warned_about(tmp_path):
     assert fitting.notice(own) is None
 
 
+def grouped(**groups):
+    """The patch with a shared term and others by group."""
+    side = {"side_slip": {"value": 0.1, "unit": "s"}}
+    own = {name: {"rotation_gain": {"value": v, "unit": "1"}} for name, v in groups.items()}
+    return PATCH | {"terms": side, "groups": own}
+
+
+def test_one_group_of_a_patch_is_taken(tmp_path):
+    path = write(tmp_path, grouped(asphalt=-0.05, sand=-0.2))
+    sand = load_patch(path, "sand")
+    assert sand.applied(PlantConfig()).terms == {"side_slip": 0.1, "rotation_gain": -0.2}
+    assert sand.sha256 != load_patch(path, "asphalt").sha256
+    assert patch_of({"patch": sand.provenance}).sha256 == sand.sha256
+    assert "groups" not in sand.provenance["content"], "as a patch without groups is recorded"
+
+
+@pytest.mark.parametrize(
+    ("content", "words", "code", "complaint"),
+    [
+        (grouped(asphalt=0, sand=0), [], 78, "take one of them with --group: asphalt, sand"),
+        (grouped(asphalt=0, sand=0), ["mud"], 78, "has no group 'mud'; it has asphalt, sand"),
+        (PATCH, ["sand"], 78, "has no groups; leave --group sand out"),
+        (grouped(sand=20), ["sand"], 78, "groups.sand.rotation_gain: 20 1 is outside"),
+    ],
+)
+def test_a_group_that_is_not_there_is_one_sentence(
+    tmp_path, monkeypatch, capsys, content, words, code, complaint
+):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, content)
+    group = [part for name in words for part in ("--group", name)]
+    assert main(["run", "--patch", "patch.yaml", *group, "--duration", "1"]) == code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert complaint in line
+
+
+def test_a_group_without_a_patch_is_a_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--duration", "1", "--group", "sand"]) != 0
+    assert "use it with --patch" in capsys.readouterr().err
+
+
+def test_a_complaint_about_a_term_of_a_group_names_its_line(tmp_path):
+    path = write(tmp_path, grouped(sand=-0.2))
+    with pytest.raises(ConfigError, match=r"patch\.yaml:\d+: groups\.sand\.rotation_gain: "):
+        load_patch(path, "sand").applied(PlantConfig(terms={"rotation_gain": 0.1}))
+
+
 def test_the_schema_accepts_what_the_model_accepts():
     validator = Draft202012Validator(json_schema())
     Draft202012Validator.check_schema(json_schema())
     assert validator.is_valid(PATCH)
+    assert validator.is_valid(grouped(asphalt=0.0, sand=-0.2))
     assert not validator.is_valid(PATCH | {"more": 1})
     assert not validator.is_valid(changed(value="much"))

@@ -19,7 +19,8 @@ from hilserver.diagnosis.checks.standstill import stood_still, too_little_motion
 from hilserver.diagnosis.compare.differences import Difference, differences_of
 from hilserver.diagnosis.compare.differing import difference_findings, smallest_differences
 from hilserver.diagnosis.decide.selection import select
-from hilserver.diagnosis.engine import Tell, silent
+from hilserver.diagnosis.engine import silent
+from hilserver.diagnosis.examine import Tell
 from hilserver.diagnosis.regression.stages import machine, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence

@@ -189,24 +189,67 @@ def gains(
     fold: int | None = None,
 ) -> dict[str, Gain]:
     """Return the gain of every quantity of a stage at one horizon, of one fold or of both."""
-    out: dict[str, Gain] = {}
+    return pooled_gains([errors(problem, (before, after), horizon_s, fold=fold)], rng)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Errors of one quantity before and after, over free runs of one mean length."""
+
+    before: Errors
+    after: Errors
+    horizon_s: float
+
+
+def errors(
+    problem: Problem,
+    predictions: tuple[Array, Array],
+    horizon_s: float,
+    *,
+    fold: int | None = None,
+) -> dict[str, Pair]:
+    """Return the errors of every quantity of a stage, before and after."""
+    out: dict[str, Pair] = {}
     if problem.stage.name == "pose":
         w = windows(problem, horizon_s)
         if w is not None:
-            first, second = (free_run_errors(problem, p, w) for p in (before, after))
+            first, second = (free_run_errors(problem, p, w) for p in predictions)
             for key in first:
                 pair = (first[key].of(problem, fold), second[key].of(problem, fold))
-                out[key] = compare(*pair, w.horizon_s, rng)
-        pairs: dict[str, tuple[str, ...]] = {"gyro_z_rad_s": (GYRO,)}
+                out[key] = Pair(*pair, w.horizon_s)
+        channels: dict[str, tuple[str, ...]] = {"gyro_z_rad_s": (GYRO,)}
     else:
         names = problem.stack.channels
-        pairs = {
+        channels = {
             "speed_rpm": tuple(n for n in names if n.endswith("speed_rpm")),
             "duty_pct": tuple(n for n in names if n.endswith("duty_pct")),
         }
-    for key, channels in pairs.items():
-        e = [channel_errors(problem, p, channels) for p in (before, after)]
+    for key, some in channels.items():
+        e = [channel_errors(problem, p, some) for p in predictions]
         if e[0] is not None and e[1] is not None:
             pair = (e[0].of(problem, fold), e[1].of(problem, fold))
-            out[key] = compare(*pair, 0.0 if np.isinf(horizon_s) else horizon_s, rng)
+            out[key] = Pair(*pair, 0.0 if np.isinf(horizon_s) else horizon_s)
     return out
+
+
+def pooled_gains(parts: Sequence[Mapping[str, Pair]], rng: np.random.Generator) -> dict[str, Gain]:
+    """Return the gain of every quantity over one or several problems together."""
+    out = {}
+    for key in dict.fromkeys(key for part in parts for key in part):
+        pairs = [part[key] for part in parts if key in part]
+        counts = [len(pair.before.values) for pair in pairs]
+        horizon_s = float(np.average([pair.horizon_s for pair in pairs], weights=counts))
+        before = _together([pair.before for pair in pairs])
+        after = _together([pair.after for pair in pairs])
+        out[key] = compare(before, after, horizon_s, rng)
+    return out
+
+
+def _together(parts: Sequence[Errors]) -> Errors:
+    """Return errors of several problems; each keeps blocks of its own."""
+    sizes = [int(part.block.max(initial=-1)) + 1 for part in parts]
+    begins = np.cumsum([0, *sizes[:-1]])
+    return Errors(
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.block + begin for part, begin in zip(parts, begins, strict=True)]),
+    )

@@ -11,8 +11,9 @@ from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.lost_steps import LostSteps
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
+from hilserver.diagnosis.findings.estimate import PUBLIC, fitted_covariance, is_wave
 from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
-from hilserver.diagnosis.regression.intervals import intervals
+from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
@@ -22,49 +23,41 @@ from hilserver.measured.channels import SETPOINTS
 
 Array = NDArray[np.float64]
 
-PUBLIC = {"shift.nav": "clock_offset.nav"}
-ROUNDED_S = {
-    "actuation_delay",
-    "control_period",
-    "encoder_filter",
-    "imu_latency",
-    "nav_latency",
-    "yaw_latency",
-    "clock_offset",
-}
-
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
     """Return the parameters of every accepted cause with their intervals, by its index."""
-    extra = np.array([
-        0.3 * problem.stage.robot.period_s if f.candidate.cause in ROUNDED_S else 0.0
-        for f in point.model.fitted for _ in f.theta
-    ])  # fmt: skip
-    limits = intervals(problem, point, extra)
+    shown = limits(point.model.theta(), *fitted_covariance(problem, point))
     parts = zip(point.model.fitted, point.model.slices, strict=True)
-    return {i: _of(f, limits[mine]) for i, (f, mine) in enumerate(parts)}
+    return {i: parameters_of(f, shown[mine]) for i, (f, mine) in enumerate(parts)}
 
 
-def _of(f: Fitted, limits: Array) -> dict[str, Parameter]:
+def parameters_of(f: Fitted, shown: Array) -> dict[str, Parameter]:
+    """Return the parameters of one cause as they are reported.
+
+    Parameters
+    ----------
+    shown : ndarray, shape (f.candidate.n, 2)
+        Limits of 95 % of the parameters as fitted.
+    """
     terms = dict(f.terms)
-    if any(name.endswith(("phase", "phase1", "phase2")) for name in terms):
-        return _wave(f, limits)
+    if is_wave(f):
+        return _wave(f, shown)
     out = {}
     for k, (name, value) in enumerate(terms.items()):
         public = PUBLIC.get(name, name)
         ci = None
         if k < f.candidate.n:
-            low, high = sorted((float(limits[k, 0]), float(limits[k, 1])))
+            low, high = sorted((float(shown[k, 0]), float(shown[k, 1])))
             ci = (low, high)
         out[public] = Parameter(value=value, ci95=ci, unit=unit_of(public))
     return out
 
 
-def _wave(f: Fitted, limits: Array) -> dict[str, Parameter]:
+def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
     names = list(f.terms)
     a, b = f.theta
     size, phase = float(np.hypot(a, b)), float(np.arctan2(b, a))
-    half = 0.5 * (limits[:, 1] - limits[:, 0])
+    half = 0.5 * (shown[:, 1] - shown[:, 0])
     along = float(np.hypot(half[0] * a, half[1] * b) / max(size, 1e-300))
     across = float(np.hypot(half[0] * b, half[1] * a) / max(size, 1e-300) / max(size, 1e-300))
     return {
@@ -123,19 +116,26 @@ def named(
         if anchor is not None and cause == "nav_scale":
             causes.append("nav_position_bias")
             values |= _field(anchor)
-        verdict = Verdict.NAMED if len(causes) == 1 else Verdict.NAMED_GROUP
-        if cause in drift:
-            verdict = Verdict.DRIFT
-        finding = Finding(
-            verdict=verdict,
-            causes=tuple(causes),
-            block=CAUSES[cause].block,
-            parameters=values,
-            p_adjusted=drift.get(cause, p.get(cause, 0.01)),
-            separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
+        found.append(
+            fitted_finding(causes, values, drift.get(cause, p.get(cause, 0.01)), cause in drift)
         )
-        found.append(finding.model_copy(update={"explanation": explain_finding(finding)}))
     return found
+
+
+def fitted_finding(
+    causes: Sequence[str], values: dict[str, Parameter], p: float, drifts: bool
+) -> Finding:
+    """Return the finding of a fitted cause, the first, and those that could stand in its place."""
+    verdict = Verdict.NAMED if len(causes) == 1 else Verdict.NAMED_GROUP
+    finding = Finding(
+        verdict=Verdict.DRIFT if drifts else verdict,
+        causes=tuple(causes),
+        block=CAUSES[causes[0]].block,
+        parameters=values,
+        p_adjusted=p,
+        separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
+    )
+    return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
 def structure(unknown: Sequence[Unknown], stage: str) -> Finding:
@@ -265,6 +265,6 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
         for name in names:
             if name in PUBLIC or name not in finding.parameters:
                 continue
-            parameter = finding.parameters[name]
-            out.append(FittedTerm(name, parameter.value, parameter.ci95, parameter.unit, index))
+            p = finding.parameters[name]
+            out.append(FittedTerm(name, p.value, p.ci95, p.unit, index, p.groups))
     return tuple(out)

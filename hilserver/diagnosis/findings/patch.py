@@ -1,15 +1,18 @@
 """From a diagnosis to `model_patch.yaml`, which `hilserver run --patch` loads."""
 
+from collections.abc import Iterable
+
 import yaml
 
 from hilserver.config.patch import SCHEMA, FittedIn, MadeFrom, ModelPatch, PatchTerm
-from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.evidence import Diagnosis, FittedTerm
 
 _HEAD = """\
 # Terms that 'hilserver diagnose' has fitted. Run the extended model with
 #   hilserver run --patch model_patch.yaml
 # Outside the ranges below the outputs that a term changes are flagged Uncertain.
 """
+_WITH_GROUP = "model_patch.yaml --group NAME"
 MAX_NAMES = 3
 
 
@@ -43,8 +46,23 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
         terms={
             term.name: PatchTerm(value=term.value, unit=term.unit, ci95=term.ci95, fitted_in=fitted)
             for term in evidence.extension
+            if term.groups is None
         },
+        groups=_groups(evidence.extension, fitted),
     )
+
+
+def _groups(
+    terms: Iterable[FittedTerm], fitted: FittedIn
+) -> dict[str, dict[str, PatchTerm]] | None:
+    """Return the terms that differ, by group; None without any."""
+    groups: dict[str, dict[str, PatchTerm]] = {}
+    for term in terms:
+        for group, own in (term.groups or {}).items():
+            groups.setdefault(group, {})[term.name] = PatchTerm(
+                value=own.value, unit=term.unit, ci95=own.ci95, fitted_in=fitted
+            )
+    return groups or None
 
 
 def _conditions(diagnosis: Diagnosis) -> str:
@@ -58,4 +76,5 @@ def _conditions(diagnosis: Diagnosis) -> str:
 def as_yaml(patch: ModelPatch) -> str:
     """Return the patch as the text of its file."""
     data = patch.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return _HEAD + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    head = _HEAD if patch.groups is None else _HEAD.replace("model_patch.yaml", _WITH_GROUP, 1)
+    return head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)

@@ -31,9 +31,12 @@ it is.
 | `findings` | one entry per finding, below |
 | `total_gain` | error at the end of a free run, before and after, over held-out segments |
 | `ceiling` | the ratio that a flexible regression on everything measured reaches |
+| `joint` | all fitted `parameters`, `value`, robust `covariance`, in reported units; or null |
+| `noise` | by channel `white_sd`, `ou_sd`, `ou_tau_s`, `tail_dof`, `step`, `limits`, below |
 | `smallest_detectable` | the smallest effect of each cause that would have shown (weakest limit) |
 | `not_judged` | causes that the data say nothing about, and why |
 | `notices` | what a reader of the data should know |
+| `groups` | of `--group`: by group its `logs`, `noise` and `total_gain`; or null |
 | `model_patch` | name of the patch beside it, or null |
 
 ## A finding
@@ -48,6 +51,7 @@ it is.
 | `explanation`, `separating_experiment` | in words |
 | `regressors` | what an unknown structure depends on, strongest first |
 | `gain` | as `total_gain`, of this finding alone |
+| `matters` | of a fitted cause, by channel: `alone` and `with_partners`, below |
 
 | verdict | means |
 |---|---|
@@ -59,12 +63,30 @@ it is.
 | `data_fault` | the recording is wrong, not the robot; it was corrected before the rest |
 | `differs`, `no_difference` | of `--compare` |
 
+A parameter that differs by group of logs (`--group`) has `groups`: `value` and `ci95` of each, null
+where its logs do not show it. Its own `value` is their mean and its `ci95` null. In `joint` it is
+called `name@group`, and `noise` is in `groups`.
+
+## What a cause matters
+
+`matters` says by how much the mean absolute error of a channel falls on held-out blocks: without
+the cause by with it, all others on (`alone`), and without it and its partners by with them
+(`with_partners`). Partners are causes whose estimates are correlated by more than 0.5: when one of
+them is left out, the others take over what it explains. The ratios inform; they decide nothing.
+
+## What a channel shows
+
+`noise` describes a channel in its unit: white noise, noise that is correlated over `ou_tau_s`
+(Ornstein-Uhlenbeck), Student's t with `tail_dof` degrees of freedom, the `step` that its values are
+rounded to, and its `limits`. Null: none (tails: Gaussian).
+
 ## model_patch.yaml
 
 Terms by name with value, unit, interval and the range of speed, wheel speed, turn rate and voltage
 they were fitted in. `made_from` names findings, configuration and version. A term that the
-configuration sets too is refused (exit code 78); another configuration is a warning. Outside a
-range, widened by 2 %, the outputs that the term changes are Uncertain:
+configuration sets too is refused (exit code 78); another configuration is a warning. Terms that
+differ by group of logs are in `groups`: `--group` takes one, and without it the patch is refused.
+Outside a range, widened by 2 %, the outputs that the term changes are Uncertain:
 
 | term's block | outputs |
 |---|---|

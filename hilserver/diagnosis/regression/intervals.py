@@ -50,20 +50,31 @@ def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[A
     return whole / np.outer(scale, scale), min(used, n) - k
 
 
-def intervals(problem: Problem, point: Point, extra: Array | None = None) -> Array:
-    """Return the limits of 95 % of all parameters, shape (k, 2).
+def whole_covariance(
+    problem: Problem, point: Point, extra: Array | None = None, columns: Array | None = None
+) -> tuple[Array, int]:
+    """Return the covariance of all parameters, with what the model's own form may cost.
 
     Parameters
     ----------
     extra : ndarray, shape (k,), optional
         Standard deviations to add for what is rounded (a delay to whole ticks).
+    columns : ndarray, shape (n, k), optional
+        `Problem.accepted`, where it is known already.
     """
-    cov, dof = covariance(problem, point, problem.accepted(point))
+    if columns is None:
+        columns = problem.accepted(point)
+    cov, dof = covariance(problem, point, columns)
     fitted = point.model.fitted
     share = [ABRUPT_SHARE.get(f.candidate.cause, MODEL_SHARE) for f in fitted for _ in f.theta]
     variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2
     if extra is not None:
         variance += extra**2
-    half = stats.t.ppf(0.975, max(dof, 2)) * np.sqrt(variance)
-    theta = point.model.theta()
+    np.fill_diagonal(cov, variance)
+    return cov, max(dof, 2)
+
+
+def limits(theta: Array, cov: Array, dof: float | Array) -> Array:
+    """Return the limits of 95 % of all parameters, shape (k, 2)."""
+    half = stats.t.ppf(0.975, dof) * np.sqrt(np.diag(cov))
     return np.stack([theta - half, theta + half], axis=1)

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.diagnosis.findings.outcome import PUBLIC, unit_of
+from hilserver.diagnosis.findings.estimate import PUBLIC
+from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import Course

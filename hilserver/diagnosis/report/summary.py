@@ -3,7 +3,7 @@
 import textwrap
 
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number
-from hilserver.diagnosis.report.words import Change, headline, is_unchanged
+from hilserver.diagnosis.report.words import Change, headline, is_unchanged, shared_and_free
 from hilserver.diagnosis.schema.findings import Findings, Overall
 
 WIDTH = 96
@@ -20,6 +20,7 @@ def summary(findings: Findings) -> str:
         for item in named
         if item.separating_experiment
     ]
+    lines += [f"  {text}" for text in shared_and_free(findings)]
     for key, gain in findings.total_gain.items():
         name, unit = QUANTITIES.get(key, (key, "1"))
         if is_unchanged(gain):

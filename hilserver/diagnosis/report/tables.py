@@ -1,11 +1,14 @@
 """What the tables behind a report show, chosen and sorted from findings and evidence."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
 
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import Similarity
-from hilserver.diagnosis.schema.findings import NotJudged
+from hilserver.diagnosis.schema.findings import Joint, NotJudged
 
 CUT_POINTS: Final = {
     "setpoints": "From the set-points: the whole chain",
@@ -45,3 +48,30 @@ def by_reason(not_judged: Iterable[NotJudged]) -> dict[str, list[str]]:
     for item in not_judged:
         reasons.setdefault(item.reason, []).append(item.cause)
     return reasons
+
+
+@dataclass(frozen=True, slots=True)
+class JointRow:
+    """One fitted parameter and the one whose estimate is most correlated with it."""
+
+    name: str
+    value: float
+    deviation: float
+    partner: str
+    correlation: float
+
+
+def together(joint: Joint | None) -> list[JointRow]:
+    """Return all fitted parameters with what their estimates have to do with each other."""
+    if joint is None:
+        return []
+    covariance = np.array(joint.covariance)
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.maximum(np.outer(deviation, deviation), 1e-300)
+    np.fill_diagonal(correlation, 0.0)
+    rows = []
+    for i, (name, value) in enumerate(zip(joint.parameters, joint.value, strict=True)):
+        j = int(np.argmax(np.abs(correlation[i])))
+        partner = joint.parameters[j] if j != i else ""
+        rows.append(JointRow(name, value, float(deviation[i]), partner, float(correlation[i, j])))
+    return rows

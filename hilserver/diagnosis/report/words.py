@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.schema.evidence import CutRow, HorizonRow
@@ -12,6 +13,7 @@ from hilserver.diagnosis.schema.findings import (
     Gain,
     Interval,
     Overall,
+    Parameter,
     Verdict,
 )
 
@@ -175,3 +177,47 @@ def steps(findings: Findings) -> list[Step]:
 def _label(item: Finding, text: str) -> str:
     name = text.replace("_", " ").capitalize()
     return name if item.block == "data" else f"{name} ({item.block})"
+
+
+@dataclass(frozen=True, slots=True)
+class Belonging:
+    """A fitted parameter and whose it is: the machine's, or one of each group of logs."""
+
+    name: str
+    parameter: Parameter
+    others: tuple[str, ...]
+    """Causes that could stand in its place."""
+
+
+def belonging(findings: Findings, *, differs: bool) -> list[Belonging]:
+    """Return the fitted parameters that differ by group of logs, or those that do not."""
+    if findings.groups is None:
+        return []
+    return [
+        Belonging(name, p, item.causes[1:])
+        for item in findings.findings
+        if item.matters
+        for name, p in item.parameters.items()
+        if cause_of(name).name == item.causes[0]
+        and (p.groups is not None) == differs
+        and (p.groups is not None or p.ci95 is not None)
+    ]
+
+
+def shared_and_free(findings: Findings) -> list[str]:
+    """Return in words what all groups of logs share, and what differs."""
+    out = []
+    if shared := belonging(findings, differs=False):
+        names = ", ".join(f"{b.name} {number(b.parameter.value, b.parameter.unit)}" for b in shared)
+        out.append(f"The same in all groups, so it belongs to the machine: {names}.")
+    if free := belonging(findings, differs=True):
+        said = []
+        for b in free:
+            unit = b.parameter.unit
+            groups = (b.parameter.groups or {}).items()
+            values = ", ".join(f"{name} {number(g.value, unit)}" for name, g in groups)
+            said.append(f"{b.name} ({values})")
+        out.append(
+            f"Different by group, so it belongs to the floor or the load: {'; '.join(said)}."
+        )
+    return out

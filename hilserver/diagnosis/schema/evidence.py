@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
-from hilserver.diagnosis.schema.findings import Findings
+from hilserver.diagnosis.schema.findings import Findings, InGroup
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -190,6 +190,8 @@ class FittedTerm:
         As in ``plant/terms.csv``. Of a group it is the member that was fitted.
     finding : int
         Index into ``Findings.findings``; which finding it belongs to.
+    groups : mapping of str to InGroup, or None
+        By group of logs, where it differs; then `value` is their mean.
     """
 
     name: str
@@ -197,6 +199,7 @@ class FittedTerm:
     ci95: Interval | None
     unit: str
     finding: int
+    groups: Mapping[str, InGroup] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,15 @@
 
 from collections.abc import Iterable
 from enum import StrEnum
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 
 SCHEMA: Final = "hilserver.diagnosis/1"
 
@@ -45,12 +51,33 @@ class LogFile(_Model):
     sha256: str
 
 
+class InGroup(_Model):
+    """The value of one group of logs; without an interval where its logs do not show it."""
+
+    value: float
+    ci95: Interval | None
+
+
 class Parameter(_Model):
-    """A fitted value with its interval of 95 %."""
+    """A fitted value with its interval of 95 %.
+
+    Attributes
+    ----------
+    value : float
+        Of a parameter that differs by group, the mean over the groups; it has no interval.
+    groups : dict of str to InGroup, or None
+        By group of logs, where it differs; None: it is the same in all.
+    """
 
     value: float
     ci95: Interval | None
     unit: str
+    groups: dict[str, InGroup] | None = None
+
+    @model_serializer(mode="wrap")
+    def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if key != "groups" or value}
 
 
 class Gain(_Model):
@@ -61,6 +88,41 @@ class Gain(_Model):
     after: float
     ratio: float
     ci95: Interval | None
+
+
+class Matters(_Model):
+    """By how much the error of one channel falls; 1: not at all.
+
+    Attributes
+    ----------
+    alone : float
+        Mean absolute error over held-out blocks, all other causes on: without this one by with it.
+    with_partners : float
+        The same without this cause and those whose estimates are correlated with its own: they
+        take over what it explains when it alone is left out.
+    """
+
+    alone: float
+    with_partners: float
+
+
+class Joint(_Model):
+    """All fitted parameters together, in the units in which they are reported."""
+
+    parameters: tuple[str, ...]
+    value: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+
+class Noise(_Model):
+    """What a channel shows of its quantity: noise, resolution and limits, in its unit."""
+
+    white_sd: float
+    ou_sd: float
+    ou_tau_s: float | None
+    tail_dof: float | None
+    step: float | None
+    limits: Interval | None
 
 
 class Finding(_Model):
@@ -75,6 +137,12 @@ class Finding(_Model):
     separating_experiment: str | None = None
     regressors: tuple[str, ...] = ()
     gain: dict[str, Gain] = Field(default_factory=dict)
+    matters: dict[str, Matters] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if key != "matters" or value}
 
 
 class Detectable(_Model):
@@ -92,6 +160,14 @@ class NotJudged(_Model):
     reason: str
 
 
+class GroupOfLogs(_Model):
+    """One group of logs: its files, what its channels show, and the gain on it."""
+
+    logs: tuple[str, ...]
+    noise: dict[str, Noise] = Field(default_factory=dict)
+    total_gain: dict[str, Gain] = Field(default_factory=dict)
+
+
 class Findings(_Model):
     """``findings.json``."""
 
@@ -105,9 +181,12 @@ class Findings(_Model):
     findings: tuple[Finding, ...] = ()
     total_gain: dict[str, Gain] = Field(default_factory=dict)
     ceiling: dict[str, float] = Field(default_factory=dict)
+    joint: Joint | None = None
+    noise: dict[str, Noise] = Field(default_factory=dict)
     smallest_detectable: tuple[Detectable, ...] = ()
     not_judged: tuple[NotJudged, ...] = ()
     notices: tuple[str, ...] = ()
+    groups: dict[str, GroupOfLogs] | None = None
     model_patch: str | None = None
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

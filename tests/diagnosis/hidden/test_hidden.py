@@ -95,6 +95,16 @@ def test_the_name_comes_out_with_size_and_sign(cause, seed, duration_s, gains):
     assert finding.p_adjusted <= 0.01
     assert finding.explanation
     assert [term.name for term in found.evidence.extension] == [hidden(cause, seed, duration_s)[0]]
+    assert found.findings.joint.parameters == tuple(
+        name for name, p in finding.parameters.items() if p.ci95 is not None
+    )
+    assert found.findings.joint.value[0] == next(iter(finding.parameters.values())).value
+    assert max(one.alone for one in finding.matters.values()) > 1.0
+    noise = found.findings.noise
+    assert noise["wheel.fl.speed_rpm"].white_sd == pytest.approx(0.12, rel=0.2)
+    if "nav.x_m" in noise:
+        assert noise["nav.x_m"].ou_sd == pytest.approx(0.05, rel=0.5)
+        assert noise["nav.x_m"].limits is None
     if gains is not None:
         the_gain_is_honest(found.findings, gains, SENSORS[gains])
         assert finding.gain == {

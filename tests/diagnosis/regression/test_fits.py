@@ -6,7 +6,7 @@ import pytest
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.findings.gain import Errors, compare, crossed, held_out
 from hilserver.diagnosis.noise.quick_noise import isolated
-from hilserver.diagnosis.regression.intervals import covariance, intervals
+from hilserver.diagnosis.regression.intervals import covariance, limits, whole_covariance
 from hilserver.diagnosis.regression.problem import fit
 from hilserver.diagnosis.replay.model import Fitted, Model, robot_with
 from hilserver.plant.packing import pack
@@ -15,6 +15,10 @@ from tests.diagnosis import toy
 from tests.diagnosis.assertions import no_prediction_saw_its_block
 
 N = 2400
+
+
+def intervals(problem, point, extra=None):
+    return limits(point.model.theta(), *whole_covariance(problem, point, extra))
 
 
 def columns_of(rng, n_columns=2, n=N):

@@ -1,0 +1,110 @@
+"""One set of logs: its faults, its stages, and what was decided of each of them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilserver.diagnosis.checks import Checked, check
+from hilserver.diagnosis.checks.frame import on_a_frame, standing
+from hilserver.diagnosis.decide.lost_steps import lost_steps
+from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.decide.settling import Judged, settled
+from hilserver.diagnosis.findings.detectable import smallest
+from hilserver.diagnosis.findings.outcome import (
+    coarse,
+    lost,
+    misplaced_anchor,
+    outliers,
+    structure,
+)
+from hilserver.diagnosis.findings.sensors import noise_of
+from hilserver.diagnosis.regression.screen import critical, null_maxima
+from hilserver.diagnosis.regression.stages import machine, prepare_all
+from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
+from hilserver.diagnosis.thresholds import LOST_SHARE
+from hilserver.measured.data import MeasuredLog
+from hilserver.plant.parameters import RobotParameters
+
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A log with its faults taken out, and what was decided of each of its stages."""
+
+    checked: Checked
+    log: MeasuredLog
+    robot: RobotParameters
+    judged: dict[str, Judged]
+    reasons: dict[str, str]
+
+
+def examine(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    rng: np.random.Generator,
+    jobs: int,
+    tell: Tell,
+    lap: Callable[[str], None],
+) -> Examined:
+    """Check a log, select causes, swap, prune; map what remains; drop what that puts in doubt."""
+    robot = machine(log, robot)
+    tell("checking the data", 0.0)
+    checked = check(log, robot)
+    log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
+    lap("checks")
+    prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
+    lap("effects")
+    tell("selecting causes", 0.0)
+    selected = select(
+        {n: p.problem for n, p in prepared.items()},
+        {n: p.library for n, p in prepared.items()},
+        {n: p.base for n, p in prepared.items()},
+        rng,
+        jobs,
+    )
+    judged = {name: settled(p, selected[name], rng) for name, p in prepared.items()}
+    lap("selection")
+    return Examined(checked, log, robot, judged, reasons)
+
+
+def beside(stage: str, j: Judged) -> list[Finding]:
+    """Return what was found in one stage beside fitted causes."""
+    problem, found = j.prepared.problem, []
+    if j.prepared.coarse_rpm is not None:
+        found.append(coarse(j.prepared.coarse_rpm))
+    if stage == "pose" and (strays := outliers(problem, j.point)) is not None:
+        found.append(strays)
+    if j.anchor is not None:
+        found.append(misplaced_anchor(*j.anchor))
+    steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None
+    if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
+        found.append(lost(steps))
+    elif j.unknown:
+        found.append(structure(j.unknown, stage))
+    return found
+
+
+def noise_of_all(judged: Mapping[str, Judged]) -> dict[str, Noise]:
+    """Return noise, resolution and limits of every channel of all stages."""
+    found: dict[str, Noise] = {}
+    for j in judged.values():
+        found |= noise_of(j.prepared.problem)
+    return found
+
+
+def smallest_of(
+    judged: Mapping[str, Judged], rng: np.random.Generator
+) -> tuple[list[Detectable], list[NotJudged]]:
+    """Return the smallest effects that would have shown, and what the drive did not excite."""
+    scores = {n: j.prepared.library.scores(j.point) for n, j in judged.items()}
+    limit = critical(null_maxima(list(scores.values()), rng)) if scores else 0.0
+    sizes: list[Detectable] = []
+    silent: list[NotJudged] = []
+    for name, j in judged.items():
+        more, not_judged = smallest(j.prepared.library, scores[name], limit)
+        sizes += more
+        silent += not_judged
+    return sizes, silent

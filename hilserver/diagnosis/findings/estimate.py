@@ -1,0 +1,144 @@
+"""The fitted parameters of a model together: reported names and units, one covariance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from hilserver.diagnosis.regression.intervals import whole_covariance
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.schema.findings import Joint
+
+Array = NDArray[np.float64]
+
+PUBLIC: Final = {"shift.nav": "clock_offset.nav"}
+ROUNDED_S: Final = {
+    "actuation_delay",
+    "control_period",
+    "encoder_filter",
+    "imu_latency",
+    "nav_latency",
+    "yaw_latency",
+    "clock_offset",
+}
+PARTNERS: Final = 0.5
+"""|correlation| of two estimates from which one cause can take over what another explains."""
+
+
+def fitted_covariance(
+    problem: Problem, point: Point, columns: Array | None = None
+) -> tuple[Array, int]:
+    """Return the covariance of a model's parameters as fitted, and its degrees of freedom."""
+    extra = np.array([
+        0.3 * problem.stage.robot.period_s if f.candidate.cause in ROUNDED_S else 0.0
+        for f in point.model.fitted for _ in f.theta
+    ])  # fmt: skip
+    return whole_covariance(problem, point, extra, columns)
+
+
+def is_wave(f: Fitted) -> bool:
+    """Return whether a cause is reported as amplitude and phase, fitted as cosine and sine."""
+    return any(name.endswith(("phase", "phase1", "phase2")) for name in f.terms)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """All fitted parameters of one stage, as reported.
+
+    Attributes
+    ----------
+    names : tuple of str
+    owner : tuple of int
+        Cause of each, by its place in the model.
+    value : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+        Robust; along what the data leave open it is that of the priors.
+    """
+
+    names: tuple[str, ...]
+    owner: tuple[int, ...]
+    value: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, model: Model, covariance: Array) -> "Estimate":
+        """Return fitted parameters as they are reported.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (k, k)
+            Of the parameters as fitted.
+        """
+        names: list[str] = []
+        owner: list[int] = []
+        values: list[float] = []
+        for i, f in enumerate(model.fitted):
+            shown = dict(list(f.terms.items())[: f.candidate.n])
+            names += [PUBLIC.get(name, name) for name in shown]
+            values += shown.values()
+            owner += [i] * f.candidate.n
+        turn, known = reported(model), with_priors(covariance, priors(model))
+        return cls(tuple(names), tuple(owner), np.array(values), turn @ known @ turn.T)
+
+    def partners(self, index: int) -> frozenset[int]:
+        """Return the causes that could take over part of what a cause explains."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        alike = np.abs(self.covariance / np.outer(sd, sd)) > PARTNERS
+        owner = np.array(self.owner)
+        near = owner[alike[owner == index].any(axis=0)]
+        return frozenset(near.tolist()) - {index}
+
+
+def estimate_of(problem: Problem, point: Point) -> Estimate:
+    """Return the estimate of a fitted model."""
+    if not point.model.fitted:
+        return Estimate((), (), np.zeros(0), np.zeros((0, 0)))
+    return Estimate.of(point.model, fitted_covariance(problem, point)[0])
+
+
+def joint(estimates: Sequence[Estimate]) -> Joint | None:
+    """Return the parameters of all stages together; None without any."""
+    fitted = [e for e in estimates if e.names]
+    if not fitted:
+        return None
+    whole = block_diag(*(e.covariance for e in fitted))
+    return Joint(
+        parameters=tuple(name for e in fitted for name in e.names),
+        value=tuple(float(v) for e in fitted for v in e.value),
+        covariance=tuple(tuple(row) for row in whole.tolist()),
+    )
+
+
+def reported(model: Model) -> Array:
+    """Return how the parameters as reported move with those as fitted, shape (k, k)."""
+    return np.asarray(
+        block_diag(
+            *(_polar(f.theta) if is_wave(f) else np.eye(f.candidate.n) for f in model.fitted)
+        )
+    )
+
+
+def _polar(theta: Sequence[float]) -> Array:
+    """Return how amplitude and phase move with the cosine and the sine part."""
+    a, b = theta
+    size = max(float(np.hypot(a, b)), 1e-9)
+    return np.array([[a / size, b / size], [-b / size**2, a / size**2]])
+
+
+def priors(model: Model) -> Array:
+    """Return the prior standard deviation of every parameter, shape (k,)."""
+    return np.array([f.candidate.prior for f in model.fitted for _ in f.theta])
+
+
+def with_priors(covariance: Array, prior: Array) -> Array:
+    """Return a covariance together with what is known of sound machines beforehand."""
+    known = np.flatnonzero(np.isfinite(prior))
+    if not len(known):
+        return covariance
+    seen = covariance[np.ix_(known, known)] + np.diag(prior[known] ** 2)
+    cross = covariance[:, known]
+    return np.asarray(covariance - cross @ np.linalg.solve(seen, cross.T))

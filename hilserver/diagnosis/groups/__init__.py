@@ -1,0 +1,1 @@
+"""Groups of logs: one machine on several floors, or loaded and empty."""

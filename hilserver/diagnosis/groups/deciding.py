@@ -1,0 +1,119 @@
+"""From what the groups show by themselves to one model: causes, values, what is shared."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from hilserver.diagnosis.decide.structure import families_of, remaining
+from hilserver.diagnosis.decide.trial import at_bound, worth_a_name
+from hilserver.diagnosis.groups.causes import Cause, causes_of
+from hilserver.diagnosis.groups.joint_fit import JointFit, Member, fit_in_all, refitted
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.thresholds import SCREEN_LEVEL, SETTLING_LEAST_GAIN
+
+
+@dataclass(frozen=True)
+class Decided:
+    """One stage of all groups.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+        In the order of the model.
+    joint : JointFit or None
+        None: there is no cause.
+    """
+
+    members: tuple[Member, ...]
+    causes: tuple[Cause, ...]
+    joint: JointFit | None
+
+
+def decided(members: Sequence[Member]) -> Decided:
+    """Return the model of one stage: what some group shows and the others leave possible.
+
+    What the others make superfluous is dropped, one cause at a time, the weakest first.
+    """
+    causes = causes_of([member.judged for member in members])
+    joint = None
+    while causes:
+        joint = fit_in_all(members, [_model(member, causes) for member in members])
+        doubt = [_doubt(joint, index) for index in range(len(causes))]
+        weakest = int(np.argmax(doubt))
+        if doubt[weakest] < 1.0:
+            break
+        del causes[weakest]
+        joint = None
+    return Decided(tuple(members), tuple(causes), joint)
+
+
+def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
+    """Return the groups at the common model, unknown structure mapped anew where that is another.
+
+    A cause that one group's logs hardly show may look like unknown structure there.
+    """
+    if whole.joint is None:
+        return whole
+    members = []
+    for group, member in enumerate(whole.members):
+        j, problem = member.judged, member.problem
+        model = whole.joint.model(group)
+        point = problem.point(model, whole.joint.points[group].poses)
+        unknown = j.unknown
+        if unknown or set(model.causes) != set(j.point.model.causes):
+            explained = max(j.prepared.base.deviance - point.deviance, 0.0)
+            unknown = remaining(problem, point, rng, families_of(problem, point), explained)
+        members.append(replace(member, judged=replace(j, point=point, unknown=unknown)))
+    return replace(whole, members=tuple(members))
+
+
+def with_rival(decided: Decided, index: int, rival: Fitted) -> JointFit:
+    """Return the model with a rival in the place of a cause; what is free stays so."""
+    assert decided.joint is not None
+    models = [
+        point.model.swapped(index, rival.candidate, rival.theta) for point in decided.joint.points
+    ]
+    mine = decided.joint.points[0].model.slices[index]
+    free = decided.joint.all.free
+    own = np.full(rival.candidate.n, bool(free[mine].any()))
+    return refitted(
+        decided.members, models, np.concatenate([free[: mine.start], own, free[mine.stop :]])
+    )
+
+
+def _model(member: Member, causes: Sequence[Cause]) -> Model:
+    """Return the model of a group, with its own values where it has some."""
+    own = {f.candidate.label: f for f in member.judged.point.model.fitted}
+    model = Model()
+    for cause in causes:
+        c = cause.candidate
+        model = model.plus(c, own.get(c.label, cause.fitted).theta)
+    return model
+
+
+def _doubt(joint: JointFit, index: int) -> float:
+    """Return how far a cause is from being needed: from 1 on it is not, 1 over its evidence."""
+    values = [joint.model(group).fitted[index] for group in range(len(joint.members))]
+    if not any(map(worth_a_name, values)):
+        return np.inf
+    if any(worth_a_name(f) and at_bound(f) for f in values):
+        return np.inf
+    mine = joint.points[0].model.slices[index]
+    free = joint.all.free[mine]
+    null = np.array(values[0].candidate.null)
+    evidence, freedom = 0.0, 0
+    known = np.stack([fit.known[mine] for fit in joint.fits])
+    for group, value in enumerate(values):
+        counts = free & known[group]
+        if group == 0:  # what is shared counts once
+            counts |= ~free & known.any(axis=0)
+        if not counts.any():
+            continue
+        away = (np.array(value.theta) - null)[counts]
+        covariance = joint.all.covariance[group][mine, mine][np.ix_(counts, counts)]
+        evidence += float(away @ np.linalg.pinv(covariance) @ away)
+        freedom += int(counts.sum())
+    least = max(float(stats.chi2.isf(SCREEN_LEVEL, max(freedom, 1))), SETTLING_LEAST_GAIN)
+    return least / max(evidence, 1e-9)

@@ -1,0 +1,185 @@
+"""Which parameters all groups share, and which each has for itself.
+
+Every group is fitted by itself; its estimate and robust covariance say all that its logs know of
+the parameters. Together they are generalised least squares with one unknown for a shared parameter
+and one per group for a free one, so that each split of the parameters is a small solve.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class GroupFit:
+    """The parameters of one group, fitted by itself.
+
+    Attributes
+    ----------
+    value : ndarray, shape (k,)
+    known : ndarray of bool, shape (k,)
+        Whether its logs say anything of a parameter.
+    covariance : ndarray, shape (k, k)
+        Robust; only the known rows and columns count.
+    dof : ndarray, shape (k,)
+        Degrees of freedom of each variance.
+    """
+
+    value: Array
+    known: Mask
+    covariance: Array
+    dof: Array
+
+    def with_value(self, value: Array) -> "GroupFit":
+        """Return the same knowledge about other values."""
+        return GroupFit(value, self.known, self.covariance, self.dof)
+
+    @property
+    def weight(self) -> Array:
+        """Inverse of the covariance without its bias; zero for what is not known.
+
+        The inverse of a covariance from few blocks is too large on average (Wishart).
+        """
+        out = np.zeros_like(self.covariance)
+        known = np.flatnonzero(self.known)
+        if len(known):
+            place = np.ix_(known, known)
+            dof = float(self.dof[known].max())  # runs make single variances larger, no more
+            out[place] = _inverse(self.covariance[place]) * max(1.0 - (len(known) + 1) / dof, 0.1)
+        return out
+
+
+@dataclass(frozen=True)
+class Together:
+    """Parameters of all groups, some of them shared.
+
+    Attributes
+    ----------
+    value : ndarray, shape (groups, k)
+    covariance : ndarray, shape (groups, k, k)
+        Of each group's parameters, what the others know of shared ones included.
+    misfit : float
+        Squared distance of the groups' own estimates, by their covariances.
+    free : ndarray of bool, shape (k,)
+    places : ndarray of int64, shape (groups, k)
+        Which unknown each parameter of a group is.
+    unknowns : ndarray, shape (m, m)
+        Covariance of all unknowns; 0 for what no group knows.
+    """
+
+    value: Array
+    covariance: Array
+    misfit: float
+    free: Mask
+    places: NDArray[np.int64]
+    unknowns: Array
+
+
+def together(fits: Sequence[GroupFit], free: Mask) -> Together:
+    """Estimate the parameters of all groups; those that are not free are the same in each."""
+    n_groups = len(fits)
+    places = [_places(g, free) for g in range(n_groups)]
+    size = int((~free).sum()) + n_groups * int(free.sum())
+    information, target = np.zeros((size, size)), np.zeros(size)
+    for fit, place in zip(fits, places, strict=True):
+        weight = fit.weight
+        information[np.ix_(place, place)] += weight
+        target[place] += weight @ np.where(fit.known, fit.value, 0.0)
+    covariance = _inverse(information)
+    best = covariance @ target
+    value = np.stack([best[place] for place in places])
+    known = np.stack([fit.known for fit in fits])
+    for j in np.flatnonzero(free):  # a group that knows nothing of it gets the others' mean
+        if known[:, j].any():
+            value[~known[:, j], j] = value[known[:, j], j].mean()
+    misfit = 0.0
+    for fit, own in zip(fits, value, strict=True):
+        away = np.where(fit.known, fit.value - own, 0.0)
+        misfit += float(away @ fit.weight @ away)
+    parts = np.stack([covariance[np.ix_(place, place)] for place in places])
+    return Together(value, parts, misfit, free.copy(), np.stack(places), covariance)
+
+
+def _places(group: int, free: Mask) -> NDArray[np.int64]:
+    """Return which unknown each parameter of a group is."""
+    n_shared, n_free = int((~free).sum()), int(free.sum())
+    place = np.empty(len(free), dtype=np.int64)
+    place[~free] = np.arange(n_shared)
+    place[free] = n_shared + group * n_free + np.arange(n_free)
+    return place
+
+
+def _inverse(matrix: Array) -> Array:
+    """Invert a covariance or an information whose units differ widely; 0 where it is 0."""
+    scale = np.sqrt(np.diag(matrix))
+    used = np.flatnonzero(scale > 0.0)
+    out = np.zeros_like(matrix)
+    own = scale[used]
+    unit = matrix[np.ix_(used, used)] / np.outer(own, own)
+    inner = np.linalg.inv(unit + 1e-10 * np.eye(len(used)))
+    out[np.ix_(used, used)] = inner / np.outer(own, own)
+    return out
+
+
+def free_parameters(
+    fits: Sequence[GroupFit], units: Sequence[Sequence[int]], least: Array, level: float
+) -> tuple[Mask, Array]:
+    """Return which parameters differ by group, and the p of no difference.
+
+    All are shared at first. The one that differs most clearly becomes free, until no other does at
+    the family-wise `level`; one that others have made superfluous becomes shared again.
+
+    Parameters
+    ----------
+    units : sequence of sequences of int
+        Parameters that are free only together, as the two parts of a wave.
+    least : ndarray, shape (k,)
+        Smaller differences are not worth a word.
+    """
+    k = len(least)
+    free, p = np.zeros(k, dtype=bool), np.ones(k)
+    while True:
+        tests = {}
+        for number, unit in enumerate(units):
+            if not free[list(unit)].any():
+                chance, differ = _test(fits, unit, free)
+                if (differ >= least[list(unit)]).any():
+                    tests[number] = min(chance * len(units), 1.0)
+        best = min(tests, key=lambda number: tests[number], default=None)
+        if best is None or tests[best] >= level:
+            break
+        free[list(units[best])], p[list(units[best])] = True, tests[best]
+    for unit in units:
+        mine = list(unit)
+        if free[mine].any():
+            free[mine] = False
+            chance = min(_test(fits, unit, free)[0] * len(units), 1.0)
+            free[mine] = chance < level
+            p[mine] = chance
+    return free, p
+
+
+def _test(fits: Sequence[GroupFit], unit: Sequence[int], free: Mask) -> tuple[float, Array]:
+    """Return the p of no difference of some parameters, and how far their values lie apart."""
+    mine = list(unit)
+    knowing = [fit for fit in fits if fit.known[mine].all()]
+    if len(knowing) < 2:
+        return 1.0, np.zeros(len(mine))
+    freed = free.copy()
+    freed[mine] = True
+    apart = together(fits, freed)
+    gained = together(fits, free).misfit - apart.misfit
+    freedom = (len(knowing) - 1) * len(mine)
+    variances = np.array([np.diag(fit.covariance)[mine] for fit in knowing])
+    dofs = np.array([fit.dof[mine] for fit in knowing])
+    dof = float((variances.sum(axis=0) ** 2 / (variances**2 / dofs).sum(axis=0)).min())
+    values = np.array(
+        [v for v, fit in zip(apart.value, fits, strict=True) if fit.known[mine].all()]
+    )
+    return float(stats.f.sf(gained / freedom, freedom, dof)), np.ptp(values[:, mine], axis=0)

@@ -1,0 +1,84 @@
+"""The evidence of several groups of logs as one: plots go on from group to group."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from hilserver.diagnosis.schema.decisions import ScreenRow
+from hilserver.diagnosis.schema.evidence import Array, Evidence, FittedRange, Interval, Series
+
+MOST_PATHS = 6
+
+
+def merged(parts: Mapping[str, Evidence]) -> Evidence:
+    """Return the evidence of all groups; tables say which group a row is of."""
+    first = next(iter(parts.values()))
+    many = parts.items()
+    return Evidence(
+        series=_series(parts.values()),
+        paths=tuple(p for _, e in many for p in e.paths)[:MOST_PATHS],
+        cuts=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.cuts),
+        noise=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.noise),
+        screen=_screen(parts.values()),
+        selection=tuple(
+            replace(r, reason=f"{g}: {r.reason}") for g, e in many for r in e.selection
+        ),
+        similarity=first.similarity,
+        dependences=tuple(
+            replace(d, channel=f"{d.channel} ({g})") for g, e in many for d in e.dependences
+        ),
+        courses=tuple(replace(c, cause=f"{c.cause} ({g})") for g, e in many for c in e.courses),
+        extension=first.extension,
+        fitted=_range([e.fitted for e in parts.values()]),
+        timings_s=first.timings_s,
+        remarks=tuple(dict.fromkeys(f"{g}: {r}" for g, e in many for r in e.remarks)),
+    )
+
+
+def _series(parts: Iterable[Evidence]) -> tuple[Series, ...]:
+    """Return every channel over all groups, one after the other."""
+    found: dict[str, Series] = {}
+    for item in (item for part in parts for item in part.series):
+        known = found.get(item.name)
+        if known is None:
+            found[item.name] = item
+            continue
+        found[item.name] = replace(
+            known,
+            t_s=np.concatenate([known.t_s, item.t_s]),
+            measured=np.concatenate([known.measured, item.measured]),
+            simulated=np.concatenate([known.simulated, item.simulated]),
+            extended=_both(known.extended, item.extended),
+            span=np.concatenate([known.span, item.span + int(known.span.max(initial=-1)) + 1]),
+        )
+    return tuple(found.values())
+
+
+def _both(a: Array | None, b: Array | None) -> Array | None:
+    return None if a is None or b is None else np.concatenate([a, b])
+
+
+def _screen(parts: Iterable[Evidence]) -> tuple[ScreenRow, ...]:
+    """Return every cause as the group has it that shows it most clearly."""
+    rows: dict[str, ScreenRow] = {}
+    for row in (row for part in parts for row in part.screen):
+        if row.cause not in rows or abs(row.statistic) > abs(rows[row.cause].statistic):
+            rows[row.cause] = row
+    return tuple(rows.values())
+
+
+def _range(parts: Iterable[FittedRange]) -> FittedRange:
+    """Return what the machine did in all groups together."""
+    known = list(parts)
+
+    def whole(values: Iterable[Interval | None]) -> Interval | None:
+        given = [v for v in values if v is not None]
+        return (min(v[0] for v in given), max(v[1] for v in given)) if given else None
+
+    return FittedRange(
+        whole(p.speed_m_s for p in known),
+        whole(p.wheel_speed_rpm for p in known),
+        whole(p.turn_rate_rad_s for p in known),
+        whole(p.voltage_v for p in known),
+    )
