@@ -8,11 +8,12 @@ import numpy as np
 from hilserver.diagnosis.checks import Checked, check
 from hilserver.diagnosis.checks.frame import on_a_frame, standing
 from hilserver.diagnosis.decide.lost_steps import lost_steps
-from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.decide.selection import Selected, select
 from hilserver.diagnosis.decide.settling import Judged, settled
 from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.findings.outcome import (
     coarse,
+    deviating,
     lost,
     misplaced_anchor,
     outliers,
@@ -20,7 +21,14 @@ from hilserver.diagnosis.findings.outcome import (
 )
 from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.regression.screen import critical, null_maxima
-from hilserver.diagnosis.regression.stages import machine, prepare_all
+from hilserver.diagnosis.regression.stages import (
+    Prepared,
+    machine,
+    pose_stage,
+    prepare,
+    prepare_all,
+    speed_factors,
+)
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
 from hilserver.diagnosis.thresholds import LOST_SHARE
@@ -58,16 +66,42 @@ def examine(
     prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
     lap("effects")
     tell("selecting causes", 0.0)
-    selected = select(
+    selected = _selected(prepared, rng, jobs)
+    judged: dict[str, Judged] = {}
+    for name, p in prepared.items():
+        drive = judged.get("drive")
+        anew = None if drive is None else _with_wheels(p, drive, log, jobs, tell)
+        if anew is not None:
+            selected |= _selected({name: anew}, rng, jobs)
+        judged[name] = settled(anew or p, selected[name], rng)
+    lap("selection")
+    return Examined(checked, log, robot, judged, reasons)
+
+
+def _selected(
+    prepared: Mapping[str, Prepared], rng: np.random.Generator, jobs: int
+) -> dict[str, Selected]:
+    return select(
         {n: p.problem for n, p in prepared.items()},
         {n: p.library for n, p in prepared.items()},
         {n: p.base for n, p in prepared.items()},
         rng,
         jobs,
     )
-    judged = {name: settled(p, selected[name], rng) for name, p in prepared.items()}
-    lap("selection")
-    return Examined(checked, log, robot, judged, reasons)
+
+
+def _with_wheels(
+    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, tell: Tell
+) -> Prepared | None:
+    """Return the pose, moved by the wheels as the drive's causes say that they turn.
+
+    None where these are the speeds of the log.
+    """
+    robot, terms = p.problem.stage.robot, drive.point.model.terms
+    if speed_factors(robot, terms) == speed_factors(robot, {}):
+        return None
+    stage = pose_stage(log, robot, drive.prepared.problem.stage, terms, jobs)
+    return prepare(stage, jobs, tell)[0]
 
 
 def beside(stage: str, j: Judged) -> list[Finding]:
@@ -83,7 +117,7 @@ def beside(stage: str, j: Judged) -> list[Finding]:
     if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
         found.append(lost(steps))
     elif j.unknown:
-        found.append(structure(j.unknown, stage))
+        found.append(structure(j.unknown, stage, deviating(problem, j.point)))
     return found
 
 

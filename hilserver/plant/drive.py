@@ -26,6 +26,7 @@ from hilserver.plant.layout import (
     P_DERIVATIVE_GAIN,
     P_DERIVATIVE_KEEP,
     P_DT,
+    P_ENCODER_GAIN,
     P_ENCODER_KEEP,
     P_ENCODER_SHARE,
     P_EULER,
@@ -111,9 +112,10 @@ def encoder(p: Any, x: Any, i: int) -> float:
         seen = x[X_ENCODER + i] + p[P_ENCODER_SHARE] * speed
         rest = 1.0 - p[P_ENCODER_SHARE] - p[P_ENCODER_KEEP]
         x[X_ENCODER + i] = p[P_ENCODER_KEEP] * seen + rest * speed
+    seen *= p[P_ENCODER_GAIN + i]
     if p[P_QUANTUM] != 0.0:
         seen = p[P_QUANTUM] * math.floor(seen / p[P_QUANTUM] + 0.5)
-    return seen
+    return float(seen)
 
 
 @part

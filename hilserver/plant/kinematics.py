@@ -1,8 +1,8 @@
 """Steps 7 to 10 of the tick: from the side speeds to the velocity of the centre of mass.
 
 Signs are those of the frame page: driving forward is left > 0, right < 0, and
-``om = yaw_sign K_om (r_L w_L + r_R w_R)``. Every function returns the velocity and its exact time
-derivative ``(v, vy, om, dv, dvy, dom)`` in m/s, rad/s and their rates.
+``om = yaw_sign K_om (r_L w_L + r_R w_R)``. Every function returns velocities and their exact time
+derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 """
 
 import math
@@ -32,6 +32,7 @@ from hilserver.plant.layout import (
     P_SIDE_SLIP,
     P_SURFACE_GAIN,
     P_SURFACE_SPEED,
+    P_TRACTION,
     P_YAW_GAIN,
     X_MOTOR,
     X_POSE,
@@ -103,11 +104,12 @@ def velocity_terms(
     w_r: float,
     dw_l: float,
     dw_r: float,
-) -> Velocity:
-    """Return the velocity with the kinematic terms.
+) -> tuple[float, float, float, float]:
+    """Return v, om and their rates as the wheels make them, with the kinematic terms.
 
-    `angle_left` [rad] is the mean angle of the left wheels (`wheel_runout`). The rate of the
-    acceleration_slip factor itself, which would need the wheels' jerk, is left out of `dv`.
+    The body may lag behind them, so its lateral velocity is left to `across`. `angle_left` [rad] is
+    the mean angle of the left wheels (`wheel_runout`). The rate of the acceleration_slip factor
+    itself, which would need the wheels' jerk, is left out of `dv`.
     """
     wave, dwave = 1.0, 0.0
     if p[P_RUNOUT] != 0.0:
@@ -124,9 +126,14 @@ def velocity_terms(
     dom = p[P_YAW_GAIN] * (dgain * (left + right) + gain * (dleft + dright))
     keep = 1.0 - p[P_LONGITUDINAL_SLIP] * abs(om)
     dkeep = -p[P_LONGITUDINAL_SLIP] * (dom if om >= 0.0 else -dom)
-    grip = max(0.0, 1.0 - p[P_ACCELERATION_SLIP] * abs(dv0))
+    grip = p[P_TRACTION] * max(0.0, 1.0 - p[P_ACCELERATION_SLIP] * abs(dv0))
     grip = grip * p[P_SURFACE_SPEED] if inside else grip
-    v, dv = v0 * keep * grip, (dv0 * keep + v0 * dkeep) * grip
+    return v0 * keep * grip, om, (dv0 * keep + v0 * dkeep) * grip, dom
+
+
+@part
+def across(p: Any, v: float, om: float, dv: float, dom: float) -> tuple[float, float]:
+    """Return the lateral velocity [m/s] of a body with these, and its rate [m/s2] (step 10)."""
     vy, dvy = -p[P_ICR] * om, -p[P_ICR] * dom
     if p[P_SIDE_SLIP] != 0.0:
         vy += p[P_SIDE_SLIP] * v * om
@@ -134,4 +141,4 @@ def velocity_terms(
     if p[P_MISALIGNMENT] != 0.0:
         vy += p[P_MISALIGNMENT] * v
         dvy += p[P_MISALIGNMENT] * dv
-    return v, vy, om, dv, dvy, dom
+    return vy, dvy

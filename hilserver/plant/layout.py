@@ -108,7 +108,8 @@ X_TEMPERATURE: Final = 80  # [degC]
 X_LIGHT_PATTERN: Final = 81
 X_LIGHT_TIME: Final = 82  # [s] since the pattern began
 X_GAINS: Final = 83  # 3: as the input
-X_SETPOINT_RING: Final = 86  # RING x 4
+X_BODY: Final = 86  # v [m/s], om [rad/s]: what the body has of them while it lags
+X_SETPOINT_RING: Final = 88  # RING x 4
 X_IMU_RING: Final = X_SETPOINT_RING + 4 * RING  # RING x 4
 X_NAV_RING: Final = X_IMU_RING + 4 * RING  # RING x 3
 N_X: Final = X_NAV_RING + 3 * RING
@@ -149,6 +150,10 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_CONTROL_TICKS,  # control period in ticks
     P_DERIVATIVE_KEEP,  # D <- keep D + gain (e - e_last)
     P_DERIVATIVE_GAIN,
+    P_ENCODER_GAIN,  # of fl, then rl, fr, rr
+    P_ENCODER_GAIN_1,
+    P_ENCODER_GAIN_2,
+    P_ENCODER_GAIN_3,
     P_ENCODER_SHARE,  # of the newest speed in what the encoder filter shows; 1: no filter
     P_ENCODER_KEEP,  # of the last value shown
     P_QUANTUM,  # [rpm]
@@ -171,6 +176,8 @@ N_X: Final = X_NAV_RING + 3 * RING
     P_GAIN_SPEED,
     P_GAIN_RADIUS,
     P_BASE_TURN,  # nominal r K_om: |om| of the base model per rad/s
+    P_TRACTION,  # share of the wheels' speed that the body has
+    P_BODY_LAG,  # [s]
     P_LONGITUDINAL_SLIP,
     P_ACCELERATION_SLIP,
     P_SIDE_SLIP,
@@ -229,5 +236,5 @@ N_X: Final = X_NAV_RING + 3 * RING
     # initial values of the state that are not zero
     P_CHARGE_0,
     N_P,
-) = range(110)  # one more than there are parameters
+) = range(116)  # one more than there are parameters
 P_WHEEL_LOAD: Final = P_LOAD  # 4 [%], contiguous

@@ -22,6 +22,7 @@ _DRIVE_SWITCHES = (
     "stribeck_friction.f_s",
     "wheel_load.f",
     "battery_sag",
+    "encoder_scale.a",
     "encoder_filter",
     "encoder_quantization",
     "backlash",
@@ -29,6 +30,8 @@ _DRIVE_SWITCHES = (
 _KINEMATIC_SWITCHES = (
     "rotation_gain_speed",
     "rotation_gain_radius",
+    "traction_slip",
+    "body_lag",
     "longitudinal_slip",
     "acceleration_slip",
     "side_slip",
@@ -135,6 +138,8 @@ def _pack_controller(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_CONTROL_TICKS] = period_s / robot.period_s
     p[at.P_DERIVATIVE_KEEP], p[at.P_DERIVATIVE_GAIN] = keep, gain
     p[at.P_QUANTUM] = quantum
+    p[at.P_ENCODER_GAIN : at.P_ENCODER_GAIN + at.N_WHEELS] = 1.0
+    p[at.P_ENCODER_GAIN + _wheel("encoder_scale", term)] += term("encoder_scale.a")
     p[at.P_ENCODER_SHARE], p[at.P_ENCODER_KEEP] = encoder_weights(robot.period_s, filter_s)
     slower = period_s != robot.period_s
     switched = slower or robot.body_wheels or any(map(term.on, _DRIVE_SWITCHES))
@@ -157,11 +162,7 @@ def _pack_process(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_STRIBECK] = term("stribeck_friction.f_s")
     p[at.P_STRIBECK_SPEED] = term("stribeck_friction.n_s")
     p[at.P_BACKLASH] = term("backlash") / 2.0
-    wheel = term("wheel_load.wheel")
-    if wheel != int(wheel):
-        msg = f"plant.terms.wheel_load.wheel: must be 0 fl, 1 rl, 2 fr or 3 rr, not {wheel:g}."
-        raise PlantError(msg)
-    p[at.P_LOAD + int(wheel)] = term("wheel_load.f")
+    p[at.P_LOAD + _wheel("wheel_load", term)] = term("wheel_load.f")
 
 
 def _pack_kinematics(p: Array, robot: RobotParameters, term: _Values) -> None:
@@ -174,6 +175,15 @@ def _pack_kinematics(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_RADIUS_RIGHT] = radius * (1.0 - half_difference)
     p[at.P_YAW_GAIN] = robot.yaw_sign * (robot.k_om * (1.0 + term("rotation_gain")) * factor)
     p[at.P_ICR] = robot.icr_offset_m + (term("icr_offset") + shift_m)
+
+
+def _wheel(cause: str, term: _Values) -> int:
+    """Return the wheel that a cause is about."""
+    wheel = term(f"{cause}.wheel")
+    if wheel != int(wheel):
+        msg = f"plant.terms.{cause}.wheel: must be 0 fl, 1 rl, 2 fr or 3 rr, not {wheel:g}."
+        raise PlantError(msg)
+    return int(wheel)
 
 
 def encoder_weights(period_s: float, filter_s: float) -> tuple[float, float]:
@@ -208,6 +218,8 @@ def _pack_motion_terms(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_BASE_TURN] = robot.k_om * robot.wheel_radius_m
     p[at.P_GAIN_SPEED] = term("rotation_gain_speed")
     p[at.P_GAIN_RADIUS] = term("rotation_gain_radius")
+    p[at.P_TRACTION] = 1.0 - term("traction_slip")
+    p[at.P_BODY_LAG] = term("body_lag")
     p[at.P_LONGITUDINAL_SLIP] = term("longitudinal_slip")
     p[at.P_ACCELERATION_SLIP] = term("acceleration_slip")
     p[at.P_SIDE_SLIP] = term("side_slip")

@@ -4,15 +4,23 @@ The order of the steps is the contract ("One tick" of the plant reference). At t
 latched and every output of t_k is written; then the state moves to t_(k+1).
 """
 
+import math
 from typing import Any
 
 from hilserver.plant.command import command
 from hilserver.plant.drive import RAD_PER_RPM_S, drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.kinematics import in_region, sideways, velocity_base, velocity_terms
+from hilserver.plant.kinematics import (
+    across,
+    in_region,
+    sideways,
+    velocity_base,
+    velocity_terms,
+)
 from hilserver.plant.layout import (
     GOOD,
     N_Y_ROBOT,
+    P_BODY_LAG,
     P_DRIVE_TERMS,
     P_DT,
     P_KINEMATIC_TERMS,
@@ -21,6 +29,7 @@ from hilserver.plant.layout import (
     P_SLOPE_Y,
     X_ACCEL,
     X_ANGLE,
+    X_BODY,
     X_POSE,
     Y_ANGLE,
     Y_POSE,
@@ -40,6 +49,28 @@ def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: floa
     y[Y_VELOCITY + 2] = om
     x[X_ACCEL] = dv - om * vy
     x[X_ACCEL + 1] = dvy + om * v
+
+
+@part
+def follow_wheels(p: Any, x: Any, y: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> None:
+    """Let the body move as its wheels do [rad/s, rad/s2], without the lag of `body_lag`."""
+    angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
+    v, om, _, _ = velocity_terms(p, in_region(p, x), angle, w_l, w_r, dw_l, dw_r)
+    x[X_BODY], x[X_BODY + 1] = v, om
+
+
+@part
+def lag_behind(x: Any, v: float, om: float, lag_s: float, dt_s: float) -> tuple[float, float]:
+    """Move the body's v and om towards the wheels' over a tick; return their means.
+
+    First order, exact for wheels that keep their mean speed of the tick.
+    """
+    closed = -math.expm1(-dt_s / lag_s)
+    behind_v, behind_om = x[X_BODY] - v, x[X_BODY + 1] - om
+    x[X_BODY] -= closed * behind_v
+    x[X_BODY + 1] -= closed * behind_om
+    share = closed * lag_s / dt_s
+    return v + share * behind_v, om + share * behind_om
 
 
 @part
@@ -65,13 +96,21 @@ def drive_on_with_terms(
     dt, is_mecanum = p[P_DT], p[P_MECANUM] != 0.0
     inside = in_region(p, x)
     angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
-    v, vy, om, dv, dvy, _ = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
+    v, om, dv, dom = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
+    lag_s = p[P_BODY_LAG]
+    if lag_s != 0.0:
+        dv, dom = (v - x[X_BODY]) / lag_s, (om - x[X_BODY + 1]) / lag_s
+        v, om = x[X_BODY], x[X_BODY + 1]
+    vy, dvy = across(p, v, om, dv, dom)
     if is_mecanum:
         vy, dvy = vy + aside, dvy + daside
     publish(x, y, v, vy, om, dv, dvy)
     angle = 0.5 * (angle + 0.5 * (x[X_ANGLE] + x[X_ANGLE + 1]))
     dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
-    v, vy, om, _, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
+    v, om, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
+    if lag_s != 0.0:
+        v, om = lag_behind(x, v, om, lag_s, dt)
+    vy, _ = across(p, v, om, 0.0, 0.0)
     if is_mecanum:
         vy += 0.5 * (aside + sideways(p, x)[0])
     move(x, v, vy, om, dt)

@@ -17,8 +17,8 @@ NO_NAVIGATION: Final = Recorder(channels=("setpoint", "speed", "gyro", "battery"
 K_OM: Final = 0.31 / (0.25**2 + 0.31**2)
 KINEMATIC: Final = frozenset(
     """wheel_radius wheel_radius_difference rotation_gain rotation_gain_speed rotation_gain_radius
-    longitudinal_slip acceleration_slip side_slip icr_offset wheel_misalignment floor_slope
-    surface_change wheel_runout friction_anisotropy""".split()  # noqa: SIM905 (one list)
+    longitudinal_slip acceleration_slip body_lag side_slip icr_offset
+    wheel_misalignment floor_slope surface_change wheel_runout friction_anisotropy""".split()  # noqa: SIM905 (one list)
 )
 LOAD: Final = frozenset({"coulomb_friction", "viscous_load", "saturation_limit", "process_gain"})
 

@@ -66,7 +66,7 @@ def test_nothing_hidden(kind):
     assert kind == "bench" or place < 1e-3
 
 
-@pytest.mark.parametrize("name", sorted(set(REQUIRED) - SENSORS))
+@pytest.mark.parametrize("name", sorted({*REQUIRED, "body_lag", "traction_slip"} - SENSORS))
 def test_every_cause_acts_as_its_term(name):
     recipe = replace(single(name, 2), duration_s=90.0)
     speed, place = differences(recipe, recipe.causes)

@@ -92,7 +92,7 @@ def beyond_null(term):
         return 0.002
     if term.name == "setpoint_rate_limit":
         return 0.001
-    if term.name == "wheel_load.wheel":
+    if term.name.endswith(".wheel"):
         return 1.0
     if term.name.startswith("surface_change.") and term.shape:
         edges = {"x_min": 0.001, "x_max": 0.05, "y_min": -0.001, "y_max": -0.001}
@@ -119,6 +119,7 @@ def test_a_thousandth_changes_a_bit(name, plain):
         ({"dead_zone": -1.0}, "outside"),
         ({"wheel_load": 1.0, "wheel_load.f": 2.0}, "given twice"),
         ({"wheel_load.wheel": 1.5}, "0 fl, 1 rl"),
+        ({"encoder_scale.wheel": 0.5}, "0 fl, 1 rl"),
         ({"actuation_delay": 1.1}, "1023 runs"),
         ({"imu_latency": 11.0}, "1022 runs"),
         ({"control_period": 0.0005}, "below the plant slice"),
@@ -142,10 +143,10 @@ def test_vocabulary_of_causes():
     """Every physical cause of the diagnosis is a term of the plant."""
     drive = """process_gain time_constant saturation_limit coulomb_friction viscous_load dead_zone
         stribeck_friction wheel_load battery_sag actuation_delay setpoint_rate_limit control_period
-        controller_gains encoder_filter encoder_quantization backlash"""
+        controller_gains encoder_scale encoder_filter encoder_quantization backlash"""
     kinematics = """wheel_radius wheel_radius_difference rotation_gain rotation_gain_speed
-        rotation_gain_radius longitudinal_slip acceleration_slip side_slip icr_offset
-        wheel_misalignment floor_slope surface_change wheel_runout friction_anisotropy"""
+        rotation_gain_radius longitudinal_slip acceleration_slip traction_slip body_lag side_slip
+        icr_offset wheel_misalignment floor_slope surface_change wheel_runout friction_anisotropy"""
     navigation = """nav_frame_yaw nav_lever_arm nav_latency yaw_latency nav_scale nav_position_bias
         nav_outliers heading_distortion"""
     inertial = "gyro_bias gyro_scale imu_latency"
@@ -167,6 +168,7 @@ def test_vocabulary_of_causes():
     [
         ({"icr_offset": 0.03}, {"nav_lever_arm.x": -0.03}),
         ({"wheel_radius": 0.04}, {"nav_scale": 0.04, "rotation_gain": 0.04}),
+        ({"wheel_radius": 0.04}, {"traction_slip": -0.04, "rotation_gain": 0.04}),
     ],
 )
 def test_exact_twins(a, b):
@@ -198,6 +200,40 @@ def test_friction_holds_at_rest():
     )
     assert rig.y[at.Y_SPEED + 2] == 0.0
     assert rig.y[at.Y_SPEED] > 0.0
+
+
+def test_the_loop_holds_what_the_encoder_shows():
+    terms = {"encoder_scale.a": 0.25, "encoder_scale.wheel": 3}
+    rig = Rig(terms=terms).wheels(30, 30, -30, -30).step(4000)
+    assert rig.y[at.Y_SPEED :][:4].tolist() == pytest.approx([30, 30, -30, -30])
+    assert rig.x[at.X_SPEED :][:4].tolist() == pytest.approx([30, 30, -30, -24])
+
+
+def test_the_encoder_rounds_what_it_shows():
+    terms = {"encoder_scale.a": 0.1, "encoder_quantization": 0.5}
+    rig = Rig(terms=terms).wheels(30, 30, -30, -30).step(100)
+    assert rig.x[at.X_SPEED] * 1.1 - rig.y[at.Y_SPEED] == pytest.approx(0.0, abs=0.25)
+    assert rig.y[at.Y_SPEED] % 0.5 == 0.0
+
+
+def test_slip_of_the_traction_leaves_the_turn_as_it_is():
+    firm, loose = (Rig(terms=t).twist(0.2, 0.5).step(2000) for t in ({}, {"traction_slip": 0.3}))
+    assert loose.y[at.Y_VELOCITY] == pytest.approx(0.7 * firm.y[at.Y_VELOCITY])
+    assert loose.pose[2] == firm.pose[2]
+
+
+def test_a_body_that_lags_answers_in_first_order():
+    """Speed, lateral speed and way of a body at rest on wheels that turn evenly."""
+    lag_s, ticks = 0.05, 80
+    even = Rig().wheels(20, 20, -30, -30).step(6000)
+    rig = Rig(terms={"body_lag": lag_s}).wheels(20, 20, -30, -30)
+    rig.x[: at.X_ANGLE] = even.x[: at.X_ANGLE]
+    rig.step(ticks + 1)
+    follows = -np.expm1(-ticks * 0.001 / lag_s)
+    velocity = slice(at.Y_VELOCITY, at.Y_VELOCITY + 3)
+    assert rig.y[velocity] == pytest.approx(follows * even.y[velocity])
+    turned = even.y[at.Y_VELOCITY + 2] * (ticks * 0.001 - lag_s * follows)
+    assert rig.y[at.Y_POSE + 2] == pytest.approx(turned)
 
 
 @pytest.mark.parametrize(("tau_s", "ticks"), [(0.003, 3), (0.0025, 3), (0.0021, 3), (0.002, 2)])

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Theta = Sequence[float]
@@ -48,6 +48,8 @@ class Candidate:
         shape, for a finer search.
     prior : float
         Standard deviation about null of what sound machines have; infinite: any size is usual.
+    undecided : mapping of str to (float, float)
+        Terms of its shape that these data leave open, with the range that is possible.
     """
 
     cause: str
@@ -65,6 +67,7 @@ class Candidate:
     tried: tuple[float, ...] = ()
     moved: "Callable[[float], Candidate] | None" = None
     prior: float = math.inf
+    undecided: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def weight(self) -> int:

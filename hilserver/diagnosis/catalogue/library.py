@@ -6,6 +6,7 @@ screen takes the best of them.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 
 from hilserver.diagnosis.catalogue.candidate import (
@@ -16,6 +17,7 @@ from hilserver.diagnosis.catalogue.candidate import (
     start_grid,
     wave,
 )
+from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 
 DELAYS_S = (0.01, 0.04, 0.15, 0.4)
 LATE_S = (0.15, 0.4)
@@ -27,6 +29,8 @@ RATES_RPM_S = (80.0, 150.0, 400.0)
 LIMITS_PCT = (85.0, 65.0, 45.0)
 MEASURED_LENGTH = 0.05
 """Prior deviation of a length that somebody measured: wheels and distances between anchors."""
+ENCODER = 0.05
+"""Prior deviation of what an encoder shows by what its wheel turns."""
 
 
 def drive_candidates(limit_pct: float) -> list[Candidate]:
@@ -53,20 +57,17 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
             3.0,
         ),
     ]
-    found += [
-        several(
-            "wheel_load",
-            f"wheel_load@{wheel}",
-            stage,
-            ("wheel_load.f",),
-            (1.0,),
-            0.4,
-            {"wheel_load.wheel": float(wheel)},
-            0.0,
-            60.0,
+    for wheel, term in enumerate(SPEED_SCALES.values()):
+        found.append(_of_wheel("wheel_load", "f", wheel, 1.0, 0.4, 0.0, 60.0))
+        found.append(_encoder(wheel))
+        found.append(
+            replace(
+                single(term, stage, 0.01, 0.005, 0.3, 3.0),
+                cause="unit_error",
+                start=(1.0,),
+                null=(1.0,),
+            )
         )
-        for wheel in range(4)
-    ]
     found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
     limits = [limit for limit in LIMITS_PCT if limit < limit_pct]
     found += start_grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
@@ -95,6 +96,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
         single("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
         single("rotation_gain_speed", stage, 0.05, 0.02, -2.0, 5.0),
         single("rotation_gain_radius", stage, 0.05, 0.02, -0.95, 5.0),
+        single("body_lag", stage, 0.02, 0.008, 0.0, 1.5),
         single("longitudinal_slip", stage, 0.03, 0.01, -0.5, 2.0),
         single("acceleration_slip", stage, 0.02, 0.01, 0.0, 2.0),
         single("side_slip", stage, 0.03, 0.015, -2.0, 2.0),
@@ -169,6 +171,39 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
             for length in (3.0, 5.0, 8.0, 12.0)
         ]
     return found
+
+
+def side_encoders(wheels: Collection[int]) -> list[Candidate]:
+    """Return encoders that show too much for the pose to judge: one of each side.
+
+    Parameters
+    ----------
+    wheels : collection of int
+        Those with a speed in the log. Which of two on a side it is, the pose does not tell.
+    """
+    sides = [sorted({first, first + 1} & set(wheels)) for first in (0, 2)]
+    return [
+        replace(
+            _encoder(side[0]),
+            stage="pose",
+            prior=ENCODER,
+            undecided={"encoder_scale.wheel": (side[0], side[1])} if len(side) > 1 else {},
+        )
+        for side in sides
+        if side
+    ]
+
+
+def _encoder(wheel: int) -> Candidate:
+    return _of_wheel("encoder_scale", "a", wheel, 0.01, 0.005, -0.6, 2.0)
+
+
+def _of_wheel(
+    cause: str, part: str, wheel: int, step: float, least: float, low: float, high: float
+) -> Candidate:
+    fixed = {f"{cause}.wheel": float(wheel)}
+    names = (f"{cause}.{part}",)
+    return several(cause, f"{cause}@{wheel}", "drive", names, (step,), least, fixed, low, high)
 
 
 def _stribeck(n_s: float) -> Candidate:

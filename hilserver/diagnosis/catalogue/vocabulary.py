@@ -9,12 +9,25 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
 
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.terms import TERMS, Term
 
 Block = Literal["controller", "drive", "kinematics", "navigation", "inertial", "data", "timing"]
 
 CONTROLLER: Final = frozenset({"setpoint_rate_limit", "control_period", "controller_gains"})
 """Causes that act in the plant's drive and are corrected in the controller."""
+
+
+SPEED_SCALES: Final[Mapping[str, str]] = MappingProxyType(
+    {f"wheel.{wheel}.speed_rpm": f"shift.scale.{wheel}" for wheel in WHEELS}
+)
+"""By signal: factor by which the log, but not the controller, has a wheel's speed."""
+
+OF_THE_LOG: Final[Mapping[str, str]] = MappingProxyType(
+    {"shift.nav": "clock_offset.nav"}
+    | {term: f"unit_error.{signal}" for signal, term in SPEED_SCALES.items()}
+)
+"""What is fitted as terms of the plant are but corrects the log: the parameter that it becomes."""
 
 
 @dataclass(frozen=True, slots=True)

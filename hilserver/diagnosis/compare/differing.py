@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG
 from hilserver.diagnosis.compare.differences import Difference
 from hilserver.diagnosis.decide.identifiability import rivals
 from hilserver.diagnosis.findings.explain import separating_experiment
@@ -86,7 +86,7 @@ def _finding(group: Sequence[Difference]) -> Finding:
     words = []
     for d in group:
         name = next(iter(d.candidate.terms(d.candidate.start)))
-        name = "clock_offset.nav" if name == "shift.nav" else name
+        name = OF_THE_LOG.get(name, name)
         unit, wide = unit_of(name), float(stats.t.ppf(0.975, max(d.dof, 1.0)))
         for key, value, error in zip("ab", d.values, d.errors, strict=True):
             limits = (value - wide * error, value + wide * error)

@@ -24,7 +24,7 @@ from hilserver.measured.channels import POSITION, YAW
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
-LATENCIES = ("imu_latency", "yaw_latency", "clock_offset")
+LATENCIES = ("imu_latency", "yaw_latency", "clock_offset", "body_lag")
 BENT = ("rotation_gain_speed", "rotation_gain_radius")
 TURNING = "velocity.angular_rad_s"
 

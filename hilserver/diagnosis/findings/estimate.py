@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted, Model
@@ -15,7 +16,6 @@ from hilserver.diagnosis.schema.findings import Joint
 
 Array = NDArray[np.float64]
 
-PUBLIC: Final = {"shift.nav": "clock_offset.nav"}
 ROUNDED_S: Final = {
     "actuation_delay",
     "control_period",
@@ -78,7 +78,7 @@ class Estimate:
         values: list[float] = []
         for i, f in enumerate(model.fitted):
             shown = dict(list(f.terms.items())[: f.candidate.n])
-            names += [PUBLIC.get(name, name) for name in shown]
+            names += [OF_THE_LOG.get(name, name) for name in shown]
             values += shown.values()
             owner += [i] * f.candidate.n
         turn, known = reported(model), with_priors(covariance, priors(model))

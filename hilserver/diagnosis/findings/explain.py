@@ -102,7 +102,8 @@ def explain_finding(finding: Finding) -> str:
         return finding.explanation
     if finding.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
         on = ", ".join(finding.regressors) or "nothing that was measured"
-        return f"An error remains that no known cause explains; it depends on {on}."
+        most = "".join(f", and shows most in {signal}" for signal in finding.parameters)
+        return f"An error remains that no known cause explains; it depends on {on}{most}."
     if not finding.causes:
         return "The simulation deviates, and no cause can be named."
     text = explain(finding.causes, finding.parameters)
@@ -223,5 +224,6 @@ class _Filling:
         if parameter is None:
             return "?"
         if part == "wheel":
-            return WHEEL_WORDS[WHEELS[int(parameter.value)]]
+            possible = dict.fromkeys(map(int, parameter.ci95 or (parameter.value,)))
+            return " or ".join(WHEEL_WORDS[WHEELS[wheel]] for wheel in possible)
         return number(parameter.value, parameter.unit)

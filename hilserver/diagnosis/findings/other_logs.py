@@ -35,7 +35,8 @@ def gain_on(
     if len(lengths) >= FEWEST_RUNS and max(lengths) <= LONGEST_RUN_S:
         horizon_s = math.inf
     found: dict[str, Gain] = {}
-    for name, cut in stages_of(log, robot).items():
+    known = models["drive"].terms if "drive" in models else {}
+    for name, cut in stages_of(log, robot, drive_terms=known).items():
         stage = cut.uncut() if isinstance(cut, PoseStage) else cut
         problem, model = Problem(stage), models.get(name, Model())
         before, after = (

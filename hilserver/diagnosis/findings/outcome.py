@@ -5,13 +5,13 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES, part_of
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG, part_of
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.lost_steps import LostSteps
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
-from hilserver.diagnosis.findings.estimate import PUBLIC, fitted_covariance, is_wave
+from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
 from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
 from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -20,6 +20,7 @@ from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.diagnosis.thresholds import READING_COARSE_SHARE
 from hilserver.measured.channels import SETPOINTS
+from hilserver.measured.names import signal_unit
 
 Array = NDArray[np.float64]
 
@@ -44,8 +45,8 @@ def parameters_of(f: Fitted, shown: Array) -> dict[str, Parameter]:
         return _wave(f, shown)
     out = {}
     for k, (name, value) in enumerate(terms.items()):
-        public = PUBLIC.get(name, name)
-        ci = None
+        public = OF_THE_LOG.get(name, name)
+        ci = f.candidate.undecided.get(name)
         if k < f.candidate.n:
             low, high = sorted((float(shown[k, 0]), float(shown[k, 1])))
             ci = (low, high)
@@ -113,6 +114,9 @@ def named(
             if ratio is not None:
                 causes.append("friction_anisotropy")
                 values["friction_anisotropy.ratio"] = ratio
+        if cause == "nav_scale":
+            causes.append("traction_slip")
+            values["traction_slip"] = _as_slip(own[i][cause])
         if anchor is not None and cause == "nav_scale":
             causes.append("nav_position_bias")
             values |= _field(anchor)
@@ -126,7 +130,8 @@ def fitted_finding(
     causes: Sequence[str], values: dict[str, Parameter], p: float, drifts: bool
 ) -> Finding:
     """Return the finding of a fitted cause, the first, and those that could stand in its place."""
-    verdict = Verdict.NAMED if len(causes) == 1 else Verdict.NAMED_GROUP
+    alone = Verdict.DATA_FAULT if CAUSES[causes[0]].block == "data" else Verdict.NAMED
+    verdict = alone if len(causes) == 1 else Verdict.NAMED_GROUP
     finding = Finding(
         verdict=Verdict.DRIFT if drifts else verdict,
         causes=tuple(causes),
@@ -138,8 +143,30 @@ def fitted_finding(
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
-def structure(unknown: Sequence[Unknown], stage: str) -> Finding:
-    """Return the finding of unknown structure: what the error depends on, strongest first."""
+def _as_slip(scale: Parameter) -> Parameter:
+    """Return the slip straight ahead that drives as far as a scale of the navigation says."""
+    ends = scale.ci95 or (scale.value, scale.value)
+    return Parameter(value=-scale.value, ci95=(-ends[1], -ends[0]), unit="1")
+
+
+def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
+    """Return the channel that a model misses most, by the channel's own noise, and by how much."""
+    missed = {name: float(np.mean(point.left[e] ** 2)) for name, e in problem.stack.edges.items()
+              if e.stop > e.start}  # fmt: skip
+    name = max(missed, key=lambda channel: missed[channel])
+    residual = problem.residual(point.predicted)[problem.stack.edges[name]]
+    mean = float(np.mean(np.abs(residual)))
+    return {name: Parameter(value=mean, ci95=None, unit=signal_unit(name))}
+
+
+def structure(unknown: Sequence[Unknown], stage: str, most: dict[str, Parameter]) -> Finding:
+    """Return the finding of unknown structure: what the error depends on, strongest first.
+
+    Parameters
+    ----------
+    most : dict of str to Parameter
+        The signal that deviates most, see `deviating`.
+    """
     names: list[str] = []
     for u in unknown:
         names += [r for r in u.family.regressors if r not in names]
@@ -149,6 +176,7 @@ def structure(unknown: Sequence[Unknown], stage: str) -> Finding:
         block="kinematics" if stage == "pose" else "drive",
         p_adjusted=unknown[0].p,
         regressors=tuple(names[:6]),
+        parameters=most,
     )
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
@@ -263,7 +291,7 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
         else:
             continue
         for name in names:
-            if name in PUBLIC or name not in finding.parameters:
+            if name in OF_THE_LOG or name not in finding.parameters:
                 continue
             p = finding.parameters[name]
             out.append(FittedTerm(name, p.value, p.ci95, p.unit, index, p.groups))

@@ -46,7 +46,8 @@ it is.
 | `verdict` | see below |
 | `causes` | one name, or the group that these data cannot tell apart; empty without a known cause |
 | `block` | controller, drive, kinematics, navigation, inertial, data or timing |
-| `parameters` | value, interval of 95 % and unit by `cause`, `cause.part` or `cause.signal` |
+| `parameters` | value, interval of 95 % and unit by `cause`, `cause.part` or `cause.signal`; \
+of an unknown structure, the signal in which it shows most, with its mean deviation |
 | `p_adjusted` | probability of chance, all causes counted |
 | `explanation`, `separating_experiment` | in words |
 | `regressors` | what an unknown structure depends on, strongest first |

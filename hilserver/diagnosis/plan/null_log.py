@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
+from hilserver.diagnosis.regression.stages import as_turned
 from hilserver.diagnosis.replay.drive_stage import NOMINAL_V, DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
@@ -140,7 +141,11 @@ def _with_truth(
         _filled(log, drive.stack.edges, drive.predict(terms), (*SPEEDS, *DUTIES))
     )
     pose = PoseStage(
-        log, robot, (drive, drive.simulate(terms)[0]), block_s=1.0, longest_s=AT_ONCE_S
+        as_turned(log, robot, terms),
+        robot,
+        (drive, drive.simulate(terms)[0]),
+        block_s=1.0,
+        longest_s=AT_ONCE_S,
     )
     at_origin = np.zeros((len(pose.segments), 3))
     names = (*POSITION, YAW, GYRO)

@@ -1,22 +1,26 @@
 """Makes the regressions of a log: which stages it has, their noise, and all columns."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
-from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.model import Model, robot_with
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.thresholds import GROSS, READING_SAME_STEP, RIPPLE_ANSWERED
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
+from hilserver.plant.layout import P_ENCODER_GAIN
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -59,15 +63,24 @@ def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) 
 
 
 def stages_of(
-    log: MeasuredLog, robot: RobotParameters, jobs: int = 1
+    log: MeasuredLog,
+    robot: RobotParameters,
+    jobs: int = 1,
+    drive_terms: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, DriveStage | PoseStage]:
-    """Return the stages that a log has the channels for; their runs may use so many threads."""
+    """Return the stages that a log has the channels for; their runs may use so many threads.
+
+    Parameters
+    ----------
+    drive_terms : mapping of str to float
+        What is known of the drive, for the wheel speeds that move the pose.
+    """
     total_s = sum(s.end_s - s.start_s for s in log.spans)
     stages: dict[str, DriveStage | PoseStage] = {}
     if DriveStage.judges(log) and log.drive_is_known:
         stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
     if PoseStage.judges(log, driven="drive" in stages):
-        stages["pose"] = pose_stage(log, robot, stages.get("drive"), {}, jobs)
+        stages["pose"] = pose_stage(log, robot, stages.get("drive"), drive_terms, jobs)
     return stages
 
 
@@ -75,16 +88,36 @@ def pose_stage(
     log: MeasuredLog,
     robot: RobotParameters,
     drive: DriveStage | PoseStage | None,
-    terms: dict[str, float],
+    terms: Mapping[str, float],
     jobs: int = 1,
 ) -> PoseStage:
     """Return the pose stage, its wheel speeds interpolated by the drive with these terms."""
+    log = as_turned(log, robot, terms)
     total_s = sum(s.end_s - s.start_s for s in log.spans)
     dense = None
     if isinstance(drive, DriveStage):
         dense = (drive, drive.simulate(terms)[0])
     block_s = block_length(total_s, 3.0, 5.0, 72)
     return PoseStage(log, robot, dense, block_s=block_s, jobs=jobs)
+
+
+def speed_factors(robot: RobotParameters, terms: Mapping[str, float]) -> dict[str, float]:
+    """Return by how much each wheel's speed in the log is that of the wheel, where it is not 1."""
+    gains = pack(robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")}))
+    factors = {
+        name: terms.get(scale, 1.0) * float(gains[P_ENCODER_GAIN + wheel])
+        for wheel, (name, scale) in enumerate(SPEED_SCALES.items())
+    }
+    return {name: factor for name, factor in factors.items() if factor != 1.0}
+
+
+def as_turned(log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]) -> MeasuredLog:
+    """Return the log with the speeds at which the wheels turned, whatever their encoders show."""
+    factors = speed_factors(robot, terms)
+    return log.with_channels({
+        name: log[name].with_values(log[name].values / factor)
+        for name, factor in factors.items() if name in log
+    })  # fmt: skip
 
 
 def prepare_all(

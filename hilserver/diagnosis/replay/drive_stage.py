@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
@@ -119,8 +120,13 @@ class DriveStage:
         speed, seen, duty = self.simulate(terms)
         held = terms.get("encoder_quantization", 0.0) > 0.0
         if held and self._rounded:
-            return self.sampled(speed, duty)
-        return self.sampled(seen, duty, held=held)
+            shown = self.sampled(speed, duty)
+        else:
+            shown = self.sampled(seen, duty, held=held)
+        for name, term in SPEED_SCALES.items():
+            if term in terms and name in self.stack.edges:
+                shown[self.stack.edges[name]] *= terms[term]
+        return shown
 
     def sampled(self, seen: Array, duty: Array, *, held: bool = False) -> Array:
         """Return dense speeds and duties at the stack's stamps; a duty holds between ticks."""

@@ -3,14 +3,14 @@
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
+from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates, side_encoders
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 
-NEEDS_DUTY = {"dead_zone", "stribeck_friction"}
+NEEDS_DUTY = {"dead_zone", "stribeck_friction", "encoder_scale"}
 """Other loads still show without duty where they keep wheels from their set-points."""
 NEEDS_POSITION = {
     "wheel_radius",
@@ -36,6 +36,7 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 NOT_OF_ITS_OWN = {
     "friction_anisotropy": "in steady turns it is the same as rotation_gain and icr_offset",
+    "traction_slip": "on one floor it is the same as nav_scale",
     "backlash": "the play between motor and wheel is not tested",
     "missed_ticks": "the log has no tick counter",
 }
@@ -54,7 +55,7 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
         if "battery.voltage_v" not in log:
             reasons["battery_sag"] = "no battery voltage in the log"
     else:
-        found = pose_candidates(_place(log))
+        found = pose_candidates(_place(log)) + side_encoders(stage.encoders)
         if not log.has(*POSITION):
             reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
             if YAW in log or GYRO in log:

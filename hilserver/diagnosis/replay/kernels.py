@@ -14,6 +14,7 @@ from hilserver.plant.drive import drive_base, drive_terms, encoder, load, proces
 from hilserver.plant.layout import (
     P_DRIVE_TERMS,
     P_DT,
+    P_ENCODER_GAIN,
     P_ENCODER_SHARE,
     P_KP,
     P_NAV_DELAY,
@@ -38,7 +39,7 @@ from hilserver.plant.layout import (
 )
 from hilserver.plant.nav import shown_position, shown_yaw
 from hilserver.plant.pose import wrap
-from hilserver.plant.robot import SIDE, drive_on_with_terms
+from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
 
 
 @kernel()
@@ -90,13 +91,14 @@ def run_drive(
 
 @kernel()
 def _set_start(p: Any, x: Any, speed_0: Any) -> None:
-    """Let the wheels turn in balance: shape (8,), speeds [rpm] and integrals."""
+    """Let the wheels turn in balance: shape (8,), shown speeds [rpm] and integrals."""
     for i in range(4):
-        x[X_SPEED + i] = speed_0[i]
-        x[X_MOTOR + i] = speed_0[i]
+        turns = speed_0[i] / p[P_ENCODER_GAIN + i]
+        x[X_SPEED + i] = turns
+        x[X_MOTOR + i] = turns
         x[X_SETPOINT + i] = speed_0[i]
-        x[X_INTEGRAL + i] = speed_0[4 + i]
-        x[X_ENCODER + i] = (1.0 - p[P_ENCODER_SHARE]) * speed_0[i]
+        x[X_INTEGRAL + i] = speed_0[4 + i] / p[P_ENCODER_GAIN + i]
+        x[X_ENCODER + i] = (1.0 - p[P_ENCODER_SHARE]) * turns
 
 
 @kernel()
@@ -249,6 +251,8 @@ def run_pose(
             pose[k, 2] = turned
             before = x[X_POSE + 2]
             dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
+            if k == first[s]:
+                follow_wheels(p, x, y, w_l, w_r, dw_l, dw_r)
             drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, 0.0, 0.0)
             pose[k, 3] = y[Y_VELOCITY + 2]
             turned += wrap(x[X_POSE + 2] - before)

@@ -13,11 +13,11 @@ from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
-from hilserver.measured.channels import GYRO, POSITION, SPEEDS, TAG, YAW
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.plant.layout import N_Y, P_DT, P_SEED
+from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_SEED
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 
@@ -52,6 +52,8 @@ class PoseStage:
         Measured position, yaw and turn rate.
     left, right : ndarray, shape (ticks,)
         Sums of the speeds of both wheels of a side [rpm].
+    encoders : mapping of int to ndarray, shape (ticks,)
+        By wheel its share in these, where nothing but the pose can judge its encoder.
     """
 
     name: Final = "pose"
@@ -73,7 +75,11 @@ class PoseStage:
         self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
-        self.left, self.right = WheelSpeeds(log, self.segments, drive).sides()
+        wheels = WheelSpeeds(log, self.segments, drive)
+        self.left, self.right = wheels.sides()
+        self.encoders: dict[int, Array] = {}
+        if drive is None or not any(n in log for n in DUTIES):  # duties tell far better
+            self.encoders = {w: own for w, own in wheels.shares.items() if SPEEDS[w] in log}
         self.angle_0 = angles_at_starts(self.left, self.segments)
         names = [n for n in (*TAG, GYRO) if n in log]
         usable = np.array([self._is_driven(int(s)) for s in self.segments.span], dtype=bool)
@@ -89,6 +95,7 @@ class PoseStage:
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
         self._state = initial_state(robot)
+        self._encoder_gain = pack(robot)[P_ENCODER_GAIN : P_ENCODER_GAIN + 4]
         self._shares = self.segments.shares(jobs)
         self._pool = ThreadPoolExecutor(jobs) if len(self._shares) > 1 else None
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
@@ -149,11 +156,12 @@ class PoseStage:
         if last is not None and last[0] == key:
             return last[1]
         dense = np.empty((self.segments.ticks, 4))
+        left, right = self._turned(p)
 
         def run(share: slice) -> None:
             ends = self.segments.first[share.start : share.stop + 1]
             angles, y = self.angle_0[share], np.zeros(N_Y)
-            run_pose(p, self._state, ends, self.left, self.right, poses[share], angles, y, dense)
+            run_pose(p, self._state, ends, left, right, poses[share], angles, y, dense)
 
         if self._pool is None:
             run(slice(0, len(self.segments)))
@@ -162,6 +170,15 @@ class PoseStage:
         if keep:
             self._last = (key, dense)
         return dense
+
+    def _turned(self, p: Array) -> tuple[Array, Array]:
+        """Return both sides' sums of the speeds at which the wheels turn, not their encoders."""
+        sides = [self.left, self.right]
+        for wheel, share in self.encoders.items():
+            turns = self._encoder_gain[wheel] / p[P_ENCODER_GAIN + wheel]
+            if turns != 1.0:
+                sides[wheel // 2] = sides[wheel // 2] + (turns - 1.0) * share
+        return sides[0], sides[1]
 
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return what the stack's samples would be; yaw follows the measured turns.

@@ -24,6 +24,7 @@ RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
 MARGIN_S: Final = 1.0
 NOISE_WINDOW_S: Final = 0.4
 NOISE_MEMORY: Final = 0.15
+SIDES: Final = ((0, 1), (2, 3))
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,14 @@ class WheelSpeeds:
 
     def sides(self) -> tuple[Array, Array]:
         """Return dense sums of both sides' wheel speeds [rpm]."""
-        sides = []
-        for wheels in ((0, 1), (2, 3)):
-            have = [w for w in wheels if SPEEDS[w] in self.log]
-            chosen = have or list(wheels)
-            total = sum(self._wheel(w) for w in chosen)
-            sides.append(np.ascontiguousarray(2.0 / len(chosen) * np.asarray(total)))
-        return sides[0], sides[1]
+        left, right = (sum(self.shares[w] for w in side if w in self.shares) for side in SIDES)
+        return np.ascontiguousarray(left), np.ascontiguousarray(right)
+
+    @cached_property
+    def shares(self) -> dict[int, Array]:
+        """By wheel what adds up to the sum of its side; beside a measured one another has none."""
+        chosen = [[w for w in side if SPEEDS[w] in self.log] or list(side) for side in SIDES]
+        return {w: 2.0 / len(side) * self._wheel(w) for side in chosen for w in side}
 
     def _wheel(self, wheel: int) -> Array:
         """Return one wheel's speed at every tick.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.diagnosis.findings.estimate import PUBLIC
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
@@ -75,7 +75,7 @@ def _of(
         if not jacobian[k].any() or len(found) < 2:
             continue
         t, value, w = (np.array(column) for column in zip(*found, strict=True))
-        public = PUBLIC.get(name, name)
+        public = OF_THE_LOG.get(name, name)
         out.append(Course(public, unit_of(public), t, value, value - w, value + w))
     return out
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.catalogue.vocabulary import part_of
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, part_of
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.findings.gain import HORIZONS_S, compare, free_run_errors, windows
 from hilserver.diagnosis.regression.problem import Point
@@ -168,6 +168,7 @@ def _screen(s: Shown) -> list[ScreenRow]:
             continue
         j = int(mine[np.argmax(np.abs(s.scores.t[mine]))])
         part = next(iter(c.terms(c.start)))
+        part = OF_THE_LOG.get(part, part)
         t = float(s.scores.t[j])
         if c.cause in rows and abs(rows[c.cause].statistic) >= abs(t):
             continue
@@ -178,7 +179,7 @@ def _screen(s: Shown) -> list[ScreenRow]:
         try:
             unit = part_of(part).unit
         except KeyError:
-            unit = "s" if part.startswith("shift.") else "1"
+            unit = "1"
         rows[c.cause] = ScreenRow(
             cause=c.cause,
             part="" if part == c.cause else part.partition(".")[2],

@@ -24,10 +24,11 @@ struct plant {
     double T, r, ly, icr, k_om, yaw_sign, max_rpm;
     double kp, ki, kd, N, limit_pct, G, T1, T2;
     /* terms, in the order of the contract */
-    double actuation_delay, rate_limit, encoder_filter, quantum, control_period, a_p, a_i, limit;
+    double actuation_delay, rate_limit, encoder_a, encoder_wheel, encoder_filter, quantum;
+    double control_period, a_p, a_i, limit;
     double dead_zone, coulomb, f_s, n_s, load, load_wheel, a_gain, a_t1, sag_k, volts, viscous;
     double backlash, a_radius, a_diff, runout, runout_phase, a_k, a_kv, a_kq, long_slip, acc_slip;
-    double icr_d, side_slip, misalign, slope_x, slope_y, surf_k, surf_v, x_min, x_max, y_min, y_max;
+    double traction, lag, icr_d, side_slip, misalign, slope_x, slope_y, surf_k, surf_v, x_min, x_max, y_min, y_max;
     double aniso_k, aniso_icr;
     /* sensors: their slice, and terms */
     double Ts, nav_every, seed, gyro_a, gyro_bias, imu_latency, nav_latency, yaw_latency;
@@ -38,7 +39,7 @@ struct plant {
     int extended;
     /* state */
     struct wheel w[4];
-    double X, Y, yaw, next_control, pose_request;
+    double X, Y, yaw, lagged_v, lagged_om, next_control, pose_request;
     long tick;
     double ring[RING][4];
     /* outputs of t_k */
@@ -113,11 +114,12 @@ struct field {
 #define F(name) {#name, offsetof(struct plant, name)}
 static const struct field fields[] = {
     F(T), F(r), F(max_rpm), F(ly), F(icr), F(k_om), F(yaw_sign), F(kp), F(ki), F(kd), F(N),
-    F(limit_pct), F(G), F(T1), F(T2), F(actuation_delay), F(rate_limit), F(encoder_filter),
+    F(limit_pct), F(G), F(T1), F(T2), F(actuation_delay), F(rate_limit), F(encoder_a),
+    F(encoder_wheel), F(encoder_filter),
     F(quantum), F(control_period), F(a_p), F(a_i), F(limit), F(dead_zone), F(coulomb), F(f_s),
     F(n_s), F(load), F(load_wheel), F(a_gain), F(a_t1), F(sag_k), F(volts), F(viscous),
     F(backlash), F(a_radius), F(a_diff), F(runout), F(runout_phase), F(a_k), F(a_kv), F(a_kq),
-    F(long_slip), F(acc_slip), F(icr_d), F(side_slip), F(misalign), F(slope_x), F(slope_y),
+    F(long_slip), F(acc_slip), F(traction), F(lag), F(icr_d), F(side_slip), F(misalign), F(slope_x), F(slope_y),
     F(surf_k), F(surf_v), F(x_min), F(x_max), F(y_min), F(y_max), F(aniso_k), F(aniso_icr),
     F(Ts), F(nav_every), F(seed), F(gyro_a), F(gyro_bias), F(imu_latency), F(nav_latency),
     F(yaw_latency), F(lever_x), F(lever_y), F(nav_scale), F(frame_yaw), F(bias), F(bias_length),
@@ -249,7 +251,7 @@ static void base_step(struct plant *p, const double *setpoint)
 
 /* one run of steps 8 to 10 */
 static void velocity(const struct plant *p, double wl, double wr, double dwl, double dwr,
-                     double angle, double *v, double *vy, double *om)
+                     double angle, double *v, double *om)
 {
     double rl = p->r * (1.0 + p->a_radius) * (1.0 + p->a_diff / 2.0);
     double rr = p->r * (1.0 + p->a_radius) * (1.0 - p->a_diff / 2.0);
@@ -266,8 +268,13 @@ static void velocity(const struct plant *p, double wl, double wr, double dwl, do
     K *= (1.0 + p->a_kv * fabs(v0)) * (1.0 + p->a_kq * q) * (inside ? 1.0 + p->surf_k : 1.0);
     *om = p->yaw_sign * K * (rl * wl + rr * wr);
     *v = v0 * (1.0 - p->long_slip * fabs(*om)) * fmax(0.0, 1.0 - p->acc_slip * fabs(dv0));
-    *v *= inside ? 1.0 + p->surf_v : 1.0;
-    *vy = -(p->icr + p->icr_d + p->aniso_icr) * *om + p->side_slip * *v * *om + p->misalign * *v;
+    *v *= (1.0 - p->traction) * (inside ? 1.0 + p->surf_v : 1.0);
+}
+
+/* the rest of step 10, for the velocity that the body has */
+static double lateral(const struct plant *p, double v, double om)
+{
+    return -(p->icr + p->icr_d + p->aniso_icr) * om + p->side_slip * v * om + p->misalign * v;
 }
 
 static double friction(const struct plant *p, int i, double n)
@@ -297,7 +304,9 @@ static void extended_step(struct plant *p, const double *setpoint)
         } else
             k->filtered = n;
         k->last_n = n;
-        k->m = p->quantum > 0.0 ? p->quantum * floor(k->filtered / p->quantum + 0.5) : k->filtered;
+        k->m = k->filtered * (i == (int)p->encoder_wheel ? 1.0 + p->encoder_a : 1.0);
+        if (p->quantum > 0.0)
+            k->m = p->quantum * floor(k->m / p->quantum + 0.5);
         if (control) {
             double e = k->s - k->m;
             if (p->kd > 0.0)
@@ -335,27 +344,34 @@ static void extended_step(struct plant *p, const double *setpoint)
     double dl = rpm_to_rad_s(0.5 * (rate[0] + rate[1])), dr = rpm_to_rad_s(0.5 * (rate[2] + rate[3]));
     double ml = rpm_to_rad_s(0.5 * (mean[0] + mean[1])), mr = rpm_to_rad_s(0.5 * (mean[2] + mean[3]));
     double angle = 0.5 * (p->w[0].angle + p->w[1].angle);
-    velocity(p, wl, wr, dl, dr, angle, &p->v, &p->vy, &p->om);
+    double made_v, made_om; /* by the wheels */
+    velocity(p, wl, wr, dl, dr, angle, &made_v, &made_om);
+    p->v = p->lag > 0.0 ? p->lagged_v : made_v;
+    p->om = p->lag > 0.0 ? p->lagged_om : made_om;
+    p->vy = lateral(p, p->v, p->om);
     /* the derivative of the velocity: central differences along the motion of the wheels at two
      * widths, extrapolated */
     double slope_v[2], slope_om[2];
     struct plant frozen = *p;
     frozen.acc_slip = 0.0; /* the rate of its factor would need the wheels' jerk */
     for (int k = 0; k < 2; k++) {
-        double h = k == 0 ? 2e-6 : 1e-6, v[2], vy, om[2];
+        double h = k == 0 ? 2e-6 : 1e-6, v[2], om[2];
         for (int side = 0; side < 2; side++) {
             double d = side == 0 ? -h : h;
-            velocity(&frozen, wl + d * dl, wr + d * dr, dl, dr, angle + d * wl, &v[side], &vy,
-                     &om[side]);
+            velocity(&frozen, wl + d * dl, wr + d * dr, dl, dr, angle + d * wl, &v[side], &om[side]);
         }
         slope_v[k] = (v[1] - v[0]) / (2.0 * h);
         slope_om[k] = (om[1] - om[0]) / (2.0 * h);
     }
-    double v0, vy0, om0;
-    velocity(&frozen, wl, wr, dl, dr, angle, &v0, &vy0, &om0);
-    double grip = v0 != 0.0 ? p->v / v0 : 1.0;
+    double v0, om0;
+    velocity(&frozen, wl, wr, dl, dr, angle, &v0, &om0);
+    double grip = v0 != 0.0 ? made_v / v0 : 1.0;
     double dv = grip * (4.0 * slope_v[1] - slope_v[0]) / 3.0;
     double dom = (4.0 * slope_om[1] - slope_om[0]) / 3.0;
+    if (p->lag > 0.0) { /* lag * dv/dt = made - v */
+        dv = (made_v - p->v) / p->lag;
+        dom = (made_om - p->om) / p->lag;
+    }
     double icr = p->icr + p->icr_d + p->aniso_icr;
     double dvy = -icr * dom + p->side_slip * (dv * p->om + p->v * dom) + p->misalign * dv;
     p->acc_x = dv - p->om * p->vy;
@@ -364,10 +380,18 @@ static void extended_step(struct plant *p, const double *setpoint)
     for (int i = 0; i < 4; i++)
         p->w[i].angle += p->T * rpm_to_rad_s(motor[i]);
     angle = 0.5 * (angle + 0.5 * (p->w[0].angle + p->w[1].angle));
-    double v_mean, vy_mean, om_mean;
-    velocity(p, ml, mr, (ml - wl) * 2.0 / p->T, (mr - wr) * 2.0 / p->T, angle, &v_mean, &vy_mean,
-             &om_mean);
-    integrate_pose(p, v_mean, vy_mean, om_mean);
+    double v_mean, om_mean;
+    velocity(p, ml, mr, (ml - wl) * 2.0 / p->T, (mr - wr) * 2.0 / p->T, angle, &v_mean, &om_mean);
+    if (p->lag > 0.0) { /* the mean of a first-order answer follows from where it ends */
+        double rest = exp(-p->T / p->lag);
+        double next_v = rest * p->lagged_v + (1.0 - rest) * v_mean;
+        double next_om = rest * p->lagged_om + (1.0 - rest) * om_mean;
+        v_mean -= (next_v - p->lagged_v) * p->lag / p->T;
+        om_mean -= (next_om - p->lagged_om) * p->lag / p->T;
+        p->lagged_v = next_v;
+        p->lagged_om = next_om;
+    }
+    integrate_pose(p, v_mean, lateral(p, v_mean, om_mean), om_mean);
     if (fabs(ml) + fabs(mr) > 0.05) {
         p->X += p->slope_x * p->T;
         p->Y += p->slope_y * p->T;

@@ -34,6 +34,8 @@ _UNSET_REFERENCE: Final = {
     "controller_gains.i": 0.4,
     "backlash": 0.02,
     "acceleration_slip": 0.05,
+    "traction_slip": 0.1,
+    "body_lag": 0.05,
     "floor_slope.y": 0.02,
     "surface_change.v": -0.2,
     "wheel_runout.amplitude": 0.01,

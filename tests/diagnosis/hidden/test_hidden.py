@@ -185,8 +185,9 @@ def test_where_an_anchor_and_a_scale_explain_alike_neither_is_named_alone():
     found = judged(SCENARIOS["radio"].draw(91).logs["drive.csv"])
     (finding,) = found.findings.findings
     assert finding.verdict == Verdict.NAMED_GROUP
-    assert set(finding.causes) == {"nav_scale", "nav_position_bias"}
-    assert set(finding.parameters) == {"nav_scale", "nav_position_bias.amplitude"}
+    assert set(finding.causes) == {"nav_scale", "traction_slip", "nav_position_bias"}
+    sizes = {"nav_scale", "traction_slip", "nav_position_bias.amplitude"}
+    assert set(finding.parameters) == sizes
     assert finding.separating_experiment is not None
     assert [term.name for term in found.evidence.extension] == ["nav_scale"]
 

@@ -125,11 +125,17 @@ _TABLE = (
         "wheel_load", "bench", "wheel_load.f", 3.0, signed=False,
         shape=lambda rng, scale: {"wheel_load.wheel": float(rng.integers(0, 4))},
     ),
+    Cause(
+        "encoder_scale", "drive", "encoder_scale.a", 0.05,
+        shape=lambda rng, scale: {"encoder_scale.wheel": float(rng.integers(0, 4))},
+    ),
     Cause("control_period", "bench", "control_period", 0.01, signed=False, base=0.001),
     Cause("controller_gains", "bench", "controller_gains.p", -0.3, signed=False),
     Cause("encoder_filter", "bench", "encoder_filter", 0.01, signed=False),
     Cause("encoder_quantization", "bench", "encoder_quantization", 0.5, signed=False),
     # not among the reference sizes
+    Cause("traction_slip", "drive", "traction_slip", 0.1, signed=False, required=False),
+    Cause("body_lag", "drive", "body_lag", 0.1, signed=False, required=False),
     Cause("acceleration_slip", "drive", "acceleration_slip", 0.08, signed=False, required=False),
     Cause(
         "wheel_runout", "drive", "wheel_runout.amplitude", 0.04, signed=False, required=False,
@@ -152,6 +158,7 @@ TWINS: tuple[frozenset[str], ...] = (
     frozenset({"icr_offset", "nav_lever_arm"}),
     frozenset({"wheel_misalignment", "nav_frame_yaw"}),
     frozenset({"wheel_radius", "nav_scale"}),
+    frozenset({"traction_slip", "nav_scale"}),
     frozenset({"process_gain", "saturation_limit"}),
     frozenset({"coulomb_friction", "dead_zone"}),
 )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from hilserver_injector.compiled import kernel
-from hilserver_injector.parameters import LOAD, T2_S
+from hilserver_injector.parameters import LOAD, SHOWN, T2_S
 from hilserver_injector.pilot import (
     LAST_YAW,
     MOVE,
@@ -17,7 +17,7 @@ from hilserver_injector.pilot import (
     drive,
     towards,
 )
-from hilserver_injector.plane import RAD_S, kinematic, tyre_rates
+from hilserver_injector.plane import RAD_S, across, kinematic, tyre_rates
 
 STEP_S = 1e-4
 REST_RPM = 0.05
@@ -64,8 +64,8 @@ def _control(p: Any, aim: float, seen: float, memory: Any, i: int) -> float:
 
 
 @kernel
-def _seen(p: Any, n: float, filtered: float) -> float:
-    speed = filtered if p.filter_s > 0.0 else n
+def _seen(p: Any, n: float, filtered: float, shown: float) -> float:
+    speed = shown * (filtered if p.filter_s > 0.0 else n)
     if p.quantum > 0.0:
         speed = p.quantum * math.floor(speed / p.quantum + 0.5)
     return speed
@@ -169,10 +169,11 @@ def run(
             if not stalled[k]:
                 for i in range(4):
                     aim[i] = towards(aim[i], goal[i], p.rate * p.control_s)
-                    duty[i] = _control(p, aim[i], _seen(p, n[i], filtered[i]), integral, i)
+                    seen = _seen(p, n[i], filtered[i], flat[SHOWN + i])
+                    duty[i] = _control(p, aim[i], seen, integral, i)
         if at_row:
             for i in range(4):
-                rows[k, 4 + i] = _seen(p, n[i], filtered[i])
+                rows[k, 4 + i] = _seen(p, n[i], filtered[i], flat[SHOWN + i])
                 rows[k, 8 + i] = duty[i]
             rows[k, 12] = voltage
             k = min(k + 1, n_rows - 1)
@@ -219,7 +220,13 @@ def run(
             if p.accel_slip != 0.0:
                 accel = 0.25 * (x[0] - n[0] + x[1] - n[1] - x[2] + n[2] - x[3] + n[3]) / T2_S
             inside = p.x_min <= px <= p.x_max and p.y_min <= py <= p.y_max
-            v, vy, om = kinematic(p, left, right, accel, angle, inside, yaw)
+            made_v, made_om = kinematic(p, left, right, accel, angle, inside)
+            if p.lag_s > 0.0:
+                follows = 1.0 - math.exp(-STEP_S / p.lag_s)
+                v, om = v + follows * (made_v - v), om + follows * (made_om - om)
+            else:
+                v, om = made_v, made_om
+            vy = across(p, v, om)
             if p.drag_turn != 0.0 or p.drag_speed != 0.0:
                 pull = math.cos(yaw - p.drag_phase)
                 om, v = om * (1.0 + p.drag_turn * pull), v * (1.0 + p.drag_speed * pull)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver_injector.recipe import WHEELS
+
 Array = NDArray[np.float64]
 
 WHEELBASE_M, TRACK_M, RADIUS_M, ICR_M = 0.25, 0.31, 0.085, 0.02
@@ -35,6 +37,10 @@ NOMINAL: Mapping[str, float] = {
     "sag": 0.0,
     "delay_s": 0.0,
     "rate": NEVER,
+    "shown_fl": 1.0,
+    "shown_rl": 1.0,
+    "shown_fr": 1.0,
+    "shown_rr": 1.0,
     "filter_s": 0.0,
     "quantum": 0.0,
     "backlash": 0.0,
@@ -43,6 +49,8 @@ NOMINAL: Mapping[str, float] = {
     "k_om": YAW_SIGN * K_OM,
     "gain_speed": 0.0,
     "gain_radius": 0.0,
+    "traction": 0.0,
+    "lag_s": 0.0,
     "slip": 0.0,
     "accel_slip": 0.0,
     "side_slip": 0.0,
@@ -78,7 +86,7 @@ NOMINAL: Mapping[str, float] = {
 """Every constant of the machine by name; zero where nothing is hidden."""
 
 RECORD = np.dtype([(name, "f8") for name in NOMINAL])
-LOAD = list(NOMINAL).index("load_fl")
+LOAD, SHOWN = (list(NOMINAL).index(name) for name in ("load_fl", "shown_fl"))
 
 _PLAIN = {
     "saturation_limit": "limit",
@@ -96,6 +104,8 @@ _PLAIN = {
     "backlash": "backlash",
     "rotation_gain_speed": "gain_speed",
     "rotation_gain_radius": "gain_radius",
+    "traction_slip": "traction",
+    "body_lag": "lag_s",
     "longitudinal_slip": "slip",
     "acceleration_slip": "accel_slip",
     "side_slip": "side_slip",
@@ -157,8 +167,11 @@ def machine(causes: Mapping[str, float], charge: float) -> Array:
     values["radius_right"] *= 1.0 - difference / 2.0
     values["icr"] += causes.get("icr_offset", 0.0)
     if "wheel_load.f" in causes:
-        wheel = ("fl", "rl", "fr", "rr")[int(causes.get("wheel_load.wheel", 0))]
+        wheel = WHEELS[int(causes.get("wheel_load.wheel", 0))]
         values[f"load_{wheel}"] = causes["wheel_load.f"]
+    if "encoder_scale.a" in causes:
+        wheel = WHEELS[int(causes.get("encoder_scale.wheel", 0))]
+        values[f"shown_{wheel}"] = 1.0 + causes["encoder_scale.a"]
     if any(name.startswith("friction_anisotropy") for name in causes):
         values["tyres"] = 1.0
     return np.array([values[name] for name in NOMINAL])

@@ -14,9 +14,9 @@ GYRATION2_M2 = (0.40**2 + 0.35**2) / 12.0
 
 @kernel
 def kinematic(
-    p: Any, left: float, right: float, accel: float, angle: float, inside: bool, yaw: float
-) -> Any:
-    """Return v, vy, om for side speeds [rpm] and the acceleration of their mean forward [rpm/s]."""
+    p: Any, left: float, right: float, accel: float, angle: float, inside: bool
+) -> tuple[float, float]:
+    """Return v, om for side speeds [rpm] and the acceleration of their mean forward [rpm/s]."""
     r_left = p.radius_left
     if p.runout != 0.0:
         r_left *= 1.0 + p.runout * math.sin(angle + p.runout_phase)
@@ -27,7 +27,7 @@ def kinematic(
         turn = RADIUS_M * K_OM * abs(left + right) * RAD_S * TRACK_M * 0.5
         share = abs(v0) / max(abs(v0) + turn, 1e-12)
         k *= 1.0 + p.gain_radius * share
-    v = v0
+    v = v0 * (1.0 - p.traction)
     if inside:
         k *= p.surface_k
         v *= p.surface_v
@@ -35,8 +35,13 @@ def kinematic(
     v *= 1.0 - p.slip * abs(om)
     if p.accel_slip != 0.0:
         v *= max(0.0, 1.0 - p.accel_slip * abs(0.5 * (r_left + p.radius_right) * accel * RAD_S))
-    vy = p.side_slip * v * om - p.icr * om + p.misalign * v
-    return v, vy, om
+    return v, om
+
+
+@kernel
+def across(p: Any, v: float, om: float) -> float:
+    """Return vy [m/s] of a body that drives and turns so."""
+    return p.side_slip * v * om - p.icr * om + p.misalign * v
 
 
 @kernel
