@@ -87,7 +87,8 @@ def _parse(path: Path) -> yaml.Node | None:
         ) from None
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ConfigError(f"{path}:{line}: not YAML: {error.problem}") from None
+        hint = "; indent with spaces, not with tabs" if "'\\t'" in str(error.problem) else ""
+        raise ConfigError(f"{path}:{line}: not YAML: {error.problem}{hint}") from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise ConfigError(f"{path}:{line}: not YAML: {str(error).splitlines()[0]}") from None
@@ -226,7 +227,7 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
         return f"key '{key}' is missing"
     if kind == "invalid_key" or (location and location[-1] == "[key]" and kind == "string_type"):
         name = ".".join(str(part) for part in location if part != "[key]")
-        return f"key '{name}' is not text; keys are words"
+        return f"key '{name}' is not text; keys are words, and decimal numbers have a point"
     if kind in _SECTIONS and error["input"] is None:
         below = "entries" if _WANTED[kind] == "a list" else "keys"
         return f"{key}: there is nothing below it; remove it or write its {below}"
@@ -239,6 +240,8 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     if kind == "string_pattern_mismatch":
         message = f"text that matches {error['ctx']['pattern']}"
     wanted = _WANTED.get(kind, message)
+    if wanted == "a number" and "," in str(error["input"]):
+        wanted += " with a decimal point"
     return f"{key}: {error['input']!r:.60} is not valid; it should be {wanted}"
 
 

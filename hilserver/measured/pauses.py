@@ -9,7 +9,8 @@ from hilserver.measured.data import Array, Channel, MeasuredLog, Span
 from hilserver.measured.names import is_input
 from hilserver.measured.thresholds import JUMP_S, PAUSE_S, USUAL_STEPS
 
-Edges = list[tuple[float, float]]
+Pieces = list[tuple[float, float]]
+"""Begin and end of every part of a span that is kept, in their order [s]."""
 
 
 def without_jumps(log: MeasuredLog) -> MeasuredLog:
@@ -40,6 +41,11 @@ def cut_at_pauses(log: MeasuredLog) -> MeasuredLog:
     edges = [_edges(log, index) for index in range(len(log.spans))]
     if all(len(of_span) == 1 for of_span in edges):
         return log
+    return replace(cut(log, edges), notices=(*log.notices, _note(log.spans, edges)))
+
+
+def cut(log: MeasuredLog, edges: list[Pieces]) -> MeasuredLog:
+    """Return the log with the pieces of each span as spans of their own."""
     pieces = [
         replace(span, start_s=start_s, end_s=end_s)
         for span, of_span in zip(log.spans, edges, strict=True)
@@ -47,11 +53,10 @@ def cut_at_pauses(log: MeasuredLog) -> MeasuredLog:
     ]
     spans = tuple(replace(span, number=number) for number, span in enumerate(pieces))
     channels = {name: _cut(name, channel, edges) for name, channel in log.channels.items()}
-    notes = (*log.notices, _note(log.spans, edges))
-    return replace(log, channels=channels, spans=spans, notices=notes)
+    return replace(log, channels=channels, spans=spans)
 
 
-def _edges(log: MeasuredLog, index: int) -> Edges:
+def _edges(log: MeasuredLog, index: int) -> Pieces:
     """Return begin and end of what was measured in one go; one pair where there is no pause."""
     span = log.spans[index]
     stamps = [c.of(index)[0] for name, c in log.channels.items() if not is_input(name)]
@@ -64,7 +69,7 @@ def _edges(log: MeasuredLog, index: int) -> Edges:
     return list(zip(begins, [*at[ends].tolist(), span.end_s], strict=True))
 
 
-def _cut(name: str, channel: Channel, edges: list[Edges]) -> Channel:
+def _cut(name: str, channel: Channel, edges: list[Pieces]) -> Channel:
     parts: list[tuple[Array, Array]] = []
     for index, of_span in enumerate(edges):
         t_s, values = channel.of(index)
@@ -82,7 +87,7 @@ def _cut(name: str, channel: Channel, edges: list[Edges]) -> Channel:
     )
 
 
-def _note(spans: tuple[Span, ...], edges: list[Edges]) -> str:
+def _note(spans: tuple[Span, ...], edges: list[Pieces]) -> str:
     pauses = [
         (after - before, before)
         for of_span in edges

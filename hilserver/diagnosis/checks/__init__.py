@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.checks import (
+    blocked,
     clocks,
     copied,
     held,
@@ -46,6 +47,7 @@ ORDER: Final[tuple[Check, ...]] = (
     too_fast.find,
     sideways.find,
     orientation.find,
+    blocked.find,
     limited.find,
     sparse.find,
     clocks.find,
