@@ -1,9 +1,13 @@
 """The mechatronic model in the daemon's step: signals, walls, sensors, snapshots, a bad state."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import hilserver.body.layout as at
+from hilserver.commands import main
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
@@ -11,7 +15,10 @@ from hilserver.daemon.outputs import Outputs
 from hilserver.errors import ConfigError
 from hilserver.image import Row
 from hilserver.image.status import GOOD
+from hilserver.logs import read_log
+from hilserver.logs.provenance import as_yaml
 from hilserver.plant.layout import BAD_OUT_OF_SERVICE
+from hilserver.replay.origin import assembly_of
 from hilserver.scheduler import faults
 
 TORQUE = {"driven_by": "torque", "sensors": "body"}
@@ -102,6 +109,27 @@ async def test_a_snapshot_at_the_wall_goes_on_with_the_same_bits():
         await core.snapshots.restore(state, tick)
         await core.scheduler.advance(501)
         assert core.image.live.tobytes() == once.tobytes()
+
+
+def test_a_recording_is_replayed_with_its_body(tmp_path):
+    origin = assembled(**TORQUE)
+    run = {"configuration": as_yaml(origin.config.model_dump(mode="json"))}
+    run |= {"config_folder": str(tmp_path)}
+    again = assembly_of(SimpleNamespace(path=tmp_path / "drive.mcap", run=run))
+    assert again.config.mechatronic == origin.config.mechatronic
+
+
+@pytest.mark.long
+def test_a_replay_of_a_drive_into_the_wall_has_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    body = "mechatronic: {enabled: true, driven_by: torque, sensors: body}\n"
+    Path("config.yaml").write_text(body + "sensors: {tof: {hall: hall.yaml}}\n")
+    Path("hall.yaml").write_text("walls: [[0.4, -9, 0.4, 9]]\n")
+    ahead = "{control.mode: 1, twist.linear_m_s: 0.6}"
+    Path("ahead.yaml").write_text(f"steps: [{{at_s: 0.01, write: {ahead}}}]\n")
+    assert main(["simulate", "ahead.yaml", "--duration", "1", "-o", "drive.mcap"]) == 0
+    assert read_log(Path("drive.mcap")).columns["mech.x_m"][-1] < 0.2
+    assert main(["replay", "drive.mcap", "-o", "again.csv", "--check"]) == 0
 
 
 async def test_set_pose_takes_the_body_along():
