@@ -11,7 +11,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 DEPLOY = HERE.parent.parent / "deploy" / "node-red"
 INSTALL = "npm install --no-package-lock --no-audit --no-fund --prefix tests/node_red"
-START_LIMIT_S = 90.0
+START_LIMIT_S = 240.0
 
 SINK_TAB = "tab-test-sink"
 

@@ -43,12 +43,12 @@ async def test_the_shipped_flow_over_basic256sha256(node_red, tmp_path, monkeypa
         await wait_until(lambda: harness.heard("is not trusted"))
         (kept,) = (trust.folder / "rejected").iterdir()
         kept.rename(trust.folder / "trusted" / kept.name)
-        await wait_until(lambda: harness.heard("our certificate"), 20)
+        await wait_until(lambda: harness.heard("our certificate"))
         (rejected,) = robot.home.glob("**/rejected/*.pem")
         rejected.rename(rejected.parent.parent / "trusted" / "certs" / rejected.name)
         await robot.stop()
         await robot.start()
-        await wait_until(lambda: harness.status.sequence_received > 10, 20)
+        await wait_until(lambda: harness.status.sequence_received > 10)
         assert harness.status.faults == {}
     finally:
         await harness.link.stop()
