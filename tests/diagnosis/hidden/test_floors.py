@@ -18,7 +18,9 @@ def test_the_floors_differ_where_they_do(name, seed):
     assert judged.right, judged.missing
     if name == "surface_real":
         (finding,) = findings.findings
-        assert set(finding.causes) == {"rotation_gain", "gyro_scale", "wheel_radius"}
+        twins = {"rotation_gain", "gyro_scale", "wheel_radius"}
+        # On the spot one wheel's encoder stretches the turn as well.
+        assert twins <= set(finding.causes) <= {*twins, "encoder_scale"}
         before, after = (finding.parameters[f"rotation_gain.{s}"].value for s in "ab")
         assert before == pytest.approx(0.02, abs=0.06)
         assert after == pytest.approx(1.05 / 1.955 - 1.0, abs=0.06)

@@ -58,7 +58,7 @@ def test_update_rates_come_out_in_the_right_order(folder, mapping):
     }
     pairs = compare(list(rates.values()))
     order = [pairs[0].faster, *(pair.slower for pair in pairs)]
-    assert order == [str(log_of(folder, ms)) for ms in INJECTED_MS]
+    assert order == [log_of(folder, ms).name for ms in INJECTED_MS]
     assert [pair.distinguishable for pair in pairs] == [False, True, True]
     assert rates[5].period_s.value == pytest.approx(0.006, abs=0.0003)
     assert rates[10].period_s.value == pytest.approx(0.011, abs=0.0003)
