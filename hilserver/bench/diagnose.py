@@ -1,11 +1,11 @@
 """The campaign: hidden causes in hundreds of logs, diagnosed in processes, then scored.
 
 Results are appended to a file as they come: an interrupted campaign goes on where it stopped.
+With `--recordings` the logs are real ones, and simple rivals are measured beside the diagnosis.
 """
 
 import argparse
 import datetime
-import json
 import shlex
 import subprocess
 import sys
@@ -20,6 +20,7 @@ from hilserver_injector.cases import CLASSES, Case, cases, singles
 from hilserver_injector.causes import CAUSES, REQUIRED
 
 from hilserver import __version__
+from hilserver.bench.diagnose_results import Results
 from hilserver.bench.diagnose_table import Record, markdown, rows
 from hilserver.bench.diagnose_worker import Staged, changed, work
 from hilserver.bench.report import Result
@@ -50,32 +51,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="position noise from the ultra-wideband recording in HIL_DATA_DIR",
     )  # fmt: skip
     parser.add_argument(
-        "--results", type=Path, default=Path("diagnose-results"), metavar="DIR",
-        help="folder of the results so far; the campaign goes on from them",
+        "--resume", type=Path, default=Path("diagnose-results/campaign.jsonl"), metavar="FILE",
+        help="results so far, of the present sources: the campaign goes on from them and adds to"
+        " them; default %(default)s",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the tables as Markdown")
+    parser.add_argument(
+        "--recordings", nargs="+", type=_recordings, metavar="MAPPING=LOG,..",
+        help="instead of hidden causes: the gain on these recordings, beside simple rivals",
+    )  # fmt: skip
+
+
+def _recordings(text: str) -> tuple[str, list[Path]]:
+    mapping, _, logs = text.partition("=")
+    files = [Path(log) for log in logs.split(",") if log]
+    if not mapping or not files:
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a mapping with its logs; write both, as husky.yaml=run1.csv,run2.csv"
+        )
+    return mapping, files
 
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Run what has no result yet, print the tables and return their rows."""
+    if args.recordings:
+        from hilserver.bench.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
+
+        return measure(args.recordings)
     if args.seeds < 1 or args.jobs < 1:
         msg = "--seeds and --jobs must be at least 1."
         raise FailedError(msg)
-    commit = _commit()
-    length = "" if args.duration is None else f"-{args.duration:g}s"
-    noise = "-measured-noise" if args.measured_noise else ""
-    file = args.results / f"{commit}{length}{noise}.jsonl"
-    args.results.mkdir(parents=True, exist_ok=True)
-    records = {record["key"]: record for record in _read(file)}
-    asked: list[str] = []
-    for group in _groups(args.groups):
-        wanted = list(_wanted(args, group, list(records.values())))
-        asked += [case.key for case in wanted]
-        open_cases = [case for case in wanted if case.key not in records]
-        for record in _work_off(open_cases, args.jobs, file, group):
-            records[record["key"]] = record
-    mine = [records[key] for key in asked if key in records]
-    text = markdown(mine, _heading(commit))
+    length = "" if args.duration is None else f"{args.duration:g} s"
+    noise = "measured noise" if args.measured_noise else ""
+    results = Results(args.resume, ", ".join(filter(None, (length, noise))))
+    try:
+        asked = _work_off(args, results)
+    except SystemExit:
+        print(markdown(list(results.records.values()), _heading(results)))
+        print(f"stopped; the same command goes on from {results.file}", file=sys.stderr)
+        raise
+    mine = [results.records[key] for key in asked if key in results.records]
+    text = markdown(mine, _heading(results))
     print(text)
     if args.out is not None:
         args.out.write_text(text, encoding="utf-8")
@@ -123,32 +139,23 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
                 yield replace(case, group="size")
 
 
-def _work_off(todo: Sequence[Case | Staged], jobs: int, file: Path, group: str) -> Iterator[Record]:
-    begin, shown = time.monotonic(), 0.0
-    with (
-        file.open("a", encoding="utf-8") as out,
-        closing(in_processes(work, todo, jobs)) as records,
-    ):
-        for done, (_, record) in enumerate(records, 1):
-            out.write(json.dumps(record) + "\n")
-            out.flush()
-            yield record
-            now = time.monotonic() - begin
-            if now - shown > PROGRESS_EVERY_S or done == len(todo):
-                shown = now
-                left = now / done * (len(todo) - done)
-                print(f"{group}: {done} of {len(todo)}, {left:.0f} s left", file=sys.stderr)
-
-
-def _read(file: Path) -> Iterator[Record]:
-    """Yield the results so far; a last line that was cut off is dropped."""
-    if not file.exists():
-        return
-    for line in file.read_text(encoding="utf-8").splitlines():
-        try:
-            yield json.loads(line)
-        except ValueError:
-            continue
+def _work_off(args: argparse.Namespace, results: Results) -> list[str]:
+    """Run every case that has no result; return the keys of all that were asked for."""
+    asked: list[str] = []
+    for group in _groups(args.groups):
+        wanted = list(_wanted(args, group, list(results.records.values())))
+        asked += [case.key for case in wanted]
+        todo = [case for case in wanted if case.key not in results.records]
+        begin, shown = time.monotonic(), 0.0
+        with closing(in_processes(work, todo, args.jobs)) as records:
+            for done, (_, record) in enumerate(records, 1):
+                results.add(record)
+                now = time.monotonic() - begin
+                if now - shown > PROGRESS_EVERY_S or done == len(todo):
+                    shown = now
+                    left = now / done * (len(todo) - done)
+                    print(f"{group}: {done} of {len(todo)}, {left:.0f} s left", file=sys.stderr)
+    return asked
 
 
 def _commit() -> str:
@@ -167,7 +174,11 @@ def _commit() -> str:
     return f"{commit}-changed" if changed else commit
 
 
-def _heading(commit: str) -> list[str]:
+def _heading(results: Results) -> list[str]:
     words = shlex.join(["hilserver", *sys.argv[1:]])
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    return ["# Campaign of the diagnosis", "", f"`{words}`, commit `{commit}`, {today}."]
+    made = f"commit `{_commit()}`, sources `{results.stamp['sources']}`, {today}"
+    lines = ["# Campaign of the diagnosis", "", f"`{words}`, {made}."]
+    if results.others:
+        lines[-1] += f" {results.others} results of other sources or settings are not counted."
+    return lines

@@ -78,7 +78,8 @@ def work(case: Case | Staged) -> dict[str, Any]:
     try:
         found = _findings(logs, against, seed)
         result = _judged(case, found) if isinstance(case, Staged) else score(case, found)
-        smallest = {row.cause: row.size for row in found.smallest_detectable}
+        if case.group == "null":
+            smallest = {row.cause: row.size for row in found.smallest_detectable}
     except Exception as error:  # noqa: BLE001 (the campaign goes on)
         result = Score(outcome="crashed", found=[f"{type(error).__name__}: {error}"])
     seconds = time.perf_counter() - begin

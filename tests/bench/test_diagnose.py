@@ -10,10 +10,10 @@ import pytest
 from hilserver_injector import Recipe
 from hilserver_injector.cases import CLASSES, Answer, Case, cases
 
-from hilserver.bench import diagnose
+from hilserver.bench import diagnose, diagnose_results, diagnose_worker
 from hilserver.bench.binomial import clopper_pearson
 from hilserver.bench.diagnose_scoring import score
-from hilserver.bench.diagnose_table import Row
+from hilserver.bench.diagnose_table import Row, rows
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Findings, Parameter
 from hilserver.errors import FailedError
@@ -148,16 +148,20 @@ def engine(monkeypatch):
     module = types.ModuleType("hilserver.diagnosis.engine")
     module.diagnose = say
     monkeypatch.setitem(sys.modules, "hilserver.diagnosis.engine", module)
-    diagnose_worker = sys.modules["hilserver.bench.diagnose_worker"]
     diagnose_worker._engine.cache_clear()
     yield calls
     diagnose_worker._engine.cache_clear()
 
 
-def arguments(folder, **changed):
+FILE = "campaign.jsonl"
+
+
+def arguments(folder, words=(), **changed):
     parser = argparse.ArgumentParser()
     diagnose.add_arguments(parser)
-    args = parser.parse_args(["--jobs", "1", "--duration", "4", "--results", str(folder)])
+    args = parser.parse_args(
+        ["--jobs", "1", "--duration", "4", "--resume", str(folder / FILE), *words]
+    )
     for name, value in changed.items():
         setattr(args, name, value)
     return args
@@ -169,12 +173,42 @@ def test_campaign_goes_on_where_it_stopped(tmp_path, engine, capsys):
     assert results["findings without an effect"].raw["count"] == 6
     assert results["right name, single cause"].value == 100.0
     assert len(engine) == 8
-    file = next(tmp_path.glob("*.jsonl"))
+    file = tmp_path / FILE
     lines = file.read_text(encoding="utf-8").splitlines()
     file.write_text("\n".join(lines[:-1]) + "\n" + lines[-1][:20], encoding="utf-8")
-    diagnose.run(args)
-    assert len(engine) == 9, "only the result that was cut off is made again"
+    for _ in range(2):
+        diagnose.run(args)
+        assert len(engine) == 9, "only the result that was cut short is made again, and once"
     assert "| single | gyro_bias | 2 |" in capsys.readouterr().out
+
+
+def test_results_of_other_sources_or_lengths_are_not_counted(tmp_path, engine, monkeypatch, capsys):
+    args = arguments(tmp_path, groups="single", only="gyro_bias", seeds=1)
+    diagnose.run(args)
+    with monkeypatch.context() as changed:
+        changed.setattr(diagnose_results, "sources", lambda: "another")
+        diagnose.run(args)
+    args.duration = 5.0
+    diagnose.run(args)
+    assert len(engine) == 3
+    assert "2 results of other sources or settings are not counted" in capsys.readouterr().out
+    stamps = [json.loads(line) for line in (tmp_path / FILE).read_text("utf-8").splitlines()]
+    assert [r["setting"] for r in stamps] == ["4 s", "4 s", "5 s"]
+    assert stamps[0]["sources"] == diagnose_results.sources() != stamps[1]["sources"]
+
+
+def test_stopped_campaign_prints_what_it_has(tmp_path, engine, monkeypatch, capsys):
+    def work(case):
+        if case.recipe.seed == 1:
+            raise SystemExit(0)
+        return diagnose_worker.work(case)
+
+    monkeypatch.setattr(diagnose, "work", work)
+    with pytest.raises(SystemExit):
+        diagnose.run(arguments(tmp_path, groups="single", only="gyro_bias", seeds=2))
+    said = capsys.readouterr()
+    assert "| single | gyro_bias | 1 |" in said.out
+    assert f"goes on from {tmp_path / FILE}" in said.err
 
 
 def test_size_hides_what_the_null_logs_stated(tmp_path, engine):
@@ -182,7 +216,7 @@ def test_size_hides_what_the_null_logs_stated(tmp_path, engine):
         diagnose.run(arguments(tmp_path, groups="size", seeds=1))
     args = arguments(tmp_path, groups="null,size", seeds=1)
     diagnose.run(args)
-    file = next(tmp_path.glob("*.jsonl"))
+    file = tmp_path / FILE
     records = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     sized = [record for record in records if record["group"] == "size"]
     assert [record["name"] for record in sized] == ["gyro_bias"]
@@ -198,3 +232,16 @@ def test_changed_logs_keep_their_case():
     assert diagnose.changed(one, None, False) == one
     assert diagnose.changed(one, 5.0, False).recipe == replace(one.recipe, duration_s=5.0)
     assert diagnose.changed(one, None, True).recipe.noise.measured_position
+
+
+def test_ordinary_sensors_have_their_faults_and_nothing_else():
+    """Each kind of fault is drawn, some logs have none, and a record says more only of others."""
+    made = list(cases("sensors", range(20)))
+    hidden = {name for one in made for names in one.answer.causes for name in names}
+    assert hidden == {"held_samples", "limited_channel"}
+    assert {one.answer.verdict for one in made} == {"data_fault", "nothing_found"}
+    held = next(one for one in made if one.recipe.faults)
+    for fault, more in (("held_samples", 0), ("dropouts", 1)):
+        result = score(held, findings(said("data_fault", fault))).as_json()
+        row = rows([{"group": "sensors", **result}])[1]
+        assert (row.count, row.trials) == (more, 1)

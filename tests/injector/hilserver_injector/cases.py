@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hilserver_injector.causes import CAUSES, REQUIRED, TWINS, nothing, single
-from hilserver_injector.ordinary import ON_A_STAND, ordinary
+from hilserver_injector.ordinary import ON_A_STAND, held, ordinary
 from hilserver_injector.recipe import Recipe, Recorder
 
 
@@ -200,12 +200,12 @@ def sensors(seed: int) -> Iterator[Case]:
         ("bench", "bench", seed, {}),
         ("bench", "stand", seed, {"in_the_air": True, "recorder": ON_A_STAND}),
     ):
-        recipe = ordinary(replace(nothing(kind, number), **how))  # type: ignore[arg-type]
-        limit = recipe.sensors["gyro_z"].limit if name == "drive" else math.inf
-        answer = Answer(verdict="nothing_found")
-        if limit < math.inf:
-            answer = Answer(verdict="data_fault", causes=_only("limited_channel"))
-        yield Case("sensors", name, recipe, answer)
+        recipe = held(ordinary(replace(nothing(kind, number), **how)))  # type: ignore[arg-type]
+        hidden = list(recipe.faults)
+        if name == "drive" and recipe.sensors["gyro_z"].limit < math.inf:
+            hidden.append("limited_channel")
+        verdict = "data_fault" if hidden else "nothing_found"
+        yield Case("sensors", name, recipe, Answer(verdict=verdict, causes=_only(*hidden)))
 
 
 _DRIFTS = {

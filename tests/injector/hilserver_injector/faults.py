@@ -37,12 +37,17 @@ def _swapped_sides(table: Table, channel: Any, rng: np.random.Generator) -> None
 
 
 def _held(table: Table, given: Any, rng: np.random.Generator) -> None:
-    """Hold each sample of a channel until the next of its slower clock."""
+    """Hold each sample of a channel until the next of its slower clock; the tag has its own."""
     channel, rate_hz = given
     group = np.floor(table.t_s * rate_hz + rng.random())
     first = np.searchsorted(group, group, side="left")
     for name in _some(table, channel):
-        table.columns[name] = table.columns[name][first]
+        values = table.columns[name]
+        if name.startswith("nav."):
+            there = np.where(np.isfinite(values), np.arange(len(values)), -1)
+            first = np.maximum.accumulate(there)
+            values = np.append(values, np.nan)  # nothing to repeat before the first
+        table.columns[name] = values[first]
 
 
 def _interpolated(table: Table, rate_hz: Any, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""Sensors as ordinary machines have them: rounded, limited, and none of them the same."""
+"""Sensors as ordinary machines have them: rounded, limited, held, and none of them the same."""
 
 import math
 from collections.abc import Mapping
@@ -15,8 +15,11 @@ RANGES: Mapping[str, tuple[float, float]] = MappingProxyType({
     "duty_noise_pct": (0.05, 0.15),
     "gyro_step_rad_s": (0.001, 0.0175),
     "gyro_limit_rad_s": (1.0, 1.25),
+    "held_by_row": (0.1, 0.5),
 })  # fmt: skip
 """What each log's sensors are drawn from; sealed: changed, no figure compares with an older one."""
+HELD: Mapping[str, str] = MappingProxyType({"speed_rpm": "speed", "gyro_z": "gyro", "nav.": "nav"})
+"""What may be slower than the rows in every third log, by what its recorder takes."""
 DUTY_STEPS_PCT = (0.0, 0.4, 1.0)
 POSITION_STEPS_M = (0.0, 0.01, 0.02)
 ON_A_STAND = Recorder(
@@ -45,3 +48,19 @@ def ordinary(recipe: Recipe) -> Recipe:
     }
     noise = Noise(speed_rpm=drawn("speed_noise_rpm"), duty_pct=drawn("duty_noise_pct"))
     return replace(recipe, sensors=sensors, noise=noise)
+
+
+def held(recipe: Recipe) -> Recipe:
+    """Return the recipe, in every third log with one reading repeated until the next is there.
+
+    The tag keeps its own rate: it is a table without empty cells.
+    """
+    rng, taken = recipe.generator("held sensors"), recipe.taken
+    if rng.random() >= 1.0 / 3.0:
+        return recipe
+    channel = str(rng.choice([name for name, part in HELD.items() if part in taken.channels]))
+    low, high = np.log(RANGES["held_by_row"])
+    rate_hz = float(np.exp(rng.uniform(low, high))) * taken.rate_hz
+    if channel == "nav.":
+        rate_hz = taken.nav_hz
+    return replace(recipe, faults={"held_samples": (channel, rate_hz)})

@@ -1,0 +1,86 @@
+"""Results of a campaign: lines of JSON in a file that outlives an interruption.
+
+Every line carries the hash of the sources that made it, so results of another engine or injector
+stay in the file and are not counted.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import hilserver_injector
+
+import hilserver
+from hilserver.bench.diagnose_table import Record
+
+ROOMS: Final = ("diagnosis", "measured", "plant", "scenarios")
+"""What a finding or its score depends on, beside the campaign's own worker and scoring."""
+DIGITS: Final = 12
+
+
+def sources() -> str:
+    """Return the hash of the sources of engine, injector and scoring."""
+    package = Path(hilserver.__file__).parent
+    folders = [package / room for room in ROOMS] + [Path(hilserver_injector.__file__).parent]
+    files = [file for folder in folders for file in folder.rglob("*.py")]
+    files += [package / "bench" / f"diagnose_{part}.py" for part in ("scoring", "worker")]
+    total = hashlib.sha256()
+    for file in sorted(files, key=lambda file: file.parts[-3:]):
+        total.update("/".join(file.parts[-3:]).encode())
+        total.update(hashlib.sha256(file.read_bytes()).digest())
+    return total.hexdigest()[:DIGITS]
+
+
+class Results:
+    """The results in a file that the present sources made in one setting.
+
+    Parameters
+    ----------
+    setting : str
+        How the logs were changed: results of other lengths or noise are others.
+
+    Attributes
+    ----------
+    records : dict of str to Record
+        By the key of their case.
+    others : int
+        Lines of the file that are not counted.
+    """
+
+    def __init__(self, file: Path, setting: str = "") -> None:
+        self.file, self.stamp = file, {"sources": sources(), "setting": setting}
+        self.records: dict[str, Record] = {}
+        self.others = 0
+        for record in _lines(file):
+            if {key: record.get(key) for key in self.stamp} == self.stamp:
+                self.records[record["key"]] = record
+            else:
+                self.others += 1
+
+    def add(self, record: Record) -> None:
+        """Append a result; a line that an interruption cut short is closed first."""
+        record = record | self.stamp
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        with self.file.open("a+b") as file:
+            if file.tell() and _last(self.file) != b"\n":
+                file.write(b"\n")
+            file.write(json.dumps(record).encode() + b"\n")
+        self.records[record["key"]] = record
+
+
+def _last(file: Path) -> bytes:
+    with file.open("rb") as opened:
+        opened.seek(-1, 2)
+        return opened.read()
+
+
+def _lines(file: Path) -> Iterator[Record]:
+    if not file.exists():
+        return
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            yield json.loads(line)
+        except ValueError:
+            continue  # cut short by an interruption

@@ -1,0 +1,102 @@
+"""The simple rivals of the diagnosis: what they fit, and the table beside it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hilserver_injector import Recipe, make
+
+from hilserver.bench import diagnose
+from hilserver.bench.baselines import NineTerms, applies, nine_terms, stepwise
+from hilserver.bench.diagnose_recordings import Row, _figures
+from hilserver.bench.diagnose_worker import measured
+from hilserver.daemon.assembly import assemble
+from hilserver.diagnosis.engine import silent
+from hilserver.diagnosis.findings.gain import gains
+from hilserver.diagnosis.regression.stages import prepare_all
+from hilserver.measured.channels import GYRO, POSITION, YAW
+from tests.bench.test_diagnose import arguments
+
+LATE_S = 0.15
+RECIPE = Recipe(
+    seed=3, causes={"rotation_gain": -0.3, "nav_latency": LATE_S, "yaw_latency": LATE_S}
+)
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    recipe = replace(RECIPE, duration_s=40.0)
+    log = measured(make(recipe)[0], recipe)
+    slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
+    return prepare_all(slim, assemble(None).robot, 1, silent)[0]["pose"]
+
+
+def test_nine_terms_find_gain_and_delay(prepared):
+    theta = NineTerms(prepared.problem).fitted()
+    assert theta[0] == pytest.approx(1.0, abs=0.02)
+    assert theta[5] == pytest.approx(0.7, abs=0.02)
+    assert theta[8] == pytest.approx(LATE_S, abs=0.03)
+
+
+def test_nine_terms_at_null_are_the_plant(prepared):
+    """Each segment begins at the origin; from there the poses are the plant's."""
+    problem = prepared.problem
+    rival = NineTerms(problem)
+    theta = np.array(NineTerms.NULL)
+    theta[3] = -problem.stage.robot.icr_offset_m
+    said = rival.predict(theta)
+    plant = problem.predict({}, np.zeros_like(prepared.base.poses))
+    off, turned = rival.missed(said)
+    place, yaw = rival.missed(plant)
+    assert np.abs(turned - yaw).max() < 2e-3
+    assert np.abs(off - place).max() < 5e-3
+    edge = problem.stack.edges[GYRO]
+    assert said[edge] == pytest.approx(plant[edge], abs=0.02)
+
+
+def test_both_rivals_gain_on_held_out_blocks(prepared):
+    assert applies(prepared.problem)
+    for rival in (nine_terms, stepwise):
+        rng = np.random.default_rng(0)
+        found = gains(prepared.problem, prepared.base.predicted, rival(prepared), 5.0, rng)
+        assert found["yaw_rad"].ratio > 3.0
+        assert found["position_m"].ratio > 1.5
+
+
+def test_without_a_heading_nothing_is_compared(prepared):
+    log = prepared.problem.stage.log
+    channels = {n: log[n] for n in log.channels if n != YAW}
+    blind = prepare_all(replace(log, channels=channels), assemble(None).robot, 1, silent)[0]["pose"]
+    assert all(name in blind.problem.stack.edges for name in POSITION)
+    assert not applies(blind.problem)
+
+
+def test_figures_are_mean_and_worst():
+    rows = [
+        Row("a", "yaw", 4.0, {"nine terms": 2.0}, 5.0),
+        Row("b", "yaw", 1.0, {"nine terms": 2.0}, 5.0),
+    ]
+    assert [(r.name, r.value) for r in _figures(rows)] == [
+        ("yaw: geometric mean", pytest.approx(1.0)),
+        ("yaw: worst", 0.5),
+    ]
+
+
+@pytest.mark.parametrize("text", ["husky.yaml", "=run.csv", "husky.yaml="])
+def test_a_recording_needs_its_mapping(tmp_path, text, capsys):
+    with pytest.raises(SystemExit):
+        arguments(tmp_path, words=["--recordings", text])
+    assert "write both, as husky.yaml=run1.csv" in capsys.readouterr().err
+
+
+def test_recordings_take_the_place_of_hidden_causes(tmp_path, monkeypatch):
+    args = arguments(tmp_path, words=["--recordings", "husky.yaml=a.csv,b.csv", "w.yaml=c.csv"])
+    asked = []
+    monkeypatch.setattr(
+        "hilserver.bench.diagnose_recordings.measure", lambda m: asked.extend(m) or []
+    )
+    assert diagnose.run(args) == []
+    assert [(m, [f.name for f in files]) for m, files in asked] == [
+        ("husky.yaml", ["a.csv", "b.csv"]),
+        ("w.yaml", ["c.csv"]),
+    ]
