@@ -30,41 +30,45 @@ from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 
+MOSTLY = 0.5
+"""Share of a channel's changes at which another changes, too, if one source sends both."""
+
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find held channels; of each run only the first sample, the real one, is kept."""
     changes = _changes_s(log)
-    fresh: dict[str, NDArray[np.bool_]] = {}
+    first: dict[str, NDArray[np.int64]] = {}
     rates: dict[str, tuple[float, float]] = {}
     for name in measured_channels(log.channels):
-        channel = log[name]
-        runs = runs_of(channel)
-        found = _rate(channel, runs, changes)
+        runs = runs_of(log[name])
+        found = _rate(log[name], runs, changes)
         if found is not None:
-            rates[name] = found
-            fresh[name] = _fresh(channel, runs, 1.0 / found[0])
+            rates[name], first[name] = found, runs.first
     kept: dict[str, Channel] = {}
     groups = _alike(rates)
     for group in groups:
         for name in group:
-            kept[name] = subset(log[name], _together(log, name, group, fresh))
+            begins = _begins(log, name, group, first)
+            kept[name] = subset(log[name], _fresh(log[name], begins, 1.0 / rates[name][0]))
     return log.with_channels(kept), [_finding(group, rates) for group in groups]
 
 
-def _together(
-    log: MeasuredLog, name: str, group: list[str], fresh: dict[str, NDArray[np.bool_]]
+def _begins(
+    log: MeasuredLog, name: str, group: list[str], first: dict[str, NDArray[np.int64]]
 ) -> NDArray[np.bool_]:
-    """Return which samples are real: a source sends all its channels at once.
+    """Return which samples are known to be new: those at which this or another channel changed.
 
-    One of them may stay the same by chance where another shows a new sample.
+    A source mostly sends its channels at once, and one of them may stay the same by chance.
     """
-    own = fresh[name]
+    at = along(log[name])
+    begins = np.zeros(len(at), dtype=bool)
+    begins[first[name]] = True
     for other in group:
-        if len(log[other]) == len(log[name]) and np.array_equal(
-            along(log[other]), along(log[name])
-        ):
-            own = own | fresh[other]
-    return own
+        there = np.searchsorted(at, along(log[other])[first[other]])
+        there = there[there < len(at)]
+        if np.mean(np.isin(first[name], there)) > MOSTLY:
+            begins[there] = True
+    return begins
 
 
 def _changes_s(log: MeasuredLog) -> Array:
@@ -112,13 +116,17 @@ def _follow(channel: Channel, first: NDArray[np.int64], changes: Array) -> bool:
     return bool(np.mean((after >= -1e-6) & (after < 0.1)) > 0.5)
 
 
-def _fresh(channel: Channel, runs: Runs, period_s: float) -> NDArray[np.bool_]:
-    """Return which samples begin a run; in longer runs also one per period."""
-    begin = np.repeat(channel.t_s[runs.first], runs.length)
-    periods = np.floor(np.maximum((channel.t_s - begin) / period_s - 0.5, 0.0))
-    fresh = np.diff(periods, prepend=-1.0) != 0
-    fresh[runs.first] = True
-    return np.asarray(fresh)
+def _fresh(channel: Channel, begins: NDArray[np.bool_], period_s: float) -> NDArray[np.bool_]:
+    """Return which samples are new: in a run of several periods one per period, evenly."""
+    t, first, run = channel.t_s, np.flatnonzero(begins), np.cumsum(begins) - 1
+    last = np.append(first[1:], len(t)) - 1
+    length_s = np.append(t[first[1:]], t[-1]) - t[first]
+    count = np.maximum(np.rint(length_s / period_s), 1.0)
+    ends = np.append(channel.span[first[1:]] != channel.span[first[:-1]], True)
+    count[ends] = np.maximum(np.rint((t[last] - t[first])[ends] / period_s), 1.0)
+    length_s[ends] = count[ends] * period_s
+    number = np.floor((t - t[first][run]) / length_s[run] * count[run] + 1e-6)
+    return np.asarray(begins | (np.diff(number, prepend=0.0) > 0.0))
 
 
 def _alike(rates: dict[str, tuple[float, float]]) -> list[list[str]]:

@@ -206,6 +206,25 @@ def test_held_samples(table, names, rate_hz):
     assert len(log[names[0]]) < 1.1 * len(real)
 
 
+@pytest.mark.parametrize("missing", [0.0, 0.01])
+def test_no_reading_of_a_held_channel_is_stale(table, missing):
+    """A coarse wheel may show one value for many periods while the others change."""
+    t, columns = table
+    columns, rng = quantised(columns, 0.25), np.random.default_rng(1)
+    group = np.floor(t * 6.0 + 0.3)
+    first = np.searchsorted(group, group)
+    spoilt = dict(columns)
+    for name in SPEEDS:
+        gone = rng.random(len(t)) < missing
+        spoilt[name] = np.where(gone[first], np.nan, columns[name][first])
+    log = fault(t, spoilt)[3]
+    for name in SPEEDS:
+        kept = log[name]
+        stale = kept.values != columns[name][np.searchsorted(t, kept.t_s)]
+        assert stale.mean() < 0.02
+        assert len(kept) > 0.95 * len(np.unique(group))
+
+
 @pytest.mark.parametrize("rate_hz", [5.0, 12.5])
 def test_setpoints_held_in_the_log_alone(rate_hz):
     t, columns = drive(9, lag_s=5e-3)
