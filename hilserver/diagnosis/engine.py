@@ -38,7 +38,6 @@ Array = NDArray[np.float64]
 HORIZON_S = 5.0
 CEILING_DIGITS = 5
 """The rest of a ceiling hangs on how many threads share its large products."""
-DRIVEN = ("speed_rpm", "duty_pct")
 
 
 def silent(text: str, share: float) -> None:
@@ -108,12 +107,13 @@ def judge(
     log, robot, judged = examined.log, examined.robot, examined.judged
     found = list(examined.checked.findings)
     fitted: dict[int, Fitted] = {}
-    for stage, j in judged.items():
-        fitted |= _findings(stage, j, found)
+    for j in judged.values():
+        fitted |= _findings(j, found)
     lap("structure")
     tell("measuring the gain", 0.0)
     own, before, after = _gains(judged, horizon_s, rng)
-    totals, notices = own, log.notices
+    totals = {key: gain for of_stage in own.values() for key, gain in of_stage.items()}
+    notices = log.notices
     if test is not None:
         models = {stage: j.point.model for stage, j in judged.items()}
         totals = gain_on(check(test, robot).log, robot, models, horizon_s, rng)
@@ -126,9 +126,9 @@ def judge(
     }
     for i, f in fitted.items():
         stage = f.candidate.stage
-        index, total = judged[stage].point.model.fitted.index(f), of_stage(own, stage)
+        index = judged[stage].point.model.fitted.index(f)
         found[i] = with_worth(
-            found[i], index, wholes[stage], estimates[stage], horizon_s, rng, total
+            found[i], index, wholes[stage], estimates[stage], horizon_s, rng, own[stage]
         )
     ceiling = _ceilings(judged, before, horizon_s, rng)
     sizes, unseen = smallest_of(judged, rng)
@@ -159,10 +159,10 @@ def judge(
     )
     shown = _shown(judged, before, after)
     terms = extension(found, fitted)
-    return Diagnosis(findings, evidence(log, robot, shown, terms, timings))
+    return Diagnosis(findings, evidence(log, shown, terms, timings))
 
 
-def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
+def _findings(j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     """Add the findings of one stage; return which of them is which fitted cause."""
     problem, fitted = j.prepared.problem, {}
     if j.point.model.fitted:
@@ -172,14 +172,15 @@ def _findings(stage: str, j: Judged, found: list[Finding]) -> dict[int, Fitted]:
         for f, finding in zip(j.point.model.fitted, causes, strict=True):
             fitted[len(found)] = f
             found.append(finding)
-    found += beside(stage, j)
+    found += beside(j)
     return fitted
 
 
 def _gains(
     judged: Mapping[str, Judged], horizon_s: float, rng: np.random.Generator
-) -> tuple[dict[str, Gain], dict[str, Array], dict[str, Array]]:
-    totals: dict[str, Gain] = {}
+) -> tuple[dict[str, dict[str, Gain]], dict[str, Array], dict[str, Array]]:
+    """Return the gains of every stage, and its predictions before and after."""
+    found: dict[str, dict[str, Gain]] = {}
     before, after = {}, {}
     for stage, j in judged.items():
         problem = j.prepared.problem
@@ -188,15 +189,10 @@ def _gains(
         after[stage] = base.predicted
         if j.point.model.fitted:
             after[stage] = held_out(problem, crossed(problem, j.point, j.point.model))
-        totals |= gains(
+        found[stage] = gains(
             problem, before[stage], after[stage], horizon_s, rng, fold=reported(problem)
         )
-    return totals, before, after
-
-
-def of_stage(gains: Mapping[str, Gain], stage: str) -> dict[str, Gain]:
-    """Return the gains of the quantities that a stage judges."""
-    return {key: gain for key, gain in gains.items() if (key in DRIVEN) == (stage == "drive")}
+    return found, before, after
 
 
 def _ceilings(

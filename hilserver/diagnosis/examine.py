@@ -24,12 +24,11 @@ from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import (
     Prepared,
     machine,
-    pose_stage,
     prepare,
     prepare_all,
-    speed_factors,
+    stages_of,
 )
-from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.encoders import speed_factors
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
 from hilserver.diagnosis.thresholds import LOST_SHARE
 from hilserver.measured.data import MeasuredLog
@@ -97,27 +96,27 @@ def _with_wheels(
 
     None where these are the speeds of the log.
     """
-    robot, terms = p.problem.stage.robot, drive.point.model.terms
-    if speed_factors(robot, terms) == speed_factors(robot, {}):
+    stage, terms = p.problem.stage, drive.point.model.terms
+    if speed_factors(stage.robot, terms) == speed_factors(stage.robot, {}):
         return None
-    stage = pose_stage(log, robot, drive.prepared.problem.stage, terms, jobs)
-    return prepare(stage, jobs, tell)[0]
+    anew = stages_of(log, stage.robot, jobs, drive_terms=terms)
+    return prepare(anew[stage.name], jobs, tell)[0]
 
 
-def beside(stage: str, j: Judged) -> list[Finding]:
+def beside(j: Judged) -> list[Finding]:
     """Return what was found in one stage beside fitted causes."""
     problem, found = j.prepared.problem, []
     if j.prepared.coarse_rpm is not None:
         found.append(coarse(j.prepared.coarse_rpm))
-    if stage == "pose" and (strays := outliers(problem, j.point)) is not None:
+    if (strays := outliers(problem, j.point)) is not None:
         found.append(strays)
     if j.anchor is not None:
         found.append(misplaced_anchor(*j.anchor))
-    steps = lost_steps(problem, j.point) if isinstance(problem.stage, DriveStage) else None
+    steps = lost_steps(problem, j.point)
     if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
         found.append(lost(steps))
     elif j.unknown:
-        found.append(structure(j.unknown, stage, deviating(problem, j.point)))
+        found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))
     return found
 
 

@@ -34,7 +34,7 @@ def measured_log(values, *, edges=None, blocks=None, period_s=PERIOD_S):
 
 
 class LinearStage(DriveStage):
-    """A drive stage, to every branch of the engine, that predicts a sum of columns, one per term.
+    """A stage without memory that predicts a sum of columns, one per term.
 
     Only the replay is replaced; whoever asks for more of a drive than samples fails.
     """
@@ -46,7 +46,7 @@ class LinearStage(DriveStage):
         self.stack = make_stack(self.log, [SIGNAL], self.segments, block_s=block_s)
         self.columns = columns
 
-    def predict(self, terms):
+    def predict(self, terms, poses=None, *, keep=False):
         predicted = np.zeros(len(self.stack))
         for name, value in terms.items():
             predicted += value * self.columns[name]

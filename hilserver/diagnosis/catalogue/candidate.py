@@ -3,10 +3,12 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal, get_args
 
 Theta = Sequence[float]
 StageName = Literal["drive", "pose"]
+STAGES: Final[tuple[StageName, ...]] = get_args(StageName)
+"""In the order in which they are judged."""
 
 LARGEST_WAVE = 0.5
 FAR_NULL = 1e6

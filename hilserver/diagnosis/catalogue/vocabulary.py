@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
 
+from hilserver.diagnosis.catalogue.candidate import StageName
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.terms import TERMS, Term
 
@@ -75,6 +76,11 @@ class Cause:
     physical: bool
     description: str
     by_channel: bool = False
+
+    @property
+    def stage(self) -> StageName:
+        """The replay that shows it."""
+        return "drive" if self.block in ("drive", "controller") else "pose"
 
     @property
     def unit(self) -> str:

@@ -7,6 +7,7 @@ hundred columns of unknown structure four would hardly be heard.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import (
     ANCHOR_LEAST_GAIN,
     ANCHOR_LEAST_T,
@@ -76,13 +78,18 @@ class _Fields:
         return Anchor(SIDES[best], error_m, half_m, float(np.hypot(*self.moved[best].T).max()))
 
 
-def _fields(problem: Problem, point: Point) -> _Fields | None:
+@singledispatch
+def _fields(stage: Stage, problem: Problem, point: Point) -> _Fields | None:
     """Return the fields of four anchors, or None where no position is judged in one frame."""
-    if not isinstance(problem.stage, PoseStage) or problem.stage.begins_anew:
+    del stage, problem, point
+    return None
+
+
+@_fields.register
+def _(stage: PoseStage, problem: Problem, point: Point) -> _Fields | None:
+    if stage.begins_anew or POSITION[0] not in problem.stack.edges:
         return None
-    if POSITION[0] not in problem.stack.edges:
-        return None
-    motion = Motion(problem, point)
+    motion = Motion(stage, problem, point)
     moved = anchor_fields(motion)
     columns = np.stack([motion.placed(*field.T) for field in moved], axis=1)
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
@@ -113,7 +120,7 @@ def anchor_off(
         Family-wise over the anchors, weighted so that it compares with the level of the screen.
     """
     problem = library.problem
-    fields = _fields(problem, point)
+    fields = _fields(problem.stage, problem, point)
     if fields is None:
         return None
     stack = problem.stack
@@ -176,7 +183,7 @@ def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     accepted = problem.accepted(point)
     if accepted is None or "nav_scale" not in point.model.causes:
         return None
-    fields = _fields(problem, point)
+    fields = _fields(problem.stage, problem, point)
     if fields is None:
         return None
     index = point.model.causes.index("nav_scale")

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.thresholds import (
     LOST_LARGE_STEP_RPM,
     LOST_LATE_S,
@@ -37,18 +36,18 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
     A step that waits for the next message is late by one message, others are not at all: after
     every step the residual is compared with the slope of the simulated response.
     """
-    assert isinstance(problem.stage, DriveStage)
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
+    both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
+    if not both:
+        return None
     residual = problem.residual(point.predicted)
-    _, seen, _ = stage.simulate(point.model.terms)
-    slope = np.gradient(seen, axis=0) / stage.segments.period_s
+    shown = stage.signals(point.model.terms, point.poses)
     late: list[bool] = []
-    for wheel, (setpoint, speed) in enumerate(zip(SETPOINTS, SPEEDS, strict=True)):
-        if setpoint not in log or speed not in stack.edges:
-            continue
+    for setpoint, speed in both:
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
-        g = slope[np.rint(stack.at[edge]).astype(np.int64), wheel]
+        slope = np.gradient(shown[speed]) / stage.segments.period_s
+        g = slope[np.rint(stack.at[edge]).astype(np.int64)]
         noise = problem.noise[speed].white_sd
         spans = stage.segments.span[stack.segment[edge]]
         for span in range(len(log.spans)):

@@ -68,7 +68,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     drift: dict[str, float] = {}
     changing = with_drift(p.library, point, rng)
     left = point.deviance - changing.gain
-    clear = problem.stage.name != "drive" or left < GROSS * len(point.left)
+    clear = not problem.stage.memoryless or left < GROSS * len(point.left)
     if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
         why = "another cause changes along the log"
         rows += _left_out(point, changing.point, "dropped", why)
@@ -152,13 +152,13 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
 
 
 def fails(p: Prepared, point: Point) -> bool:
-    """Return whether causes of the drive leave a gross misfit, and no small part of all there was.
+    """Return whether causes leave a gross misfit, and no small part of all there was.
 
-    Sensors of the drive have no memory: what is left then is no noise, and whatever makes it may
-    well make the rest, too.
+    Of sensors without memory: what is left then is no noise, and whatever makes it may well make
+    the rest, too.
     """
     gross = point.deviance > GROSS * len(point.left)
-    if p.problem.stage.name != "drive" or not point.model.fitted or not gross:
+    if not p.problem.stage.memoryless or not point.model.fitted or not gross:
         return False
     return point.deviance > SETTLING_LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
 

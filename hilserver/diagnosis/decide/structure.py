@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.decide.unknown import Family, drive_families, pose_families
+from hilserver.diagnosis.decide.unknown import Family, families
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.thresholds import (
@@ -46,9 +46,7 @@ class Unknown:
 
 def families_of(problem: Problem, point: Point) -> Iterable[Family]:
     """Return the families of a stage."""
-    if problem.stage.name == "pose":
-        return pose_families(problem, point)
-    return drive_families(problem, point)
+    return families(problem.stage, problem, point)
 
 
 def remaining(

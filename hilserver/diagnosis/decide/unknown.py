@@ -5,8 +5,9 @@ rate, history, the other wheels. A family of columns stands for each; a family i
 the body velocity (pose) or of speed and duty (drive) that depends on its regressor alone.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 
@@ -47,9 +50,16 @@ class Family:
     columns: Array
 
 
-def pose_families(problem: Problem, point: Point) -> list[Family]:
+@singledispatch
+def families(stage: Stage, problem: Problem, point: Point) -> Iterable[Family]:
+    """Return what a disturbance of what a stage replays could depend on."""
+    raise NotImplementedError(f"no structure of a {stage.name} is known")
+
+
+@families.register
+def _(stage: PoseStage, problem: Problem, point: Point) -> list[Family]:
     """Return what a disturbance of the body's velocity could depend on."""
-    m = Motion(problem, point)
+    m = Motion(stage, problem, point)
     zero, v, om = np.zeros_like(m.v), m.v, m.om
     on = m.moving
 
@@ -62,32 +72,32 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
 
     heading = [f(k * m.yaw) for k in (1, 2) for f in (np.cos, np.sin)]
     place_x, place_y = _unit(m.x), _unit(m.y)
-    families = []
+    found = []
     signal = YAW if YAW in problem.stack.edges else "pose.yaw_rad"
     columns = [m.column(*d) for h in heading for d in
                ((h * on, zero, zero), (zero, h * on, zero), (zero, zero, h * on),
                 (h * v, zero, zero), (zero, h * v, zero), (zero, zero, h * np.abs(v)),
                 (zero, zero, h * om))]  # fmt: skip
     if not m.stage.begins_anew:
-        families.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
+        found.append(Family("heading", (signal, "pose.yaw_rad"), np.stack(columns, axis=1)))
     if POSITION[0] in problem.stack.edges and not m.stage.begins_anew:
         shapes = [place_x, place_y, place_x**2, place_y**2, place_x * place_y,
                   np.sin(np.pi * place_x), np.sin(np.pi * place_y)]  # fmt: skip
-        families.append(family("place", POSITION, shapes))
-        families.append(_ranging(m))
+        found.append(family("place", POSITION, shapes))
+        found.append(_ranging(m))
     size, spin = np.abs(v) / (np.abs(v).max() + 1e-9), np.abs(om) / (np.abs(om).max() + 1e-9)
     speed = [m.column(zero, zero, size * on * _side(om, TURNING)), m.column(size * v, zero, zero),
              m.column(size**2 * v, zero, zero), m.column(zero, size * v, zero),
              m.column(zero, zero, v), m.column(zero, zero, size * v),
              m.column(zero, zero, size**2 * om),
              m.column(_side(v, DRIVING), zero, zero)]  # fmt: skip
-    families.append(Family("speed", ("velocity.linear_m_s",), np.stack(speed, axis=1)))
+    found.append(Family("speed", ("velocity.linear_m_s",), np.stack(speed, axis=1)))
     turn = [m.column(zero, zero, spin * om), m.column(zero, zero, spin**2 * om),
             m.column(spin**2 * v, zero, zero), m.column(zero, spin * om, zero),
             m.column(om, zero, zero), m.column(np.abs(om), zero, zero),
             m.column(zero, zero, np.abs(om)), m.column(zero, np.abs(om), zero),
             m.column(zero, zero, _side(om, TURNING))]  # fmt: skip
-    families.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
+    found.append(Family("turn", ("velocity.angular_rad_s",), np.stack(turn, axis=1)))
     went, turned = m.last_side(v, DRIVES), m.last_side(om, TURNS)
     driven = [m.column(zero, zero, went * om), m.column(went * v, zero, zero)]
     spun = [m.column(turned * v, zero, zero), m.column(zero, zero, turned * om)]
@@ -100,12 +110,12 @@ def pose_families(problem: Problem, point: Point) -> list[Family]:
                  m.column(zero, zero, _side(past_om, TURNING) * on),
                  m.column(zero, zero, _side(past_om, TURNING) * np.abs(om))]  # fmt: skip
     names = ("velocity.linear_m_s", "wheels.speeds_rpm")
-    families.append(Family("history of the speed", names, np.stack(driven, axis=1)))
+    found.append(Family("history of the speed", names, np.stack(driven, axis=1)))
     names = ("velocity.angular_rad_s", "wheels.speeds_rpm")
-    families.append(Family("history of the turn", names, np.stack(spun, axis=1)))
-    found = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
-    families.append(_periodic_pose(m, found))
-    return families
+    found.append(Family("history of the turn", names, np.stack(spun, axis=1)))
+    strongest = () if GYRO not in problem.stack.edges else peaks(problem, point, (GYRO,))
+    found.append(_periodic_pose(m, strongest))
+    return found
 
 
 def anchor_fields(m: Motion) -> Array:
@@ -177,10 +187,10 @@ def _unit(values: Array) -> Array:
     return np.asarray(np.clip((2.0 * values - low - high) / max(high - low, 1e-9), -1.5, 1.5))
 
 
-def drive_families(problem: Problem, point: Point) -> Iterator[Family]:
+@families.register
+def _(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Family]:
     """Return what a disturbance of speed and duty could depend on."""
-    assert isinstance(problem.stage, DriveStage)
-    stage, stack = problem.stage, problem.stack
+    stack = problem.stack
     _, seen, duty = stage.simulate(point.model.terms)
     rate = 1.0 / stage.segments.period_s
     slope = np.gradient(seen, axis=0) * rate

@@ -14,7 +14,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.diagnosis.thresholds import GAIN_FEWEST_RUNS
-from hilserver.measured.channels import GYRO, POSITION, TAG, YAW
+from hilserver.measured.channels import POSITION, TAG, YAW
 
 Array = NDArray[np.float64]
 
@@ -210,21 +210,13 @@ def errors(
 ) -> dict[str, Pair]:
     """Return the errors of every quantity of a stage, before and after."""
     out: dict[str, Pair] = {}
-    if problem.stage.name == "pose":
-        w = windows(problem, horizon_s)
-        if w is not None:
-            first, second = (free_run_errors(problem, p, w) for p in predictions)
-            for key in first:
-                pair = (first[key].of(problem, fold), second[key].of(problem, fold))
-                out[key] = Pair(*pair, w.horizon_s)
-        channels: dict[str, tuple[str, ...]] = {"gyro_z_rad_s": (GYRO,)}
-    else:
-        names = problem.stack.channels
-        channels = {
-            "speed_rpm": tuple(n for n in names if n.endswith("speed_rpm")),
-            "duty_pct": tuple(n for n in names if n.endswith("duty_pct")),
-        }
-    for key, some in channels.items():
+    w = windows(problem, horizon_s)
+    if w is not None:
+        first, second = (free_run_errors(problem, p, w) for p in predictions)
+        for key in first:
+            pair = (first[key].of(problem, fold), second[key].of(problem, fold))
+            out[key] = Pair(*pair, w.horizon_s)
+    for key, some in problem.stage.quantities.items():
         e = [channel_errors(problem, p, some) for p in predictions]
         if e[0] is not None and e[1] is not None:
             pair = (e[0].of(problem, fold), e[1].of(problem, fold))

@@ -10,7 +10,6 @@ from hilserver.diagnosis.findings.gain import gains
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.diagnosis.replay.model import Model
-from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -36,9 +35,8 @@ def gain_on(
         horizon_s = math.inf
     found: dict[str, Gain] = {}
     known = models["drive"].terms if "drive" in models else {}
-    for name, cut in stages_of(log, robot, drive_terms=known).items():
-        stage = cut.uncut() if isinstance(cut, PoseStage) else cut
-        problem, model = Problem(stage), models.get(name, Model())
+    for name, stage in stages_of(log, robot, drive_terms=known).items():
+        problem, model = Problem(stage.uncut()), models.get(name, Model())
         before, after = (
             problem.predict(terms, problem.start_poses(terms)) for terms in ({}, model.terms)
         )

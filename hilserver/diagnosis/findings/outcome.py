@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG, part_of
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG, Block, part_of
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.lost_steps import LostSteps
@@ -159,11 +159,13 @@ def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
     return {name: Parameter(value=mean, ci95=None, unit=signal_unit(name))}
 
 
-def structure(unknown: Sequence[Unknown], stage: str, most: dict[str, Parameter]) -> Finding:
+def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Parameter]) -> Finding:
     """Return the finding of unknown structure: what the error depends on, strongest first.
 
     Parameters
     ----------
+    block : str
+        Where it arises.
     most : dict of str to Parameter
         The signal that deviates most, see `deviating`.
     """
@@ -173,7 +175,7 @@ def structure(unknown: Sequence[Unknown], stage: str, most: dict[str, Parameter]
     finding = Finding(
         verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
         causes=(),
-        block="kinematics" if stage == "pose" else "drive",
+        block=block,
         p_adjusted=unknown[0].p,
         regressors=tuple(names[:6]),
         parameters=most,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
+from hilserver.diagnosis.catalogue.candidate import STAGES
 from hilserver.diagnosis.checks.standstill import stood_still, too_little_motion
 from hilserver.diagnosis.compare.comparison import run_of_spans
 from hilserver.diagnosis.engine import HORIZON_S, silent
@@ -82,7 +83,7 @@ def diagnose_groups(
     tell("fitting all groups together", 0.0)
     stages = [
         with_what_remains(decided(members), np.random.default_rng(seed))
-        for stage in ("drive", "pose")
+        for stage in STAGES
         if (members := _members(examined, stage))
     ]
     lap("joint fit")
@@ -100,7 +101,7 @@ def diagnose_groups(
                 fitted[len(found)] = d.joint.model(0).fitted[index]
                 found.append(with_worth(finding, index, whole, estimates[-1], horizon_s, rng))
         for m in d.members:
-            found += [_in(m.group, f) for f in beside(m.problem.stage.name, m.judged)]
+            found += [_in(m.group, f) for f in beside(m.judged)]
     found += [_in(name, too_little_motion()) for name, e in examined.items() if stood_still(e.log)]
     sizes, unseen = _smallest(examined, seed)
     lap("gain")
@@ -128,9 +129,7 @@ def diagnose_groups(
     )
     terms = extension(found, fitted)
     shown = {name: _shown(stages, wholes, name) for name in examined}
-    parts = {
-        name: evidence(e.log, e.robot, shown[name], terms, timings) for name, e in examined.items()
-    }
+    parts = {name: evidence(e.log, shown[name], terms, timings) for name, e in examined.items()}
     return Diagnosis(findings, merged(parts))
 
 

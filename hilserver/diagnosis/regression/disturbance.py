@@ -18,9 +18,8 @@ GRID_S = 0.02
 class Motion:
     """Dense motion of the present model on a coarse grid, and the columns of a disturbance."""
 
-    def __init__(self, problem: Problem, point: Point) -> None:
-        assert isinstance(problem.stage, PoseStage)
-        stage = self.stage = problem.stage
+    def __init__(self, stage: PoseStage, problem: Problem, point: Point) -> None:
+        self.stage = stage
         stride = max(round(GRID_S / stage.period_s), 1)
         self.problem, self.stride = problem, stride
         dense = stage.simulate(point.model.terms, point.poses)
@@ -32,8 +31,7 @@ class Motion:
         self.bounds = np.concatenate([[0], np.cumsum(sizes)])
         self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
         left, right = stage.left[take], stage.right[take]
-        scale = stage.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
-        self.v = (left - right) * scale
+        self.v = stage.forward_m_s()[take]
         self.side = (left, right)
         self.t = np.concatenate([
             stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])

@@ -22,10 +22,9 @@ from hilserver.diagnosis.noise.fitting import (
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
-from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
-from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stack import Stack
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import NOISE_SHORT_S, READING_NEAR
 from hilserver.measured.resolution import step_of
 
@@ -68,7 +67,7 @@ class Problem:
 
     Attributes
     ----------
-    stage : DriveStage or PoseStage
+    stage : Stage
     noise : mapping of str to NoiseModel
         By channel; learned anew it is another one.
     weights : ndarray, shape (n,)
@@ -77,7 +76,7 @@ class Problem:
         The drive hunts in a way that no replay can follow: what it leaves is noise.
     """
 
-    stage: DriveStage | PoseStage
+    stage: Stage
     noise: Mapping[str, NoiseModel] = field(default_factory=dict)
     weights: Array = field(default_factory=lambda: np.zeros(0))
     ripples: bool = False
@@ -105,10 +104,7 @@ class Problem:
     # --- predictions ------------------------------------------------------------------------------
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return what the sensors show, on average, with the terms of a model."""
-        if isinstance(self.stage, PoseStage):
-            exact = self.stage.predict(terms, poses, keep=keep)
-        else:
-            exact = self.stage.predict(terms)
+        exact = self.stage.predict(terms, poses, keep=keep)
         for name, reading in self.readings.items():
             if np.isfinite(reading.limit):
                 edge = self.stack.edges[name]
@@ -117,21 +113,15 @@ class Problem:
 
     def residual(self, predicted: Array) -> Array:
         """Return measured minus predicted."""
-        if isinstance(self.stage, PoseStage):
-            return self.stage.residual(predicted)
-        return self.stack.values - predicted
+        return self.stage.difference(self.stack.values, predicted)
 
     def start_poses(self, terms: Mapping[str, float]) -> Array:
-        """Return first guesses of the initial poses; nothing for the drive."""
-        if isinstance(self.stage, PoseStage):
-            return self.stage.start_poses(terms)
-        return np.zeros((0, 3))
+        """Return first guesses of the initial poses; none where there are none."""
+        return self.stage.start_poses(terms)
 
     def nuisance(self, predicted: Array, poses: Array) -> Array | None:
         """Return the raw columns of the initial poses, or None."""
-        if isinstance(self.stage, PoseStage) and self.stage.free_pose:
-            return self.stage.nuisance(predicted, poses)
-        return None
+        return self.stage.nuisance(predicted, poses)
 
     # --- whitening and projection -----------------------------------------------------------------
     def whiten(self, columns: Array) -> Array:
@@ -190,7 +180,7 @@ class Problem:
             moved = theta.copy()
             moved[j] += step[j]
             terms = model.with_theta(moved).terms
-            out[:, j] = self._difference(self.predict(terms, point.poses), base) / step[j]
+            out[:, j] = self.stage.difference(self.predict(terms, point.poses), base) / step[j]
         return out
 
     def accepted(self, point: Point) -> Array | None:
@@ -205,20 +195,16 @@ class Problem:
         if not candidate.linear:
             model = point.model.plus(candidate, candidate.start)
             predicted = self.predict(model.terms, point.poses)
-            return self._difference(predicted, point.predicted)[:, None]
+            return self.stage.difference(predicted, point.predicted)[:, None]
         out = np.empty((len(self.stack), candidate.n))
         for j in range(candidate.n):
             theta = list(candidate.null)
             theta[j] += candidate.step[j]
             moved = point.model.plus(candidate, tuple(theta))
             predicted = self.predict(moved.terms, point.poses)
-            out[:, j] = self._difference(predicted, point.predicted) / candidate.step[j]
+            moved_by = self.stage.difference(predicted, point.predicted)
+            out[:, j] = moved_by / candidate.step[j]
         return out
-
-    def _difference(self, moved: Array, base: Array) -> Array:
-        if isinstance(self.stage, PoseStage):
-            return self.stage.difference(moved, base)
-        return moved - base
 
     # --- noise ------------------------------------------------------------------------------------
     def learn_noise(self, raw: Array) -> None:
@@ -249,7 +235,7 @@ class Problem:
             columns = (stack.t_s[part], raw[part], exact[part], stack.values[part])
             parts.append(tuple(column[free] for column in columns))
         residuals = [(t, r) for t, r, _, _ in parts]
-        if isinstance(self.stage, DriveStage) and not self.ripples:
+        if self.stage.memoryless and not self.ripples:
             rounded = None
             if reading.step > 0.0:
                 rounded = noise_of_readings([(t, x, y) for t, _, x, y in parts], reading)

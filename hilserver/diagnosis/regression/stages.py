@@ -8,19 +8,18 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.encoders import as_turned
 from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
-from hilserver.diagnosis.replay.model import Model, robot_with
+from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import GROSS, READING_SAME_STEP, RIPPLE_ANSWERED
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
-from hilserver.plant.layout import P_ENCODER_GAIN
-from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
@@ -67,7 +66,7 @@ def stages_of(
     robot: RobotParameters,
     jobs: int = 1,
     drive_terms: Mapping[str, float] = MappingProxyType({}),
-) -> dict[str, DriveStage | PoseStage]:
+) -> dict[str, Stage]:
     """Return the stages that a log has the channels for; their runs may use so many threads.
 
     Parameters
@@ -76,48 +75,16 @@ def stages_of(
         What is known of the drive, for the wheel speeds that move the pose.
     """
     total_s = sum(s.end_s - s.start_s for s in log.spans)
-    stages: dict[str, DriveStage | PoseStage] = {}
+    stages: dict[str, Stage] = {}
+    drive = None
     if DriveStage.judges(log) and log.drive_is_known:
-        stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
-    if PoseStage.judges(log, driven="drive" in stages):
-        stages["pose"] = pose_stage(log, robot, stages.get("drive"), drive_terms, jobs)
+        drive = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
+        stages[drive.name] = drive
+    if PoseStage.judges(log, driven=drive is not None):
+        driven = None if drive is None else (drive, drive.simulate(drive_terms)[0])
+        turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
+        stages[PoseStage.name] = PoseStage(turned, robot, driven, block_s=block_s, jobs=jobs)
     return stages
-
-
-def pose_stage(
-    log: MeasuredLog,
-    robot: RobotParameters,
-    drive: DriveStage | PoseStage | None,
-    terms: Mapping[str, float],
-    jobs: int = 1,
-) -> PoseStage:
-    """Return the pose stage, its wheel speeds interpolated by the drive with these terms."""
-    log = as_turned(log, robot, terms)
-    total_s = sum(s.end_s - s.start_s for s in log.spans)
-    dense = None
-    if isinstance(drive, DriveStage):
-        dense = (drive, drive.simulate(terms)[0])
-    block_s = block_length(total_s, 3.0, 5.0, 72)
-    return PoseStage(log, robot, dense, block_s=block_s, jobs=jobs)
-
-
-def speed_factors(robot: RobotParameters, terms: Mapping[str, float]) -> dict[str, float]:
-    """Return by how much each wheel's speed in the log is that of the wheel, where it is not 1."""
-    gains = pack(robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")}))
-    factors = {
-        name: terms.get(scale, 1.0) * float(gains[P_ENCODER_GAIN + wheel])
-        for wheel, (name, scale) in enumerate(SPEED_SCALES.items())
-    }
-    return {name: factor for name, factor in factors.items() if factor != 1.0}
-
-
-def as_turned(log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]) -> MeasuredLog:
-    """Return the log with the speeds at which the wheels turned, whatever their encoders show."""
-    factors = speed_factors(robot, terms)
-    return log.with_channels({
-        name: log[name].with_values(log[name].values / factor)
-        for name, factor in factors.items() if name in log
-    })  # fmt: skip
 
 
 def prepare_all(
@@ -138,7 +105,7 @@ def prepare_all(
     prepared: dict[str, Prepared] = {}
     reasons: dict[str, str] = {}
     for name, stage in stages_of(log, robot, jobs).items():
-        if name == "drive" and lost_setpoints:
+        if stage.follows_setpoints and lost_setpoints:
             text = "the log does not hold the set-points that the machine got"
             candidates, others = judged_candidates(stage)
             reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)
@@ -150,9 +117,7 @@ def prepare_all(
     return prepared, reasons
 
 
-def prepare(
-    stage: DriveStage | PoseStage, jobs: int, tell: Tell
-) -> tuple[Prepared | None, dict[str, str]]:
+def prepare(stage: Stage, jobs: int, tell: Tell) -> tuple[Prepared | None, dict[str, str]]:
     """Learn a stage's noise and compute all its columns."""
     if len(stage.stack) == 0:
         return None, {}
@@ -189,7 +154,7 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     long: the measured values themselves tell the step, and the ripple counts as noise.
     """
     names = [n for n in SPEEDS if n in problem.stack.edges]
-    if not isinstance(problem.stage, DriveStage) or base.deviance < GROSS * len(base.left):
+    if not names or base.deviance < GROSS * len(base.left):
         return None
     parts = [problem.stack.edges[n] for n in names]
     values = problem.stack.values

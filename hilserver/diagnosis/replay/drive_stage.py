@@ -2,15 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.library import drive_candidates
+from hilserver.diagnosis.catalogue.needs import Need
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
+from hilserver.diagnosis.replay.battery import NOMINAL_V, VOLTAGE, voltage
 from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
+from hilserver.diagnosis.replay.stage import NO_POSES, Stage
 from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -26,6 +31,7 @@ from hilserver.plant.layout import (
     U_TWIST_ANGULAR,
     U_TWIST_LATERAL,
     U_TWIST_LINEAR,
+    WHEELS,
 )
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
@@ -42,17 +48,14 @@ INPUTS: Final[Mapping[str, int]] = {
     "drive.enable": U_ENABLE,
     "internal.command": U_COMMAND,
 }
-NOMINAL_V: Final = 19.2
+FULL_DUTY_PCT: Final = 100.0
 SETTLING_S: Final = 1.0
 MOVING_RPM: Final = 1.0
-SMOOTHING_S: Final = 2.0
-LATELY_S: Final = 0.02
-"""A voltage is used where the load did not change for so long: the sensor may lag."""
 ON_TIME: Final = 1e-3
 """Share of a tick that a stamp may lie beside it: seconds since 1970 are rounded to 2.4e-7 s."""
 
 
-class DriveStage:
+class DriveStage(Stage):
     """The drive of one log: what the base plant and its variations say of speed and duty.
 
     Attributes
@@ -65,7 +68,11 @@ class DriveStage:
         From when on the loops have forgotten what nobody knows of their start.
     """
 
-    name: Final = "drive"
+    name = "drive"
+    block = "drive"
+    memoryless = True
+    follows_setpoints = True
+    quantities: ClassVar = {"speed_rpm": SPEEDS, "duty_pct": DUTIES}
 
     def __init__(self, log: MeasuredLog, robot: RobotParameters, *, block_s: float) -> None:
         self.log, self.robot = log, robot
@@ -80,9 +87,9 @@ class DriveStage:
         self._volts = np.full(self.segments.ticks, NOMINAL_V)
         if log.on_ticks:
             self._inputs, self._row = self._placed()
-        if "battery.voltage_v" in log:
+        if VOLTAGE in log:
             _, _, duty = self.simulate({})
-            self._volts = self._voltage(np.abs(duty).sum(axis=1))
+            self._volts = voltage(log, self.segments, np.abs(duty).sum(axis=1))
 
     @staticmethod
     def judges(log: MeasuredLog) -> bool:
@@ -111,12 +118,42 @@ class DriveStage:
         )
         return speed, seen, duty
 
-    def predict(self, terms: Mapping[str, float]) -> Array:
+    def candidates(self) -> list[Candidate]:
+        """Return the causes of the drive, its controller and the log's speeds."""
+        return drive_candidates(FULL_DUTY_PCT)
+
+    def missing(self) -> list[Need]:
+        """Return what the log does not have of what causes of the drive need."""
+        log = self.log
+        held = {
+            Need.SPEED: any(n in log for n in SPEEDS),
+            Need.DUTY: any(n in log for n in DUTIES),
+            Need.VOLTAGE: VOLTAGE in log,
+            Need.STAMPS: log.has_stamps,
+        }
+        return [need for need, there in held.items() if not there]
+
+    def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:
+        """Return shown speed, duty and angle of every wheel at every tick."""
+        del poses
+        _, seen, duty = self.simulate(terms)
+        angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * self.segments.period_s)
+        angle = np.mod(angle, 2.0 * np.pi)
+        found = {}
+        for w, wheel in enumerate(WHEELS):
+            found |= {SPEEDS[w]: seen[:, w], DUTIES[w]: duty[:, w]}
+            found[f"wheel.{wheel}.angle_rad"] = angle[:, w]
+        return found
+
+    def predict(
+        self, terms: Mapping[str, float], poses: Array = NO_POSES, *, keep: bool = False
+    ) -> Array:
         """Return what the stack's samples would be.
 
         Where the log itself is rounded its steps tell nothing of those that the loop sees: what the
         loop makes of them does.
         """
+        del poses, keep
         speed, seen, duty = self.simulate(terms)
         held = terms.get("encoder_quantization", 0.0) > 0.0
         if held and self._rounded:
@@ -281,38 +318,3 @@ class DriveStage:
         fresh = np.concatenate([[True], (dense[1:] != dense[:-1]).any(axis=1)])
         fresh[self.segments.first[:-1]] = True
         return dense[fresh], np.cumsum(fresh) - 1
-
-    def _voltage(self, load: Array) -> Array:
-        """Return the battery voltage at every tick, without the noise of its sensor.
-
-        Noise on the voltage would drive the simulated loop. So the voltage is taken apart: what
-        follows the load at once (the simulated sum of the duties), and what is left, smoothed.
-        """
-        volts = np.full(self.segments.ticks, NOMINAL_V)
-        for i, span in enumerate(self.segments.span):
-            t, v = self.log["battery.voltage_v"].of(int(span))
-            if len(t) < 2:
-                continue
-            part = slice(int(self.segments.first[i]), int(self.segments.first[i + 1]))
-            ticks = self.segments.times(i)
-            at_samples = np.interp(t, ticks, load[part])
-            lately = np.interp(t - LATELY_S, ticks, load[part])
-            calm = np.abs(at_samples - lately) < 5.0
-            if calm.sum() < 10:
-                continue
-            t, v, at_samples = t[calm], v[calm], at_samples[calm]
-            width = max(1, round(SMOOTHING_S / float(np.median(np.diff(t)))))
-            fast_v, fast_load = v - _mean(v, width), at_samples - _mean(at_samples, width)
-            drop = float(fast_load @ fast_v) / max(float(fast_load @ fast_load), 1e-9)
-            slow = _mean(v - drop * at_samples, width)
-            volts[part] = np.interp(ticks, t, slow) + drop * load[part]
-        return volts
-
-
-def _mean(values: Array, width: int) -> Array:
-    """Return the moving mean over `width` samples, shorter at the ends."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    index = np.arange(len(values))
-    low = np.maximum(index - width // 2, 0)
-    high = np.minimum(index + width // 2 + 1, len(values))
-    return np.asarray((total[high] - total[low]) / (high - low))

@@ -1,83 +1,27 @@
 """Which causes a log can judge by its channels, and why others are not judged."""
 
-import numpy as np
+from collections.abc import Mapping
+from typing import Final
 
-from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates, side_encoders
+from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
+from hilserver.diagnosis.catalogue.needs import NOT_OF_ITS_OWN, lacking
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
+from hilserver.diagnosis.replay.stage import Stage
+from hilserver.measured.channels import POSITION
 from hilserver.measured.data import MeasuredLog
 
-NEEDS_DUTY = {"dead_zone", "stribeck_friction", "encoder_scale"}
-"""Other loads still show without duty where they keep wheels from their set-points."""
-NEEDS_POSITION = {
-    "wheel_radius",
-    "longitudinal_slip",
-    "acceleration_slip",
-    "side_slip",
-    "icr_offset",
-    "wheel_misalignment",
-    "floor_slope",
-    "surface_change",
-    "nav_lever_arm",
-    "nav_latency",
-    "nav_scale",
-    "nav_outliers",
-    "nav_position_bias",
-    "nav_frame_yaw",
+NO_STAGE: Final[Mapping[StageName, str]] = {
+    "drive": "no set-points with wheel speeds, or the mapping gives no plant.process",
+    "pose": "no pose and no turn rate in the log, or no wheel speed of both sides",
 }
-NEEDS_PLACE = {"surface_change", "floor_slope", "heading_distortion", "nav_position_bias"}
-NEEDS_YAW = {"nav_frame_yaw", "yaw_latency", "heading_distortion"}
-NEEDS_GYRO = {"gyro_bias", "gyro_scale", "imu_latency"}
-NEEDS_STAMPS = {
-    "nav_latency", "yaw_latency", "imu_latency", "actuation_delay", "clock_offset", "control_period"
-}  # fmt: skip
-NOT_OF_ITS_OWN = {
-    "friction_anisotropy": "in steady turns it is the same as rotation_gain and icr_offset",
-    "traction_slip": "on one floor it is the same as nav_scale",
-    "backlash": "the play between motor and wheel is not tested",
-    "missed_ticks": "the log has no tick counter",
-}
+"""Why causes are not judged whose stage the log does not allow."""
 
 
-def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], dict[str, str]]:
+def judged_candidates(stage: Stage) -> tuple[list[Candidate], dict[str, str]]:
     """Return the candidates that a stage's channels can judge, and why others are not judged."""
-    log = stage.log
-    reasons: dict[str, str] = {}
-    if isinstance(stage, DriveStage):
-        found = drive_candidates(100.0)
-        if not any(n in log for n in SPEEDS):
-            reasons |= dict.fromkeys((c.cause for c in found), "no wheel speed in the log")
-        if not any(n in log for n in DUTIES):
-            reasons |= dict.fromkeys(NEEDS_DUTY, "no duty in the log")
-        if "battery.voltage_v" not in log:
-            reasons["battery_sag"] = "no battery voltage in the log"
-    else:
-        found = pose_candidates(_place(log)) + side_encoders(stage.encoders)
-        if not log.has(*POSITION):
-            reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
-            if YAW in log or GYRO in log:
-                reasons.pop("wheel_radius", None)
-        if stage.begins_anew:
-            text = "the navigation's frame begins anew with every segment"
-            reasons |= dict.fromkeys(NEEDS_PLACE, text)
-        if YAW not in log:
-            reasons |= dict.fromkeys(NEEDS_YAW, "no navigation yaw in the log")
-        if GYRO not in log:
-            reasons |= dict.fromkeys(NEEDS_GYRO, "no turn rate in the log")
-    if not log.has_stamps:
-        reasons |= dict.fromkeys(NEEDS_STAMPS, "the log has no time stamps")
+    found = stage.candidates()
+    reasons = lacking(stage.missing(), found)
     return [c for c in found if c.cause not in reasons], reasons
-
-
-def _place(log: MeasuredLog) -> tuple[float, float, float, float] | None:
-    if not log.has(*POSITION):
-        return None
-    x, y = (log[n].values for n in POSITION)
-    (a, b), (c, d) = (np.quantile(v, [0.02, 0.98]) for v in (x, y))
-    return float(a), float(b), float(c), float(d)
 
 
 def splits(log: MeasuredLog, candidate: Candidate) -> bool:
@@ -106,10 +50,8 @@ def vocabulary_reasons(
             continue
         if not cause.physical:
             continue
-        if cause.block in ("drive", "controller") and "drive" not in stages:
-            out[name] = "no set-points with wheel speeds, or the mapping gives no plant.process"
-        elif cause.block not in ("drive", "controller") and "pose" not in stages:
-            out[name] = "no pose and no turn rate in the log, or no wheel speed of both sides"
+        if cause.stage not in stages:
+            out[name] = NO_STAGE[cause.stage]
     order = {name: place for place, name in enumerate(CAUSES)}
     left = sorted(out.keys() - judged, key=lambda name: (order.get(name, len(order)), name))
     return {name: out[name] for name in left}

@@ -2,20 +2,25 @@
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.library import pose_candidates, side_encoders
+from hilserver.diagnosis.catalogue.needs import Need
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.replay.model import robot_with
+from hilserver.diagnosis.replay.positions import begins_anew, driven_place, paired
 from hilserver.diagnosis.replay.stack import make_stack
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
-from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.measured.data import MeasuredLog
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_SEED
 from hilserver.plant.packing import initial_state, pack
@@ -32,11 +37,10 @@ STRIDES: Final = (2, 10)
 """
 SLOW_ROWS_S: Final = 0.04
 """... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
-SAME_START_M: Final = 0.01
-FEWEST_STARTS: Final = 4
+HEADING, FORWARD, TURN = "pose.yaw_rad", "velocity.linear_m_s", "velocity.angular_rad_s"
 
 
-class PoseStage:
+class PoseStage(Stage):
     """The kinematics of one log: what they make of the measured wheel speeds.
 
     Parameters
@@ -52,11 +56,17 @@ class PoseStage:
         Measured position, yaw and turn rate.
     left, right : ndarray, shape (ticks,)
         Sums of the speeds of both wheels of a side [rpm].
+    begins_anew : bool
+        Place and heading begin anew with every segment: the room is not known.
     encoders : mapping of int to ndarray, shape (ticks,)
         By wheel its share in these, where nothing but the pose can judge its encoder.
     """
 
-    name: Final = "pose"
+    name = "pose"
+    block = "kinematics"
+    memoryless = False
+    follows_setpoints = False
+    quantities: ClassVar = {"gyro_z_rad_s": (GYRO,)}
 
     def __init__(
         self,
@@ -70,7 +80,8 @@ class PoseStage:
     ) -> None:
         log = paired(log)
         self.log, self.robot = log, robot
-        self._drive, self._block_s = drive, block_s
+        self.drive = None if drive is None else drive[0]
+        self._driven, self._block_s = drive, block_s
         slices = stride(log) if drive is None or log.on_ticks else STRIDES[0]
         self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
@@ -108,8 +119,8 @@ class PoseStage:
         does not matter, but a simulation without any shows it.
         """
         wait_s = np.zeros(len(self.segments))
-        if self._drive is not None:
-            begins, ends = self._drive[0].segments, self._drive[0].settled_s
+        if self.drive is not None:
+            begins, ends = self.drive.segments, self.drive.settled_s
             for i, span in enumerate(self.segments.span):
                 own = int(np.flatnonzero(begins.span == span)[0])
                 wait_s[i] = max(float(ends[own] - self.segments.start_s[i]), 0.0)
@@ -117,14 +128,36 @@ class PoseStage:
 
     def _is_driven(self, span: int) -> bool:
         """Return whether it is known in a span how the wheels of both sides turned."""
-        if self._drive is not None and self._drive[0].knows(span):
+        if self.drive is not None and self.drive.knows(span):
             return True
         sides = (SPEEDS[:2], SPEEDS[2:])
         return all(any(n in self.log and len(self.log[n].of(span)[0]) for n in s) for s in sides)
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""
-        return PoseStage(self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None)
+        return PoseStage(self.log, self.robot, self._driven, block_s=self._block_s, longest_s=None)
+
+    def as_simulated(self) -> "PoseStage":
+        """Return the stage with wheels that turn as the configured drive does from set-points."""
+        assert self.drive is not None
+        driven = self.drive, self.drive.simulate({})[0]
+        return PoseStage(self.log.without(SPEEDS), self.robot, driven, block_s=self._block_s)
+
+    def candidates(self) -> list[Candidate]:
+        """Return the causes of kinematics, navigation and gyro, and of encoders."""
+        return pose_candidates(driven_place(self.log)) + side_encoders(self.encoders)
+
+    def missing(self) -> list[Need]:
+        """Return what the log does not have of what causes of the pose need."""
+        log = self.log
+        held = {
+            Need.POSITION: log.has(*POSITION),
+            Need.PLACE: not self.begins_anew,
+            Need.YAW: YAW in log,
+            Need.GYRO: GYRO in log,
+            Need.STAMPS: log.has_stamps,
+        }
+        return [need for need, there in held.items() if not there]
 
     @staticmethod
     def judges(log: MeasuredLog, *, driven: bool) -> bool:
@@ -221,9 +254,23 @@ class PoseStage:
             out[edge] += terms.get("gyro_bias", self.robot.terms.get("gyro_bias") or 0.0)
         return out
 
-    def residual(self, predicted: Array) -> Array:
-        """Return measured minus predicted; yaw along the shorter way."""
-        return self.difference(self.stack.values, predicted)
+    def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:
+        """Return place, heading and velocity of the body at every tick."""
+        dense = self.simulate(terms, poses)
+        yaw = np.arctan2(np.sin(dense[:, 2]), np.cos(dense[:, 2]))
+        return {
+            POSITION[0]: dense[:, 0],
+            POSITION[1]: dense[:, 1],
+            YAW: yaw,
+            HEADING: yaw,
+            FORWARD: self.forward_m_s(),
+            TURN: dense[:, 3],
+        }
+
+    def forward_m_s(self) -> Array:
+        """Return the speed ahead that the wheels ask for, at every tick."""
+        scale = self.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
+        return (self.left - self.right) * scale
 
     def difference(self, samples: Array, others: Array) -> Array:
         """Return samples minus others; yaw along the shorter way."""
@@ -233,8 +280,10 @@ class PoseStage:
             out[edge] -= 2.0 * np.pi * np.rint(out[edge] / (2.0 * np.pi))
         return out
 
-    def nuisance(self, predicted: Array, poses: Array) -> Array:
+    def nuisance(self, predicted: Array, poses: Array) -> Array | None:
         """Return how the prediction moves with the initial pose of its segment, shape (n, 3)."""
+        if not self.free_pose:
+            return None
         columns = np.zeros((len(self.stack), 3))
         stack = self.stack
         if self.has_position:
@@ -303,32 +352,3 @@ def stride(log: MeasuredLog) -> int:
         return 1
     periods = [row_period_s(log[n]) for n in SPEEDS if n in log]
     return STRIDES[bool(periods) and min(periods) > SLOW_ROWS_S]
-
-
-def begins_anew(log: MeasuredLog) -> bool:
-    """Return whether the navigation's frame begins anew with every segment.
-
-    Place and heading in the room are not known then.
-    """
-    if not log.has(*POSITION) or len(log.spans) < FEWEST_STARTS:
-        return False
-    starts = []
-    for name in POSITION:
-        channel = log[name]
-        _, first = np.unique(channel.span, return_index=True)
-        starts.append(channel.values[first])
-    return all(len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts)
-
-
-def paired(log: MeasuredLog) -> MeasuredLog:
-    """Return the log with only those positions that have both coordinates."""
-    if not log.has(*POSITION):
-        return log
-    x, y = (log[n] for n in POSITION)
-    keys = [c.span * 1e7 + c.t_s for c in (x, y)]
-    both = np.intersect1d(keys[0], keys[1])
-    kept = {}
-    for name, c, key in zip(POSITION, (x, y), keys, strict=True):
-        rows = np.isin(key, both)
-        kept[name] = Channel(c.t_s[rows], c.values[rows], c.span[rows])
-    return log.with_channels(kept)

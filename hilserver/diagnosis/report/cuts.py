@@ -6,21 +6,26 @@ one cut point, and not from the next, arises between the two.
 """
 
 from collections.abc import Mapping
+from functools import singledispatch
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.regression.problem import Problem
-from hilserver.diagnosis.regression.stages import Prepared, pose_stage
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.names import signal_unit
+from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
+CUTS: Final = ("setpoints", "duty", "speed")
 POSE_STEPS: Final = 2
 """Fits of the free initial poses: from the set-points the pose goes far astray."""
 SHARE: Final = 0.5
@@ -40,38 +45,61 @@ def cuts(stages: Mapping[str, Prepared]) -> tuple[CutRow, ...]:
     stages : mapping of str to Prepared
         ``drive``, ``pose`` or both. The configured plant is replayed, whatever was found.
     """
-    rows: list[CutRow] = []
-    drive, pose = stages.get("drive"), stages.get("pose")
-    if drive is not None:
-        problem = drive.problem
-        rows += _rows("setpoints", problem, problem.residual(drive.base.predicted))
-    if drive is not None and pose is not None:
-        rows += _whole_chain(drive.problem, pose)
-    if drive is not None:
-        rows += _process_only(drive.problem)
-    if pose is not None and any(n in pose.problem.stage.log for n in SPEEDS):
-        problem, base = pose.problem, pose.base
-        residual = problem.residual(base.predicted)
-        taken = _taken_by_start(problem, base.predicted, base.poses)
-        rows += _rows("speed", problem, residual, less=taken)
-    return tuple(rows)
+    known = any(p.problem.stage.follows_setpoints for p in stages.values())
+    rows = [row for p in stages.values() for row in _from_all(p.problem.stage, p, known)]
+    return tuple(sorted(rows, key=lambda row: CUTS.index(row.cut)))
+
+
+@singledispatch
+def _from_all(stage: Stage, p: Prepared, setpoints: bool) -> list[CutRow]:
+    """Return the residuals of one stage from every cut point.
+
+    Parameters
+    ----------
+    setpoints : bool
+        The log holds those that the machine got.
+    """
+    raise NotImplementedError(f"a {stage.name} has no cut points")
+
+
+@_from_all.register
+def _(stage: DriveStage, p: Prepared, setpoints: bool) -> list[CutRow]:
+    del setpoints
+    whole = _rows("setpoints", p.problem, p.problem.residual(p.base.predicted))
+    return whole + _process_only(stage, p.problem)
+
+
+@_from_all.register
+def _(stage: PoseStage, p: Prepared, setpoints: bool) -> list[CutRow]:
+    rows = []
+    if setpoints and stage.drive is not None:
+        chain = Problem(stage.as_simulated(), p.problem.noise, p.problem.weights)
+        far = chain.point(Model(), chain.start_poses({}), pose_steps=POSE_STEPS)
+        rows += _of_pose("setpoints", chain, far)
+    if any(n in stage.log for n in SPEEDS):
+        rows += _of_pose("speed", p.problem, p.base)
+    return rows
+
+
+def _of_pose(cut: str, problem: Problem, point: Point) -> list[CutRow]:
+    """Return the residuals of the pose at a point, initial poses free."""
+    taken = _taken_by_start(problem, point.predicted, point.poses)
+    return _rows(cut, problem, problem.residual(point.predicted), less=taken)
 
 
 def remarks(stages: Mapping[str, Prepared]) -> tuple[str, ...]:
     """Return what a reader of the cuts must know."""
-    if "drive" not in stages:
-        return ()
-    stage, stack = stages["drive"].problem.stage, stages["drive"].problem.stack
-    assert isinstance(stage, DriveStage)
-    duties = [stack.t_s[stack.edges[n]] for n in DUTIES if n in stack.edges]
-    if not any(np.median(np.diff(t)) > SHARE * _closed_s(stage) for t in duties if len(t) > 1):
-        return ()
-    rest_s = REST * stage.robot.process.t1_s
-    return (
-        "The duty was recorded too rarely to know it between its samples after a step: replayed"
-        " from the duty, a wheel speed counts only where the set-points had rested for"
-        f" {rest_s:.2f} s. A wrong time constant of the motors shows in the whole chain alone.",
-    )
+    for problem in (p.problem for p in stages.values()):
+        stack, robot = problem.stack, problem.stage.robot
+        duties = [stack.t_s[stack.edges[n]] for n in DUTIES if n in stack.edges]
+        if any(np.median(np.diff(t)) > SHARE * _closed_s(robot) for t in duties if len(t) > 1):
+            return (
+                "The duty was recorded too rarely to know it between its samples after a step:"
+                " replayed from the duty, a wheel speed counts only where the set-points had rested"
+                f" for {REST * robot.process.t1_s:.2f} s. A wrong time constant of the motors shows"
+                " in the whole chain alone.",
+            )
+    return ()
 
 
 def _rows(
@@ -114,17 +142,6 @@ def _rows(
     return rows
 
 
-def _whole_chain(drive: Problem, pose: Prepared) -> list[CutRow]:
-    """Return the residuals of the pose with simulated wheel speeds, initial poses free."""
-    given = pose.problem.stage
-    stage = pose_stage(given.log.without(SPEEDS), given.robot, drive.stage, {})
-    problem = Problem(stage, pose.problem.noise, pose.problem.weights)
-    point = problem.point(Model(), problem.start_poses({}), pose_steps=POSE_STEPS)
-    residual = problem.residual(point.predicted)
-    taken = _taken_by_start(problem, point.predicted, point.poses)
-    return _rows("setpoints", problem, residual, less=taken)
-
-
 def _taken_by_start(problem: Problem, predicted: Array, poses: Array) -> Array | None:
     """Return the variance that each sample loses to the fit of its initial pose.
 
@@ -142,15 +159,14 @@ def _taken_by_start(problem: Problem, predicted: Array, poses: Array) -> Array |
     return out
 
 
-def _process_only(problem: Problem) -> list[CutRow]:
+def _process_only(stage: DriveStage, problem: Problem) -> list[CutRow]:
     """Return the residuals of the wheel speeds under the measured duty.
 
     Between its samples the duty is the simulated one plus the interpolated difference. After a step
     of a set-point it falls within milliseconds, and differently under another controller: where the
     log does not show that, speeds count only when the process has forgotten it.
     """
-    stage, stack = problem.stage, problem.stack
-    assert isinstance(stage, DriveStage)
+    stack = problem.stack
     _, _, duty = stage.simulate({})
     noisy, rng = duty.copy(), np.random.default_rng(0)
     judged = np.zeros(len(stack), dtype=bool)
@@ -186,16 +202,17 @@ def _unseen(stage: DriveStage, wheel: int, held: Array) -> NDArray[np.bool_]:
         if len(at) > 1:
             apart = np.diff(at)
             gap_s[at[0] : at[-1]] = np.repeat(apart, apart) * segments.period_s
-    fall_s, stepped = FALL * _closed_s(stage), stage.stepped(wheel)
+    closed_s = _closed_s(stage.robot)
+    fall_s, stepped = FALL * closed_s, stage.stepped(wheel)
     since = stage.since(stepped)
     again = stepped & (np.concatenate([[np.inf], since[:-1]]) < fall_s)
     ramp = (stage.since(again) < fall_s) & (gap_s > 1.5 * segments.period_s)
-    return ramp | ((since < fall_s) & (gap_s > SHARE * _closed_s(stage)))
+    return ramp | ((since < fall_s) & (gap_s > SHARE * closed_s))
 
 
-def _closed_s(stage: DriveStage) -> float:
+def _closed_s(robot: RobotParameters) -> float:
     """Return the time constant of the closed loop, with which a duty falls after a step."""
-    process, controller = stage.robot.process, stage.robot.controller
+    process, controller = robot.process, robot.controller
     return process.t1_s / (1.0 + controller.k_p * process.gain)
 
 

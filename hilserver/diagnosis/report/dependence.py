@@ -12,19 +12,17 @@ from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.unknown import peaks
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
-from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.pose_stage import FORWARD, HEADING, TURN
+from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import Dependence
 from hilserver.diagnosis.thresholds import STRUCTURE_LEVEL
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
-from hilserver.plant.layout import WHEELS
 
 Array = NDArray[np.float64]
 
 MOST, EACH = 2, 2
 """Structures, and regressors of each, that are drawn."""
-HEADING: Final = "pose.yaw_rad"
 BASE_S: Final = 1.0
 """Over which the growth of a pose's error is taken."""
 BINS: Final = 24
@@ -109,10 +107,6 @@ def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
     size, *_ = np.linalg.lstsq(unit, point.left, rcond=1e-9)
     explained = point.left**2 - (point.left - unit @ size) ** 2
     share = {n: float(explained[e].sum()) for n, e in edges.items()}
-    if isinstance(problem.stage, DriveStage):
-        duties = [n for n in DUTIES if n in edges]
-        name = max(duties or [n for n in SPEEDS if n in edges], key=lambda n: share[n])
-        return _Left(name, edges[name], residual[edges[name]], used[edges[name]])
     along = sum(share.get(n, 0.0) for n in POSITION)
     if along > sum(share.get(n, 0.0) for n in (GYRO, YAW)):
         x, y = (edges[n] for n in POSITION)
@@ -120,12 +114,14 @@ def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
         forward = [_rate(problem, e, residual[e]) for e in (x, y)]
         ahead = np.cos(yaw) * forward[0] + np.sin(yaw) * forward[1]
         sound = np.isfinite(ahead) & used[x] & used[y]
-        return _Left("velocity.linear_m_s", x, np.nan_to_num(ahead), sound)
-    if GYRO in edges:
-        return _Left(GYRO, edges[GYRO], residual[edges[GYRO]], used[edges[GYRO]])
+        return _Left(FORWARD, x, np.nan_to_num(ahead), sound)
+    for some in ((GYRO,), DUTIES, SPEEDS):
+        if own := [n for n in some if n in edges]:
+            name = max(own, key=lambda n: share[n])
+            return _Left(name, edges[name], residual[edges[name]], used[edges[name]])
     turned = _rate(problem, edges[YAW], residual[edges[YAW]])
     sound = np.isfinite(turned) & used[edges[YAW]]
-    return _Left("velocity.angular_rad_s", edges[YAW], np.nan_to_num(turned), sound)
+    return _Left(TURN, edges[YAW], np.nan_to_num(turned), sound)
 
 
 def _rate(problem: Problem, edge: slice, values: Array) -> Array:
@@ -149,29 +145,14 @@ def _rate(problem: Problem, edge: slice, values: Array) -> Array:
 
 def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Array]:
     """Return what is known at the samples of a channel, by name."""
-    stage, stack, terms = problem.stage, problem.stack, point.model.terms
+    stage, stack = problem.stage, problem.stack
     row = np.minimum(np.rint(stack.at[edge]).astype(np.int64), stack.high[edge])
-    out = {"t_s": stack.t_s[edge]}
-    if isinstance(stage, PoseStage):
-        dense = stage.simulate(terms, point.poses)[row]
-        scale = stage.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
-        out |= dict(zip(POSITION, (dense[:, 0], dense[:, 1]), strict=True))
-        out[HEADING] = np.arctan2(np.sin(dense[:, 2]), np.cos(dense[:, 2]))
-        out[YAW] = out[HEADING]
-        out["velocity.linear_m_s"] = (stage.left - stage.right)[row] * scale
-        out["velocity.angular_rad_s"] = dense[:, 3]
-        return out
-    _, seen, duty = stage.simulate(terms)
-    angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * stage.segments.period_s)
-    for w, wheel in enumerate(WHEELS):
-        out[SPEEDS[w]], out[DUTIES[w]] = seen[row, w], duty[row, w]
-        out[f"wheel.{wheel}.angle_rad"] = np.mod(angle[row, w], 2.0 * np.pi)
-        if SETPOINTS[w] in stage.log:
-            out[SETPOINTS[w]] = _held(stage, SETPOINTS[w], edge)
-    return out
+    dense = stage.signals(point.model.terms, point.poses)
+    out = {"t_s": stack.t_s[edge]} | {name: values[row] for name, values in dense.items()}
+    return out | {name: _held(stage, name, edge) for name in SETPOINTS if name in stage.log}
 
 
-def _held(stage: DriveStage, name: str, edge: slice) -> Array:
+def _held(stage: Stage, name: str, edge: slice) -> Array:
     """Return the value of an input at the samples of a channel: it holds until the next."""
     t_s, segment = stage.stack.t_s[edge], stage.stack.segment[edge]
     out = np.zeros(len(t_s))

@@ -12,7 +12,8 @@ from hilserver.diagnosis.findings.gain import HORIZONS_S, compare, free_run_erro
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared
-from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.battery import VOLTAGE
+from hilserver.diagnosis.replay.pose_stage import FORWARD, TURN
 from hilserver.diagnosis.report import cuts
 from hilserver.diagnosis.report.course import courses
 from hilserver.diagnosis.report.dependence import dependences
@@ -32,7 +33,6 @@ from hilserver.diagnosis.schema.evidence import (
 from hilserver.measured.channels import POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
-from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,6 @@ class Shown:
 
 def evidence(
     log: MeasuredLog,
-    robot: RobotParameters,
     stages: Mapping[str, Shown],
     terms: tuple[FittedTerm, ...],
     timings: Mapping[str, float],
@@ -77,16 +76,15 @@ def evidence(
     over_time: list[Course] = []
     extended = bool(terms)
     prepared = {name: s.prepared for name, s in stages.items()}
-    for name, s in stages.items():
+    for s in stages.values():
         series += _series(s, extended)
         noise += _noise(s)
         screen += _screen(s)
         rest += dependences(s.prepared.problem, s.point, s.unknown)
         over_time += courses(s.prepared.problem, s.point, set(s.drift))
-        if name == "pose":
-            horizons += _horizons(s)
-            paths = _paths(s, extended)
-            similarity = _similarity(s)
+        horizons += _horizons(s)
+        paths += _paths(s, extended)
+        similarity = _similarity(s)
     start_s = min((float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0)
     return Evidence(
         series=tuple(replace(item, t_s=item.t_s - start_s) for item in series),
@@ -102,7 +100,7 @@ def evidence(
         ),
         courses=tuple(replace(item, t_s=item.t_s - start_s) for item in over_time),
         extension=terms,
-        fitted=_range(log, robot, stages),
+        fitted=_range(log, stages),
         timings_s=dict(timings),
         remarks=cuts.remarks(prepared),
     )
@@ -238,21 +236,21 @@ def _similarity(s: Shown) -> Similarity:
     return Similarity(tuple(first), unit.T @ unit)
 
 
-def _range(log: MeasuredLog, robot: RobotParameters, stages: Mapping[str, Shown]) -> FittedRange:
-    wheel = [log[n].values for n in SPEEDS if n in log]
-    rpm = turn = speed = volts = None
-    if wheel:
-        both = np.concatenate(wheel)
-        rpm = (float(both.min()), float(both.max()))
-    if "pose" in stages:
-        stage = stages["pose"].prepared.problem.stage
-        assert isinstance(stage, PoseStage)
-        point = stages["pose"].point
-        om = stage.simulate(point.model.terms, point.poses)[:, 3]
-        scale = robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
-        v = (stage.left - stage.right) * scale
-        turn, speed = (float(om.min()), float(om.max())), (float(v.min()), float(v.max()))
-    if "battery.voltage_v" in log:
-        b = log["battery.voltage_v"].values
-        volts = (float(b.min()), float(b.max()))
-    return FittedRange(speed, rpm, turn, volts)
+def _range(log: MeasuredLog, stages: Mapping[str, Shown]) -> FittedRange:
+    """Return the range of what happened in the log: outside of it nothing is known."""
+    moved: dict[str, Array] = {}
+    for s in stages.values():
+        moved |= s.prepared.problem.stage.signals(s.point.model.terms, s.point.poses)
+    measured = {name: log[name].values for name in (*SPEEDS, VOLTAGE) if name in log}
+
+    def ends(of: Mapping[str, Array], *names: str) -> tuple[float, float] | None:
+        found = [of[name] for name in names if name in of]
+        both = np.concatenate(found) if found else None
+        return None if both is None else (float(both.min()), float(both.max()))
+
+    return FittedRange(
+        ends(moved, FORWARD),
+        ends(measured, *SPEEDS),
+        ends(moved, TURN),
+        ends(measured, VOLTAGE),
+    )

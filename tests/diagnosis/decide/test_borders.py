@@ -16,7 +16,7 @@ def asked_for(candidate, at):
     asked = []
 
     class Stage(toy.LinearStage):
-        def predict(self, terms):
+        def predict(self, terms, *rest, **how):
             asked.append(terms)
             return np.zeros(len(self.stack))
 

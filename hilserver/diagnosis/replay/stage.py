@@ -1,0 +1,97 @@
+"""What a regression asks of a replay, whichever part of the machine it replays."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
+from hilserver.diagnosis.catalogue.needs import Need
+from hilserver.diagnosis.catalogue.vocabulary import Block
+from hilserver.diagnosis.replay.stack import Stack
+from hilserver.measured.clock import Segments
+from hilserver.measured.data import MeasuredLog
+from hilserver.plant.parameters import RobotParameters
+
+Array = NDArray[np.float64]
+
+NO_POSES: Final = np.zeros((0, 3))
+
+
+class Stage(ABC):
+    """The replay of one part of the machine, from what the log knows of its input.
+
+    Attributes
+    ----------
+    name : str
+        As candidates call it.
+    block : str
+        Where an error without a cause's name arises.
+    memoryless : bool
+        Its sensors have no memory: what neighbouring samples share is a misfit, and no noise.
+    follows_setpoints : bool
+        It predicts nothing where the log does not hold the set-points that the machine got.
+    quantities : mapping of str to tuple of str
+        Channels whose errors are reported sample by sample, by the name of the quantity.
+    segments : Segments
+        Pieces of the log that begin anew.
+    stack : Stack
+        Measured samples of the channels that it predicts.
+    """
+
+    name: ClassVar[StageName]
+    block: ClassVar[Block]
+    memoryless: ClassVar[bool]
+    follows_setpoints: ClassVar[bool]
+    quantities: ClassVar[Mapping[str, tuple[str, ...]]]
+    log: MeasuredLog
+    robot: RobotParameters
+    segments: Segments
+    stack: Stack
+
+    @abstractmethod
+    def candidates(self) -> list[Candidate]:
+        """Return the candidates that it could judge with all of its channels."""
+
+    @abstractmethod
+    def missing(self) -> Sequence[Need]:
+        """Return what the log does not have of what its causes need."""
+
+    @abstractmethod
+    def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
+        """Return what the stack's samples would be.
+
+        Parameters
+        ----------
+        poses : ndarray, shape (segments, 3)
+            Initial poses; empty where there are none.
+        keep : bool
+            The next predictions will differ from this one in sensors alone.
+        """
+
+    @abstractmethod
+    def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:
+        """Return what the replay itself does, by signal, at every tick and without noise."""
+
+    def difference(self, samples: Array, others: Array) -> Array:
+        """Return samples minus others; angles along the shorter way."""
+        return samples - others
+
+    def start_poses(self, terms: Mapping[str, float]) -> Array:
+        """Return a first guess of the initial poses; a stage may have none."""
+        del terms
+        return NO_POSES
+
+    def nuisance(self, predicted: Array, poses: Array) -> Array | None:
+        """Return how the prediction moves with the initial poses, shape (n, 3), if these are free.
+
+        Their columns are projected out of every fit.
+        """
+        del predicted, poses
+        return None
+
+    def uncut(self) -> "Stage":
+        """Return the stage with whole spans as its segments."""
+        return self
