@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 Theta = Sequence[float]
+Region = tuple[float, float, float, float]
 StageName = Literal["drive", "pose"]
 STAGES: Final[tuple[StageName, ...]] = get_args(StageName)
 """In the order in which they are judged."""
@@ -52,6 +53,8 @@ class Candidate:
         Standard deviation about null of what sound machines have; infinite: any size is usual.
     undecided : mapping of str to (float, float)
         Terms of its shape that these data leave open, with the range that is possible.
+    region : tuple of float, optional
+        Part of the floor that it acts on: x_min, x_max, y_min, y_max [m].
     """
 
     cause: str
@@ -70,6 +73,7 @@ class Candidate:
     moved: "Callable[[float], Candidate] | None" = None
     prior: float = math.inf
     undecided: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    region: Region | None = None
 
     @property
     def weight(self) -> int:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from hilserver.diagnosis.catalogue.candidate import (
     Candidate,
+    Region,
     StageName,
     several,
     single,
@@ -27,10 +28,9 @@ USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0
 QUANTA_RPM = (0.25, 0.5, 1.0)
 RATES_RPM_S = (80.0, 150.0, 400.0)
 LIMITS_PCT = (85.0, 65.0, 45.0)
-MEASURED_LENGTH = 0.05
-"""Prior deviation of a length that somebody measured: wheels and distances between anchors."""
-ENCODER = 0.05
-"""Prior deviation of what an encoder shows by what its wheel turns."""
+MEASURED = 0.05
+"""Prior deviation of what somebody measured or counted: radii, distances between anchors, the
+increments of a turn."""
 
 
 def drive_candidates(limit_pct: float) -> list[Candidate]:
@@ -80,7 +80,7 @@ def drive_candidates(limit_pct: float) -> list[Candidate]:
     return found
 
 
-def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Candidate]:
+def pose_candidates(place: Region | None) -> list[Candidate]:
     """Return the candidates that pose and turn rate judge.
 
     Parameters
@@ -90,7 +90,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
     """
     stage: StageName = "pose"
     found = [
-        replace(single("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0), prior=MEASURED_LENGTH),
+        replace(single("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0), prior=MEASURED),
         # 10 m with it cost about half the heading of a full turn with the least rotation_gain
         single("wheel_radius_difference", stage, 0.005, 0.0005, -0.5, 0.5),
         single("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
@@ -105,7 +105,7 @@ def pose_candidates(place: tuple[float, float, float, float] | None) -> list[Can
         single("nav_frame_yaw", stage, 0.01, 0.005, -3.2, 3.2),
         single("nav_latency", stage, 0.02, 0.008, 0.0, 1.5),
         single("yaw_latency", stage, 0.02, 0.01, 0.0, 1.5),
-        replace(single("nav_scale", stage, 0.01, 0.003, -0.5, 1.0), prior=MEASURED_LENGTH),
+        replace(single("nav_scale", stage, 0.01, 0.003, -0.5, 1.0), prior=MEASURED),
         single("gyro_bias", stage, 0.002, 0.0005, -1.0, 1.0),
         single("gyro_scale", stage, 0.01, 0.003, -0.95, 3.0),
         single("imu_latency", stage, 0.01, 0.004, 0.0, 1.5),
@@ -186,7 +186,7 @@ def side_encoders(wheels: Collection[int]) -> list[Candidate]:
         replace(
             _encoder(side[0]),
             stage="pose",
-            prior=ENCODER,
+            prior=MEASURED,
             undecided={"encoder_scale.wheel": (side[0], side[1])} if len(side) > 1 else {},
         )
         for side in sides
@@ -223,7 +223,7 @@ def _stribeck(n_s: float) -> Candidate:
     )
 
 
-def _surfaces(place: tuple[float, float, float, float]) -> list[Candidate]:
+def _surfaces(place: Region) -> list[Candidate]:
     """Part of the floor, cut at several places, either side of the cut."""
     x_min, x_max, y_min, y_max = place
     return [
@@ -235,7 +235,7 @@ def _surfaces(place: tuple[float, float, float, float]) -> list[Candidate]:
 
 
 def _surface(axis: str, side: str, edge: float) -> Candidate:
-    region = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
+    ends = {"x_min": -1e3, "x_max": 1e3, "y_min": -1e3, "y_max": 1e3, f"{axis}_{side}": edge}
     candidate = several(
         "surface_change",
         f"surface_change@{axis}_{side}={edge:.3f}",
@@ -243,8 +243,14 @@ def _surface(axis: str, side: str, edge: float) -> Candidate:
         ("surface_change.k_om", "surface_change.v"),
         (0.05, 0.05),
         0.03,
-        {f"surface_change.{key}": value for key, value in region.items()},
+        {f"surface_change.{key}": value for key, value in ends.items()},
         -0.9,
         3.0,
     )
-    return replace(candidate, hidden=2, moved=lambda shift_m: _surface(axis, side, edge + shift_m))
+    x_min, x_max, y_min, y_max = ends.values()
+    return replace(
+        candidate,
+        hidden=2,
+        moved=lambda shift_m: _surface(axis, side, edge + shift_m),
+        region=(x_min, x_max, y_min, y_max),
+    )

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from hilserver.diagnosis.catalogue.candidate import StageName
+from hilserver.measured.channels import GYRO, POSITION, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.terms import TERMS, Term
 
@@ -23,6 +24,17 @@ SPEED_SCALES: Final[Mapping[str, str]] = MappingProxyType(
     {f"wheel.{wheel}.speed_rpm": f"shift.scale.{wheel}" for wheel in WHEELS}
 )
 """By signal: factor by which the log, but not the controller, has a wheel's speed."""
+
+SPEED_STEP: Final = "encoder_quantization"
+"""Term of the step in which the loop sees the wheel speeds; the values themselves may tell it."""
+
+LATENCIES: Final[Mapping[str, str]] = MappingProxyType(
+    {POSITION[0]: "nav_latency", YAW: "yaw_latency", GYRO: "imu_latency"}
+)
+"""By signal: term by which what it shows is late; of the position the first one's for both."""
+
+OUTLIERS: Final = ("nav_outliers.share", "nav_outliers.size")
+"""Parameters of outliers in the position: their share, and how far they lie away."""
 
 OF_THE_LOG: Final[Mapping[str, str]] = MappingProxyType(
     {"shift.nav": "clock_offset.nav"}

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.checks import (
     blocked,
     clocks,
@@ -73,8 +74,7 @@ class Checked:
     def lost_setpoints(self) -> bool:
         """Whether nobody knows any more when the set-points changed."""
         return any(
-            cause == "interpolated_setpoint"
-            or (cause == "held_samples" and any(map(is_input, finding.regressors)))
+            traits_of(cause).hides_inputs and any(map(is_input, finding.regressors))
             for finding in self.findings
             for cause in finding.causes
         )

@@ -88,24 +88,27 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
         judged = _judge(lags)
         if judged is None:
             continue
-        cause, lag = judged
+        drifts, lag = judged
         names = [name for name in log.channels if name.startswith(prefix)]
-        findings.append(_finding(cause, source, names, lag))
-        log = log.with_channels({name: _moved(log[name], cause, lag) for name in names})
+        findings.append(_finding(source, names, lag, drifts=drifts))
+        log = log.with_channels({name: _moved(log[name], lag, drifts=drifts) for name in names})
     return log, findings
 
 
-def _judge(lags: list[Lag]) -> tuple[str, Lag] | None:
-    """Return the cause and the best estimate; None where a late source explains it as well."""
+def _judge(lags: list[Lag]) -> tuple[bool, Lag] | None:
+    """Return whether the clock drifts and the best estimate.
+
+    None where a late source explains it as well.
+    """
     if not lags:
         return None
     best = min(lags, key=lambda lag: lag.offset_sd_s)
     if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
-        return "clock_drift", best
+        return True, best
     if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], CLOCK_ALIKE_S):
         return None
     together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
-    return ("clock_offset", best) if best.is_early or (best.is_off and together) else None
+    return (False, best) if best.is_early or (best.is_off and together) else None
 
 
 def _agree(figures: list[tuple[float, float]], least: float) -> bool:
@@ -114,8 +117,8 @@ def _agree(figures: list[tuple[float, float]], least: float) -> bool:
     return max(values) - min(values) <= max(least, 2.5 * sd)
 
 
-def _finding(cause: str, source: str, names: list[str], lag: Lag) -> Finding:
-    if cause == "clock_drift":
+def _finding(source: str, names: list[str], lag: Lag, *, drifts: bool) -> Finding:
+    if drifts:
         value, sd, unit = lag.drift, lag.drift_sd, "s/s"
         text = f"The clock of the {source} runs {1e6 * value:+.0f} us per second beside the wheels'"
     else:
@@ -123,13 +126,12 @@ def _finding(cause: str, source: str, names: list[str], lag: Lag) -> Finding:
         text = f"The stamps of the {source} are {value:+.3f} s beside those of the wheels"
     explanation = f"{text}: let both take their time from one clock; the stamps were shifted."
     interval = (value - 1.96 * sd, value + 1.96 * sd)
+    cause = "clock_drift" if drifts else "clock_offset"
     return data_fault(cause, names, value, interval, unit, explanation)
 
 
-def _moved(channel: Channel, cause: str, lag: Lag) -> Channel:
-    shift = lag.offset_s + (
-        lag.drift * (channel.t_s - lag.middle_s) if cause == "clock_drift" else 0.0
-    )
+def _moved(channel: Channel, lag: Lag, *, drifts: bool) -> Channel:
+    shift = lag.offset_s + (lag.drift * (channel.t_s - lag.middle_s) if drifts else 0.0)
     return replace(channel, t_s=channel.t_s - shift)
 
 

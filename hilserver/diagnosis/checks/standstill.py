@@ -1,16 +1,14 @@
 """A machine that stood still: what its recording can show, and what it cannot."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.schema.findings import Detectable, Finding, NotJudged, Verdict
 from hilserver.diagnosis.thresholds import STILL_RPM
 from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import MeasuredLog
-
-SHOWN_AT_REST: Final = frozenset({"gyro_bias"})
 
 
 def stood_still(log: MeasuredLog) -> bool:
@@ -42,6 +40,6 @@ def at_rest(
 
     What the noise of the wheel speeds would do to a simulated pose is no effect that could be seen.
     """
-    shown = [size for size in sizes if size.cause in SHOWN_AT_REST]
+    shown = [size for size in sizes if traits_of(size.cause).at_rest]
     causes = [s.cause for s in sizes if s not in shown] + [u.cause for u in unseen]
     return shown, [NotJudged(cause=cause, reason="the robot stood still") for cause in causes]

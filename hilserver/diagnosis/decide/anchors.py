@@ -12,6 +12,8 @@ from functools import singledispatch
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
+from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.decide.structure import Unknown, alone, holds_out, joint_gain
 from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import RANGING, anchor_fields
@@ -181,12 +183,12 @@ class Contest:
 def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     """Hold an accepted scale of the navigation against misplaced anchors; None without one."""
     accepted = problem.accepted(point)
-    if accepted is None or "nav_scale" not in point.model.causes:
+    index = next((i for i, c in enumerate(point.model.causes) if traits_of(c).field), None)
+    if accepted is None or index is None:
         return None
     fields = _fields(problem.stage, problem, point)
     if fields is None:
         return None
-    index = point.model.causes.index("nav_scale")
     others, own = alone(point, accepted, index)
     target = orthogonal((point.left + own)[:, None], others)[:, 0]
     white = orthogonal(fields.white, others)
@@ -204,6 +206,6 @@ def _rival(library: Library, point: Point) -> float:
     saved = (
         float(gain[library.owner == i].max()) - cost(c, 0.0)
         for i, c in enumerate(library.candidates)
-        if c.cause != "nav_position_bias"
+        if c.cause != cause_of(POSITION_FIELD).name
     )
     return max(saved, default=0.0)

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE
+from hilserver.diagnosis.regression.intervals import own_share
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.replay.model import Fitted, Model
@@ -20,13 +21,9 @@ from hilserver.diagnosis.thresholds import (
     DRIFT_LEVEL,
     DRIFT_PARTS,
     DRIFT_RIVALS,
-    MODEL_SHARE,
 )
 
 Array = NDArray[np.float64]
-
-OF_A_PLACE = {"surface_change"}
-"""What changes along the log may look like these: early and late the robot is at other places."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +84,7 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
 
     def inexact(f: Fitted, mine: slice) -> float:
         own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
-        share = ABRUPT_SHARE.get(f.candidate.cause, MODEL_SHARE)
-        return (2.0 * share) ** 2 * float(own @ own)
+        return (2.0 * own_share(f.candidate.cause)) ** 2 * float(own @ own)
 
     return {
         f.candidate.cause: float(p[mine].min())
@@ -109,7 +105,7 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
-    suspects = set(p) or OF_A_PLACE & set(first.model.causes)
+    suspects = set(p) or {c for c in first.model.causes if traits_of(c).of_a_place}
     if not suspects:
         return Drifting(point, {}, 0.0)
     other, least = _rearranged(library, first, point if p else first, suspects)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from scipy.optimize import brentq
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.replay.model import Fitted
@@ -24,8 +25,6 @@ from hilserver.measured.channels import POSITION, YAW
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
-LATENCIES = ("imu_latency", "yaw_latency", "clock_offset", "body_lag")
-BENT = ("rotation_gain_speed", "rotation_gain_radius")
 TURNING = "velocity.angular_rad_s"
 
 
@@ -34,7 +33,7 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
     log, robot = problem.stage.log, problem.stage.robot
     if robot.wheelbase_m is None or not log.has(*POSITION, YAW):
         return False
-    gain = next((f for f in point.model.fitted if f.candidate.cause == "rotation_gain"), None)
+    gain = next((f for f in point.model.fitted if traits_of(f.candidate.cause).scrubs_as), None)
     if gain is None or gain.theta[0] > SCRUBBING_MUCH:
         return False
     irregular = bool(unknown) and unknown[0].family.regressors[0] == TURNING
@@ -44,7 +43,7 @@ def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
 def late_turn(point: Point) -> int | None:
     """Return the index of a latency of the turn that is no longer than tyres can make it."""
     for index, f in enumerate(point.model.fitted):
-        if f.candidate.cause in LATENCIES and 0.0 < f.theta[0] < SCRUBBING_LATE_S:
+        if traits_of(f.candidate.cause).delays_turn and 0.0 < f.theta[0] < SCRUBBING_LATE_S:
             return index
     return None
 
@@ -58,7 +57,7 @@ def bent_turn(problem: Problem, point: Point, explained: float) -> int | None:
         Deviance that all causes save together.
     """
     for index, cause in enumerate(point.model.causes):
-        if cause in BENT:
+        if traits_of(cause).bends_turn:
             less = fit(problem, point.model.without(index), point, iterations=3)
             if less.deviance - point.deviance < INEXACT * explained:
                 return index

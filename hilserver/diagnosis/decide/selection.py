@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.shape_search import refined, searched
 from hilserver.diagnosis.decide.trial import (
     Trial,
@@ -21,7 +22,6 @@ from hilserver.diagnosis.decide.trial import (
 )
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.intervals import ABRUPT_SHARE
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.replay.model import Fitted, Model
@@ -117,22 +117,19 @@ def attempt(
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
 
 
-LATE, TOGETHER = "nav_latency", ("clock_offset", "side_slip")
-"""In a bend a late position lies where side slip would put it. Where the whole source is late and
-the robot slips, the latency of the position alone explains part of both; from there no exchange of
-one cause for another leads on."""
-
-
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
-    """Return a late source and side slip in the place of a late position, or beside it.
+    """Return the causes that an accepted one may stand for, in its place or beside it.
 
     As it is, unless one of these is clearly better.
     """
     causes = point.model.causes
-    missing = [c for c in library.candidates if c.cause in TOGETHER and c.cause not in causes]
-    if LATE not in causes or not missing:
+    index, both = next(
+        ((i, both) for i, c in enumerate(causes) if (both := traits_of(c).together)), (0, ())
+    )
+    missing = [c for c in library.candidates if c.cause in both and c.cause not in causes]
+    if not missing:
         return point
-    beginnings = [(point.model.without(causes.index(LATE)), len(missing) - 1)]
+    beginnings = [(point.model.without(index), len(missing) - 1)]
     beginnings.append((point.model, len(missing) + 1))
     for beginning, added in beginnings:
         model = beginning
@@ -276,7 +273,7 @@ def own_error(point: Point, before: float) -> float:
     before : float
         Deviance without any cause.
     """
-    share = max((ABRUPT_SHARE.get(cause, 0.0) for cause in point.model.causes), default=0.0)
+    share = max((traits_of(cause).abrupt for cause in point.model.causes), default=0.0)
     return (2.0 * share) ** 2 * max(before - point.deviance, 0.0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -16,15 +17,6 @@ from hilserver.diagnosis.schema.findings import Joint
 
 Array = NDArray[np.float64]
 
-ROUNDED_S: Final = {
-    "actuation_delay",
-    "control_period",
-    "encoder_filter",
-    "imu_latency",
-    "nav_latency",
-    "yaw_latency",
-    "clock_offset",
-}
 PARTNERS: Final = 0.5
 """|correlation| of two estimates from which one cause can take over what another explains."""
 
@@ -34,7 +26,7 @@ def fitted_covariance(
 ) -> tuple[Array, int]:
     """Return the covariance of a model's parameters as fitted, and its degrees of freedom."""
     extra = np.array([
-        0.3 * problem.stage.robot.period_s if f.candidate.cause in ROUNDED_S else 0.0
+        0.3 * problem.stage.robot.period_s if traits_of(f.candidate.cause).whole_ticks else 0.0
         for f in point.model.fitted for _ in f.theta
     ])  # fmt: skip
     return whole_covariance(problem, point, extra, columns)

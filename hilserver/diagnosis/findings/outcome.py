@@ -5,7 +5,16 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.catalogue.vocabulary import CAUSES, OF_THE_LOG, Block, part_of
+from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
+from hilserver.diagnosis.catalogue.vocabulary import (
+    CAUSES,
+    OF_THE_LOG,
+    OUTLIERS,
+    SPEED_STEP,
+    Block,
+    cause_of,
+    part_of,
+)
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.lost_steps import LostSteps
@@ -109,20 +118,30 @@ def named(
                 if r.candidate is rival.candidate
             )  # fmt: skip
             values |= parameters(problem, rival.point)[index]
-        if scrubs and cause == "rotation_gain":
-            ratio = as_friction(problem.stage.robot, f, own[i][cause])
-            if ratio is not None:
-                causes.append("friction_anisotropy")
-                values["friction_anisotropy.ratio"] = ratio
-        if cause == "nav_scale":
-            causes.append("traction_slip")
-            values["traction_slip"] = _as_slip(own[i][cause])
-        if anchor is not None and cause == "nav_scale":
-            causes.append("nav_position_bias")
-            values |= _field(anchor)
+        twins = _twins(problem, f, own[i].get(cause), scrubs=scrubs, anchor=anchor)
+        causes += [cause_of(name).name for name in twins]
+        values |= twins
         found.append(
             fitted_finding(causes, values, drift.get(cause, p.get(cause, 0.01)), cause in drift)
         )
+    return found
+
+
+def _twins(
+    problem: Problem, f: Fitted, own: Parameter | None, *, scrubs: bool, anchor: Anchor | None
+) -> dict[str, Parameter]:
+    """Return what these data cannot tell from a cause and no candidate is fitted for."""
+    traits, found = traits_of(f.candidate.cause), {}
+    if own is None:
+        return found
+    if scrubs and traits.scrubs_as:
+        ratio = as_friction(problem.stage.robot, f, own)
+        if ratio is not None:
+            found[traits.scrubs_as] = ratio
+    if traits.mirrored_by:
+        found[traits.mirrored_by] = _mirrored(own)
+    if anchor is not None and traits.field:
+        found |= _field(anchor)
     return found
 
 
@@ -143,10 +162,10 @@ def fitted_finding(
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
-def _as_slip(scale: Parameter) -> Parameter:
-    """Return the slip straight ahead that drives as far as a scale of the navigation says."""
-    ends = scale.ci95 or (scale.value, scale.value)
-    return Parameter(value=-scale.value, ci95=(-ends[1], -ends[0]), unit="1")
+def _mirrored(own: Parameter) -> Parameter:
+    """Return the size of a cause that does the same with the other sign."""
+    low, high = own.ci95 or (own.value, own.value)
+    return Parameter(value=-own.value, ci95=(-high, -low), unit=own.unit)
 
 
 def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
@@ -204,10 +223,10 @@ def coarse(step_rpm: float) -> Finding:
     half = READING_COARSE_SHARE * step_rpm
     finding = Finding(
         verdict=Verdict.NAMED,
-        causes=("encoder_quantization",),
-        block=CAUSES["encoder_quantization"].block,
+        causes=(SPEED_STEP,),
+        block=CAUSES[SPEED_STEP].block,
         parameters={
-            "encoder_quantization": Parameter(
+            SPEED_STEP: Parameter(
                 value=step_rpm, ci95=(step_rpm - half, step_rpm + half), unit="rpm"
             )
         },
@@ -221,8 +240,8 @@ def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
     error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
     finding = Finding(
         verdict=Verdict.NAMED,
-        causes=("nav_position_bias",),
-        block="navigation",
+        causes=(cause_of(POSITION_FIELD).name,),
+        block=cause_of(POSITION_FIELD).block,
         parameters=_field(anchor),
         p_adjusted=p,
     )
@@ -237,7 +256,7 @@ def _field(anchor: Anchor) -> dict[str, Parameter]:
     """Return how far the position is off where an anchor moves it most."""
     size_m, half_m = anchor.largest * abs(anchor.error_m), anchor.largest * anchor.half_m
     limits = (size_m - half_m, size_m + half_m)
-    return {"nav_position_bias.amplitude": Parameter(value=size_m, ci95=limits, unit="m")}
+    return {POSITION_FIELD: Parameter(value=size_m, ci95=limits, unit="m")}
 
 
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
@@ -267,15 +286,11 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
     middle = float(np.median(sizes))
     finding = Finding(
         verdict=Verdict.NAMED,
-        causes=("nav_outliers",),
-        block="navigation",
+        causes=(cause_of(OUTLIERS[0]).name,),
+        block=cause_of(OUTLIERS[0]).block,
         parameters={
-            "nav_outliers.share": Parameter(
-                value=share, ci95=(share - half, share + half), unit="1"
-            ),
-            "nav_outliers.size": Parameter(
-                value=middle, ci95=(middle - half_size, middle + half_size), unit="m"
-            ),
+            name: Parameter(value=value, ci95=(value - width, value + width), unit=unit_of(name))
+            for name, value, width in zip(OUTLIERS, (share, middle), (half, half_size), strict=True)
         },
         p_adjusted=0.001,
     )
@@ -288,7 +303,7 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
     for index, finding in enumerate(findings):
         if index in fitted:
             names = tuple(fitted[index].terms)
-        elif finding.causes == ("encoder_quantization",):
+        elif finding.causes == (SPEED_STEP,):
             names = finding.causes  # known from the values alone
         else:
             continue

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.thresholds import TIE
@@ -78,7 +79,7 @@ def is_limit(cause: str) -> bool:
 
     A part of its reference size is then its reference value divided by that part.
     """
-    return cause == "setpoint_rate_limit"
+    return traits_of(cause).is_limit
 
 
 def reference(cause: str, name: str) -> float | None:

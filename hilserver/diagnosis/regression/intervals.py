@@ -1,27 +1,19 @@
 """Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import MODEL_SHARE
 
 Array = NDArray[np.float64]
 
-ABRUPT_SHARE: Final = {
-    "coulomb_friction": 0.02,
-    "stribeck_friction": 0.02,
-    "wheel_load": 0.02,
-    "battery_sag": 0.015,
-    "controller_gains": 0.01,
-}
-"""The same for what is decided anew at every step: whether a wheel sticks, what the loop answers.
 
-Measured against a machine in continuous time (`hilserver bench diagnose --class single`).
-"""
+def own_share(cause: str) -> float:
+    """Return the share of its size by which the model's own form of a cause may be off."""
+    return traits_of(cause).abrupt or MODEL_SHARE
 
 
 def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[Array, int]:
@@ -66,7 +58,7 @@ def whole_covariance(
         columns = problem.accepted(point)
     cov, dof = covariance(problem, point, columns)
     fitted = point.model.fitted
-    share = [ABRUPT_SHARE.get(f.candidate.cause, MODEL_SHARE) for f in fitted for _ in f.theta]
+    share = [own_share(f.candidate.cause) for f in fitted for _ in f.theta]
     variance = np.diag(cov) + (np.array(share) * point.model.theta()) ** 2
     if extra is not None:
         variance += extra**2

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.diagnosis.catalogue.vocabulary import SPEED_STEP
 from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -131,7 +132,7 @@ def prepare(stage: Stage, jobs: int, tell: Tell) -> tuple[Prepared | None, dict[
     base = problem.point(Model(), base.poses)
     coarse_rpm = _coarse(problem, base)
     if coarse_rpm is not None:
-        candidates = [c for c in candidates if c.cause != "encoder_quantization"]
+        candidates = [c for c in candidates if c.cause != SPEED_STEP]
         problem.ripples = True
         problem.learn_noise(problem.residual(base.predicted))
         base = problem.point(Model(), base.poses)
@@ -173,7 +174,7 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
     """
     stack = problem.stack
     edges = [stack.edges[n] for n in DUTIES if n in stack.edges]
-    coarse = problem.predict({"encoder_quantization": step_rpm}, base.poses)
+    coarse = problem.predict({SPEED_STEP: step_rpm}, base.poses)
 
     def ripple(duty: Array) -> float:
         return float(np.mean(np.concatenate([np.abs(np.diff(duty[e])) for e in edges])))

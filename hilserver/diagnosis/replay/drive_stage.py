@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
-from hilserver.diagnosis.catalogue.needs import Need
-from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
+from hilserver.diagnosis.catalogue.traits import Need
+from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES, SPEED_STEP
 from hilserver.diagnosis.replay.battery import NOMINAL_V, VOLTAGE, voltage
 from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.replay.model import robot_with
@@ -155,7 +155,7 @@ class DriveStage(Stage):
         """
         del poses, keep
         speed, seen, duty = self.simulate(terms)
-        held = terms.get("encoder_quantization", 0.0) > 0.0
+        held = terms.get(SPEED_STEP, 0.0) > 0.0
         if held and self._rounded:
             shown = self.sampled(speed, duty)
         else:

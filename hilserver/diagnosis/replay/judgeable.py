@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
-from hilserver.diagnosis.catalogue.needs import NOT_OF_ITS_OWN, lacking
+from hilserver.diagnosis.catalogue.traits import lacking, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.measured.channels import POSITION
@@ -20,20 +20,19 @@ NO_STAGE: Final[Mapping[StageName, str]] = {
 def judged_candidates(stage: Stage) -> tuple[list[Candidate], dict[str, str]]:
     """Return the candidates that a stage's channels can judge, and why others are not judged."""
     found = stage.candidates()
-    reasons = lacking(stage.missing(), found)
+    reasons = lacking(stage.missing(), [c.cause for c in found])
     return [c for c in found if c.cause not in reasons], reasons
 
 
 def splits(log: MeasuredLog, candidate: Candidate) -> bool:
     """Return whether a region of the floor holds a fair part of the drive, but not all of it."""
-    if candidate.cause != "surface_change":
+    if candidate.region is None:
         return True
-    t = candidate.terms(candidate.start)
+    x_min, x_max, y_min, y_max = candidate.region
     x, y = (log[n].values for n in POSITION)
     if len(x) != len(y):
         return False
-    inside = (x >= t["surface_change.x_min"]) & (x <= t["surface_change.x_max"])
-    inside &= (y >= t["surface_change.y_min"]) & (y <= t["surface_change.y_max"])
+    inside = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
     return bool(0.15 < inside.mean() < 0.85)
 
 
@@ -45,8 +44,8 @@ def vocabulary_reasons(
     for name, cause in CAUSES.items():
         if name in judged or name in out:
             continue
-        if name in NOT_OF_ITS_OWN:
-            out[name] = NOT_OF_ITS_OWN[name]
+        if why := traits_of(name).not_judged:
+            out[name] = why
             continue
         if not cause.physical:
             continue

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import pose_candidates, side_encoders
-from hilserver.diagnosis.catalogue.needs import Need
+from hilserver.diagnosis.catalogue.traits import Need
+from hilserver.diagnosis.catalogue.vocabulary import LATENCIES
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
@@ -22,7 +23,7 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_SEED
+from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_GYRO_BIAS, P_GYRO_GAIN, P_SEED
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 
@@ -229,8 +230,9 @@ class PoseStage(Stage):
         rate = 1.0 / self.period_s
         nav = self.robot.nav
         shift = terms.get("shift.nav", 0.0)
-        position_s = nav.latency_s + terms.get("nav_latency", 0.0) + shift
-        yaw_s = nav.yaw_latency_s + terms.get("yaw_latency", 0.0) + shift
+        late_s = {signal: terms.get(term, 0.0) for signal, term in LATENCIES.items()}
+        position_s = nav.latency_s + late_s[POSITION[0]] + shift
+        yaw_s = nav.yaw_latency_s + late_s[YAW] + shift
         if self.free_pose:
             tag = np.empty((len(self._tag_at), 3))
             sample_tag(
@@ -248,10 +250,10 @@ class PoseStage(Stage):
                     out[stack.edges[name]] = tag[self._tag_index[name], column]
         if GYRO in stack.edges:
             edge = stack.edges[GYRO]
-            at = stack.at[edge] - terms.get("imu_latency", 0.0) * rate
+            at = stack.at[edge] - late_s[GYRO] * rate
             sample(dense, 3, stack.low[edge], stack.high[edge], at, out[edge])
-            out[edge] *= 1.0 + terms.get("gyro_scale", self.robot.terms.get("gyro_scale") or 0.0)
-            out[edge] += terms.get("gyro_bias", self.robot.terms.get("gyro_bias") or 0.0)
+            out[edge] *= p[P_GYRO_GAIN]
+            out[edge] += p[P_GYRO_BIAS]
         return out
 
     def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:

@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.diagnosis.catalogue.candidate import Region
 from hilserver.measured.channels import POSITION
 from hilserver.measured.data import Channel, MeasuredLog
 
@@ -28,7 +29,7 @@ def begins_anew(log: MeasuredLog) -> bool:
     return all(len(s) >= FEWEST_STARTS and float(np.ptp(s)) < SAME_START_M for s in starts)
 
 
-def driven_place(log: MeasuredLog) -> tuple[float, float, float, float] | None:
+def driven_place(log: MeasuredLog) -> Region | None:
     """Return where the robot drove, x_min, x_max, y_min, y_max, but for a few samples."""
     if not log.has(*POSITION):
         return None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
-from hilserver.diagnosis.catalogue.needs import Need
+from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import Block
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.measured.clock import Segments

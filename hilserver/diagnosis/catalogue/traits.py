@@ -1,0 +1,156 @@
+"""What rules ask of a cause beside its parameters: one row for each of which there is something.
+
+A rule asks for a trait and never for a name, so that a cause that is added with its row takes part.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Final
+
+
+class Need(StrEnum):
+    """What a log may lack, as a reader of the findings sees it; of several the last one counts."""
+
+    SPEED = "no wheel speed in the log"
+    DUTY = "no duty in the log"
+    VOLTAGE = "no battery voltage in the log"
+    POSITION = "no position in the log"
+    PLACE = "the navigation's frame begins anew with every segment"
+    YAW = "no navigation yaw in the log"
+    GYRO = "no turn rate in the log"
+    STAMPS = "the log has no time stamps"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traits:
+    """What rules ask of a cause.
+
+    Attributes
+    ----------
+    needs : tuple of Need
+        What a log must hold before the cause can be judged; all of the drive need wheel speeds.
+    not_judged : str
+        Why it has no candidate.
+    abrupt : float
+        Share of its size by which its form may be off, because it is decided anew at every step:
+        whether a wheel sticks, what the loop answers. Measured against a machine in continuous time
+        (``hilserver bench diagnose --class single``).
+    whole_ticks : bool
+        A time that acts in whole ticks of the plant.
+    is_limit : bool
+        It has no finite null: the smaller its parameter, the more it does.
+    at_rest : bool
+        It shows on a robot that stands still.
+    of_a_place : bool
+        What changes along the log may look like it: early and late the robot is at other places.
+    delays_turn, bends_turn : bool
+        It makes a turn late, or its gain depend on the turn, as tyres that scrub do.
+    scrubs_as : str
+        Parameter of friction across the wheels that turns as it does.
+    mirrored_by : str
+        Cause of the same size and the other sign that one floor cannot tell from it.
+    field : str
+        Parameter of the errors over the place that it is the simplest of.
+    together : tuple of str
+        Causes that it may stand for where both act: from it no exchange of one cause for another
+        leads to them.
+    hides_inputs : bool
+        Where it is found in an input, nobody knows any more when that changed.
+    """
+
+    needs: tuple[Need, ...] = ()
+    not_judged: str = ""
+    abrupt: float = 0.0
+    whole_ticks: bool = False
+    is_limit: bool = False
+    at_rest: bool = False
+    of_a_place: bool = False
+    delays_turn: bool = False
+    bends_turn: bool = False
+    scrubs_as: str = ""
+    mirrored_by: str = ""
+    field: str = ""
+    together: tuple[str, ...] = ()
+    hides_inputs: bool = False
+
+
+POSITION_FIELD: Final = "nav_position_bias.amplitude"
+
+TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
+    "coulomb_friction": Traits(abrupt=0.02),
+    # other loads still show without duty where they keep wheels from their set-points
+    "dead_zone": Traits(needs=(Need.DUTY,)),
+    "stribeck_friction": Traits(needs=(Need.DUTY,), abrupt=0.02),
+    "wheel_load": Traits(abrupt=0.02),
+    "battery_sag": Traits(needs=(Need.VOLTAGE,), abrupt=0.015),
+    "actuation_delay": Traits(needs=(Need.STAMPS,), whole_ticks=True),
+    "setpoint_rate_limit": Traits(is_limit=True),
+    "control_period": Traits(needs=(Need.STAMPS,), whole_ticks=True),
+    "controller_gains": Traits(abrupt=0.01),
+    "encoder_scale": Traits(needs=(Need.DUTY,)),
+    "encoder_filter": Traits(whole_ticks=True),
+    "backlash": Traits(not_judged="the play between motor and wheel is not tested"),
+    "rotation_gain": Traits(scrubs_as="friction_anisotropy.ratio"),
+    "rotation_gain_speed": Traits(bends_turn=True),
+    "rotation_gain_radius": Traits(bends_turn=True),
+    "longitudinal_slip": Traits(needs=(Need.POSITION,)),
+    "acceleration_slip": Traits(needs=(Need.POSITION,)),
+    "traction_slip": Traits(not_judged="on one floor it is the same as nav_scale"),
+    "body_lag": Traits(delays_turn=True),
+    "side_slip": Traits(needs=(Need.POSITION,)),
+    "icr_offset": Traits(needs=(Need.POSITION,)),
+    "wheel_misalignment": Traits(needs=(Need.POSITION,)),
+    "floor_slope": Traits(needs=(Need.POSITION, Need.PLACE)),
+    "surface_change": Traits(needs=(Need.POSITION, Need.PLACE), of_a_place=True),
+    "friction_anisotropy": Traits(
+        not_judged="in steady turns it is the same as rotation_gain and icr_offset"
+    ),
+    "nav_frame_yaw": Traits(needs=(Need.POSITION, Need.YAW)),
+    "nav_lever_arm": Traits(needs=(Need.POSITION,)),
+    # In a bend a late position lies where side slip would put it. Where the whole source is late
+    # and the robot slips, the latency of the position alone explains part of both.
+    "nav_latency": Traits(
+        needs=(Need.POSITION, Need.STAMPS),
+        whole_ticks=True,
+        together=("clock_offset", "side_slip"),
+    ),
+    "yaw_latency": Traits(needs=(Need.YAW, Need.STAMPS), whole_ticks=True, delays_turn=True),
+    "nav_scale": Traits(
+        needs=(Need.POSITION,), mirrored_by="traction_slip", field=POSITION_FIELD
+    ),
+    "nav_position_bias": Traits(needs=(Need.POSITION, Need.PLACE)),
+    "nav_outliers": Traits(needs=(Need.POSITION,)),
+    "heading_distortion": Traits(needs=(Need.PLACE, Need.YAW)),
+    "gyro_bias": Traits(needs=(Need.GYRO,), at_rest=True),
+    "gyro_scale": Traits(needs=(Need.GYRO,)),
+    "imu_latency": Traits(needs=(Need.GYRO, Need.STAMPS), whole_ticks=True, delays_turn=True),
+    "clock_offset": Traits(needs=(Need.STAMPS,), whole_ticks=True, delays_turn=True),
+    "held_samples": Traits(hides_inputs=True),
+    "interpolated_setpoint": Traits(hides_inputs=True),
+    "missed_ticks": Traits(not_judged="the log has no tick counter"),
+})  # fmt: skip
+
+NONE: Final = Traits()
+
+
+def traits_of(cause: str) -> Traits:
+    """Return the traits of a cause; a cause without a row has none."""
+    return TRAITS.get(cause, NONE)
+
+
+def lacking(missing: Iterable[Need], drive: Iterable[str]) -> dict[str, str]:
+    """Return why causes cannot be judged where something is missing, by cause.
+
+    Parameters
+    ----------
+    drive : iterable of str
+        Causes that need wheel speeds.
+    """
+    reasons: dict[str, str] = {}
+    for need in sorted(missing, key=list(Need).index):
+        if need is Need.SPEED:
+            reasons |= dict.fromkeys(drive, need.value)
+        reasons |= {cause: need.value for cause, own in TRAITS.items() if need in own.needs}
+    return reasons
