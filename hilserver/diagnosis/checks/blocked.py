@@ -14,14 +14,15 @@ from hilserver.diagnosis.thresholds import (
     BLOCKED_LEAST_WAY_M,
     BLOCKED_MOST,
     BLOCKED_STANDS,
-    BLOCKED_TURNS_RAD_S,
-    BLOCKED_WINDOW_S,
+    TURNS_RAD_S,
 )
 from hilserver.measured.channels import GYRO, POSITION
 from hilserver.measured.data import Array, MeasuredLog
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 
+WINDOW_S: Final = 2.0
+"""Way and place are compared over so long."""
 LEFT: Final = ("fl", "rl")
 RIGHT: Final = ("fr", "rr")
 
@@ -38,7 +39,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     """Tell when the robot was blocked, and leave that out: nothing here models what held it."""
     if not log.has(*POSITION, GYRO):
         return log, []
-    windows = windows_of(log, BLOCKED_WINDOW_S)
+    windows = windows_of(log, WINDOW_S)
     way_m = _asked_m(log, robot, windows)
     is_driven = way_m > BLOCKED_LEAST_WAY_M
     is_blocked = is_driven & _stands(log, windows, way_m)
@@ -70,7 +71,7 @@ def _stands(log: MeasuredLog, windows: Windows, way_m: Array) -> NDArray[np.bool
     """Return in which windows position and heading stay where they are; False where unknown."""
     (x0, x1, _), (y0, y1, _) = (ends_in(log[name], windows) for name in POSITION)
     is_there = np.hypot(x1 - x0, y1 - y0) < BLOCKED_STANDS * way_m
-    return np.asarray(is_there & (np.abs(mean_in(log[GYRO], windows)) < BLOCKED_TURNS_RAD_S))
+    return np.asarray(is_there & (np.abs(mean_in(log[GYRO], windows)) < TURNS_RAD_S))
 
 
 def _spells(is_blocked: NDArray[np.bool_], windows: Windows) -> list[Spell]:
@@ -92,4 +93,4 @@ def _left(span: int, start_s: float, end_s: float, spells: list[Spell]) -> Piece
     mine = [spell for spell in spells if spell.span == span]
     begins, ends = [start_s, *(s.end_s for s in mine)], [*(s.begin_s for s in mine), end_s]
     pieces = zip(begins, ends, strict=True)
-    return [(begin, end) for begin, end in pieces if end - begin > BLOCKED_WINDOW_S]
+    return [(begin, end) for begin, end in pieces if end - begin > WINDOW_S]

@@ -6,6 +6,7 @@ position late by the same time, early instead of late, or later and later.
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
@@ -13,19 +14,20 @@ from hilserver.diagnosis.checks.motion import RAD_S_PER_RPM
 from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
-    CLOCK_ALIKE_S,
-    CLOCK_BASELINE_S,
-    CLOCK_CHUNK_S,
     CLOCK_FEWEST_CHUNKS,
-    CLOCK_LARGEST_S,
     CLOCK_LEAST_S,
     CLOCK_SIGMAS,
-    CLOCK_SLOWEST_WHEELS_S,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 
+LARGEST_S: Final = 1.0
+"""Offsets are looked for up to here."""
+CHUNK_S: Final = 30.0
+"""Stretch of the log with an offset of its own."""
+BASELINE_S: Final = 1.0
+"""Way and turn are compared over so long."""
 GRID_S = 0.02
 
 
@@ -105,7 +107,7 @@ def _judge(lags: list[Lag]) -> tuple[bool, Lag] | None:
     best = min(lags, key=lambda lag: lag.offset_sd_s)
     if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
         return True, best
-    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], CLOCK_ALIKE_S):
+    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], 0.5 * CLOCK_LEAST_S):
         return None
     together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
     return (False, best) if best.is_early or (best.is_off and together) else None
@@ -144,7 +146,7 @@ def _wheel_motion(log: MeasuredLog) -> Motion | None:
     if not log.has(*names):
         return None
     left = log[names[0]]
-    if row_period_s(left) > CLOCK_SLOWEST_WHEELS_S:
+    if row_period_s(left) > CLOCK_LEAST_S:
         return None
     right = _at(left, log[names[1]], log[names[1]].values)
     forward = left.with_values((left.values - right) * RAD_S_PER_RPM)
@@ -189,9 +191,9 @@ def _lag(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | None:
     if len(t_path) < 100 or len(t_rate) < 100:
         return None
     s_path = np.unwrap(s_path) if is_angle else s_path
-    begin = max(t_path[0], t_rate[0]) + CLOCK_LARGEST_S
-    end = min(t_path[-1], t_rate[-1]) - CLOCK_LARGEST_S
-    n = int((end - begin) / CLOCK_CHUNK_S)
+    begin = max(t_path[0], t_rate[0]) + LARGEST_S
+    end = min(t_path[-1], t_rate[-1]) - LARGEST_S
+    n = int((end - begin) / CHUNK_S)
     if n < CLOCK_FEWEST_CHUNKS:
         return None
     borders = np.linspace(begin, end, n + 1)
@@ -229,12 +231,12 @@ def _delay(t_rate: Array, s_rate: Array, t: Array, s: Array, begin: float, end: 
     times = t[first:last]
     if len(times) < 50:
         return float("nan")
-    way = s[first:last] - np.interp(times - CLOCK_BASELINE_S, t, s)
-    tries = np.arange(-CLOCK_LARGEST_S, CLOCK_LARGEST_S + GRID_S / 2, GRID_S)
+    way = s[first:last] - np.interp(times - BASELINE_S, t, s)
+    tries = np.arange(-LARGEST_S, LARGEST_S + GRID_S / 2, GRID_S)
     left = np.empty(len(tries))
     for index, delay in enumerate(tries):
         at = times - delay
-        other = np.interp(at, t_rate, s_rate) - np.interp(at - CLOCK_BASELINE_S, t_rate, s_rate)
+        other = np.interp(at, t_rate, s_rate) - np.interp(at - BASELINE_S, t_rate, s_rate)
         left[index] = _unexplained(way, other)
     best = int(np.argmin(left))
     if not 0 < best < len(tries) - 1 or left[best] > 0.5:

@@ -5,24 +5,27 @@ much noise is added, and noise of deviation s weakens it by exp(-2 pi^2 s^2 / q^
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.thresholds import (
-    COMB_ALIKE,
+    COARSE_SHOWN,
     COMB_CLEAR,
-    COMB_FEW,
     COMB_FEWEST,
-    COMB_LARGEST_STEP_RPM,
-    COMB_LEAST_STEP_RPM,
-    COMB_MOST,
-    COMB_NOTICEABLE,
     COMB_TIMES,
+    FEWEST_SAMPLES,
 )
 
 Array = NDArray[np.float64]
 
+STEPS_RPM: Final = (0.2, 6.0)
+"""Steps that are looked for; finer ones are below the noise."""
+MOST: Final = 8
+"""Lines of the spectrum that are looked at."""
+NOTICEABLE: Final = 0.02
+"""Coefficient of a line below which none is a candidate."""
 PADDED = 4
 SAMPLES = 6_000
 REACH = 8
@@ -43,7 +46,7 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
         clear = rounded > max(COMB_CLEAR, COMB_TIMES * follows) and (
             best is None or rounded > best[0]
         )
-        if clear and on_the_way(channels, step) > COMB_ALIKE * rounded:
+        if clear and on_the_way(channels, step) > COARSE_SHOWN * rounded:
             best = (rounded, step)
     return None if best is None else best[1]
 
@@ -58,7 +61,7 @@ def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]
     if not thinned:
         return []
     low, high = min(v.min() for v, _ in thinned), max(v.max() for v, _ in thinned)
-    width = COMB_LEAST_STEP_RPM / 8.0
+    width = STEPS_RPM[0] / 8.0
     if not width < high - low < 1e6 * width:
         return []
     edges = np.arange(low, high + 2.0 * width, width)
@@ -68,10 +71,10 @@ def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]
         noise = 1.4826 * float(np.median(np.abs(v - s)))
         faded = np.exp(-2.0 * (np.pi * noise * frequency) ** 2)
         line += (_spectrum(v, edges) - faded * _spectrum(s, edges)) / len(thinned)
-    inside = (frequency >= 1.0 / COMB_LARGEST_STEP_RPM) & (frequency <= 1.0 / COMB_LEAST_STEP_RPM)
+    inside = (frequency >= 1.0 / STEPS_RPM[1]) & (frequency <= 1.0 / STEPS_RPM[0])
     line = np.where(inside, line, 0.0)
     found: list[float] = []
-    while len(found) < COMB_MOST and line.max(initial=0.0) > COMB_NOTICEABLE:
+    while len(found) < MOST and line.max(initial=0.0) > NOTICEABLE:
         peak = int(line.argmax())
         values = [v for v, _ in thinned]
         found.append(1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1])))
@@ -118,7 +121,7 @@ def on_the_way(channels: Sequence[Array], step: float) -> float:
         one_way = (np.minimum(before, after) > step) | (np.maximum(before, after) < -step)
         passing.append(here[one_way])
     found = np.concatenate(passing)
-    return float(np.cos(2.0 * np.pi / step * found).mean()) if len(found) > COMB_FEW else 0.0
+    return float(np.cos(2.0 * np.pi / step * found).mean()) if len(found) > FEWEST_SAMPLES else 0.0
 
 
 def _sharpened(values: list[Array], frequency: float, width: float) -> float:

@@ -5,11 +5,11 @@ import numpy as np
 from hilserver.diagnosis.checks.support import along, data_fault, listed, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
+    COMMAND_SLOWEST_S,
     COPIED_ALIKE,
     COPIED_EXACT,
-    COPIED_FEWEST,
-    COPIED_LATEST_S,
     COPIED_LEAST_CHANGE_RPM,
+    FEWEST_CHANGES,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
@@ -52,13 +52,13 @@ def _rpm_per_s(robot: RobotParameters) -> float:
 def _lag_of_copy(sent: Channel, speed: Channel, rpm_per_s: float) -> float | None:
     """Return by how much `speed` is a late copy of `sent`, None if it is none."""
     period_s = row_period_s(speed)
-    if period_s <= 0 or len(sent) < COPIED_FEWEST:
+    if period_s <= 0 or len(sent) < FEWEST_CHANGES:
         return None
     held = _held_at(sent, speed)
     step = np.abs(np.diff(held, prepend=held[:1]))
     step[np.diff(speed.span, prepend=-1) != 0] = 0.0
     changed = np.flatnonzero(np.nan_to_num(step) > COPIED_LEAST_CHANGE_RPM)
-    for rows in range(int(COPIED_LATEST_S / period_s) + 1):
+    for rows in range(int(COMMAND_SLOWEST_S / period_s) + 1):
         at = changed[changed + rows < len(speed)]
         at = at[speed.span[at] == speed.span[at + rows]]
         wide_rpm = 1.5 * rpm_per_s * period_s
@@ -79,9 +79,9 @@ def _is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: f
     wide = step > wide_rpm
     exact = error <= COPIED_EXACT * np.minimum(step, 1.0)
     return bool(
-        (len(step) >= COPIED_FEWEST and exact.mean() >= COPIED_ALIKE)
+        (len(step) >= FEWEST_CHANGES and exact.mean() >= COPIED_ALIKE)
         or (
-            wide.sum() >= COPIED_FEWEST
+            wide.sum() >= FEWEST_CHANGES
             and np.mean(error[wide] <= 0.05 * step[wide]) >= COPIED_ALIKE
         )
     )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import along
-from hilserver.diagnosis.thresholds import FRAME_MOVED_RAD_S, FRAME_STANDS, FRAME_TURNED_RAD_S
+from hilserver.diagnosis.thresholds import FRAME_MOVED_RAD_S, FRAME_STANDS, TURNS_RAD_S
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
@@ -22,7 +22,7 @@ def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
     Its kinematics cannot be judged then: they would all be wrong by the same whole.
     """
     turn = asked_turn(log, robot)
-    if turn is None or not _turning(turn, FRAME_TURNED_RAD_S):
+    if turn is None or not _turning(turn, TURNS_RAD_S):
         return False
     return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < FRAME_STANDS
 

@@ -20,7 +20,7 @@ from hilserver.diagnosis.checks.support import (
 )
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
-    HELD_FEWEST_RUNS,
+    FEWEST_CHANGES,
     HELD_QUANTA,
     HELD_SHARE,
     HELD_SLOWEST_HZ,
@@ -87,11 +87,11 @@ def _rate(channel: Channel, runs: Runs, changes: Array) -> tuple[float, float] |
     """Return the rate of the slower clock and its standard error; None if nothing is held."""
     steps = np.abs(np.diff(channel.values))[np.diff(channel.span) == 0]
     moving = steps[steps > 0]
-    if len(moving) < HELD_FEWEST_RUNS:
+    if len(moving) < FEWEST_CHANGES:
         return None
     real = max(HELD_QUANTA * resolution(channel.values), 0.2 * float(np.median(moving)))
     full = (runs.before >= real) & (runs.after >= real) & np.isfinite(runs.duration_s)
-    if full.sum() < HELD_FEWEST_RUNS:
+    if full.sum() < FEWEST_CHANGES:
         return None
     length, duration = runs.length[full], runs.duration_s[full]
     if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first[full], changes):

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.checks.support import data_fault, row_period_s, subset
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
-    RAMP_FEWEST_PIECES,
+    COMMAND_SLOWEST_S,
+    FEWEST_PIECES,
     RAMP_ON_THE_CLOCK,
     RAMP_SAME_SLOPE,
-    RAMP_SLOWEST_S,
 )
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
@@ -75,11 +75,11 @@ def _period_rows(channel: Channel) -> tuple[int, Ints] | None:
     whole[1:] &= whole[:-1]  # the first piece of a span begins anywhere
     whole[:-1] &= np.isfinite(slope[1:])
     sloped = whole & (slope != 0)
-    if sloped.sum() < RAMP_FEWEST_PIECES:
+    if sloped.sum() < FEWEST_PIECES:
         return None
     lengths, counts = np.unique(length[sloped], return_counts=True)
     rows = int(lengths[np.argmax(counts)])
-    if rows < 2 or rows * row_s > RAMP_SLOWEST_S or counts.max() < RAMP_FEWEST_PIECES:
+    if rows < 2 or rows * row_s > COMMAND_SLOWEST_S or counts.max() < FEWEST_PIECES:
         return None
     multiple = np.mean(length[sloped] % rows == 0)
     if multiple < RAMP_ON_THE_CLOCK or counts.max() < 0.3 * sloped.sum():

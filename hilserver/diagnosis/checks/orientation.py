@@ -22,8 +22,8 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
+    FEWEST_PIECES,
     LARGEST_SKEW_RAD,
-    SIGN_FEWEST_WINDOWS,
     SIGN_SLOWEST_RAD_S,
     SIGN_SURE,
 )
@@ -99,7 +99,7 @@ def _wheels_by_setpoints(log: MeasuredLog, _robot: RobotParameters) -> Found:
 def _two_weights(y: Array, own: Array, other: Array) -> tuple[float, float] | None:
     """Return a, b of y = a own + b other; None if it does not fit or the two are too alike."""
     good = finite(y, own, other)
-    if good.sum() < SIGN_FEWEST_WINDOWS:
+    if good.sum() < FEWEST_PIECES:
         return None
     x = np.stack([own[good], other[good]], axis=1)
     y = y[good]
@@ -153,7 +153,7 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     Twice the angles, so that driving backwards counts the same.
     """
     found = _course(log)
-    if found is None or len(found[0]) < SIGN_FEWEST_WINDOWS:
+    if found is None or len(found[0]) < FEWEST_PIECES:
         return log, []
     course, yaw, speed = found
     alike = _resultant(2.0 * (course - yaw), speed)
@@ -228,7 +228,7 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
 def _is_aligned(log: MeasuredLog) -> bool:
     """Return whether the heading lies along the course, forward or backward."""
     found = _course(log)
-    if found is None or len(found[0]) < SIGN_FEWEST_WINDOWS:
+    if found is None or len(found[0]) < FEWEST_PIECES:
         return False
     course, yaw, speed = found
     return bool(abs(np.angle((speed * np.exp(2j * (course - yaw))).sum())) < 2.0 * LARGEST_SKEW_RAD)
@@ -270,4 +270,4 @@ def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
 def _against(rate: Array | None, other: Array | None) -> bool:
     """Return whether two turn rates clearly have opposite signs."""
     found: Line | None = line(rate, other, SIGN_SLOWEST_RAD_S)
-    return found is not None and found.n >= SIGN_FEWEST_WINDOWS and found.correlation < -SIGN_SURE
+    return found is not None and found.n >= FEWEST_PIECES and found.correlation < -SIGN_SURE

@@ -16,8 +16,8 @@ from hilserver.diagnosis.checks.support import (
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     FEWEST_BURSTS,
+    IRREGULAR,
     MISSING_IN_BURSTS,
-    MISSING_ROWS,
     MISSING_SLOWEST_S,
     SHORTEST_BURST,
 )
@@ -38,7 +38,7 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
             kept[name] = subset(channel, ~again)
         elif log.has_stamps and (share := _missing(channel, SHORTEST_BURST)) > MISSING_IN_BURSTS:
             missing[name] = share
-    if log.has_stamps and not missing and (share := _missing(_rows(log), 1)) > MISSING_ROWS:
+    if log.has_stamps and not missing and (share := _missing(_rows(log), 1)) > IRREGULAR:
         missing = dict.fromkeys(measured_channels(log.channels), share)
     findings = []
     if repeated:

@@ -5,6 +5,8 @@ a period behind the straight lines between them. One that is closer to these lin
 log does not hold.
 """
 
+from typing import Final
+
 import numpy as np
 
 from hilserver.diagnosis.checks.support import (
@@ -17,16 +19,18 @@ from hilserver.diagnosis.checks.support import (
 )
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
+    FEWEST_CHANGES,
+    IRREGULAR,
     SPARSE_BETTER,
     SPARSE_FEWEST_ROWS,
-    SPARSE_FEWEST_RUNS,
-    SPARSE_MULTIPLE,
-    SPARSE_SHORTER_SHARE,
     SPARSE_USUAL_SHARE,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
+
+MOST_PERIODS: Final = 12.0
+"""Longer durations tell nothing of their period."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -52,15 +56,15 @@ def _rate(channel: Channel) -> tuple[float, float] | None:
     """Return the rate of the slower clock and its standard error; None where there is none."""
     lasted = runs_of(channel).duration_s
     lasted = lasted[np.isfinite(lasted)]
-    if len(lasted) < SPARSE_FEWEST_RUNS:
+    if len(lasted) < FEWEST_CHANGES:
         return None
     period_s = float(np.quantile(lasted, 0.5 * SPARSE_USUAL_SHARE))
     usual = lasted[np.abs(lasted - period_s) < 0.3 * period_s]
-    if len(usual) < max(SPARSE_FEWEST_RUNS, SPARSE_USUAL_SHARE * len(lasted)):
+    if len(usual) < max(FEWEST_CHANGES, SPARSE_USUAL_SHARE * len(lasted)):
         return None
-    if np.mean(lasted < 0.7 * period_s) > SPARSE_SHORTER_SHARE:
+    if np.mean(lasted < 0.7 * period_s) > IRREGULAR:
         return None
-    some = lasted[lasted < SPARSE_MULTIPLE * period_s]
+    some = lasted[lasted < MOST_PERIODS * period_s]
     periods = np.rint(some / float(np.median(usual)))
     period_s = float(some.sum() / periods.sum())
     sd = float((some - periods * period_s).std()) * np.sqrt(len(some)) / float(periods.sum())

@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import STUCK_FEWEST, STUCK_MOVED_RPM
+from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, STUCK_MOVED_RPM
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -37,13 +37,13 @@ def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[F
 
 
 def _is_constant(channel: Channel) -> bool:
-    return len(channel) >= STUCK_FEWEST and float(np.ptp(channel.values)) == 0.0
+    return len(channel) >= FEWEST_SAMPLES and float(np.ptp(channel.values)) == 0.0
 
 
 def _is_noisy(channel: Channel) -> bool:
     """Return whether a channel goes up and down from row to row."""
     steps = np.diff(channel.values)
-    return len(steps) >= STUCK_FEWEST and alternates(steps)
+    return len(steps) >= FEWEST_SAMPLES and alternates(steps)
 
 
 def _should_change(log: MeasuredLog, name: str) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import WRAPPED_FASTEST
+from hilserver.diagnosis.thresholds import UNITY
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -19,7 +19,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         name = f"wheel.{wheel}.angle_rad"
         if name not in log:
             continue
-        size = _wrap(log[name], WRAPPED_FASTEST * robot.max_rpm * np.pi / 30.0)
+        size = _wrap(log[name], UNITY * robot.max_rpm * np.pi / 30.0)
         if size:
             unwrapped[name] = _unwrap(log[name], size)
             notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was made continuous")

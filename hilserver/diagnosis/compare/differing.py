@@ -15,7 +15,7 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Parameter, Verdict
-from hilserver.diagnosis.thresholds import COMPARE_LEVEL, GROUP_COSINE, TIE
+from hilserver.diagnosis.thresholds import COMPARE_LEVEL, DETECTABLE_POWER_SD, GROUP_COSINE, TIE
 
 
 def difference_findings(
@@ -112,7 +112,8 @@ def smallest_differences(differences: Sequence[Difference], count: int) -> tuple
     """Return, by cause, the smallest difference that `count` judged ones would have shown."""
     sizes: dict[str, Detectable] = {}
     for d in differences:
-        aim = float(stats.t.ppf(1.0 - 0.5 * COMPARE_LEVEL / count, max(d.dof, 1.0))) + 0.95
+        least = float(stats.t.ppf(1.0 - 0.5 * COMPARE_LEVEL / count, max(d.dof, 1.0)))
+        aim = least + DETECTABLE_POWER_SD
         size = max(aim * float(np.hypot(*d.errors)), d.candidate.least)
         cause = d.candidate.cause
         if cause not in sizes or size < sizes[cause].size:

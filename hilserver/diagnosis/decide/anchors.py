@@ -8,6 +8,7 @@ hundred columns of unknown structure four would hardly be heard.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import singledispatch
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +21,21 @@ from hilserver.diagnosis.decide.unknown import RANGING, anchor_fields
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.regression.screen import (
+    Blocks,
+    adjusted,
+    least_t,
+    null_maxima,
+    orthogonal,
+    score,
+)
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import (
-    ANCHOR_LEAST_GAIN,
-    ANCHOR_LEAST_T,
-    ANCHOR_LEVEL,
     INEXACT,
+    INSTEAD_LEAST_GAIN,
     LEAST_USEFUL,
+    REST_LEVEL,
     SCREEN_LEVEL,
     SELECTION_LEAST_SAVED,
     TIE,
@@ -37,6 +44,8 @@ from hilserver.measured.channels import POSITION
 
 Array = NDArray[np.float64]
 
+ANCHOR_LEVEL: Final = 0.5 * REST_LEVEL
+"""A test of its own beside that of all structure, which it is a part of."""
 SIDES = ("low x and low y", "high x and low y", "high x and high y", "low x and high y")
 
 
@@ -132,8 +141,8 @@ def anchor_off(
     best = int(np.argmax(scores.gain))
     t, gain = abs(float(scores.t[best])), float(scores.gain[best])
     positions = sum(e.stop - e.start for n, e in stack.edges.items() if n in POSITION)
-    if t < ANCHOR_LEAST_T or gain < max(
-        ANCHOR_LEAST_GAIN, LEAST_USEFUL * positions, INEXACT * explained
+    if t < least_t(ANCHOR_LEVEL) or gain < max(
+        INSTEAD_LEAST_GAIN, LEAST_USEFUL * positions, INEXACT * explained
     ):
         return None
     others = [u.gain for u in unknown if u.family.name != RANGING]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +15,21 @@ from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (
-    DRIFT_FEWEST_BLOCKS,
     DRIFT_LEAST_BESIDE,
-    DRIFT_LEAST_BETTER,
-    DRIFT_LEAST_GAIN,
-    DRIFT_LEVEL,
-    DRIFT_PARTS,
-    DRIFT_RIVALS,
+    INSTEAD_LEAST_GAIN,
+    REST_LEAST_GAIN,
+    REST_LEVEL,
 )
 
 Array = NDArray[np.float64]
+
+
+RIVALS: Final = 3
+"""Causes whose change is tried in full."""
+PARTS: Final = 4
+"""Of the log, each with a size and a trend of its own."""
+FEWEST_IN_PARTS: Final = 2 * PARTS
+"""Blocks; of fewer nobody can tell a change from noise."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +58,11 @@ def course(problem: Problem) -> Array:
 
 
 def parts(problem: Problem) -> list[NDArray[np.bool_]]:
-    """Return the blocks of each of `DRIFT_PARTS` equal parts of the log."""
+    """Return the blocks of each of `PARTS` equal parts of the log."""
     stack, time = problem.stack, course(problem)[:, 0]
     middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
-    number = np.clip((0.5 * DRIFT_PARTS * (middle + 1.0)).astype(int), 0, DRIFT_PARTS - 1)
-    return [number == k for k in range(DRIFT_PARTS)]
+    number = np.clip((0.5 * PARTS * (middle + 1.0)).astype(int), 0, PARTS - 1)
+    return [number == k for k in range(PARTS)]
 
 
 def inside(point: Point) -> bool:
@@ -89,8 +95,8 @@ def drifting(problem: Problem, point: Point, rng: np.random.Generator) -> dict[s
     return {
         f.candidate.cause: float(p[mine].min())
         for f, mine in zip(point.model.fitted, point.model.slices, strict=True)
-        if p[mine].min() < DRIFT_LEVEL
-        and s.gain[mine].max() > max(DRIFT_LEAST_GAIN, inexact(f, mine))
+        if p[mine].min() < REST_LEVEL
+        and s.gain[mine].max() > max(REST_LEAST_GAIN, inexact(f, mine))
     }
 
 
@@ -101,7 +107,7 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     it; and one that drifts otherwise can look like part of the floor or a weaker battery.
     """
     first = point
-    if library.problem.stack.n_blocks < DRIFT_FEWEST_BLOCKS:
+    if library.problem.stack.n_blocks < FEWEST_IN_PARTS:
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)
@@ -142,7 +148,7 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
     p = adjusted(t, null_maxima(found, rng))
     best = int(np.argmax(gain))
-    if p[best] >= DRIFT_LEVEL or gain[best] <= DRIFT_LEAST_GAIN:
+    if p[best] >= REST_LEVEL or gain[best] <= REST_LEAST_GAIN:
         return point
     c = library.candidates[chosen[free[best]]]
     trial = fit(problem, point.model.plus(c, c.beginning), point, iterations=3)
@@ -181,7 +187,7 @@ def _rearranged(
                 continue
             other = model.swapped(index, c, c.beginning)
             found = cost(other)
-            if found < least - DRIFT_LEAST_BETTER:
+            if found < least - INSTEAD_LEAST_GAIN:
                 model, least = other, found
     drift = {
         new.candidate.cause
@@ -252,11 +258,11 @@ def _one_for_all(
         (_saved(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), target), i)
         for k, i in enumerate(chosen)
     ]
-    for _, i in sorted(saved, reverse=True)[:DRIFT_RIVALS]:
+    for _, i in sorted(saved, reverse=True)[:RIVALS]:
         c = library.candidates[i]
         other = Model().plus(c, c.beginning)
         found = cost(other)
-        if found < least + DRIFT_LEAST_BETTER:
+        if found < least + INSTEAD_LEAST_GAIN:
             return other, found
     return model, least
 
@@ -278,7 +284,7 @@ def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
         for k, i in enumerate(chosen)
         if library.candidates[i].cause not in point.model.causes
     ]  # fmt: skip
-    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:DRIFT_RIVALS]]
+    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:RIVALS]]
 
 
 def _saved(columns: Array, target: Array) -> float:

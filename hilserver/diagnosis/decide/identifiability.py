@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,17 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,
+    LEAST_GAIN,
     RIVAL_CLEAR_Z,
     RIVAL_COSINE,
-    RIVAL_ENOUGH,
-    RIVAL_MOST_SWAPS,
     TIE,
 )
 
 Array = NDArray[np.float64]
+
+
+MOST_SWAPS: Final = 4
+"""Exchanges in a row."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +182,7 @@ def deviations(difference: Array, more: float = 0.0) -> float:
     As they are, or bounded, whichever is clearer: of a cause that changes along the log, the half
     of the blocks that its mean fits worse would outvote the others.
     """
-    bounded = np.clip(difference, -RIVAL_ENOUGH, RIVAL_ENOUGH)
+    bounded = np.clip(difference, -LEAST_GAIN, LEAST_GAIN)
     return max(
         float((d.sum() + more) / (np.sqrt((d**2).sum()) + 1e-9)) for d in (difference, bounded)
     )
@@ -195,7 +199,7 @@ def settle(
         By accepted cause, see `rivals`.
     """
     near = near or {}
-    for _ in range(RIVAL_MOST_SWAPS):
+    for _ in range(MOST_SWAPS):
         ties: dict[str, list[Rival]] = {}
         swapped = None
         for index, f in enumerate(point.model.fitted):

@@ -1,6 +1,7 @@
 """Set-points that came late or never: what a link that loses messages leaves in the residual."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -8,10 +9,11 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import (
     LOST_LARGE_STEP_RPM,
     LOST_LATE_S,
-    LOST_RESPONSE_S,
-    LOST_SHARP_S,
 )
 from hilserver.measured.channels import SETPOINTS, SPEEDS
+
+RESPONSE_S: Final = 0.15
+"""In which the wheel answers a step."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,9 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
             ts, s = log[setpoint].of(span)
             first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
             for a in np.flatnonzero(np.abs(np.diff(s)) > LOST_LARGE_STEP_RPM) + 1:
-                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + LOST_RESPONSE_S])
+                low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
                 power = float(g[low:high] @ g[low:high])
-                if power <= 0.0 or noise / np.sqrt(power) > LOST_SHARP_S:
+                if power <= 0.0 or noise / np.sqrt(power) > 0.25 * LOST_LATE_S:
                     continue
                 late.append(-float(r[low:high] @ g[low:high]) / power > LOST_LATE_S)
     if len(late) < 12:

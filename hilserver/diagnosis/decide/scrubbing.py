@@ -6,6 +6,7 @@ milliseconds. Real skid-steered robots turn at about half of 1/track.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from scipy.optimize import brentq
 
@@ -16,15 +17,15 @@ from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.findings import Parameter
 from hilserver.diagnosis.thresholds import (
     INEXACT,
-    SCRUBBING_LARGEST_RATIO,
     SCRUBBING_LATE_S,
     SCRUBBING_MUCH,
-    SCRUBBING_SMALLEST_RATIO,
 )
 from hilserver.measured.channels import POSITION, YAW
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 
+RATIOS: Final = (0.2, 20.0)
+"""Friction across by friction along the wheels: where a ratio is looked for."""
 TURNING = "velocity.angular_rad_s"
 
 
@@ -77,8 +78,7 @@ def as_friction(robot: RobotParameters, gain: Fitted, own: Parameter) -> Paramet
         return float(
             brentq(
                 lambda r: anisotropy(robot.wheelbase_m or 0.0, robot.track_m, r, 0.0)[0] - wanted,
-                SCRUBBING_SMALLEST_RATIO,
-                SCRUBBING_LARGEST_RATIO,
+                *RATIOS,
                 xtol=1e-4,
             )
         )

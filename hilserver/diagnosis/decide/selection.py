@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,19 +29,25 @@ from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.thresholds import (
     GROSS,
+    GROUP_COSINE,
+    LEAST_GAIN,
     SCREEN_LEVEL,
-    SELECTION_LEAST_GAIN,
-    SELECTION_LEAST_LINEAR,
     SELECTION_LEAST_SAVED,
     SELECTION_MOST_CAUSES,
-    SELECTION_MOST_FITTED,
-    SELECTION_MOST_SHAPES,
-    SELECTION_NEARLY_ALL,
-    SELECTION_TRIALS,
     TIE,
 )
 
 Array = NDArray[np.float64]
+
+
+TRIALS: Final = 8
+"""Candidates of a round that are fitted: those with the largest linear gains."""
+NEARLY_ENOUGH: Final = 0.9 * LEAST_GAIN
+"""Deviance that a cause must save linearly to be fitted: the fit may save a little more."""
+MOST_FITTED: Final = 3
+"""Causes of a round that are fitted in full, each with all its shapes."""
+MOST_SHAPES: Final = 4
+"""Shapes of a cause that are fitted where much is left to explain."""
 
 
 @dataclass
@@ -75,15 +82,15 @@ def best_starts(
     shapes: dict[int, float] = {}
     for j, owner in enumerate(library.owner):
         c, gain = library.candidates[owner], float(scores.gain[j])
-        weak = gain < SELECTION_LEAST_LINEAR or (not c.linear and scores.size[j] < 0.15)
+        weak = gain < NEARLY_ENOUGH or (not c.linear and scores.size[j] < 0.15)
         if c.cause in barred or weak:
             continue
         if gross and c.moved is not None:
             shapes[int(owner)] = max(gain, shapes.get(int(owner), 0.0))
         if c.cause not in found or gain > found[c.cause][1]:
             found[c.cause] = (int(owner), gain)
-    out = sorted(found.values(), key=lambda item: -item[1])[:SELECTION_TRIALS]
-    more = sorted(shapes.items(), key=lambda item: -item[1])[:SELECTION_MOST_SHAPES]
+    out = sorted(found.values(), key=lambda item: -item[1])[:TRIALS]
+    more = sorted(shapes.items(), key=lambda item: -item[1])[:MOST_SHAPES]
     return out + [item for item in more if item[0] not in {index for index, _ in out}]
 
 
@@ -247,12 +254,12 @@ def _forward(
             ps,
         )
         trials = [trial for trial in tried if trial is not None]
-        least = max(SELECTION_LEAST_GAIN, own_error(point, start.deviance))
+        least = max(LEAST_GAIN, own_error(point, start.deviance))
         best = refined(problem, point, trials, pool)
         accepted = _accepted(problem, point, best, least, limit, selected)
         if accepted is None:
             break
-        near = [t for t in best if t.gain > SELECTION_NEARLY_ALL * accepted.gain]
+        near = [t for t in best if t.gain > GROUP_COSINE**2 * accepted.gain]
         selected.near[accepted.candidate.cause] = near
         point = both_at_once(problem, accepted.point, library)
         for cause in point.model.causes:
@@ -289,7 +296,7 @@ def _accepted(
     causes: set[str] = set()
     for trial in trials:
         causes.add(trial.candidate.cause)
-        if len(causes) > SELECTION_MOST_FITTED:
+        if len(causes) > MOST_FITTED:
             break
         fitted = fit(problem, trial.point.model, trial.point, iterations=4)
         z = wald(problem, fitted, len(fitted.model.fitted) - 1)

@@ -24,7 +24,7 @@ from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
-from hilserver.diagnosis.thresholds import GROSS, SETTLING_LEAST_GAIN, SETTLING_LEFT_SHARE
+from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, SETTLING_LEFT_SHARE
 
 
 @dataclass
@@ -111,7 +111,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
         return point, {}
     exchanged, ties = settle(p.library, point, selected.near)
     rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
-    point = prune(problem, exchanged, SETTLING_LEAST_GAIN)
+    point = prune(problem, exchanged, LEAST_GAIN)
     rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
@@ -143,10 +143,10 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
     if len(point.model.fitted) < 2:
         return None
     for rival in (r for found in ties.values() for r in found):
-        less = prune(problem, rival.point, SETTLING_LEAST_GAIN)
+        less = prune(problem, rival.point, LEAST_GAIN)
         fewer = len(less.model.fitted) < len(point.model.fitted)
         stands = rival.candidate.cause in less.model.causes
-        if fewer and stands and less.deviance < point.deviance + SETTLING_LEAST_GAIN:
+        if fewer and stands and less.deviance < point.deviance + LEAST_GAIN:
             return less
     return None
 

@@ -3,12 +3,17 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import Final
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.thresholds import GROSS, SHAPE_NEARLY, SHAPE_PROMISING
+from hilserver.diagnosis.thresholds import GROSS
 
+PROMISING: Final = 0.5
+"""Share of the best trial's gain from which another shape is worth a search."""
+NEARLY: Final = 1.1
+"""Variance of whitened residuals that is the noise model's own error."""
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
@@ -51,8 +56,8 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Execu
     """
     most = max((trial.gain for trial in trials), default=0.0)
     n = len(point.left)
-    whole = point.deviance > GROSS * n and point.deviance - most < SHAPE_NEARLY * n
-    least = most if whole else SHAPE_PROMISING * most
+    whole = point.deviance > GROSS * n and point.deviance - most < NEARLY * n
+    least = most if whole else PROMISING * most
 
     def best_shape(trial: Trial) -> Trial | None:
         if trial.candidate.moved is None or trial.gain < least:

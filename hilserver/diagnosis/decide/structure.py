@@ -8,17 +8,23 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.unknown import Family, families
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.regression.screen import (
+    Blocks,
+    adjusted,
+    least_t,
+    null_maxima,
+    orthogonal,
+    score,
+)
 from hilserver.diagnosis.thresholds import (
     DOMINANCE,
+    FEWEST_BLOCKS,
     GROSS,
     INEXACT,
     LEAST_USEFUL,
-    STRUCTURE_FEWEST_BLOCKS,
+    REST_LEAST_GAIN,
+    REST_LEVEL,
     STRUCTURE_LEAST_BETTER,
-    STRUCTURE_LEAST_GAIN,
-    STRUCTURE_LEAST_T,
-    STRUCTURE_LEVEL,
     SUBSTITUTE,
 )
 
@@ -75,7 +81,7 @@ def remaining(
     order = blocks.order
     scores, strong = [], []
     gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
-    gross = gross and stack.n_blocks >= STRUCTURE_FEWEST_BLOCKS
+    gross = gross and stack.n_blocks >= FEWEST_BLOCKS
     most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)
@@ -84,20 +90,20 @@ def remaining(
         white[:, (white**2).sum(axis=0) < 1e-4 * before] = 0.0
         scores.append(score(white[order], point.left[order], blocks))
         t = float(np.abs(scores[-1].t).max(initial=0.0))
-        if t <= STRUCTURE_LEAST_T and not gross:
+        if t <= least_t(REST_LEVEL) and not gross:
             continue
         slim = Family(family.name, family.regressors, np.zeros((0, 0)))
         u = Unknown(slim, t, 1.0, joint_gain(white, point.left), white)
         if gross and (most is None or u.gain > most.gain):
             most = u
-        least = max(STRUCTURE_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
-        if t > STRUCTURE_LEAST_T and u.gain > least and holds_out(problem, white, point.left):
+        least = max(REST_LEAST_GAIN, LEAST_USEFUL * len(stack), INEXACT * explained)
+        if t > least_t(REST_LEVEL) and u.gain > least and holds_out(problem, white, point.left):
             strong.append(u)
     maxima = null_maxima(scores, rng)
     found = []
     for u in strong:
         p = float(adjusted(np.array([u.t]), maxima)[0])
-        if p < STRUCTURE_LEVEL:
+        if p < REST_LEVEL:
             found.append(Unknown(u.family, u.t, p, u.gain, u.white))
     if not found and most is not None:
         return [most]
@@ -172,9 +178,7 @@ def joint_gain(white: Array, left: Array) -> float:
     return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
 
 
-def holds_out(
-    problem: Problem, white: Array, left: Array, least: float = STRUCTURE_LEAST_GAIN
-) -> bool:
+def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:
     """Return whether a family explains blocks that its coefficients were not fitted to."""
     stack = problem.stack
     norm = np.sqrt((white**2).sum(axis=0))

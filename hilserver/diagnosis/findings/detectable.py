@@ -8,11 +8,11 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.screen import Scores, student
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import (
-    DETECTABLE_LEAST_GAIN,
     DETECTABLE_LEAST_TIMES,
     DETECTABLE_POWER_SD,
     DETECTABLE_SELECTION_SD,
     HOPELESS,
+    LEAST_GAIN,
 )
 
 
@@ -20,7 +20,7 @@ def smallest(
     library: Library, scores: Scores, t_critical: float
 ) -> tuple[list[Detectable], list[NotJudged]]:
     """Return sizes for the causes of one stage, and those that the drive did not excite."""
-    least = np.maximum(student(t_critical, scores.freedom), np.sqrt(DETECTABLE_LEAST_GAIN))
+    least = np.maximum(student(t_critical, scores.freedom), np.sqrt(LEAST_GAIN))
     needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
     found: dict[str, tuple[float, str, float]] = {}
     for i, c in enumerate(library.candidates):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
-from hilserver.diagnosis.thresholds import GAIN_FEWEST_RUNS
+from hilserver.diagnosis.thresholds import FEWEST_BLOCKS
 from hilserver.measured.channels import POSITION, TAG, YAW
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
             continue
         begins = np.arange(own[0], own[-1] - horizon_s, 0.5 * horizon_s)
         runs += [(number, begin, begin + horizon_s) for begin in begins]
-    if len(runs) < GAIN_FEWEST_RUNS:
+    if len(runs) < FEWEST_BLOCKS:
         return None
     segments, begin, end = (np.array(column) for column in zip(*runs, strict=True))
     starts = {n: _nearest(problem, n, segments, begin) for n in names}

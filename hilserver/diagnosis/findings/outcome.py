@@ -1,6 +1,7 @@
 """From fitted models to findings: parameters with intervals, groups, sentences."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +28,14 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
-from hilserver.diagnosis.thresholds import READING_COARSE_SHARE
 from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.names import signal_unit
 
 Array = NDArray[np.float64]
+
+
+COARSE_SHARE: Final = 0.002
+"""Half the interval of a step that the spectrum tells, by the step."""
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
@@ -220,7 +224,7 @@ def lost(steps: LostSteps) -> Finding:
 
 def coarse(step_rpm: float) -> Finding:
     """Return the finding of wheel speeds that come in steps."""
-    half = READING_COARSE_SHARE * step_rpm
+    half = COARSE_SHARE * step_rpm
     finding = Finding(
         verdict=Verdict.NAMED,
         causes=(SPEED_STEP,),

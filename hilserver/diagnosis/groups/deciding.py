@@ -11,7 +11,7 @@ from hilserver.diagnosis.decide.trial import at_bound, worth_a_name
 from hilserver.diagnosis.groups.causes import Cause, causes_of
 from hilserver.diagnosis.groups.joint_fit import JointFit, Member, fit_in_all, refitted
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.thresholds import SCREEN_LEVEL, SETTLING_LEAST_GAIN
+from hilserver.diagnosis.thresholds import LEAST_GAIN, SCREEN_LEVEL
 
 
 @dataclass(frozen=True)
@@ -115,5 +115,5 @@ def _doubt(joint: JointFit, index: int) -> float:
         covariance = joint.all.covariance[group][mine, mine][np.ix_(counts, counts)]
         evidence += float(away @ np.linalg.pinv(covariance) @ away)
         freedom += int(counts.sum())
-    least = max(float(stats.chi2.isf(SCREEN_LEVEL, max(freedom, 1))), SETTLING_LEAST_GAIN)
+    least = max(float(stats.chi2.isf(SCREEN_LEVEL, max(freedom, 1))), LEAST_GAIN)
     return least / max(evidence, 1e-9)

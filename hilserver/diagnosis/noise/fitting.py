@@ -13,14 +13,18 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-from hilserver.diagnosis.noise.whitening import Array, NoiseModel, Whitener, robust_weights
+from hilserver.diagnosis.noise.whitening import (
+    SMALLEST_DOF,
+    Array,
+    NoiseModel,
+    Whitener,
+    robust_weights,
+)
 from hilserver.diagnosis.noise.windows import Windows
 from hilserver.diagnosis.thresholds import (
-    NOISE_COLOURED_NATS,
-    NOISE_GATE_SD,
+    NOISE_FAR_SD,
     NOISE_GATED_MAX,
-    NOISE_SMALLEST_DOF,
-    NOISE_TAILED_NATS,
+    NOISE_NATS,
     NOISE_TAU_MAX_S,
     NOISE_WINDOW_S,
     SHORT_DOF,
@@ -31,7 +35,7 @@ __all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise
 SAMPLES_MAX: Final = 12_000
 _SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
 _LOGIT_RANGE = (-8.0, 10.0)
-_DOFS = (NOISE_SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
+_DOFS = (SMALLEST_DOF, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 25.0)
 _FALLBACK_SD = 1e-9
 _LAGS = 40
 
@@ -64,10 +68,10 @@ def fit_noise(
     windows = Windows.cut(residuals, window_s, SAMPLES_MAX)
     if windows.samples < 8 or not windows.spread > floor_sd:
         return NoiseModel(floor_sd)
-    windows.gate_level(2.0 * NOISE_GATE_SD)
+    windows.gate_level(2.0 * NOISE_FAR_SD)
     model = _fit(windows, tau_max_s, None)
-    if windows.gate_innovations(model, NOISE_GATE_SD) > NOISE_GATED_MAX:
-        windows.gate_level(2.0 * NOISE_GATE_SD)
+    if windows.gate_innovations(model, NOISE_FAR_SD) > NOISE_GATED_MAX:
+        windows.gate_level(2.0 * NOISE_FAR_SD)
     else:
         model = _fit(windows, tau_max_s, model)
     dof = _tail_dof(windows.innovations(model))
@@ -137,7 +141,7 @@ def _fit(windows: Windows, tau_max_s: float, start: NoiseModel | None) -> NoiseM
     options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 80}
     best = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
     white, white_sd = windows.likelihood(1.0, 0.0, 1.0)
-    if -best.fun - white < NOISE_COLOURED_NATS:
+    if -best.fun - white < 2.0 * NOISE_NATS:  # deviation and correlation time
         return NoiseModel(white_sd)
     tau_s = math.exp(min(max(best.x[0], tau_range[0]), tau_range[1]))
     share = 1.0 / (1.0 + math.exp(-min(max(best.x[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1])))
@@ -154,7 +158,7 @@ def _tail_dof(innovations: Array) -> float:
         -0.5 * len(square) * (math.log(2.0 * math.pi * float(square.mean())) + 1.0),
         math.inf,
     )
-    best += NOISE_TAILED_NATS
+    best += NOISE_NATS
     for candidate in _DOFS:
         value = _student_likelihood(square, candidate)
         if value > best:

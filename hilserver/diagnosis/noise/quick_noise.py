@@ -1,6 +1,7 @@
 """Noise of channels that need no likelihood: white ones, and those without any memory."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,14 @@ from hilserver.diagnosis.thresholds import (
     NOISE_FAR_SD,
     NOISE_FEW_FAR,
     NOISE_WHITE,
-    OUTLIER_AROUND_S,
     OUTLIER_SD,
     OUTLIERS_IN_A_ROW,
 )
 
 Array = NDArray[np.float64]
 
+AROUND_S: Final = 1.05
+"""Width of the median that a spike leaves."""
 WITHIN_3_SD = 0.97334
 """Variance of a normal variable that lies within three deviations, by that of all."""
 
@@ -37,11 +39,11 @@ def isolated(white: Array) -> NDArray[np.bool_]:
 def spikes(t_s: Array, residual: Array) -> NDArray[np.bool_]:
     """Return which samples are far from their neighbours, alone or in a burst.
 
-    A burst of up to half of `OUTLIER_AROUND_S` does not move the median about it.
+    A burst of up to half of `AROUND_S` does not move the median about it.
     """
     if len(t_s) < 20:
         return np.zeros(len(t_s), dtype=bool)
-    width = round(OUTLIER_AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
+    width = round(AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
     aside = np.abs(residual - median_filter(residual, size=max(width, 5), mode="nearest"))
     return np.asarray(aside > OUTLIER_SD * 1.4826 * max(float(np.median(aside)), 1e-9))
 

@@ -10,6 +10,7 @@ it, as the mean of a censored normal does (Tobin 1958).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +21,15 @@ from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.thresholds import (
     READING_CALM,
     READING_FEWEST_CALM,
-    READING_LATER_S,
-    READING_LEAST_NOISE,
     READING_LEAST_SHARE,
-    READING_MOST_NOISE,
 )
 
 Array = NDArray[np.float64]
 
+NOISE_BY_STEP: Final = (0.02, 50.0)
+"""Where a noise is looked for: below rounding hides it, above nothing shows the rounding."""
+LATER_S: Final = 0.1
+"""Rounding that lasts is still alike."""
 FLOOR_SD = 1e-6
 """Deviation that a channel without any noise is given."""
 HARMONICS = np.arange(1, 6)
@@ -125,7 +127,7 @@ def noise_of_readings(
     def excess(noise_sd: float) -> float:
         return noise_sd**2 + step**2 / 12.0 - lasting(noise_sd, step) - seen
 
-    low, high = READING_LEAST_NOISE * step, READING_MOST_NOISE * step
+    low, high = (share * step for share in NOISE_BY_STEP)
     noise_sd = low if excess(low) > 0.0 else float(brentq(excess, low, high))
     whole = noise_sd**2 + step**2 / 12.0
     if lasting(noise_sd, step) < READING_LEAST_SHARE * whole:
@@ -151,7 +153,7 @@ def _mean_error(exact: Array, reading: Reading, noise_sd: float) -> Array:
 def _memory(parts: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
     """Return variance and correlation time of what of a series lasts from sample to sample."""
     period_s = float(np.median(np.concatenate([np.diff(t) for t, _ in parts])))
-    far = max(round(READING_LATER_S / max(period_s, 1e-6)), 3)
+    far = max(round(LATER_S / max(period_s, 1e-6)), 3)
     together = []
     for lag in (1, far):
         pairs = [(r[lag:], r[:-lag]) for _, r in parts if len(r) > lag]

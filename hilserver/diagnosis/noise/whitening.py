@@ -8,16 +8,17 @@ weights alone, so that a residual and its sensitivities go through the same line
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilserver.compiled import kernel
-from hilserver.diagnosis.thresholds import NOISE_SMALLEST_DOF
 
 Array = NDArray[np.float64]
 
+SMALLEST_DOF: Final = 2.1
+"""Degrees of freedom; at 2 there is no variance."""
 _TINY = 1e-300
 
 
@@ -127,7 +128,7 @@ def robust_weights(innovations: Array, dof: float) -> Array:
     """
     if math.isinf(dof):
         return np.ones_like(innovations)
-    dof = max(dof, NOISE_SMALLEST_DOF)
+    dof = max(dof, SMALLEST_DOF)
     weights: Array = (dof + 1.0) / (dof - 2.0 + np.square(innovations))
     return weights
 

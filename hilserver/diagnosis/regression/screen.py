@@ -15,16 +15,21 @@ every t is told as the normal deviation of equal probability.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from hilserver.diagnosis.thresholds import FLIPS, LEAST_FREEDOM, SCREEN_LEVEL
+from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
 Array = NDArray[np.float64]
 Real = NDArray[Any]
 """Of 32 or 64 bits."""
+LEAST_FREEDOM: Final = 0.5
+"""Degrees of freedom of what shows in a single block."""
+FLIPS: Final = 4999
+"""Draws of the blocks' signs; p is no smaller than one by so many."""
 
 SQUARE = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
 
@@ -205,6 +210,11 @@ def adjusted(t: Array, maxima: Array) -> Array:
     ordered = np.sort(maxima)
     above = len(ordered) - np.searchsorted(ordered, np.abs(t) - 1e-12, side="left")
     return np.asarray((above + 1) / (len(ordered) + 1))
+
+
+def least_t(level: float) -> float:
+    """Return the |t| below which not even a single test is significant."""
+    return float(ndtri(1.0 - 0.5 * level))
 
 
 def critical(maxima: Array, level: float = SCREEN_LEVEL) -> float:

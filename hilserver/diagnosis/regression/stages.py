@@ -18,7 +18,7 @@ from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import GROSS, READING_SAME_STEP, RIPPLE_ANSWERED
+from hilserver.diagnosis.thresholds import COARSE_SHOWN, GROSS, READING_SAME_STEP
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -182,7 +182,7 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
     if not edges:
         return False
     smooth, stepped = ripple(base.predicted), ripple(coarse)
-    return ripple(stack.values) - smooth > RIPPLE_ANSWERED * (stepped - smooth)
+    return ripple(stack.values) - smooth > COARSE_SHOWN * (stepped - smooth)
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:

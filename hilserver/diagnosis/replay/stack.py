@@ -3,17 +3,20 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.thresholds import FOLD_RUNS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+
+FOLD_RUNS: Final = 6
+"""From so many runs, or else segments, on they are held out whole."""
 
 
 @dataclass(frozen=True)

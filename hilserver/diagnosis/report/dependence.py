@@ -15,7 +15,7 @@ from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima,
 from hilserver.diagnosis.replay.pose_stage import FORWARD, HEADING, TURN
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import Dependence
-from hilserver.diagnosis.thresholds import STRUCTURE_LEVEL
+from hilserver.diagnosis.thresholds import REST_LEVEL
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 
@@ -92,7 +92,7 @@ def _critical(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> flo
     """Return the critical statistic of the structures that were found."""
     blocks = Blocks.of(problem.stack.block, problem.stack.n_blocks)
     scores = [score(u.white[blocks.order], point.left[blocks.order], blocks) for u in unknown]
-    return critical(null_maxima(scores, np.random.default_rng(0)), STRUCTURE_LEVEL)
+    return critical(null_maxima(scores, np.random.default_rng(0)), REST_LEVEL)
 
 
 def _left(problem: Problem, point: Point, u: Unknown) -> _Left:
