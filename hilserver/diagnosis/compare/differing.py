@@ -12,6 +12,7 @@ from hilserver.diagnosis.decide.identifiability import rivals
 from hilserver.diagnosis.findings.explain import separating_experiment
 from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.linear import cosine
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Parameter, Verdict
@@ -78,7 +79,7 @@ def _imitators(
 
 def _cosine(library: Library, a: Difference, b: Difference) -> float:
     x, y = (library.columns[:, d.column].astype(np.float64) for d in (a, b))
-    return abs(float(x @ y)) / float(np.linalg.norm(x) * np.linalg.norm(y) + 1e-300)
+    return cosine(x, y)
 
 
 def _finding(group: Sequence[Difference]) -> Finding:

@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
-from hilserver.diagnosis.decide.structure import Unknown, alone, holds_out, joint_gain
+from hilserver.diagnosis.decide.structure import Unknown, holds_out, joint_gain
 from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import RANGING, anchor_fields
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.disturbance import Motion
-from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.linear import orthogonal
+from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import (
     Blocks,
     adjusted,
     least_t,
     null_maxima,
-    orthogonal,
     score,
 )
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -198,8 +198,8 @@ def scale_or_anchor(problem: Problem, point: Point) -> Contest | None:
     fields = _fields(problem.stage, problem, point)
     if fields is None:
         return None
-    others, own = alone(point, accepted, index)
-    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    others, own = apart(point, accepted, index)
+    target = orthogonal(point.left + own, others)
     white = orthogonal(fields.white, others)
     explained = float(target @ target - point.left @ point.left)
     squares, along = (white**2).sum(axis=0) + 1e-300, white.T @ target

@@ -11,8 +11,9 @@ from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.intervals import own_share
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, orthogonal, score
+from hilserver.diagnosis.regression.linear import orthogonal, saved
+from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, score
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (
     DRIFT_LEAST_BESIDE,
@@ -28,6 +29,8 @@ RIVALS: Final = 3
 """Causes whose change is tried in full."""
 PARTS: Final = 4
 """Of the log, each with a size and a trend of its own."""
+DAMPING: Final = 1e-6
+"""Of a size beside its trend, see `linear`."""
 FEWEST_IN_PARTS: Final = 2 * PARTS
 """Blocks; of fewer nobody can tell a change from noise."""
 
@@ -143,7 +146,7 @@ def _taken_up(library: Library, point: Point, rng: np.random.Generator) -> Point
     for k in free:  # beside a size of its own: without, only the end that differs would count
         mean = np.column_stack([base, columns[:, [k]]])
         change = orthogonal(columns[:, [k]] * time, mean)
-        left = orthogonal(point.left[:, None], mean)[:, 0]
+        left = orthogonal(point.left, mean)
         found.append(score(change[order], left[order], blocks))
     t, gain = (np.array([float(getattr(s, name)[0]) for s in found]) for name in ("t", "gain"))
     p = adjusted(t, null_maxima(found, rng))
@@ -210,7 +213,7 @@ def _left_in(problem: Problem, model: Model, start: Point, mask: NDArray[np.bool
     if columns is None or not rows.any():
         return left
     trend = columns[rows] * course(problem)[rows]
-    return left - _saved(orthogonal(trend, columns[rows]), point.left[rows])
+    return left - saved(orthogonal(trend, columns[rows]), point.left[rows], DAMPING)
 
 
 def _without_stand_ins(
@@ -252,14 +255,8 @@ def _one_for_all(
     if len(model.fitted) < 2:
         return model, least
     problem = library.problem
-    target, time = problem.point(Model(), first.poses).left, course(problem)
-    chosen, columns = _singles(library)
-    saved = [
-        (_saved(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), target), i)
-        for k, i in enumerate(chosen)
-    ]
-    for _, i in sorted(saved, reverse=True)[:RIVALS]:
-        c = library.candidates[i]
+    target = problem.point(Model(), first.poses).left
+    for c in _by_change(library, target, None)[:RIVALS]:
         other = Model().plus(c, c.beginning)
         found = cost(other)
         if found < least + INSTEAD_LEAST_GAIN:
@@ -269,28 +266,20 @@ def _one_for_all(
 
 def _rivals(library: Library, point: Point, index: int) -> list[Candidate]:
     """Return the linear causes that could best stand in the place of another."""
-    problem, f = library.problem, point.model.fitted[index]
-    accepted = problem.accepted(point)
+    accepted = library.problem.accepted(point)
     assert accepted is not None
-    mine = point.model.slices[index]
-    others = np.delete(accepted, mine, axis=1)
-    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    target = orthogonal((point.left + accepted[:, mine] @ away)[:, None], others)[:, 0]
+    others, own = apart(point, accepted, index)
+    target, taken = orthogonal(point.left + own, others), point.model.causes
+    best = [c for c in _by_change(library, target, others) if c.cause not in taken]
+    return best[:RIVALS]
+
+
+def _by_change(library: Library, target: Array, others: Array | None) -> list[Candidate]:
+    """Return the linear candidates; first those whose size and trend explain most of a target."""
     chosen, columns = _singles(library)
-    time = course(problem)
-    saved = [
-        (_saved(orthogonal(np.column_stack([columns[:, [k]], columns[:, [k]] * time]), others),
-                target), i)
-        for k, i in enumerate(chosen)
-        if library.candidates[i].cause not in point.model.causes
-    ]  # fmt: skip
-    return [library.candidates[i] for _, i in sorted(saved, reverse=True)[:RIVALS]]
-
-
-def _saved(columns: Array, target: Array) -> float:
-    """Return the deviance that some columns save together."""
-    norm = np.sqrt((columns**2).sum(axis=0)) + 1e-300
-    unit = columns / norm
-    gram = unit.T @ unit + 1e-6 * np.eye(unit.shape[1])
-    along = unit.T @ target
-    return float(along @ np.linalg.solve(gram, along))
+    time = course(library.problem)
+    gains = [
+        (saved(orthogonal(np.column_stack([own, own * time]), others), target, DAMPING), i)
+        for i, own in zip(chosen, columns.T[:, :, None], strict=True)
+    ]
+    return [library.candidates[i] for _, i in sorted(gains, reverse=True)]

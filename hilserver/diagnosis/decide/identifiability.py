@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.linear import basis, cosine, orthogonal
+from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
 from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,
     LEAST_GAIN,
@@ -72,11 +73,11 @@ def cosines(library: Library, point: Point, index: int) -> Array:
     columns = problem.accepted(point)
     assert columns is not None
     columns = columns[library.blocks.order]
-    part = point.model.slices[index]
-    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    mine = columns[:, part] @ away if f.candidate.linear else columns[:, part.start]
-    base = orthonormal(np.delete(columns, part, axis=1))
-    mine = mine - base @ (base.T @ mine)
+    others, mine = apart(point, columns, index)
+    if not f.candidate.linear:
+        mine = columns[:, point.model.slices[index].start]
+    mine = orthogonal(mine, others)
+    base = basis(others)
     theirs = library.columns.astype(np.float64).T
     along, with_base = theirs @ mine, theirs @ base
     out = np.zeros(len(library.candidates))
@@ -94,22 +95,12 @@ def cosines(library: Library, point: Point, index: int) -> Array:
 
 def explained(problem: Problem, point: Point, index: int) -> float:
     """Return the deviance that an accepted cause saves, about, beside the others."""
-    f, part, columns = point.model.fitted[index], point.model.slices[index], problem.accepted(point)
-    assert columns is not None
-    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    if not f.candidate.linear:
+    columns = problem.accepted(point)
+    if columns is None or not point.model.fitted[index].candidate.linear:
         return 0.0
-    own = columns[:, part] @ away
-    base = orthonormal(np.delete(columns, part, axis=1))
-    own = own - base @ (base.T @ own)
+    others, own = apart(point, columns, index)
+    own = orthogonal(own, others)
     return float(own @ own)
-
-
-def orthonormal(columns: Array) -> Array:
-    """Return an orthonormal base of some columns; of none, an empty one."""
-    if columns.shape[1] == 0:
-        return columns
-    return np.asarray(np.linalg.qr(columns / (np.sqrt((columns**2).sum(axis=0)) + 1e-300))[0])
 
 
 def rivals(library: Library, point: Point, index: int, near: Sequence[Trial] = ()) -> list[Rival]:
@@ -171,9 +162,7 @@ def _compared(rival: Rival, without: Point, point: Point) -> Rival:
 
 def likeness(without: Point, one: Point, other: Point) -> float:
     """Return the |cos| between what two models change of a third that has neither cause."""
-    a, b = without.left - one.left, without.left - other.left
-    norm = float(np.sqrt((a @ a) * (b @ b)))
-    return abs(float(a @ b)) / norm if norm > 0.0 else 0.0
+    return cosine(without.left - one.left, without.left - other.left)
 
 
 def deviations(difference: Array, more: float = 0.0) -> float:

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.unknown import Family, families
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.linear import orthogonal, saved, scaled
+from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
 from hilserver.diagnosis.regression.screen import (
     Blocks,
     adjusted,
     least_t,
     null_maxima,
-    orthogonal,
     score,
 )
 from hilserver.diagnosis.thresholds import (
@@ -29,6 +29,9 @@ from hilserver.diagnosis.thresholds import (
 )
 
 Array = NDArray[np.float64]
+
+ALIKE_DAMPING = 1e-3
+"""Of families, whose columns are much alike, see `linear`."""
 
 
 @dataclass(frozen=True)
@@ -110,13 +113,6 @@ def remaining(
     return sorted(found, key=lambda u: -u.gain)
 
 
-def alone(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
-    """Return the columns of the other accepted causes, and the effect of one of them."""
-    f, mine = point.model.fitted[index], point.model.slices[index]
-    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
-    return np.delete(accepted, mine, axis=1), own
-
-
 def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int | None:
     """Return the accepted cause that a column of unknown structure most clearly explains better.
 
@@ -140,8 +136,8 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int 
 
 def _better(problem: Problem, white: Array, point: Point, accepted: Array, index: int) -> float:
     """Return by how much one of a family's columns explains more in the place of a cause; or 0."""
-    others, own = alone(point, accepted, index)
-    target = orthogonal((point.left + own)[:, None], others)[:, 0]
+    others, own = apart(point, accepted, index)
+    target = orthogonal(point.left + own, others)
     effect = orthogonal(own[:, None], others)
     columns = orthogonal(white, others)
     squares = (columns**2).sum(axis=0)
@@ -150,40 +146,34 @@ def _better(problem: Problem, white: Array, point: Point, accepted: Array, index
     usable &= np.abs(columns.T @ effect)[:, 0] / length > SUBSTITUTE
     if not usable.any():
         return 0.0
-    saved = _saved_held_out(problem, columns[:, usable], target)
+    more = _saved_held_out(problem, columns[:, usable], target)
     explained = float(_saved_held_out(problem, effect, target)[0])
-    more = float(saved.max()) - explained * (1.0 + INEXACT) - STRUCTURE_LEAST_BETTER
-    return max(more, 0.0)
+    better = float(more.max()) - explained * (1.0 + INEXACT) - STRUCTURE_LEAST_BETTER
+    return max(better, 0.0)
 
 
 def _saved_held_out(problem: Problem, columns: Array, target: Array) -> Array:
     """Return the deviance that each column alone saves on blocks it was not fitted to."""
-    fold, saved = problem.stack.fold[problem.stack.block], np.zeros(columns.shape[1])
+    fold, total = problem.stack.fold[problem.stack.block], np.zeros(columns.shape[1])
     for test in (0, 1):
         a, b = columns[fold != test], target[fold != test]
         size = (a.T @ b) / ((a**2).sum(axis=0) + 1e-300)
         a, b = columns[fold == test], target[fold == test]
-        saved += 2.0 * size * (a.T @ b) - size**2 * (a**2).sum(axis=0)
-    return saved
+        total += 2.0 * size * (a.T @ b) - size**2 * (a**2).sum(axis=0)
+    return total
 
 
 def joint_gain(white: Array, left: Array) -> float:
     """Return the deviance that all columns save together, less one per column."""
-    norm = np.sqrt((white**2).sum(axis=0))
-    unit = white[:, norm > 0.0] / norm[norm > 0.0]
-    if unit.shape[1] == 0:
-        return 0.0
-    gram = unit.T @ unit + 1e-3 * np.eye(unit.shape[1])
-    b = unit.T @ left
-    return float(b @ np.linalg.solve(gram, b) - unit.shape[1])
+    shown = white[:, white.any(axis=0)]
+    return saved(shown, left, ALIKE_DAMPING) - shown.shape[1]
 
 
 def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:
     """Return whether a family explains blocks that its coefficients were not fitted to."""
     stack = problem.stack
-    norm = np.sqrt((white**2).sum(axis=0))
-    unit = white[:, norm > 0.0] / norm[norm > 0.0]
-    saved = []
+    unit, _ = scaled(white)
+    gained = []
     fold = stack.fold[stack.block]
     for test in (0, 1):
         train = fold != test
@@ -193,8 +183,8 @@ def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_L
         gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
         rest = left - unit @ np.linalg.solve(gram, a.T @ b)
         part = stack.fold == test
-        saved.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
-    return sum(saved) > least and min(saved) > 0.0
+        gained.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
+    return sum(gained) > least and min(gained) > 0.0
 
 
 def without_unknown(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[int]:

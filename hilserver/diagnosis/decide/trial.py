@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.intervals import covariance
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
-from hilserver.diagnosis.regression.screen import freedom_of, normal, orthogonal
+from hilserver.diagnosis.regression.linear import orthogonal
+from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.regression.screen import freedom_of, normal
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (
     SELECTION_LEAST_SAVED,
@@ -104,5 +105,6 @@ def wald(problem: Problem, point: Point, index: int) -> float:
     f, part = point.model.fitted[index], point.model.slices[index]
     away = np.asarray(f.theta) - np.asarray(f.candidate.null)
     t = np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0))
-    mine = orthogonal(columns[:, part] @ away[:, None], np.delete(columns, part, axis=1))
+    others, own = apart(point, columns, index)
+    mine = orthogonal(own[:, None], others)
     return float(normal(t, freedom_of(problem.stack.block_sums(mine**2)))[0])

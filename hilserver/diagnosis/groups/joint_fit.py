@@ -11,6 +11,7 @@ from hilserver.diagnosis.decide.settling import Judged
 from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.groups.sharing import GroupFit, Together, free_parameters, together
+from hilserver.diagnosis.regression.linear import sandwich
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import COMPARE_LEVEL
@@ -162,14 +163,9 @@ def _known(member: Member, point: Point) -> GroupFit:
 def _between_logs(member: Member, point: Point, columns: Array) -> tuple[Array, int]:
     """Return the variances of the parameters by the scatter of single logs, and their number."""
     problem = member.problem
-    scale = np.sqrt((columns**2).sum(axis=0))
-    unit = columns / scale
-    blocks = problem.stack.block_sums(unit * point.left[:, None])
+    blocks = problem.stack.block_sums(columns * point.left[:, None])
     runs = np.unique(member.run_of_block[np.abs(blocks).sum(axis=1) > 0.0])
     if len(runs) < 2:
-        return np.zeros(len(scale)), len(runs)
+        return np.zeros(columns.shape[1]), len(runs)
     sums = np.stack([blocks[member.run_of_block == run].sum(axis=0) for run in runs])
-    bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(len(scale)))
-    steps = sums @ bread
-    variance = (steps**2).sum(axis=0) * len(runs) / (len(runs) - 1)
-    return variance / scale**2, len(runs)
+    return np.diag(sandwich(columns, sums)) * len(runs) / (len(runs) - 1), len(runs)

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.catalogue.traits import traits_of
+from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import MODEL_SHARE
 
@@ -28,18 +29,10 @@ def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[A
     """
     assert columns is not None
     n, k = problem.stack.n_blocks, columns.shape[1]
-    scale = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-100)  # a cause may show nowhere
-    unit = columns / scale
-    bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(k))
-    scores = problem.stack.block_sums(unit * point.left[:, None])
-    used = max(int((np.abs(scores).sum(axis=1) > 0).sum()), k + 2)
-    robust = bread @ (scores.T @ scores) @ bread * (used / (used - k))
+    sums = problem.stack.block_sums(columns * point.left[:, None])
+    used = max(int(sums.any(axis=1).sum()), k + 2)
     level = point.deviance / max(len(point.left), 1)
-    naive = bread * max(level, 1.0)
-    smallest = 1e-12 * np.diag(naive)
-    growth = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(robust), smallest), 1.0))
-    whole = robust * np.outer(growth, growth)
-    return whole / np.outer(scale, scale), min(used, n) - k
+    return linear.covariance(columns, sums, used, level), min(used, n) - k
 
 
 def whole_covariance(

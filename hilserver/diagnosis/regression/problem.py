@@ -22,6 +22,7 @@ from hilserver.diagnosis.noise.fitting import (
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
+from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
@@ -30,6 +31,8 @@ from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
+DAMPED = 1e-6
+"""Damping of the steps of a fit, see `linear`."""
 
 
 @dataclass(frozen=True)
@@ -252,6 +255,13 @@ class Problem:
         self.noise, self.weights = noise, weights
 
 
+def apart(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
+    """Return the columns of the other accepted causes, and the effect of one of them."""
+    f, mine = point.model.fitted[index], point.model.slices[index]
+    own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
+    return np.delete(accepted, mine, axis=1), own
+
+
 def fit(
     problem: Problem,
     model: Model,
@@ -279,10 +289,7 @@ def fit(
         raw = problem.whiten(problem.columns(point, point.model))
         white = problem.project(raw, problem.bases(nuisance))
         keep = used[problem.stack.block]
-        a, b = white[keep], point.left[keep]
-        scale = np.sqrt((a**2).sum(axis=0)) + 1e-300
-        damped = (a / scale).T @ (a / scale) + 1e-6 * np.eye(len(scale))
-        step = np.linalg.solve(damped, (a.T @ b) / scale) / scale
+        step = ridge(white[keep], point.left[keep], DAMPED)
         best = None
         for share in (1.0, 0.5, 0.2):
             theta = np.clip(point.model.theta() + share * step, low, high)

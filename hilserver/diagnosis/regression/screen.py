@@ -131,14 +131,6 @@ class Blocks:
         return out
 
 
-def orthogonal(columns: Array, accepted: Array | None) -> Array:
-    """Take the accepted causes' columns out of others."""
-    if accepted is None or accepted.shape[1] == 0:
-        return columns
-    base, _ = np.linalg.qr(accepted / (np.sqrt((accepted**2).sum(axis=0)) + 1e-30))
-    return np.asarray(columns - base @ (base.T @ columns))
-
-
 def score(columns: Real, left: Real, blocks: Blocks, accepted: Real | None = None) -> Scores:
     """Score directions against a whitened residual; all arrays in the order of the blocks.
 

@@ -8,6 +8,7 @@ from scipy import stats
 
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.findings.outcome import unit_of
+from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import Course
@@ -97,16 +98,10 @@ def _estimate(
 ) -> tuple[Array, Array, float]:
     """Return the step of the parameters, its covariance and the factor to 95 %."""
     k = columns.shape[1]
-    scale = np.sqrt((columns**2).sum(axis=0)) + TINY
-    unit = columns / scale
-    bread = np.linalg.inv(unit.T @ unit + 1e-9 * np.eye(k))
-    step = bread @ (unit.T @ left)
+    step = linear.ridge(columns, left)
     _, block = np.unique(problem.stack.block[rows], return_inverse=True)
-    rest = left - unit @ step
-    scores = np.stack([np.bincount(block, unit[:, j] * rest) for j in range(k)], axis=1)
-    freedom = max(len(scores) - k, 1)
-    robust = bread @ (scores.T @ scores) @ bread * (len(scores) / freedom)
-    naive = bread * max(float(np.mean(rest**2)), 1.0)
-    growth = np.sqrt(np.maximum(np.diag(naive) / np.maximum(np.diag(robust), TINY), 1.0))
-    spread = robust * np.outer(growth, growth) / np.outer(scale, scale)
-    return step / scale, spread, float(stats.t.ppf(0.975, max(freedom, 2)))
+    rest = left - columns @ step
+    sums = np.stack([np.bincount(block, columns[:, j] * rest) for j in range(k)], axis=1)
+    blocks = max(len(sums), k + 1)
+    spread = linear.covariance(columns, sums, blocks, float(np.mean(rest**2)))
+    return step, spread, float(stats.t.ppf(0.975, max(blocks - k, 2)))

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import strategies as st
 from scipy import stats
 
+from hilserver.diagnosis.regression.linear import orthogonal
 from hilserver.diagnosis.regression.screen import (
     Blocks,
     adjusted,
@@ -14,7 +15,6 @@ from hilserver.diagnosis.regression.screen import (
     freedom_of,
     normal,
     null_maxima,
-    orthogonal,
     score,
     student,
 )
