@@ -166,7 +166,7 @@ def _saved_held_out(problem: Problem, columns: Array, target: Array) -> Array:
 def joint_gain(white: Array, left: Array) -> float:
     """Return the deviance that all columns save together, less one per column."""
     shown = white[:, white.any(axis=0)]
-    return saved(shown, left, ALIKE_DAMPING) - shown.shape[1]
+    return saved(shown, left, ALIKE_DAMPING) - float(shown.shape[1])
 
 
 def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:

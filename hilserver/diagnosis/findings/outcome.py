@@ -135,7 +135,8 @@ def _twins(
     problem: Problem, f: Fitted, own: Parameter | None, *, scrubs: bool, anchor: Anchor | None
 ) -> dict[str, Parameter]:
     """Return what these data cannot tell from a cause and no candidate is fitted for."""
-    traits, found = traits_of(f.candidate.cause), {}
+    traits = traits_of(f.candidate.cause)
+    found: dict[str, Parameter] = {}
     if own is None:
         return found
     if scrubs and traits.scrubs_as:

@@ -197,7 +197,7 @@ def _smallest(
 
 def _shown(stages: list[Decided], wholes: list[Explained], group: str) -> dict[str, Shown]:
     """Return the stages of one group as the report draws them."""
-    shown = {}
+    shown: dict[str, Shown] = {}
     for d, whole in zip(stages, wholes, strict=True):
         for m, before, after in zip(d.members, whole.before, whole.after, strict=True):
             if m.group == group:

@@ -139,7 +139,7 @@ class DriveStage(Stage):
         _, seen, duty = self.simulate(terms)
         angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * self.segments.period_s)
         angle = np.mod(angle, 2.0 * np.pi)
-        found = {}
+        found: dict[str, Array] = {}
         for w, wheel in enumerate(WHEELS):
             found |= {SPEEDS[w]: seen[:, w], DUTIES[w]: duty[:, w]}
             found[f"wheel.{wheel}.angle_rad"] = angle[:, w]

@@ -101,7 +101,8 @@ def _estimate(
     step = linear.ridge(columns, left)
     _, block = np.unique(problem.stack.block[rows], return_inverse=True)
     rest = left - columns @ step
-    sums = np.stack([np.bincount(block, columns[:, j] * rest) for j in range(k)], axis=1)
+    own = (columns * rest[:, None]).T
+    sums: Array = np.stack([np.bincount(block, weights=one) for one in own], axis=1)
     blocks = max(len(sums), k + 1)
     spread = linear.covariance(columns, sums, blocks, float(np.mean(rest**2)))
     return step, spread, float(stats.t.ppf(0.975, max(blocks - k, 2)))
