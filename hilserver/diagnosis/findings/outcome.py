@@ -114,7 +114,7 @@ def named(
             if ratio is not None:
                 causes.append("friction_anisotropy")
                 values["friction_anisotropy.ratio"] = ratio
-        if cause == "nav_scale":
+        if cause == "nav_scale" and not problem.stage.robot.is_mecanum:
             causes.append("traction_slip")
             values["traction_slip"] = _as_slip(own[i][cause])
         if anchor is not None and cause == "nav_scale":

@@ -34,6 +34,7 @@ class Motion:
         left, right = stage.left[take], stage.right[take]
         scale = stage.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
         self.v = (left - right) * scale
+        self.vy = stage.aside[take]
         self.side = (left, right)
         self.t = np.concatenate([
             stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
@@ -52,7 +53,7 @@ class Motion:
         """Return the raw column of a disturbance of the body velocity."""
         yaw = self._integrate(dom)
         z = (dv + 1j * dvy) * np.exp(1j * self.yaw)
-        velocity = self.v * np.exp(1j * self.yaw)
+        velocity = (self.v + 1j * self.vy) * np.exp(1j * self.yaw)
         place = self._integrate(z + 1j * yaw * velocity)
         return self._sampled(
             {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}

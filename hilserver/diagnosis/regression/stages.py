@@ -79,7 +79,7 @@ def stages_of(
     stages: dict[str, DriveStage | PoseStage] = {}
     if DriveStage.judges(log) and log.drive_is_known:
         stages["drive"] = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
-    if PoseStage.judges(log, driven="drive" in stages):
+    if PoseStage.judges(log, robot, driven="drive" in stages):
         stages["pose"] = pose_stage(log, robot, stages.get("drive"), drive_terms, jobs)
     return stages
 

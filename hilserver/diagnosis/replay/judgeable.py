@@ -3,7 +3,13 @@
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates, side_encoders
+from hilserver.diagnosis.catalogue.library import (
+    drive_candidates,
+    encoders,
+    pose_candidates,
+    roller_candidates,
+    side_encoders,
+)
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -16,6 +22,8 @@ NEEDS_POSITION = {
     "wheel_radius",
     "longitudinal_slip",
     "acceleration_slip",
+    "traction_slip",
+    "roller_slip",
     "side_slip",
     "icr_offset",
     "wheel_misalignment",
@@ -36,7 +44,7 @@ NEEDS_STAMPS = {
 }  # fmt: skip
 NOT_OF_ITS_OWN = {
     "friction_anisotropy": "in steady turns it is the same as rotation_gain and icr_offset",
-    "traction_slip": "on one floor it is the same as nav_scale",
+    "traction_slip": "on one floor it is the same as nav_scale",  # but for mecanum wheels
     "backlash": "the play between motor and wheel is not tested",
     "missed_ticks": "the log has no tick counter",
 }
@@ -45,7 +53,7 @@ NOT_OF_ITS_OWN = {
 def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], dict[str, str]]:
     """Return the candidates that a stage's channels can judge, and why others are not judged."""
     log = stage.log
-    reasons: dict[str, str] = {}
+    reasons: dict[str, str] = dict(stage.robot.meaningless)
     if isinstance(stage, DriveStage):
         found = drive_candidates(100.0)
         if not any(n in log for n in SPEEDS):
@@ -55,7 +63,7 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
         if "battery.voltage_v" not in log:
             reasons["battery_sag"] = "no battery voltage in the log"
     else:
-        found = pose_candidates(_place(log)) + side_encoders(stage.encoders)
+        found = _of_the_pose(stage)
         if not log.has(*POSITION):
             reasons |= dict.fromkeys(NEEDS_POSITION, "no position in the log")
             if YAW in log or GYRO in log:
@@ -70,6 +78,13 @@ def judged_candidates(stage: DriveStage | PoseStage) -> tuple[list[Candidate], d
     if not log.has_stamps:
         reasons |= dict.fromkeys(NEEDS_STAMPS, "the log has no time stamps")
     return [c for c in found if c.cause not in reasons], reasons
+
+
+def _of_the_pose(stage: PoseStage) -> list[Candidate]:
+    found = pose_candidates(_place(stage.log))
+    if stage.robot.is_mecanum:
+        return found + roller_candidates() + encoders(stage.encoders)
+    return found + side_encoders(stage.encoders)
 
 
 def _place(log: MeasuredLog) -> tuple[float, float, float, float] | None:
@@ -109,7 +124,7 @@ def vocabulary_reasons(
         if cause.block in ("drive", "controller") and "drive" not in stages:
             out[name] = "no set-points with wheel speeds, or the mapping gives no plant.process"
         elif cause.block not in ("drive", "controller") and "pose" not in stages:
-            out[name] = "no pose and no turn rate in the log, or no wheel speed of both sides"
+            out[name] = "no pose and no turn rate in the log, or too few wheel speeds"
     order = {name: place for place, name in enumerate(CAUSES)}
     left = sorted(out.keys() - judged, key=lambda name: (order.get(name, len(order)), name))
     return {name: out[name] for name in left}

@@ -1,6 +1,6 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
@@ -12,7 +12,7 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
-from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
+from hilserver.diagnosis.replay.wheel_speeds import RADIANS_PER_RPM_S, WheelSpeeds, angles_at_starts
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import Channel, MeasuredLog
@@ -52,6 +52,8 @@ class PoseStage:
         Measured position, yaw and turn rate.
     left, right : ndarray, shape (ticks,)
         Sums of the speeds of both wheels of a side [rpm].
+    apart : ndarray, shape (2, ticks) or (2, 0)
+        Front minus rear wheel of both sides [rpm], which moves a mecanum robot to the side.
     encoders : mapping of int to ndarray, shape (ticks,)
         By wheel its share in these, where nothing but the pose can judge its encoder.
     """
@@ -77,6 +79,7 @@ class PoseStage:
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
         wheels = WheelSpeeds(log, self.segments, drive)
         self.left, self.right = wheels.sides()
+        self.apart = wheels.apart() if robot.is_mecanum else np.empty((2, 0))
         self.encoders: dict[int, Array] = {}
         if drive is None or not any(n in log for n in DUTIES):  # duties tell far better
             self.encoders = {w: own for w, own in wheels.shares.items() if SPEEDS[w] in log}
@@ -116,27 +119,34 @@ class PoseStage:
         return wait_s
 
     def _is_driven(self, span: int) -> bool:
-        """Return whether it is known in a span how the wheels of both sides turned."""
+        """Return whether it is known in a span how the wheels turned."""
         if self._drive is not None and self._drive[0].knows(span):
             return True
-        sides = (SPEEDS[:2], SPEEDS[2:])
-        return all(any(n in self.log and len(self.log[n].of(span)[0]) for n in s) for s in sides)
+        log = self.log
+        return tell_motion(self.robot, lambda n: n in log and len(log[n].of(span)[0]) > 0)
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""
         return PoseStage(self.log, self.robot, self._drive, block_s=self._block_s, longest_s=None)
 
+    @property
+    def aside(self) -> Array:
+        """Speed to the left [m/s] as nominal wheels make it, shape (ticks,); of tyres none."""
+        if not self.apart.size:
+            return np.zeros(self.segments.ticks)
+        rim_m_s_per_rpm = RADIANS_PER_RPM_S * self.robot.wheel_radius_m
+        return np.asarray(-0.25 * rim_m_s_per_rpm * self.apart.sum(axis=0))
+
     @staticmethod
-    def judges(log: MeasuredLog, *, driven: bool) -> bool:
+    def judges(log: MeasuredLog, robot: RobotParameters, *, driven: bool) -> bool:
         """Return whether the log has what this stage needs.
 
         Parameters
         ----------
         driven : bool
-            The drive's stage tells how wheels turn whose speed is not measured; without it a side
-            without a speed would stand still.
+            The drive's stage tells how wheels turn whose speed is not measured.
         """
-        moved = driven or all(any(n in log for n in side) for side in (SPEEDS[:2], SPEEDS[2:]))
+        moved = driven or tell_motion(robot, lambda name: name in log)
         return moved and (log.has(*POSITION) or YAW in log or GYRO in log)
 
     def simulate(self, terms: Mapping[str, float], poses: Array) -> Array:
@@ -156,12 +166,12 @@ class PoseStage:
         if last is not None and last[0] == key:
             return last[1]
         dense = np.empty((self.segments.ticks, 4))
-        left, right = self._turned(p)
+        left, right, apart = self._turned(p)
 
         def run(share: slice) -> None:
             ends = self.segments.first[share.start : share.stop + 1]
             angles, y = self.angle_0[share], np.zeros(N_Y)
-            run_pose(p, self._state, ends, left, right, poses[share], angles, y, dense)
+            run_pose(p, self._state, ends, left, right, apart, poses[share], angles, y, dense)
 
         if self._pool is None:
             run(slice(0, len(self.segments)))
@@ -171,14 +181,18 @@ class PoseStage:
             self._last = (key, dense)
         return dense
 
-    def _turned(self, p: Array) -> tuple[Array, Array]:
-        """Return both sides' sums of the speeds at which the wheels turn, not their encoders."""
-        sides = [self.left, self.right]
+    def _turned(self, p: Array) -> tuple[Array, Array, Array]:
+        """Return sums and differences of the speeds at which wheels turn, not their encoders."""
+        sides, apart = [self.left, self.right], self.apart
         for wheel, share in self.encoders.items():
             turns = self._encoder_gain[wheel] / p[P_ENCODER_GAIN + wheel]
             if turns != 1.0:
-                sides[wheel // 2] = sides[wheel // 2] + (turns - 1.0) * share
-        return sides[0], sides[1]
+                more = (turns - 1.0) * share
+                sides[wheel // 2] = sides[wheel // 2] + more
+                if apart.size:
+                    apart = apart.copy()
+                    apart[wheel // 2] += -more if wheel % 2 else more
+        return sides[0], sides[1], apart
 
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return what the stack's samples would be; yaw follows the measured turns.
@@ -295,6 +309,15 @@ class PoseStage:
             end = begin + stack.edges[name].stop - stack.edges[name].start
             self._tag_index[name] = inverse[begin:end]
             begin = end
+
+
+def tell_motion(robot: RobotParameters, is_there: Callable[[str], bool]) -> bool:
+    """Return whether the speeds that are there suffice: one of each side, of mecanum wheels all.
+
+    A side without a speed would stand still.
+    """
+    enough = all if robot.is_mecanum else any
+    return all(enough(map(is_there, side)) for side in (SPEEDS[:2], SPEEDS[2:]))
 
 
 def stride(log: MeasuredLog) -> int:

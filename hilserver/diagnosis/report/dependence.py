@@ -159,6 +159,8 @@ def _regressors(problem: Problem, point: Point, edge: slice) -> Mapping[str, Arr
         out[HEADING] = np.arctan2(np.sin(dense[:, 2]), np.cos(dense[:, 2]))
         out[YAW] = out[HEADING]
         out["velocity.linear_m_s"] = (stage.left - stage.right)[row] * scale
+        if stage.robot.is_mecanum:
+            out["velocity.lateral_m_s"] = stage.aside[row]
         out["velocity.angular_rad_s"] = dense[:, 3]
         return out
     _, seen, duty = stage.simulate(terms)
