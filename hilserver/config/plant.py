@@ -6,7 +6,7 @@ loop) `RobotParameters` refuses with one sentence.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -14,7 +14,12 @@ from hilserver.config.hall import load_hall
 from hilserver.plant import parts
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import pack
-from hilserver.plant.parameters import GEOMETRIC_GAINS, ROTATION_GAINS, RobotParameters
+from hilserver.plant.parameters import (
+    GEOMETRIC_GAINS,
+    MECANUM_GEOMETRY,
+    ROTATION_GAINS,
+    RobotParameters,
+)
 from hilserver.plant.terms import complete
 
 
@@ -40,15 +45,6 @@ class ProcessConfig(_Section):
     gain: float = Field(1.11, gt=0, le=1e4, description="speed per duty [rpm/%]")
     t1_s: float = Field(0.069, gt=0, le=100, description="slow time constant")
     t2_s: float = Field(0.0023, gt=0, le=100, description="fast time constant")
-
-
-MECANUM_GEOMETRY: Final = {
-    "wheel_radius_m": 0.05,
-    "wheelbase_m": 0.25,
-    "track_m": 0.36,
-    "icr_offset_m": 0.0,
-}
-"""EduArt's mecanum build, edu_robot."""
 
 
 class PlantConfig(_Section):
@@ -90,7 +86,7 @@ class PlantConfig(_Section):
     @classmethod
     def _geometry_of_the_drive(cls, value: object) -> object:
         if isinstance(value, dict) and value.get("drive") == "mecanum":
-            return MECANUM_GEOMETRY | value
+            return {**MECANUM_GEOMETRY, **value}
         return value
 
     @field_validator("terms")

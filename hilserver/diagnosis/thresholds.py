@@ -54,6 +54,7 @@ STUCK_MOVED_RPM: Final = 5.0  # rpm by which a wheel moved meanwhile
 
 # Data checks: sign, unit, frame, rest
 SIGN_SURE: Final = 0.7  # least correlation at which a sign is believed
+SIGN_AHEAD: Final = 0.1  # largest share of a way to the side on which the course is the heading
 SIGN_SLOWEST_RAD_S: Final = 0.03  # rad/s: slower turns show no direction
 LARGEST_SKEW_RAD: Final = 0.3  # rad between heading and course that is no other frame
 UNIT_ALIKE: Final = 0.8  # least correlation at which a factor is believed

@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ _EDUART = {
     "iotbot_interface/msg/Battery": "float32 voltage\n",
 }
 """Bags of older recorders hold no definitions, and no distribution has these."""
+
+NOT_MEASURED: Final = -1.0
+"""First element of a covariance of sensor_msgs/Imu if the sensor does not measure the quantity."""
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)\Z")
 
@@ -140,7 +143,8 @@ def _header_ns(message: Any) -> int:
 def _reader(text: str) -> Callable[[Any], float]:
     """Return a function that takes a number out of a message.
 
-    ``a.b.c`` and ``list[2]``; ``yaw`` of a quaternion, which has no such field, is computed.
+    ``a.b.c`` and ``list[2]``; ``yaw`` of a quaternion, which has no such field, is computed. What
+    its covariance marks as not measured (sensor_msgs/Imu) is NaN.
     """
     steps: list[str | int] = []
     for part in text.split("."):
@@ -150,6 +154,9 @@ def _reader(text: str) -> Callable[[Any], float]:
             steps += [int(number) for number in re.findall(r"\d+", match[2])]
 
     def read(message: Any) -> float:
+        covariance = getattr(message, f"{steps[0]}_covariance", (0.0,))
+        if covariance[0] == NOT_MEASURED:
+            return math.nan
         for step in steps:
             if isinstance(step, int):
                 message = message[step]

@@ -107,7 +107,6 @@ def _pack_command(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_HALF_TRACK] = robot.track_m / 2.0
     p[at.P_EXCLUSIVE] = robot.exclusive_twist
     p[at.P_MECANUM] = robot.is_mecanum
-    p[at.P_ROLLER_KEEP] = 1.0
     p[at.P_BODY_WHEELS] = robot.body_wheels
     p[at.P_RAMP_STEP] = robot.period_s / max(robot.safe_ramp_s, robot.period_s)
     delay_s, rate = term("actuation_delay"), term.given("setpoint_rate_limit")
@@ -219,6 +218,7 @@ def _pack_motion_terms(p: Array, robot: RobotParameters, term: _Values) -> None:
     p[at.P_GAIN_SPEED] = term("rotation_gain_speed")
     p[at.P_GAIN_RADIUS] = term("rotation_gain_radius")
     p[at.P_TRACTION] = 1.0 - term("traction_slip")
+    p[at.P_ROLLER_KEEP] = 1.0 - term("roller_slip")
     p[at.P_BODY_LAG] = term("body_lag")
     p[at.P_LONGITUDINAL_SLIP] = term("longitudinal_slip")
     p[at.P_ACCELERATION_SLIP] = term("acceleration_slip")

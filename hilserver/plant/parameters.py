@@ -37,10 +37,21 @@ ROTATION_GAINS: Final[Mapping[str, float]] = {
 }
 """K_om [1/m] by name: printed values, table 5.1, section 5.2.2."""
 
+MECANUM_GEOMETRY: Final[Mapping[str, float]] = {
+    "wheel_radius_m": 0.05,
+    "wheelbase_m": 0.25,
+    "track_m": 0.36,
+    "icr_offset_m": 0.0,
+}
+"""EduArt's mecanum build, edu_robot."""
+
 NOT_FOR_MECANUM: Final = frozenset(
     ("friction_anisotropy", "icr_offset", "rotation_gain_radius", "side_slip", "backlash")
 )
 """Causes that come from wheels that scrub, or are written for the two sides of such a robot."""
+
+FOR_MECANUM_ALONE: Final = frozenset(("roller_slip",))
+"""Causes in rollers, which no other wheels have."""
 
 NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load"))
 """Causes in the part of the process that the mechatronic model computes."""
@@ -168,6 +179,19 @@ class RobotParameters:
         return self.drive == "mecanum"
 
     @property
+    def meaningless(self) -> dict[str, str]:
+        """Why some causes have no meaning for this robot, by cause."""
+        reasons: dict[str, str] = {}
+        if self.is_mecanum:
+            reasons |= dict.fromkeys(NOT_FOR_MECANUM, "has no meaning for mecanum wheels")
+        else:
+            reasons |= dict.fromkeys(FOR_MECANUM_ALONE, "needs mecanum wheels (plant.drive)")
+        if self.body_wheels:
+            torque = "is the body's when mechatronic.driven_by is torque"
+            reasons |= dict.fromkeys(NOT_FOR_TORQUE, torque)
+        return reasons
+
+    @property
     def max_linear_m_s(self) -> float:
         """Speed straight ahead at max_rpm."""
         return self.wheel_radius_m * self.max_rpm / RPM_PER_RAD_S
@@ -260,15 +284,12 @@ def _check_terms(robot: RobotParameters) -> None:
             "leave it out for 1/(l_x + l_y), or give a number."
         )
         raise PlantError(msg)
-    groups = (
-        (robot.is_mecanum, NOT_FOR_MECANUM, "has no meaning for mecanum wheels"),
-        (robot.body_wheels, NOT_FOR_TORQUE, "is the body's when mechatronic.driven_by is torque"),
-    )
-    for applies, causes, reason in groups:
-        for name, value in given.items() if applies else ():
-            if TERMS[name].cause in causes and not TERMS[name].shape and value != TERMS[name].null:
-                msg = f"plant.terms.{name}: {reason}; leave it out."
-                raise PlantError(msg)
+    reasons = robot.meaningless
+    for name, value in given.items():
+        cause = TERMS[name].cause
+        if cause in reasons and not TERMS[name].shape and value != TERMS[name].null:
+            msg = f"plant.terms.{name}: {reasons[cause]}; leave it out."
+            raise PlantError(msg)
 
 
 def _check_loop(robot: RobotParameters) -> None:

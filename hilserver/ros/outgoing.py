@@ -42,24 +42,38 @@ def rpm_target(robot: Robot) -> Iterator[Any]:
 
 
 def imu(robot: Robot) -> Iterator[Any]:
-    """Rates and specific force in SI units; the orientation is a heading, as the plane has it."""
-    raw = robot.imu_is_raw
-    nothing = np.zeros(9)
-    unknown = np.zeros(9)
-    unknown[0] = -1.0 if raw else 0.0  # sensor_msgs: this element says that there is none
-    heading = robot.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0)
+    """Rates and specific force in SI units; the orientation is a heading, as the plane has it.
+
+    What nobody measures is NaN and marked as sensor_msgs/Imu prescribes; nothing at all is no
+    message.
+    """
+    yaw, rate, force_x, force_y = (
+        robot.get(f"imu.{name}", math.nan)
+        for name in ("yaw_rad", "gyro_z_rad_s", "accel_x_m_s2", "accel_y_m_s2")
+    )
+    if all(map(math.isnan, (yaw, rate, force_x, force_y))):
+        return
+    heading = robot.turned(yaw)
+    if robot.imu_is_raw:
+        yaw = math.nan
+        heading = robot.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0)
     yield robot.make(
         "sensor_msgs/msg/Imu",
         header=robot.header("imu_link"),
-        orientation=heading if raw else robot.turned(robot["imu.yaw_rad"]),
-        orientation_covariance=unknown,
-        angular_velocity=robot.vector(z=robot["imu.gyro_z_rad_s"]),
-        angular_velocity_covariance=nothing,
-        linear_acceleration=robot.vector(
-            robot["imu.accel_x_m_s2"], robot["imu.accel_y_m_s2"], STANDARD_GRAVITY_M_S2
-        ),
-        linear_acceleration_covariance=nothing,
+        orientation=heading,
+        orientation_covariance=_covariance(yaw),
+        angular_velocity=robot.vector(z=rate),
+        angular_velocity_covariance=_covariance(rate),
+        linear_acceleration=robot.vector(force_x, force_y, STANDARD_GRAVITY_M_S2),
+        linear_acceleration_covariance=_covariance(force_x, force_y),
     )
+
+
+def _covariance(*values: float) -> Any:
+    """Return zeros, which leave the accuracy open; without any of the values, -1 comes first."""
+    matrix = np.zeros(9)
+    matrix[0] = -1.0 if all(map(math.isnan, values)) else 0.0
+    return matrix
 
 
 def tof(robot: Robot) -> Iterator[Any]:
@@ -124,10 +138,12 @@ def transforms(robot: Robot) -> Iterator[Any]:
 
 def odometry(robot: Robot) -> Iterator[Any]:
     """Position and twist as the wheels count them."""
-    o, (forward, turning) = robot.odometer, robot.twist()
+    o, (ahead, aside, turning) = robot.odometer, robot.twist()
     unknown = np.zeros(36)
     twist = robot.make(
-        "geometry_msgs/msg/Twist", linear=robot.vector(forward), angular=robot.vector(z=turning)
+        "geometry_msgs/msg/Twist",
+        linear=robot.vector(ahead, aside),
+        angular=robot.vector(z=turning),
     )
     yield robot.make(
         "nav_msgs/msg/Odometry",
@@ -151,7 +167,7 @@ def mode(robot: Robot) -> Any:
     return robot.make(
         "edu_robot/msg/Mode",
         mode=driving if robot["drive.enable"] else MODE_INACTIVE,
-        drive_kinematic=KINEMATIC_SKID,
+        drive_kinematic=KINEMATIC_MECANUM if robot.shape.max_lateral_m_s else KINEMATIC_SKID,
         feature_mode=0,
     )
 
@@ -179,10 +195,18 @@ def status_report(robot: Robot) -> Iterator[Any]:
 
 
 def kinematic_description(robot: Robot) -> Iterator[Any]:
-    """Wheel rates [rad/s] per vx, vy, omega, row-major; a skid-steer robot cannot go sideways."""
-    straight = robot.shape.rpm_per_m_s / RPM_PER_RAD_S
+    """Wheel rates [rad/s] per vx, vy, omega, row-major; without rollers nothing goes sideways."""
+    ahead = robot.shape.rpm_per_m_s / RPM_PER_RAD_S
+    aside = ahead if robot.shape.max_lateral_m_s else 0.0
     turning = -robot.shape.rpm_per_rad_s / RPM_PER_RAD_S
-    rows = [(straight if wheel.endswith("r") else -straight, 0.0, turning) for wheel in MOTORS]
+    rows = [
+        (
+            ahead if wheel.endswith("r") else -ahead,
+            aside if wheel.startswith("f") else -aside,
+            turning,
+        )
+        for wheel in MOTORS
+    ]
     matrix = robot.make(
         "edu_robot/msg/Matrix", cols=3, rows=4, data=np.array(rows, dtype=np.float32).ravel()
     )

@@ -1,7 +1,7 @@
 """The robot as messages need it: one frame, its stamp, its dimensions."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -56,7 +56,7 @@ class Odometer:
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
-    _before: tuple[float, float] | None = None
+    _before: list[float] | None = None
 
     def reset(self) -> None:
         """Begin anew where the robot stands."""
@@ -64,23 +64,24 @@ class Odometer:
 
     def see(self, values: Mapping[str, float]) -> None:
         """Take the angles of a frame."""
-        now = _sides(values, "angle_rad")
+        now = [values[f"wheel.{wheel}.angle_rad"] for wheel in WHEELS]
         before, self._before = self._before, now
         if before is None or max(abs(a - b) for a, b in zip(now, before, strict=True)) > math.tau:
             return  # the first frame, or a reset of the simulation
-        left, right = ((a - b) * RPM_PER_RAD_S for a, b in zip(now, before, strict=True))
-        way_m = 0.5 * (left - right) / self.shape.rpm_per_m_s
-        turn_rad = 0.5 * (left + right) / self.shape.rpm_per_rad_s
+        turned = [(a - b) * RPM_PER_RAD_S for a, b in zip(now, before, strict=True)]
+        ahead_m, aside_m, turn_rad = _motion(self.shape, turned)
         heading = self.yaw_rad + 0.5 * turn_rad
-        self.x_m += way_m * math.cos(heading)
-        self.y_m += way_m * math.sin(heading)
+        self.x_m += ahead_m * math.cos(heading) - aside_m * math.sin(heading)
+        self.y_m += ahead_m * math.sin(heading) + aside_m * math.cos(heading)
         self.yaw_rad = math.remainder(self.yaw_rad + turn_rad, math.tau)
 
 
-def _sides(values: Mapping[str, float], quantity: str) -> tuple[float, float]:
-    """Return the means of the left and of the right wheels."""
-    fl, rl, fr, rr = (values[f"wheel.{wheel}.{quantity}"] for wheel in WHEELS)
-    return 0.5 * (fl + rl), 0.5 * (fr + rr)
+def _motion(shape: Shape, rpm: Sequence[float]) -> tuple[float, float, float]:
+    """Return what wheels fl, rl, fr, rr [rpm] make: ahead, to the left [m/s], turning [rad/s]."""
+    fl, rl, fr, rr = rpm
+    ahead = 0.25 * (fl + rl - fr - rr) / shape.rpm_per_m_s
+    aside = 0.25 * (rl - fl + rr - fr) / shape.rpm_per_m_s if shape.max_lateral_m_s else 0.0
+    return ahead, aside, 0.25 * (fl + rl + fr + rr) / shape.rpm_per_rad_s
 
 
 @dataclass
@@ -134,11 +135,9 @@ class Robot:
         """Return one quantity of all wheels."""
         return [self.values[f"wheel.{wheel}.{quantity}"] for wheel in order]
 
-    def twist(self) -> tuple[float, float]:
-        """Return forward speed [m/s] and turn rate [rad/s] that follow from the wheels' speeds."""
-        left, right = _sides(self.values, "speed_rpm")
-        forward = 0.5 * (left - right) / self.shape.rpm_per_m_s
-        return forward, 0.5 * (left + right) / self.shape.rpm_per_rad_s
+    def twist(self) -> tuple[float, float, float]:
+        """Return what the wheels' speeds make: ahead, to the left [m/s] and turning [rad/s]."""
+        return _motion(self.shape, self.wheels("speed_rpm", WHEELS))
 
     def ignore(self, what: str) -> None:
         """Count a command that has no effect here."""

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hilserver_injector import CAUSES, REQUIRED, make, nothing, single
+from hilserver_injector import CAUSES, REQUIRED, Recipe, make, nothing, single
 from hilserver_injector.recipe import WHEELS
 from hilserver_injector.sensors import YAW, X, Y
 
 from hilserver.compiled import kernel
 from hilserver.plant import layout as at
 from hilserver.plant.packing import initial_state, pack
-from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.parameters import MECANUM_GEOMETRY, RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.terms import TERMS, main_part
 
@@ -41,7 +41,8 @@ def follow(p, x, u, y, q, ticks, setpoints, out):
 
 def differences(recipe, terms):
     table, truth = make(quiet(recipe))
-    robot = RobotParameters(terms=terms)
+    drive = {"drive": "mecanum", **MECANUM_GEOMETRY} if recipe.drive == "mecanum" else {}
+    robot = RobotParameters(terms=terms, **drive)
     p, x = pack(robot), initial_state(robot)
     x[at.X_POSE : at.X_POSE + 3] = truth.dense[0, [X, Y, YAW]]
     u, y, q = np.zeros(at.N_U), np.zeros(at.N_Y), np.zeros(at.N_Y, np.int64)
@@ -75,6 +76,15 @@ def test_every_cause_acts_as_its_term(name):
     assert recipe.kind == "bench" or place < 0.005
     changed = max(without[0] / 0.12, without[1] / 0.05 if recipe.kind == "drive" else 0.0)
     assert changed > 0.3, "the cause shows in the log"
+
+
+def test_mecanum_wheels_drive_the_same_way_in_both():
+    hidden = {"roller_slip": 0.1, "wheel_radius": 0.04, "wheel_radius_difference": 0.02}
+    recipe = Recipe(drive="mecanum", manoeuvre="omni", causes=hidden, seed=2, duration_s=60.0)
+    speed, place = differences(recipe, hidden)
+    assert speed < 0.01
+    assert place < 0.005
+    assert differences(recipe, {**hidden, "roller_slip": 0.0})[1] > 0.05
 
 
 def test_sizes_are_those_of_the_vocabulary():

@@ -17,6 +17,7 @@ GEOMETRY = {
     "track_m": 0.36,
     "icr_offset_m": 0.0,
 }
+SKID = {"drive": "skid"}
 RPM = 60.0 / (2.0 * math.pi)
 LEVER_M = 0.5 * (0.25 + 0.36)
 
@@ -79,6 +80,16 @@ def test_a_steady_drive_ends_where_the_closed_form_says(twist):
     assert robot.pose == pytest.approx((x, y, math.remainder(turned, 2 * math.pi)), abs=1e-9)
 
 
+def test_rollers_that_slip_take_a_share_of_the_speed_to_the_side_alone():
+    twist = (0.2, 0.2, 0.5)
+    firm, slipping = (
+        rolling(*twist, terms={"roller_slip": slip}).step(500) for slip in (0.0, 0.25)
+    )
+    assert slipping.velocity[1] == pytest.approx(0.75 * firm.velocity[1])
+    assert slipping.velocity[[0, 2]].tobytes() == firm.velocity[[0, 2]].tobytes()
+    assert slipping.pose[2] == firm.pose[2]
+
+
 def test_the_wheels_left_alone_reach_the_commanded_twist():
     robot = rig().twist(0.1, 0.2)
     robot.u[at.U_TWIST_LATERAL] = 0.1
@@ -116,6 +127,7 @@ def test_a_skid_steer_robot_ignores_the_lateral_twist():
     [
         ({"terms": {"friction_anisotropy": 2.0}}, "plant.terms.friction_anisotropy.ratio"),
         ({"terms": {"side_slip": 0.1}}, "plant.terms.side_slip"),
+        (SKID | {"terms": {"roller_slip": 0.1}}, "plant.terms.roller_slip"),
         ({"icr_offset_m": 0.02}, "plant.icr_offset_m"),
         ({"wheelbase_m": None}, "plant.wheelbase_m"),
         ({"rotation_gain": "tile"}, "kinematics.rotation_gain"),

@@ -6,7 +6,13 @@ import pytest
 import hilserver.plant.layout as at
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import initial_state, pack
-from hilserver.plant.parameters import Controller, Navigation, RobotParameters
+from hilserver.plant.parameters import (
+    FOR_MECANUM_ALONE,
+    MECANUM_GEOMETRY,
+    Controller,
+    Navigation,
+    RobotParameters,
+)
 from hilserver.plant.robot import robot_step
 from hilserver.plant.terms import TERMS, complete
 from tests.plant.base_kernel import base_step
@@ -15,6 +21,7 @@ from tests.plant.rig import Rig
 NULLS = {name: term.null for name, term in TERMS.items()}
 STATE = at.X_COMMANDED  # motor, speed, integral, angle, pose (and set-points, compared apart)
 SAMPLES = 10_000
+MECANUM = {"drive": "mecanum", **MECANUM_GEOMETRY}
 
 
 def random_states(rng, x, u):
@@ -48,14 +55,21 @@ def test_null_terms_equal_the_separate_base_to_the_bit(terms):
         assert x[accel].tobytes() == x_base[accel].tobytes()
 
 
-def test_null_terms_pack_to_the_same_bits():
-    assert pack(RobotParameters(terms=NULLS)).tobytes() == pack(RobotParameters()).tobytes()
+@pytest.mark.parametrize("drive", [{}, MECANUM], ids=["skid", "mecanum"])
+def test_null_terms_pack_to_the_same_bits(drive):
+    at_null, without = (pack(RobotParameters(terms=terms, **drive)) for terms in (NULLS, {}))
+    assert at_null.tobytes() == without.tobytes()
+
+
+def test_the_own_period_of_the_controller_needs_no_terms():
     assert pack(RobotParameters(terms={"control_period": 0.001}))[at.P_DRIVE_TERMS] == 0.0
 
 
-def lively(terms):
+def lively(terms, **drive):
     """A run that speeds up, saturates, turns, reverses and creeps, with every sensor on."""
-    rig = Rig(terms=terms, nav=Navigation(enabled=True), controller=Controller(limit_pct=90.0))
+    nav, controller = Navigation(enabled=True), Controller(limit_pct=90.0)
+    rig = Rig(terms=terms, nav=nav, controller=controller, **drive)
+    apart = np.array([-1.0, 1.0, -1.0, 1.0]) * rig.robot.is_mecanum
     outputs = []
     for setpoints, ticks in (
         ((60, 60, -30, -30), 120),
@@ -63,7 +77,7 @@ def lively(terms):
         ((0.02, 0.02, 0.02, 0.02), 300),
         ((80, 80, -80, -80), 60),
     ):
-        rig.wheels(*setpoints)
+        rig.wheels(*(setpoints + apart))
         for _ in range(ticks):
             rig.drive(1)
             outputs.append(rig.y.copy())
@@ -104,9 +118,9 @@ def beyond_null(term):
 @pytest.mark.parametrize("name", list(TERMS))
 def test_a_thousandth_changes_a_bit(name, plain):
     term = TERMS[name]
-    others = companions(term)
-    reference = lively(others) if others else plain
-    changed = lively({**others, name: beyond_null(term)})
+    others, drive = companions(term), MECANUM if name in FOR_MECANUM_ALONE else {}
+    reference = lively(others, **drive) if others or drive else plain
+    changed = lively({**others, name: beyond_null(term)}, **drive)
     assert changed.tobytes() != reference[: len(changed)].tobytes()
     assert np.all(np.isfinite(changed))
 
@@ -145,8 +159,9 @@ def test_vocabulary_of_causes():
         stribeck_friction wheel_load battery_sag actuation_delay setpoint_rate_limit control_period
         controller_gains encoder_scale encoder_filter encoder_quantization backlash"""
     kinematics = """wheel_radius wheel_radius_difference rotation_gain rotation_gain_speed
-        rotation_gain_radius longitudinal_slip acceleration_slip traction_slip body_lag side_slip
-        icr_offset wheel_misalignment floor_slope surface_change wheel_runout friction_anisotropy"""
+        rotation_gain_radius longitudinal_slip acceleration_slip traction_slip roller_slip body_lag
+        side_slip icr_offset wheel_misalignment floor_slope surface_change wheel_runout
+        friction_anisotropy"""
     navigation = """nav_frame_yaw nav_lever_arm nav_latency yaw_latency nav_scale nav_position_bias
         nav_outliers heading_distortion"""
     inertial = "gyro_bias gyro_scale imu_latency"

@@ -173,6 +173,19 @@ def pose_candidates(place: Region | None) -> list[Candidate]:
     return found
 
 
+def roller_candidates() -> list[Candidate]:
+    """Return what the pose of a mecanum robot judges besides: it drives ahead and to the side."""
+    return [
+        single("traction_slip", "pose", 0.02, 0.01, -0.5, 1.0),
+        single("roller_slip", "pose", 0.02, 0.01, -0.5, 1.0),
+    ]
+
+
+def encoders(wheels: Collection[int]) -> list[Candidate]:
+    """Return encoders that show too much for the pose of a mecanum robot to judge: of any wheel."""
+    return [replace(_encoder(wheel), stage="pose", prior=MEASURED) for wheel in wheels]
+
+
 def side_encoders(wheels: Collection[int]) -> list[Candidate]:
     """Return encoders that show too much for the pose to judge: one of each side.
 

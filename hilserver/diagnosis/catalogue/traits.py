@@ -97,7 +97,11 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "rotation_gain_radius": Traits(bends_turn=True),
     "longitudinal_slip": Traits(needs=(Need.POSITION,)),
     "acceleration_slip": Traits(needs=(Need.POSITION,)),
-    "traction_slip": Traits(not_judged="on one floor it is the same as nav_scale"),
+    # rollers tell it from a scale of the navigation; tyres on one floor do not
+    "traction_slip": Traits(
+        needs=(Need.POSITION,), not_judged="on one floor it is the same as nav_scale"
+    ),
+    "roller_slip": Traits(needs=(Need.POSITION,)),
     "body_lag": Traits(delays_turn=True),
     "side_slip": Traits(needs=(Need.POSITION,)),
     "icr_offset": Traits(needs=(Need.POSITION,)),

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.checks.motion import Windows, ends_in, mean_in, side_mean, windows_of
+from hilserver.diagnosis.checks.motion import Windows, ends_in, mean_in, rolled, windows_of
 from hilserver.diagnosis.checks.support import SPAN_S
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
@@ -23,8 +23,6 @@ from hilserver.plant.parameters import RobotParameters
 
 WINDOW_S: Final = 2.0
 """Way and place are compared over so long."""
-LEFT: Final = ("fl", "rl")
-RIGHT: Final = ("fr", "rr")
 
 
 class Spell(NamedTuple):
@@ -58,12 +56,12 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
 
 
 def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Array:
-    """Return the way that the wheels make or are asked to make in each window, forward or back."""
+    """Return the way that the wheels make or are asked to make in each window."""
     asked = np.zeros(len(windows))
     for what in ("speed_rpm", "setpoint_rpm"):
-        left, right = (side_mean(log, side, what, windows) for side in (LEFT, RIGHT))
-        if left is not None and right is not None:
-            asked = np.fmax(asked, np.abs(0.5 * robot.wheel_radius_m * (left - right)))
+        speed = rolled(log, what, windows, robot)
+        if speed is not None:
+            asked = np.fmax(asked, speed)
     return asked * (windows.end - windows.begin)
 
 

@@ -71,11 +71,11 @@ class Lag:
         )
 
 
-def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find offset and drift of the clock of navigation or inertial unit; stamps are put right."""
     if not log.has_stamps:
         return log, []
-    wheels = _wheel_motion(log)
+    wheels = _wheel_motion(log, robot)
     if wheels is None:
         return log, []
     speed, rate = wheels
@@ -140,17 +140,24 @@ def _moved(channel: Channel, lag: Lag, *, drifts: bool) -> Channel:
 Motion = tuple[Channel, Channel]
 
 
-def _wheel_motion(log: MeasuredLog) -> Motion | None:
-    """Return forward and turning speed of the wheels, up to a factor, of the longest span."""
-    names = [f"wheel.{side[0]}.speed_rpm" for side in (LEFT_WHEELS, RIGHT_WHEELS)]
-    if not log.has(*names):
+def _wheel_motion(log: MeasuredLog, robot: RobotParameters) -> Motion | None:
+    """Return forward and turning speed of the wheels, up to a factor.
+
+    One wheel of a side tells enough; those of a mecanum robot turn apart when it goes to the side.
+    """
+    taken = slice(None) if robot.is_mecanum else slice(1)
+    sides = [[f"wheel.{w}.speed_rpm" for w in s[taken]] for s in (LEFT_WHEELS, RIGHT_WHEELS)]
+    if not log.has(*sides[0], *sides[1]):
         return None
-    left = log[names[0]]
-    if row_period_s(left) > CLOCK_LEAST_S:
+    first = log[sides[0][0]]
+    if row_period_s(first) > CLOCK_LEAST_S:
         return None
-    right = _at(left, log[names[1]], log[names[1]].values)
-    forward = left.with_values((left.values - right) * RAD_S_PER_RPM)
-    turning = left.with_values(-(left.values + right) * RAD_S_PER_RPM)
+    left, right = (
+        np.mean([_at(first, log[name], log[name].values) for name in side], axis=0)
+        for side in sides
+    )
+    forward = first.with_values((left - right) * RAD_S_PER_RPM)
+    turning = first.with_values(-(left + right) * RAD_S_PER_RPM)
     return forward, turning
 
 

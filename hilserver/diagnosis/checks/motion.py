@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import SPAN_S, along
 from hilserver.measured.data import Array, Channel, MeasuredLog
+from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
+from hilserver.plant.parameters import RobotParameters
 
 WINDOW_S = 1.0
 RAD_S_PER_RPM = np.pi / 30.0
@@ -81,6 +83,24 @@ def side_mean(log: MeasuredLog, side: Iterable[str], what: str, windows: Windows
         mean_in(log[name], windows) for wheel in side if (name := f"wheel.{wheel}.{what}") in log
     ]
     return None if not found else np.mean(found, axis=0) * RAD_S_PER_RPM
+
+
+def aside_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
+    """Return how fast mecanum wheels roll to the left [rad/s], None without one of them."""
+    names = [f"wheel.{wheel}.{what}" for wheel in WHEELS]
+    if not log.has(*names):
+        return None
+    fl, rl, fr, rr = (mean_in(log[name], windows) for name in names)
+    return np.asarray(0.25 * RAD_S_PER_RPM * (rl - fl + rr - fr))
+
+
+def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters) -> Array | None:
+    """Return how fast the wheels would move the robot ahead, back or to a side [m/s]."""
+    left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
+    aside = aside_mean(log, what, windows) if robot.is_mecanum else 0.0
+    if left is None or right is None or aside is None:
+        return None
+    return np.asarray(robot.wheel_radius_m * np.hypot(0.5 * (left - right), aside))
 
 
 @dataclass(frozen=True, slots=True)

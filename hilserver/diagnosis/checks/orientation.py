@@ -11,6 +11,7 @@ import numpy as np
 
 from hilserver.diagnosis.checks.motion import (
     Line,
+    aside_mean,
     ends_in,
     finite,
     line,
@@ -24,6 +25,7 @@ from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     FEWEST_PIECES,
     LARGEST_SKEW_RAD,
+    SIGN_AHEAD,
     SIGN_SLOWEST_RAD_S,
     SIGN_SURE,
 )
@@ -122,13 +124,15 @@ def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
     return (found.slope, 0.0) if mirrored < 0 else None
 
 
-def _course(log: MeasuredLog) -> tuple[Array, Array, Array] | None:
-    """Return course over ground, heading and speed in each window."""
-    moved = _moved(log)
-    if moved is None:
+def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Array] | None:
+    """Return course over ground, heading and speed in each window in which they belong together."""
+    moved, windows = _moved(log), windows_of(log)
+    aside = aside_mean(log, "speed_rpm", windows) if robot.is_mecanum else np.zeros(len(windows))
+    if moved is None or aside is None:
         return None
     dx, dy, dt, cosine, sine = moved
     good = finite(dx, dy, cosine) & (np.hypot(dx, dy) > 0.1)
+    good &= robot.wheel_radius_m * np.abs(aside) * dt < SIGN_AHEAD * np.hypot(dx, dy)
     good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
     course = np.arctan2(dy, dx)[good]
     return course, np.arctan2(sine, cosine)[good], (np.hypot(dx, dy) / dt)[good]
@@ -152,7 +156,7 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
 
     Twice the angles, so that driving backwards counts the same.
     """
-    found = _course(log)
+    found = _course(log, robot)
     if found is None or len(found[0]) < FEWEST_PIECES:
         return log, []
     course, yaw, speed = found
@@ -195,7 +199,7 @@ def _wheel_rate(log: MeasuredLog, robot: RobotParameters) -> Array | None:
 
 def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Judge both sides by the tag: w = a v + b om, with a > 0 on the left and < 0 on the right."""
-    found = _forward(log) if _is_aligned(log) else None
+    found = _forward(log) if _is_aligned(log, robot) else None
     kinds = [k for k in ("speed_rpm", "setpoint_rpm", "duty_pct") if f"wheel.fl.{k}" in log]
     if found is None or not kinds:
         return log, []
@@ -225,9 +229,9 @@ def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
     return _flipped(log, against, 0.99, "the wheels roll against the motion that the tag measured")
 
 
-def _is_aligned(log: MeasuredLog) -> bool:
+def _is_aligned(log: MeasuredLog, robot: RobotParameters) -> bool:
     """Return whether the heading lies along the course, forward or backward."""
-    found = _course(log)
+    found = _course(log, robot)
     if found is None or len(found[0]) < FEWEST_PIECES:
         return False
     course, yaw, speed = found

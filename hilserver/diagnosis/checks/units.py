@@ -10,6 +10,7 @@ from hilserver.diagnosis.checks.motion import (
     line,
     mean_in,
     rate_in,
+    rolled,
     side_mean,
     windows_of,
 )
@@ -94,7 +95,7 @@ def _wheels(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault 
     windows = windows_of(log)
     travelled = _chord(log)
     by_nav = {
-        what: _known(line(_rolled(log, what, robot), travelled, 0.02), WHEEL)
+        what: _known(line(rolled(log, what, windows, robot), travelled, 0.02), WHEEL)
         for what in ("speed_rpm", "setpoint_rpm")
     }
     if speeds and (fault := by_nav["speed_rpm"]) is not None and _near(log, fault, robot, speeds):
@@ -125,16 +126,6 @@ def _near(log: MeasuredLog, fault: Fault, robot: RobotParameters, names: list[st
 
 def _there(log: MeasuredLog, names: Iterable[str]) -> list[str]:
     return [name for name in names if name in log]
-
-
-def _rolled(log: MeasuredLog, what: str, robot: RobotParameters) -> Array | None:
-    """Return the distance per second that the wheels rolled, whatever their signs [m/s]."""
-    windows = windows_of(log)
-    left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
-    if left is None or right is None:
-        return None
-    result: Array = robot.wheel_radius_m * np.abs(left - right) / 2.0
-    return result
 
 
 def _chord(log: MeasuredLog) -> Array | None:
@@ -188,10 +179,10 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
 
 
 def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    travelled, rolled = _chord(log), _rolled(log, "speed_rpm", robot)
-    if rolled is None:
-        rolled = _rolled(log, "setpoint_rpm", robot)
-    fault = _known(line(travelled, rolled, 0.02), LENGTH, 2.0)
+    windows, way = windows_of(log), None
+    for what in ("speed_rpm", "setpoint_rpm"):
+        way = rolled(log, what, windows, robot) if way is None else way
+    fault = _known(line(_chord(log), way, 0.02), LENGTH, 2.0)
     return _there(log, ("nav.x_m", "nav.y_m")), fault
 
 

@@ -32,7 +32,7 @@ TURNING = "velocity.angular_rad_s"
 def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
     """Return whether the turn is much smaller than the wheels say, and late or irregular."""
     log, robot = problem.stage.log, problem.stage.robot
-    if robot.wheelbase_m is None or not log.has(*POSITION, YAW):
+    if robot.wheelbase_m is None or robot.is_mecanum or not log.has(*POSITION, YAW):
         return False
     gain = next((f for f in point.model.fitted if traits_of(f.candidate.cause).scrubs_as), None)
     if gain is None or gain.theta[0] > SCRUBBING_MUCH:

@@ -143,7 +143,7 @@ def _twins(
         ratio = as_friction(problem.stage.robot, f, own)
         if ratio is not None:
             found[traits.scrubs_as] = ratio
-    if traits.mirrored_by:
+    if traits.mirrored_by and not problem.stage.robot.is_mecanum:
         found[traits.mirrored_by] = _mirrored(own)
     if anchor is not None and traits.field:
         found |= _field(anchor)

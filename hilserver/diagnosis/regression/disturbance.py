@@ -31,7 +31,7 @@ class Motion:
         self.bounds = np.concatenate([[0], np.cumsum(sizes)])
         self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
         left, right = stage.left[take], stage.right[take]
-        self.v = stage.forward_m_s()[take]
+        self.v, self.vy = stage.forward_m_s()[take], stage.aside[take]
         self.side = (left, right)
         self.t = np.concatenate([
             stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])
@@ -50,7 +50,7 @@ class Motion:
         """Return the raw column of a disturbance of the body velocity."""
         yaw = self._integrate(dom)
         z = (dv + 1j * dvy) * np.exp(1j * self.yaw)
-        velocity = self.v * np.exp(1j * self.yaw)
+        velocity = (self.v + 1j * self.vy) * np.exp(1j * self.yaw)
         place = self._integrate(z + 1j * yaw * velocity)
         return self._sampled(
             {POSITION[0]: place.real, POSITION[1]: place.imag, YAW: yaw, GYRO: dom}

@@ -81,7 +81,7 @@ def stages_of(
     if DriveStage.judges(log) and log.drive_is_known:
         drive = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
         stages[drive.name] = drive
-    if PoseStage.judges(log, driven=drive is not None):
+    if PoseStage.judges(log, robot, driven=drive is not None):
         driven = None if drive is None else (drive, drive.simulate(drive_terms)[0])
         turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
         stages[PoseStage.name] = PoseStage(turned, robot, driven, block_s=block_s, jobs=jobs)

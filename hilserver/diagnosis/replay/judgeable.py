@@ -12,7 +12,7 @@ from hilserver.measured.data import MeasuredLog
 
 NO_STAGE: Final[Mapping[StageName, str]] = {
     "drive": "no set-points with wheel speeds, or the mapping gives no plant.process",
-    "pose": "no pose and no turn rate in the log, or no wheel speed of both sides",
+    "pose": "no pose and no turn rate in the log, or too few wheel speeds",
 }
 """Why causes are not judged whose stage the log does not allow."""
 
@@ -20,7 +20,8 @@ NO_STAGE: Final[Mapping[StageName, str]] = {
 def judged_candidates(stage: Stage) -> tuple[list[Candidate], dict[str, str]]:
     """Return the candidates that a stage's channels can judge, and why others are not judged."""
     found = stage.candidates()
-    reasons = lacking(stage.missing(), [c.cause for c in found])
+    reasons = dict(stage.robot.meaningless)
+    reasons |= lacking(stage.missing(), [c.cause for c in found])
     return [c for c in found if c.cause not in reasons], reasons
 
 

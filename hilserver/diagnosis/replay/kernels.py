@@ -11,12 +11,14 @@ import numpy as np
 from hilserver.compiled import kernel
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
+from hilserver.plant.kinematics import sideways
 from hilserver.plant.layout import (
     P_DRIVE_TERMS,
     P_DT,
     P_ENCODER_GAIN,
     P_ENCODER_SHARE,
     P_KP,
+    P_MECANUM,
     P_NAV_DELAY,
     P_NAV_YAW_DELAY,
     U_SETPOINT,
@@ -213,8 +215,24 @@ def run_process(
 
 
 @kernel()
+def _turn_apart(x: Any, apart: Any, k: int) -> None:
+    """Let the front wheels turn by the difference to the rear ones: `sideways` asks no more."""
+    x[X_SPEED] = apart[0, k]
+    x[X_SPEED + 2] = apart[1, k]
+
+
+@kernel()
 def run_pose(
-    p: Any, x0: Any, first: Any, left: Any, right: Any, pose_0: Any, angle_0: Any, y: Any, pose: Any
+    p: Any,
+    x0: Any,
+    first: Any,
+    left: Any,
+    right: Any,
+    apart: Any,
+    pose_0: Any,
+    angle_0: Any,
+    y: Any,
+    pose: Any,
 ) -> None:
     """Run the kinematics alone under given wheel speeds, cut point C.
 
@@ -222,6 +240,8 @@ def run_pose(
     ----------
     left, right : ndarray, shape (ticks,)
         Sum of the speeds of the two wheels of a side [rpm].
+    apart : ndarray, shape (2, ticks) or (2, 0)
+        Front minus rear wheel of the left and of the right side [rpm]; read of mecanum wheels only.
     pose_0 : ndarray, shape (segments, 3)
     angle_0 : ndarray, shape (segments,)
         Mean angle of the left wheels at the start [rad].
@@ -229,7 +249,7 @@ def run_pose(
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
     x = x0.copy()
-    dt = p[P_DT]
+    dt, is_mecanum, aside = p[P_DT], p[P_MECANUM] != 0.0, 0.0
     for s in range(first.size - 1):
         for i in range(3):
             x[X_POSE + i] = pose_0[s, i]
@@ -253,7 +273,11 @@ def run_pose(
             dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
             if k == first[s]:
                 follow_wheels(p, x, y, w_l, w_r, dw_l, dw_r)
-            drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, 0.0, 0.0)
+            if is_mecanum:
+                _turn_apart(x, apart, k)
+                aside = sideways(p, x)[0]
+                _turn_apart(x, apart, following)
+            drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, 0.0)
             pose[k, 3] = y[Y_VELOCITY + 2]
             turned += wrap(x[X_POSE + 2] - before)
 

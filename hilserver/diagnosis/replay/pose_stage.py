@@ -1,6 +1,6 @@
 """Replay from the measured wheel speeds: pose and turn rate of the kinematics alone (cut C)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar, Final
 
@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.catalogue.library import pose_candidates, side_encoders
+from hilserver.diagnosis.catalogue.library import (
+    encoders,
+    pose_candidates,
+    roller_candidates,
+    side_encoders,
+)
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import LATENCIES
 from hilserver.diagnosis.checks.support import row_period_s
@@ -18,7 +23,7 @@ from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.positions import begins_anew, driven_place, paired
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
+from hilserver.diagnosis.replay.wheel_speeds import RADIANS_PER_RPM_S, WheelSpeeds, angles_at_starts
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -38,7 +43,8 @@ STRIDES: Final = (2, 10)
 """
 SLOW_ROWS_S: Final = 0.04
 """... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
-HEADING, FORWARD, TURN = "pose.yaw_rad", "velocity.linear_m_s", "velocity.angular_rad_s"
+HEADING, TURN = "pose.yaw_rad", "velocity.angular_rad_s"
+FORWARD, ASIDE = "velocity.linear_m_s", "velocity.lateral_m_s"
 
 
 class PoseStage(Stage):
@@ -57,6 +63,8 @@ class PoseStage(Stage):
         Measured position, yaw and turn rate.
     left, right : ndarray, shape (ticks,)
         Sums of the speeds of both wheels of a side [rpm].
+    apart : ndarray, shape (2, ticks) or (2, 0)
+        Front minus rear wheel of both sides [rpm], which moves a mecanum robot to the side.
     begins_anew : bool
         Place and heading begin anew with every segment: the room is not known.
     encoders : mapping of int to ndarray, shape (ticks,)
@@ -89,6 +97,7 @@ class PoseStage(Stage):
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
         wheels = WheelSpeeds(log, self.segments, drive)
         self.left, self.right = wheels.sides()
+        self.apart = wheels.apart() if robot.is_mecanum else np.empty((2, 0))
         self.encoders: dict[int, Array] = {}
         if drive is None or not any(n in log for n in DUTIES):  # duties tell far better
             self.encoders = {w: own for w, own in wheels.shares.items() if SPEEDS[w] in log}
@@ -128,11 +137,11 @@ class PoseStage(Stage):
         return wait_s
 
     def _is_driven(self, span: int) -> bool:
-        """Return whether it is known in a span how the wheels of both sides turned."""
+        """Return whether it is known in a span how the wheels turned."""
         if self.drive is not None and self.drive.knows(span):
             return True
-        sides = (SPEEDS[:2], SPEEDS[2:])
-        return all(any(n in self.log and len(self.log[n].of(span)[0]) for n in s) for s in sides)
+        log = self.log
+        return tell_motion(self.robot, lambda n: n in log and len(log[n].of(span)[0]) > 0)
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""
@@ -146,7 +155,10 @@ class PoseStage(Stage):
 
     def candidates(self) -> list[Candidate]:
         """Return the causes of kinematics, navigation and gyro, and of encoders."""
-        return pose_candidates(driven_place(self.log)) + side_encoders(self.encoders)
+        found = pose_candidates(driven_place(self.log))
+        if self.robot.is_mecanum:
+            return found + roller_candidates() + encoders(self.encoders)
+        return found + side_encoders(self.encoders)
 
     def missing(self) -> list[Need]:
         """Return what the log does not have of what causes of the pose need."""
@@ -160,17 +172,24 @@ class PoseStage(Stage):
         }
         return [need for need, there in held.items() if not there]
 
+    @property
+    def aside(self) -> Array:
+        """Speed to the left [m/s] as nominal wheels make it, shape (ticks,); of tyres none."""
+        if not self.apart.size:
+            return np.zeros(self.segments.ticks)
+        rim_m_s_per_rpm = RADIANS_PER_RPM_S * self.robot.wheel_radius_m
+        return np.asarray(-0.25 * rim_m_s_per_rpm * self.apart.sum(axis=0))
+
     @staticmethod
-    def judges(log: MeasuredLog, *, driven: bool) -> bool:
+    def judges(log: MeasuredLog, robot: RobotParameters, *, driven: bool) -> bool:
         """Return whether the log has what this stage needs.
 
         Parameters
         ----------
         driven : bool
-            The drive's stage tells how wheels turn whose speed is not measured; without it a side
-            without a speed would stand still.
+            The drive's stage tells how wheels turn whose speed is not measured.
         """
-        moved = driven or all(any(n in log for n in side) for side in (SPEEDS[:2], SPEEDS[2:]))
+        moved = driven or tell_motion(robot, lambda name: name in log)
         return moved and (log.has(*POSITION) or YAW in log or GYRO in log)
 
     def simulate(self, terms: Mapping[str, float], poses: Array) -> Array:
@@ -190,12 +209,12 @@ class PoseStage(Stage):
         if last is not None and last[0] == key:
             return last[1]
         dense = np.empty((self.segments.ticks, 4))
-        left, right = self._turned(p)
+        left, right, apart = self._turned(p)
 
         def run(share: slice) -> None:
             ends = self.segments.first[share.start : share.stop + 1]
             angles, y = self.angle_0[share], np.zeros(N_Y)
-            run_pose(p, self._state, ends, left, right, poses[share], angles, y, dense)
+            run_pose(p, self._state, ends, left, right, apart, poses[share], angles, y, dense)
 
         if self._pool is None:
             run(slice(0, len(self.segments)))
@@ -205,14 +224,18 @@ class PoseStage(Stage):
             self._last = (key, dense)
         return dense
 
-    def _turned(self, p: Array) -> tuple[Array, Array]:
-        """Return both sides' sums of the speeds at which the wheels turn, not their encoders."""
-        sides = [self.left, self.right]
+    def _turned(self, p: Array) -> tuple[Array, Array, Array]:
+        """Return sums and differences of the speeds at which wheels turn, not their encoders."""
+        sides, apart = [self.left, self.right], self.apart
         for wheel, share in self.encoders.items():
             turns = self._encoder_gain[wheel] / p[P_ENCODER_GAIN + wheel]
             if turns != 1.0:
-                sides[wheel // 2] = sides[wheel // 2] + (turns - 1.0) * share
-        return sides[0], sides[1]
+                more = (turns - 1.0) * share
+                sides[wheel // 2] = sides[wheel // 2] + more
+                if apart.size:
+                    apart = apart.copy()
+                    apart[wheel // 2] += -more if wheel % 2 else more
+        return sides[0], sides[1], apart
 
     def predict(self, terms: Mapping[str, float], poses: Array, *, keep: bool = False) -> Array:
         """Return what the stack's samples would be; yaw follows the measured turns.
@@ -266,6 +289,7 @@ class PoseStage(Stage):
             YAW: yaw,
             HEADING: yaw,
             FORWARD: self.forward_m_s(),
+            ASIDE: self.aside,
             TURN: dense[:, 3],
         }
 
@@ -346,6 +370,15 @@ class PoseStage(Stage):
             end = begin + stack.edges[name].stop - stack.edges[name].start
             self._tag_index[name] = inverse[begin:end]
             begin = end
+
+
+def tell_motion(robot: RobotParameters, is_there: Callable[[str], bool]) -> bool:
+    """Return whether the speeds that are there suffice: one of each side, of mecanum wheels all.
+
+    A side without a speed would stand still.
+    """
+    enough = all if robot.is_mecanum else any
+    return all(enough(map(is_there, side)) for side in (SPEEDS[:2], SPEEDS[2:]))
 
 
 def stride(log: MeasuredLog) -> int:

@@ -56,6 +56,10 @@ class WheelSpeeds:
         left, right = (sum(self.shares[w] for w in side if w in self.shares) for side in SIDES)
         return np.ascontiguousarray(left), np.ascontiguousarray(right)
 
+    def apart(self) -> Array:
+        """Return dense front minus rear wheel of both sides [rpm], shape (2, ticks)."""
+        return np.stack([self._wheel(front) - self._wheel(rear) for front, rear in SIDES])
+
     @cached_property
     def shares(self) -> dict[int, Array]:
         """By wheel what adds up to the sum of its side; beside a measured one another has none."""

@@ -28,7 +28,7 @@ struct plant {
     double control_period, a_p, a_i, limit;
     double dead_zone, coulomb, f_s, n_s, load, load_wheel, a_gain, a_t1, sag_k, volts, viscous;
     double backlash, a_radius, a_diff, runout, runout_phase, a_k, a_kv, a_kq, long_slip, acc_slip;
-    double traction, lag, icr_d, side_slip, misalign, slope_x, slope_y, surf_k, surf_v, x_min, x_max, y_min, y_max;
+    double traction, lag, mecanum, roller, icr_d, side_slip, misalign, slope_x, slope_y, surf_k, surf_v, x_min, x_max, y_min, y_max;
     double aniso_k, aniso_icr;
     /* sensors: their slice, and terms */
     double Ts, nav_every, seed, gyro_a, gyro_bias, imu_latency, nav_latency, yaw_latency;
@@ -119,8 +119,8 @@ static const struct field fields[] = {
     F(quantum), F(control_period), F(a_p), F(a_i), F(limit), F(dead_zone), F(coulomb), F(f_s),
     F(n_s), F(load), F(load_wheel), F(a_gain), F(a_t1), F(sag_k), F(volts), F(viscous),
     F(backlash), F(a_radius), F(a_diff), F(runout), F(runout_phase), F(a_k), F(a_kv), F(a_kq),
-    F(long_slip), F(acc_slip), F(traction), F(lag), F(icr_d), F(side_slip), F(misalign), F(slope_x), F(slope_y),
-    F(surf_k), F(surf_v), F(x_min), F(x_max), F(y_min), F(y_max), F(aniso_k), F(aniso_icr),
+    F(long_slip), F(acc_slip), F(traction), F(lag), F(mecanum), F(roller), F(icr_d),
+    F(side_slip), F(misalign), F(slope_x), F(slope_y), F(surf_k), F(surf_v), F(x_min), F(x_max), F(y_min), F(y_max), F(aniso_k), F(aniso_icr),
     F(Ts), F(nav_every), F(seed), F(gyro_a), F(gyro_bias), F(imu_latency), F(nav_latency),
     F(yaw_latency), F(lever_x), F(lever_y), F(nav_scale), F(frame_yaw), F(bias), F(bias_length),
     F(outlier_share), F(outlier_size), F(dist_a1), F(dist_p1), F(dist_a2), F(dist_p2),
@@ -277,6 +277,15 @@ static double lateral(const struct plant *p, double v, double om)
     return -(p->icr + p->icr_d + p->aniso_icr) * om + p->side_slip * v * om + p->misalign * v;
 }
 
+/* to the left by the rollers, of four wheels in rpm: those of each side turn apart */
+static double aside(const struct plant *p, const double *n)
+{
+    double r = p->r * (1.0 + p->a_radius), half = p->a_diff / 2.0;
+    double left = r * (1.0 + half) * rpm_to_rad_s(n[1] - n[0]);
+    double right = r * (1.0 - half) * rpm_to_rad_s(n[3] - n[2]);
+    return p->mecanum != 0.0 ? (1.0 - p->roller) * (left + right) / 4.0 : 0.0;
+}
+
 static double friction(const struct plant *p, int i, double n)
 {
     double F = p->coulomb + p->f_s * exp(-(n / p->n_s) * (n / p->n_s));
@@ -348,7 +357,7 @@ static void extended_step(struct plant *p, const double *setpoint)
     velocity(p, wl, wr, dl, dr, angle, &made_v, &made_om);
     p->v = p->lag > 0.0 ? p->lagged_v : made_v;
     p->om = p->lag > 0.0 ? p->lagged_om : made_om;
-    p->vy = lateral(p, p->v, p->om);
+    p->vy = lateral(p, p->v, p->om) + aside(p, now);
     /* the derivative of the velocity: central differences along the motion of the wheels at two
      * widths, extrapolated */
     double slope_v[2], slope_om[2];
@@ -373,7 +382,8 @@ static void extended_step(struct plant *p, const double *setpoint)
         dom = (made_om - p->om) / p->lag;
     }
     double icr = p->icr + p->icr_d + p->aniso_icr;
-    double dvy = -icr * dom + p->side_slip * (dv * p->om + p->v * dom) + p->misalign * dv;
+    double dvy = -icr * dom + p->side_slip * (dv * p->om + p->v * dom) + p->misalign * dv
+                 + aside(p, rate);
     p->acc_x = dv - p->om * p->vy;
     p->acc_y = dvy + p->om * p->v;
     /* the pose takes the means over the tick, at the mean wheel angle */
@@ -391,7 +401,7 @@ static void extended_step(struct plant *p, const double *setpoint)
         p->lagged_v = next_v;
         p->lagged_om = next_om;
     }
-    integrate_pose(p, v_mean, lateral(p, v_mean, om_mean), om_mean);
+    integrate_pose(p, v_mean, lateral(p, v_mean, om_mean) + aside(p, mean), om_mean);
     if (fabs(ml) + fabs(mr) > 0.05) {
         p->X += p->slope_x * p->T;
         p->Y += p->slope_y * p->T;

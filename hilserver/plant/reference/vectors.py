@@ -7,6 +7,7 @@ the terms it was made with and holds every `EVERY`-th tick: outputs of t_k, stat
 import csv
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.resources import files
 from typing import Final
 
@@ -15,7 +16,12 @@ from numpy.typing import NDArray
 
 import hilserver.plant.layout as at
 from hilserver.plant.packing import initial_state, pack
-from hilserver.plant.parameters import Navigation, RobotParameters
+from hilserver.plant.parameters import (
+    FOR_MECANUM_ALONE,
+    MECANUM_GEOMETRY,
+    Navigation,
+    RobotParameters,
+)
 from hilserver.plant.robot import robot_step
 from hilserver.plant.sensors import imu_step, nav_step
 from hilserver.plant.terms import TERMS
@@ -35,6 +41,7 @@ _UNSET_REFERENCE: Final = {
     "backlash": 0.02,
     "acceleration_slip": 0.05,
     "traction_slip": 0.1,
+    "roller_slip": 0.1,
     "body_lag": 0.05,
     "floor_slope.y": 0.02,
     "surface_change.v": -0.2,
@@ -75,15 +82,21 @@ def cases() -> dict[str, dict[str, float]]:
         name: size
         for terms in list(result.values())
         for name, size in terms.items()
-        if name not in ("saturation_limit", "setpoint_rate_limit")
+        if name not in ("saturation_limit", "setpoint_rate_limit", *FOR_MECANUM_ALONE)
     }
     return result
 
 
 def robot_of(terms: dict[str, float]) -> RobotParameters:
-    """Return the robot of a vector file: navigation on, without random noise."""
+    """Return the robot of a vector file: navigation on, without random noise.
+
+    Terms of rollers are those of a mecanum robot.
+    """
     nav = Navigation(enabled=True, white_noise_m=0.0, correlated_noise_m=0.0, yaw_noise_rad=0.0)
-    return RobotParameters(terms=terms, nav=nav)
+    robot = RobotParameters(nav=nav)
+    if not FOR_MECANUM_ALONE.isdisjoint(terms):
+        robot = replace(robot, drive="mecanum", **MECANUM_GEOMETRY)  # type: ignore[arg-type]
+    return replace(robot, terms=terms)
 
 
 def setpoints(tick: int) -> NDArray[np.float64]:

@@ -1,11 +1,9 @@
-"""A sensor's limits with the ends that were reached, and motion that nobody judges."""
-
-from dataclasses import replace
+"""A sensor's limits with the ends that were reached."""
 
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.checks import check, sideways
+from hilserver.diagnosis.checks import check
 from tests.diagnosis.checks.samples import ROBOT, drive, log_of
 
 GYRO = "imu.gyro_z_rad_s"
@@ -28,11 +26,3 @@ def test_a_limited_gyro_is_reported_with_the_ends_that_it_reached(table, ends):
     wanted = {f"limited_channel.{end}": value for end, value in ends.items()}
     found = {name: p.value for name, p in finding.parameters.items()}
     assert found == {"limited_channel": 0.4, **wanted}
-
-
-def test_a_robot_that_drives_sideways_is_judged_but_for_that(table):
-    log = log_of(*table)
-    assert check(log, replace(ROBOT, drive="mecanum", icr_offset_m=0.0)).log.notices == (
-        sideways.NOTE,
-    )
-    assert check(log, ROBOT).log.notices == ()

@@ -17,7 +17,7 @@ from hilserver_injector.pilot import (
     drive,
     towards,
 )
-from hilserver_injector.plane import RAD_S, across, kinematic, tyre_rates
+from hilserver_injector.plane import RAD_S, across, kinematic, rolled_aside, tyre_rates
 
 STEP_S = 1e-4
 REST_RPM = 0.05
@@ -227,6 +227,8 @@ def run(
             else:
                 v, om = made_v, made_om
             vy = across(p, v, om)
+            if p.rollers != 0.0:
+                vy += rolled_aside(p, wheel)
             if p.drag_turn != 0.0 or p.drag_speed != 0.0:
                 pull = math.cos(yaw - p.drag_phase)
                 om, v = om * (1.0 + p.drag_turn * pull), v * (1.0 + p.drag_speed * pull)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver_injector import machine as true_machine
 from hilserver_injector.faults import apply
-from hilserver_injector.manoeuvres import BENCHES, DRIVES
+from hilserver_injector.manoeuvres import BENCHES, DRIVES, TABLES
 from hilserver_injector.parameters import RECORD, machine
 from hilserver_injector.recipe import WHEELS, Recipe
 from hilserver_injector.sensors import as_read, tag, yaw_rate
@@ -53,11 +53,15 @@ def _course(recipe: Recipe, times: Array) -> Array:
 def _drive(recipe: Recipe, steps: NDArray[np.int64], course: Array) -> tuple[Array, Array]:
     rng = recipe.generator("manoeuvre")
     charge = float(recipe.generator("charge").uniform(0.45, 0.97))
-    last = machine(recipe.causes, charge)
-    first = last if recipe.drift_from is None else machine(recipe.drift_from, charge)
+    last = machine(recipe.causes, charge, recipe.drive)
+    first = last
+    if recipe.drift_from is not None:
+        first = machine(recipe.drift_from, charge, recipe.drive)
     table, moves = np.zeros((0, 4)), np.zeros((1, 7))
     if recipe.kind == "bench":
         table = BENCHES[recipe.manoeuvre](rng, steps * true_machine.STEP_S)
+    elif recipe.manoeuvre in TABLES:
+        table = TABLES[recipe.manoeuvre](rng, steps * true_machine.STEP_S)
     else:
         moves = DRIVES[recipe.manoeuvre](rng, recipe.length_s)
     start = np.array([*rng.uniform(-HALL_START_M, HALL_START_M, 2), rng.uniform(-np.pi, np.pi)])

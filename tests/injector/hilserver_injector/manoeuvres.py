@@ -214,3 +214,32 @@ def one_way(rng: np.random.Generator, times: Array) -> Array:
 
 
 BENCHES = {"mixed": steps, "small_steps": small_steps, "flat_out": flat_out, "one_way": one_way}
+
+OF_WHEELS = np.array([[1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0], [-1.0, 1.0, -1.0]])
+"""Mecanum wheels fl, rl, fr, rr by what each of ahead, left and turning left asks of them."""
+
+
+def _twist(rng: np.random.Generator) -> Array:
+    """Return wheel speeds [rpm] for ahead, left and turning, of which one to three are there."""
+    parts = rng.uniform(-1.0, 1.0, 3) * (rng.random(3) < (0.6, 0.6, 0.3))
+    if not parts.any():
+        parts[int(rng.integers(0, 3))] = 1.0
+    return np.asarray(parts / np.abs(parts).sum() * rng.uniform(40.0, TOP_RPM))
+
+
+def omni(rng: np.random.Generator, times: Array) -> Array:
+    """Return a drive on mecanum wheels: ahead, to the sides and turning, there and back again."""
+    table, at = np.zeros((len(times), 4)), 1.0
+    while at < times[-1]:
+        legs = [(_twist(rng), rng.uniform(3.0, 8.0)) for _ in range(int(rng.integers(1, 3)))]
+        back = [(-rpm, lasts) for rpm, lasts in reversed(legs)]
+        turn = np.array([0.0, 0.0, rng.uniform(-60.0, 60.0)]), rng.uniform(0.5, 3.0)
+        rest = np.zeros(3), rng.uniform(0.3, 1.0)
+        for rpm, lasts in (*legs, *back, turn, rest):
+            table[(times >= at) & (times < at + lasts)] = OF_WHEELS @ rpm
+            at += lasts
+    return table
+
+
+TABLES = {"omni": omni}
+"""Drives that follow a table, wherever that leads."""

@@ -15,6 +15,7 @@ K_OM = TRACK_M / (WHEELBASE_M**2 + TRACK_M**2)
 YAW_SIGN = -1.0
 KP, KI, GAIN, T1_S, T2_S = 13.513, 195.84, 1.11, 0.069, 0.0023
 NEVER = 1e9
+MECANUM_RADIUS_M, MECANUM_K_OM = 0.05, 1.0 / (0.25 + 0.36)
 
 NOMINAL: Mapping[str, float] = {
     "control_s": 0.001,
@@ -50,6 +51,7 @@ NOMINAL: Mapping[str, float] = {
     "gain_speed": 0.0,
     "gain_radius": 0.0,
     "traction": 0.0,
+    "rollers": 0.0,
     "lag_s": 0.0,
     "slip": 0.0,
     "accel_slip": 0.0,
@@ -145,7 +147,7 @@ _RELATIVE = {
 }
 
 
-def machine(causes: Mapping[str, float], charge: float) -> Array:
+def machine(causes: Mapping[str, float], charge: float, drive: str = "skid") -> Array:
     """Return the constants of the machine with these causes, in the order of `NOMINAL`.
 
     Parameters
@@ -157,6 +159,10 @@ def machine(causes: Mapping[str, float], charge: float) -> Array:
     """
     values = dict(NOMINAL)
     values["charge"] = charge
+    if drive == "mecanum":
+        values |= {"radius_left": MECANUM_RADIUS_M, "radius_right": MECANUM_RADIUS_M, "icr": 0.0}
+        values |= {"k_om": YAW_SIGN * MECANUM_K_OM, "rollers": 1.0}
+    values["rollers"] *= 1.0 - causes.get("roller_slip", 0.0)
     for name, value in causes.items():
         if name in _PLAIN:
             values[_PLAIN[name]] = value

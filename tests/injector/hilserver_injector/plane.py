@@ -45,6 +45,14 @@ def across(p: Any, v: float, om: float) -> float:
 
 
 @kernel
+def rolled_aside(p: Any, wheel: Any) -> float:
+    """Return the speed to the left [m/s] that mecanum wheels make, fl, rl, fr, rr in rpm."""
+    left = p.radius_left * (wheel[1] - wheel[0])
+    right = p.radius_right * (wheel[3] - wheel[2])
+    return 0.25 * p.rollers * RAD_S * (left + right)
+
+
+@kernel
 def tyre_rates(p: Any, left: float, right: float, v: float, vy: float, om: float) -> Any:
     """Return dv, dvy, dom of the body on four tyres (friction anisotropic, regularised).
 

@@ -76,6 +76,8 @@ class Recipe:
     ----------
     causes : mapping of str to float
         ``cause`` or ``cause.part``: the parameters of spec "Diagnosis", and of `causes.OUTSIDE`.
+    drive : str
+        skid, or mecanum with a manoeuvre of `manoeuvres.TABLES`.
     drift_from : mapping of str to float or None
         Values at the start of the log, when `causes` are those at its end.
     faults : mapping of str to object
@@ -86,6 +88,7 @@ class Recipe:
 
     kind: Literal["drive", "bench"] = "drive"
     seed: int = 0
+    drive: Literal["skid", "mecanum"] = "skid"
     causes: Mapping[str, float] = field(default_factory=dict)
     drift_from: Mapping[str, float] | None = None
     drift_step: bool = False
