@@ -7,7 +7,7 @@ from pathlib import Path
 from hilserver.commands.options import config_path
 from hilserver.config.patch import Patch, load_patch
 from hilserver.daemon.assembly import Assembly, assemble
-from hilserver.errors import FailedError
+from hilserver.errors import ConfigError
 
 
 def add_patch(parser: argparse.ArgumentParser) -> None:
@@ -31,9 +31,7 @@ def assembled(args: argparse.Namespace) -> Assembly:
     Raises
     ------
     ConfigError
-        One line per complaint.
-    FailedError
-        If a group is named without a patch.
+        One line per complaint; or if a group is named without a patch.
     """
     _check(args)
     assembly = assemble(config_path(args), args.patch, args.group)
@@ -48,9 +46,7 @@ def patch_of(args: argparse.Namespace) -> Patch | None:
     Raises
     ------
     ConfigError
-        If it cannot be used.
-    FailedError
-        If a group is named without a patch.
+        If it cannot be used, or a group is named without a patch.
     """
     _check(args)
     return None if args.patch is None else load_patch(args.patch, args.group)
@@ -58,7 +54,7 @@ def patch_of(args: argparse.Namespace) -> Patch | None:
 
 def _check(args: argparse.Namespace) -> None:
     if args.patch is None and args.group is not None:
-        raise FailedError("--group names a group of a patch: use it with --patch")
+        raise ConfigError("--group names a group of a patch: use it with --patch")
 
 
 def warn(notice: str | None) -> None:

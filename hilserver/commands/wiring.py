@@ -26,6 +26,8 @@ from hilserver.program import event_loop
 EXAMPLE = "hilserver wiring --demo"
 MOVES_RPM = 0.05
 SETTLE_S = 0.4
+STOOD_S = 0.4
+"""A controller that loses the pose for a moment stops and goes on with the same wheel."""
 LOOK_S = 0.005
 UNIT_TOLERANCE = 0.05
 STALE_TOLERANCE_MS = 150.0
@@ -140,7 +142,7 @@ class Wiring:
                 f" alone, forward, at {self._speed_rpm:g} rpm"
             )
             if number == 1 or findings[-1].arrived != "nothing":
-                await self._wait(lambda: not self._moving(), self._timeout_s)
+                await self._wait(self._standing(), self._timeout_s)
             findings.append(await self._wheel(wheel))
         findings.append(await self._stale())
         return findings
@@ -154,6 +156,19 @@ class Wiring:
 
     def _moving(self) -> dict[str, float]:
         return {wheel: rpm for wheel, rpm in self._inputs().items() if abs(rpm) > MOVES_RPM}
+
+    def _standing(self) -> Callable[[], bool]:
+        """Return a condition: no wheel has been commanded to move for `STOOD_S`."""
+        moved_s = time.monotonic()
+
+        def stood() -> bool:
+            nonlocal moved_s
+            now_s = time.monotonic()
+            if self._moving():
+                moved_s = now_s
+            return now_s - moved_s >= STOOD_S
+
+        return stood
 
     async def _wait(self, condition: Callable[[], object], timeout_s: float) -> bool:
         end_s = time.monotonic() + timeout_s

@@ -155,7 +155,7 @@ def follow(
 
 
 WHEEL_RPM = 20.0
-WHEEL_START_S, WHEEL_TURNS_S, WHEEL_EVERY_S = 1.5, 1.5, 2.0
+WHEEL_START_S, WHEEL_TURNS_S, WHEEL_EVERY_S = 1.5, 1.5, 2.5
 
 
 def one_wheel_rpm(elapsed_s: float) -> dict[str, float]:

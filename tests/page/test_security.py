@@ -235,7 +235,7 @@ async def test_a_thousand_connections_are_not_served_and_the_page_is_there_again
     pytest.fail("the page did not come back")
 
 
-async def test_more_browsers_than_allowed_are_told(visitor):
+async def test_more_browsers_than_allowed_are_refused(visitor):
     sockets = [await visitor.live() for _ in range(5)]
     one_more = await visitor.socket()
     assert await closed(one_more) == aiohttp.WSCloseCode.TRY_AGAIN_LATER

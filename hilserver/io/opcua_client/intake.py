@@ -12,8 +12,8 @@ from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.core.inputs import Refusal
+from hilserver.core.staleness import Staleness
 from hilserver.io.opcua_client.latency import ClockOffset, StampWatch, one_way_ns
-from hilserver.io.opcua_client.staleness import Staleness
 from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.validation import FaultKind, SequenceWatch, Verdict, judge
 from hilserver.io.peer_faults import FaultBook

@@ -10,6 +10,7 @@ from asyncua import ua
 from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.staleness import Staleness, Transition
 from hilserver.faults.links import Lane, Line
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.faulty_intake import FaultyIntake
@@ -17,7 +18,6 @@ from hilserver.io.opcua_client.intake import Gate, Intake
 from hilserver.io.opcua_client.refusal import RefusedError
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import LinkLostError, Session
-from hilserver.io.opcua_client.staleness import Staleness, Transition
 from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.opcua_client.writer import Output, Writer
@@ -181,6 +181,8 @@ class PeerLink:
             if self.status.connected and loop.time() - started_s > SETTLED_S:
                 backoff.settled()
             self._leave_session()
+            if not self._tasks:
+                return  # stopped: an error of the same moment has hidden the cancellation
             pause_s = started_s + backoff.next_s() - loop.time()
             await asyncio.sleep(max(shortest_s, pause_s))
 

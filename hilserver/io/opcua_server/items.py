@@ -32,8 +32,24 @@ class Room:
         return size
 
 
-@dataclass(slots=True, eq=False)
-class ValueItem:
+@dataclass(slots=True, eq=False, kw_only=True)
+class _Item:
+    item_id: int
+    handle: bytes
+    mode: ua.MonitoringMode
+    size: int
+    discard_oldest: bool
+    queue: deque[Any] = field(default_factory=deque)
+    triggers: dict[int, None] = field(default_factory=dict)
+
+    def shorten(self) -> None:
+        """Drop what a shorter queue has no room for."""
+        while len(self.queue) > self.size:
+            self.queue.popleft()
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class ValueItem(_Item):
     """A monitored attribute.
 
     Attributes
@@ -44,22 +60,15 @@ class ValueItem:
         Sampling interval [s]; 0: every change.
     """
 
-    item_id: int
+    kind: ClassVar[bytes] = DATA_CHANGE
     read: ua.ReadValueId
     place: Any
-    kind: ClassVar[bytes] = DATA_CHANGE
-    handle: bytes
     stamps: int
-    mode: ua.MonitoringMode
-    size: int
-    discard_oldest: bool
     change: ChangeFilter
     interval_s: float
     due_s: float = 0.0
     seen: Any = None
     reported: FixedDataValue | None = None
-    queue: deque[FixedDataValue] = field(default_factory=deque)
-    triggers: dict[int, None] = field(default_factory=dict)
 
     def sample(self, value: ua.DataValue, now_s: float) -> bool:
         """Take what stands at the place if it is due and news; return whether it was queued."""
@@ -84,11 +93,6 @@ class ValueItem:
             queue[end] = _with_overflow(queue[end])
         return True
 
-    def shorten(self) -> None:
-        """Drop what a shorter queue has no room for."""
-        while len(self.queue) > self.size:
-            self.queue.popleft()
-
     def forget(self) -> None:
         """Begin anew: whatever stands there next is a change."""
         self.queue.clear()
@@ -96,24 +100,18 @@ class ValueItem:
 
     def pop(self) -> bytes:
         """Return the oldest notification."""
-        return self.handle + self.queue.popleft().encoded(self.stamps)
+        value: FixedDataValue = self.queue.popleft()
+        return self.handle + value.encoded(self.stamps)
 
 
-@dataclass(slots=True, eq=False)
-class EventItem:
+@dataclass(slots=True, eq=False, kw_only=True)
+class EventItem(_Item):
     """A monitored source of events."""
 
-    item_id: int
     kind: ClassVar[bytes] = EVENTS
     node_id: ua.NodeId
-    handle: bytes
-    mode: ua.MonitoringMode
-    size: int
-    discard_oldest: bool
     filter: ua.EventFilter
     where: Any
-    queue: deque[bytes] = field(default_factory=deque)
-    triggers: dict[int, None] = field(default_factory=dict)
 
     def take(self, event: Any) -> bool:
         """Queue an event that passes the filter; return whether it did."""
@@ -127,18 +125,14 @@ class EventItem:
         self.queue.append(bytes(struct_to_binary(fields))[HANDLE.size :])
         return True
 
-    def shorten(self) -> None:
-        """Drop what a shorter queue has no room for."""
-        while len(self.queue) > self.size:
-            self.queue.popleft()
-
     def forget(self) -> None:
         """Drop what is queued."""
         self.queue.clear()
 
     def pop(self) -> bytes:
         """Return the oldest notification."""
-        return self.handle + self.queue.popleft()
+        fields: bytes = self.queue.popleft()
+        return self.handle + fields
 
 
 Item = ValueItem | EventItem

@@ -113,16 +113,16 @@ class MonitoredItems:
         place = place_for_items(self._address_space, read)
         change = self._change_filter(read, asked.Filter)
         self._values[self._number] = item = ValueItem(
-            self._number,
-            read,
-            place,
-            HANDLE.pack(asked.ClientHandle),
-            stamps,
-            request.MonitoringMode,
-            room.take(asked.QueueSize, self._longest_queue),
-            asked.DiscardOldest,
-            change,
-            self._revise_sampling(asked.SamplingInterval) / 1e3,
+            item_id=self._number,
+            handle=HANDLE.pack(asked.ClientHandle),
+            mode=request.MonitoringMode,
+            size=room.take(asked.QueueSize, self._longest_queue),
+            discard_oldest=asked.DiscardOldest,
+            read=read,
+            place=place,
+            stamps=stamps,
+            change=change,
+            interval_s=self._revise_sampling(asked.SamplingInterval) / 1e3,
         )
         return item
 
@@ -134,14 +134,14 @@ class MonitoredItems:
             raise RefusedError(_Codes.BadAttributeIdInvalid)
         wanted = check_event_filter(asked.Filter)
         self._events[self._number] = item = EventItem(
-            self._number,
-            read.NodeId,
-            HANDLE.pack(asked.ClientHandle),
-            request.MonitoringMode,
-            room.take(asked.QueueSize or self._longest_queue, self._longest_queue),
-            asked.DiscardOldest,
-            wanted,
-            WhereClauseEvaluator(_quiet, self._address_space, wanted.WhereClause),
+            item_id=self._number,
+            handle=HANDLE.pack(asked.ClientHandle),
+            mode=request.MonitoringMode,
+            size=room.take(asked.QueueSize or self._longest_queue, self._longest_queue),
+            discard_oldest=asked.DiscardOldest,
+            node_id=read.NodeId,
+            filter=wanted,
+            where=WhereClauseEvaluator(_quiet, self._address_space, wanted.WhereClause),
         )
         return item
 

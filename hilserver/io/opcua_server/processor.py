@@ -20,19 +20,21 @@ from asyncua.ua.ua_binary import (
     uatcp_to_binary,
 )
 
-from hilserver.io.opcua_security.certificate import application_uris, parse_certificate
 from hilserver.io.opcua_server import encoding
 from hilserver.io.opcua_server.channel import GuardedConnection
 from hilserver.io.opcua_server.frames import Stage, TransportError, check_order
-from hilserver.io.opcua_server.identity import identify
+from hilserver.io.opcua_server.login import (
+    activate_session,
+    create_session,
+    release_session,
+)
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.services import REPUBLISH, SERVICES, read
+from hilserver.io.opcua_server.node_services import read
+from hilserver.io.opcua_server.services import REPUBLISH, SERVICES
 from hilserver.io.opcua_server.sessions import RobotSession
 
 _OPERATION_TEXT, _OPERATION_ADDITIONAL_INFO = 0x40, 0x80
 """Bits of ReturnDiagnostics (OPC 10000-4, RequestHeader)."""
-_MAX_CLIENT_TEXT = 4096
-_NONCE_BYTES = 32
 _Codes, _Type, _Ids = ua.StatusCodes, ua.MessageType, ua.ObjectIds
 _None = ua.MessageSecurityMode.None_
 
@@ -81,11 +83,20 @@ class RobotProcessor:
         self.session: RobotSession | None = None
         self.is_congested = False
         self._transport = transport
-        self._sockname = transport.get_extra_info("sockname")
+        self.sockname = transport.get_extra_info("sockname")
         name = transport.get_extra_info("peername")
         self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)
         self._is_greeted = False
+
+    @property
+    def policy(self) -> Any:
+        """Security policy of the channel."""
+        return self._connection.security_policy
+
+    def close(self) -> None:
+        """Release what the lost connection held."""
+        release_session(self)
 
     # --- transport --------------------------------------------------------------------------------
 
@@ -264,10 +275,10 @@ class RobotProcessor:
         if self._connection.is_discovery_only:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
         if service == _CREATE:
-            return self._create_session(decode(ua.CreateSessionParameters, body))
+            return create_session(self, decode(ua.CreateSessionParameters, body))
         if service == _ACTIVATE:
             token = session.auth_token if session is not None else token
-            return self._activate_session(token, decode(ua.ActivateSessionParameters, body))
+            return activate_session(self, token, decode(ua.ActivateSessionParameters, body))
         if session is None:
             raise ServiceError(_Codes.BadSessionIdInvalid)
         session.touch()
@@ -297,102 +308,11 @@ class RobotProcessor:
     async def _discover(self, service: int, body: Buffer) -> Any:
         if service == _FIND_SERVERS:
             find = decode(ua.FindServersParameters, body)
-            servers = self.iserver.find_servers(find, self._sockname)
+            servers = self.iserver.find_servers(find, self.sockname)
             return ua.FindServersResponse(Servers=servers)
         params = decode(ua.GetEndpointsParameters, body)
-        endpoints = await self.iserver.get_endpoints(params, self._sockname)
+        endpoints = await self.iserver.get_endpoints(params, self.sockname)
         return ua.GetEndpointsResponse(Endpoints=endpoints)
-
-    async def _create_session(self, params: Any) -> ua.CreateSessionResponse:
-        if self.session is not None:
-            if self.session.is_activated:
-                raise ServiceError(_Codes.BadTooManySessions)  # one per connection
-            self.session.close()
-        self._check_client(params)
-        policy = self._connection.security_policy
-        asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
-        endpoints = await self.iserver.get_endpoints(asked, self._sockname)
-        session = self.iserver.new_session(self, policy)
-        session.source = self.iserver.source_of(params.SessionName)
-        session.visitor = self.iserver.visitor_of(params.SessionName, self.address)
-        self.session = session
-        response = ua.CreateSessionResponse()
-        result = response.Parameters = session.create(params)
-        result.ServerEndpoints = endpoints
-        result.MaxRequestMessageSize = self.iserver.config.max_message_bytes
-        result.ServerCertificate = policy.host_certificate
-        signed = (policy.peer_certificate or b"") + (params.ClientNonce or b"")
-        result.ServerSignature.Signature = policy.asymmetric_cryptography.signature(signed)
-        result.ServerSignature.Algorithm = policy.AsymmetricSignatureURI
-        return response
-
-    def _check_client(self, params: ua.CreateSessionParameters) -> None:
-        """Check that the session is asked for by the application that opened the channel."""
-        texts = (params.EndpointUrl, params.SessionName, params.ServerUri)
-        if any(len(text or "") > _MAX_CLIENT_TEXT for text in texts):
-            raise ServiceError(_Codes.BadInvalidArgument)
-        policy = self._connection.security_policy
-        if policy.Mode == _None:
-            return
-        certificate = policy.peer_certificate
-        if not (params.ClientCertificate or b"").startswith(certificate):
-            raise ServiceError(_Codes.BadSecurityChecksFailed)
-        if len(params.ClientNonce or b"") < _NONCE_BYTES:
-            raise ServiceError(_Codes.BadNonceInvalid)
-        uri = params.ClientDescription.ApplicationUri
-        if uri not in application_uris(parse_certificate(certificate)):
-            log.warning("opcua certificate names another URI", announced=str(uri)[:200])
-            self.iserver.trust.keep_rejected(certificate)
-            raise ServiceError(_Codes.BadCertificateUriInvalid)
-
-    async def _activate_session(self, token: Any, params: Any) -> ua.ActivateSessionResponse:
-        session = self.iserver.session_of(token)
-        if session is None or (self.session is not None and session is not self.session):
-            raise ServiceError(_Codes.BadSessionIdInvalid)
-        session.touch()
-        policy = self._connection.security_policy
-        is_moved = session.processor is not self
-        if is_moved and not session.is_activated:
-            raise ServiceError(_Codes.BadSessionIdInvalid)
-        if not session.is_of(policy):
-            raise ServiceError(_Codes.BadSecurityChecksFailed)
-        try:
-            signed = (policy.host_certificate or b"") + session.nonce
-            policy.asymmetric_cryptography.verify(signed, params.ClientSignature.Signature)
-        except (InvalidSignature, TypeError):
-            raise ServiceError(_Codes.BadApplicationSignatureInvalid) from None
-        user = await identify(
-            self.iserver.access,
-            params.UserIdentityToken,
-            is_encrypted=policy.Mode == ua.MessageSecurityMode.SignAndEncrypt,
-            key=self.iserver.private_key,
-            nonce=session.nonce,
-            address=session.visitor,
-        )
-        if is_moved:
-            if user != session.user:
-                raise ServiceError(_Codes.BadUserAccessDenied)
-            self._take_over(session, policy)
-        response = ua.ActivateSessionResponse()
-        response.Parameters = session.activate(user)
-        return response
-
-    def _take_over(self, session: RobotSession, policy: Any) -> None:
-        """Bind a session of another connection, which has proved to be the same client, to us."""
-        if session.processor is not None and session.processor.session is session:
-            session.processor.session = None
-        session.lose_connection()
-        session.bind(self, policy)
-        self.session = session
-
-    def close(self) -> None:
-        """Let go of the session when the connection is lost; subscriptions may outlive it."""
-        session, self.session = self.session, None
-        if session is None or session.processor is not self:
-            return
-        session.lose_connection()
-        if not session.is_activated or not session.subscriptions:
-            session.close()
 
 
 def _fault(code: int, handle: int) -> bytes:

@@ -17,9 +17,9 @@ from hilserver.config.ros2 import Ros2Config
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.inputs import Refusal
+from hilserver.core.staleness import Staleness, Transition
 from hilserver.faults.links import Lane, Line
 from hilserver.image import Frame
-from hilserver.io.opcua_client.staleness import Staleness, Transition
 from hilserver.io.peer_faults import FaultBook
 from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
@@ -286,11 +286,12 @@ class Ros2Node:
             self.status.interval.observe(now_ns - self._news_ns)
         self._news_ns = now_ns
         self.status.sequence_received += 1
-        if values and now_ns >= self._pause_until_ns:
+        if values:
             self._hand_over(subscribed, values, now_ns)
 
     def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
-        refusals = self._world.gate.write(NAME, values)
+        is_paused = now_ns < self._pause_until_ns
+        refusals = {} if is_paused else self._world.gate.write(NAME, values)
         wrong = {
             signal: reason
             for signal, reason in refusals.items()

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus
+from hilserver.core.staleness import Staleness
 from hilserver.io.opcua_client.intake import Intake
-from hilserver.io.opcua_client.staleness import Staleness
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_faults import HOLD_NS, FaultBook
 from hilserver.io.peer_status import PeerStatus

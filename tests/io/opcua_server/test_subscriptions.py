@@ -278,19 +278,17 @@ def value_of(number: float) -> FixedDataValue:
 
 
 def watching(place: Any, interval_ms: float, size: int = 1) -> ValueItem:
-    handle, stamps = b"\1\0\0\0", ua.TimestampsToReturn.Both
-    mode = ua.MonitoringMode.Reporting
     return ValueItem(
-        1,
-        ua.ReadValueId(),
-        place,
-        handle,
-        stamps,
-        mode,
-        size,
-        True,
-        ChangeFilter(),
-        interval_ms / 1e3,
+        item_id=1,
+        handle=b"\1\0\0\0",
+        mode=ua.MonitoringMode.Reporting,
+        size=size,
+        discard_oldest=True,
+        read=ua.ReadValueId(),
+        place=place,
+        stamps=ua.TimestampsToReturn.Both,
+        change=ChangeFilter(),
+        interval_s=interval_ms / 1e3,
     )
 
 

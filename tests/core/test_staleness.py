@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.io.opcua_client.staleness import Staleness, Transition
+from hilserver.core.staleness import Staleness, Transition
 
 LIMIT = 500
 
