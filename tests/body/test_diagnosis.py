@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from hilserver_injector.manoeuvres import OF_WHEELS
 
 import hilserver.body.layout as at
 from hilserver.config.root import Config
@@ -22,7 +21,7 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.replay.simulation import Simulation
 from tests.body.rig import MIRROR, Body
 from tests.diagnosis.checks.samples import log_of
-from tests.diagnosis.own_recordings.recordings import ALL_WHEELS, DRIVES, wheels
+from tests.diagnosis.own_recordings.recordings import DRIVES, wheels
 
 RECORDED = ("sim.tick", *SETPOINTS, *SPEEDS, *DUTIES, GYRO)
 POSE = ("mech.x_m", "mech.y_m", "mech.yaw_rad")
@@ -62,7 +61,7 @@ def found_in(folder, config, scenario, seconds):
     head = ",".join(("t_s", *RECORDED, *TAG))
     path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
     log = read_measured([path], None, Sampling.of(Config()))
-    return diagnose(log, assemble_config(Config(plant=config.plant)), jobs=1).findings
+    return diagnose(log, assemble_config(Config()), jobs=1).findings
 
 
 @pytest.mark.long
@@ -82,38 +81,6 @@ def test_tyres_that_grip_across_are_a_rotation_gain(tmp_path):
     gain = findings.total_gain["yaw_rad"]
     assert gain.ratio > 3.0
     assert gain.ci95[0] > 1.0
-
-
-@pytest.mark.long
-def test_a_centre_of_mass_20_mm_from_where_the_model_has_it_is_an_icr_offset(tmp_path):
-    """Between the wheels: X_ICR is 0, not 20 mm; isotropic tyres turn as the model does."""
-    tyre = {"mu_long": 0.8, "mu_lat": 0.8}
-    body = {"enabled": True, "tyre": tyre, "centre_of_mass_m": (0.0, 0.0, 0.06), "sensors": "body"}
-    config = Config.model_validate({"mechatronic": body})
-    steps = DRIVES["long"](90.0, 3).model_dump()["steps"]
-    findings = found_in(tmp_path, config, on_rows(steps), 90.0)
-    (found,) = (f for f in findings.findings if "icr_offset" in f.causes)
-    assert set(found.causes) <= {"icr_offset", "nav_lever_arm"}
-    low, high = found.parameters["icr_offset"].ci95
-    assert low - 0.002 < -0.02 < high + 0.002
-
-
-@pytest.mark.long
-def test_the_tag_of_a_mecanum_body_off_its_centre_is_a_lever_arm(tmp_path):
-    """Its pose is that of a centre of mass 50 mm ahead, about which nothing turns."""
-    body = {"enabled": True, "centre_of_mass_m": (0.05, 0.0, 0.06), "sensors": "body"}
-    config = Config.model_validate({"plant": {"drive": "mecanum"}, "mechatronic": body})
-    rng, at_s, steps = np.random.default_rng(5), 0.5, []
-    while at_s < 60.0:
-        rpm = OF_WHEELS @ (rng.uniform(-1.0, 1.0, 3) * (40.0, 30.0, 20.0) * (rng.random(3) < 0.7))
-        for there_and_back in (1.0, -1.0):
-            asked = (there_and_back * rpm).tolist()
-            steps.append({"at_s": at_s, "write": {"control.mode": 0, ALL_WHEELS: asked}})
-            at_s += rng.uniform(0.8, 3.0)
-    findings = found_in(tmp_path, config, on_rows(steps), 60.0)
-    (found,) = (f for f in findings.findings if "nav_lever_arm" in f.causes)
-    assert set(found.causes) == {"nav_lever_arm"}
-    assert found.parameters["nav_lever_arm.x"].value == pytest.approx(0.05, abs=0.01)
 
 
 @pytest.mark.long
