@@ -213,7 +213,17 @@ def prune(problem: Problem, point: Point, least: float) -> Point:
             losses.append((float(saved.sum()), deviations(saved), without))
         weakest = min(range(len(losses)), key=lambda i: losses[i][0])
         gain, t, without = losses[weakest]
-        if gain > least and t > 2.0:
+        if gain > least and t > 2.0 and not _partial(problem, point, without, least):
             break
         point = without
     return point
+
+
+def _partial(problem: Problem, point: Point, without: Point, least: float) -> bool:
+    """Return whether only weights that take a model's side keep a cause in it."""
+    if not problem.weighs_by_model:
+        return False
+    other = problem.heard_by(without)
+    one, two = (fit(other, p.model, p, iterations=3) for p in (point, without))
+    saved = two.loss - one.loss
+    return float(saved.sum()) <= least or deviations(saved) <= 2.0

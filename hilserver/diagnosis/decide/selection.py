@@ -321,3 +321,21 @@ def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:
     problem.learn_noise(problem.residual(point.predicted))
     library.rewhiten(point)
     return fit(problem, point.model, point, iterations=3)
+
+
+AGREED_ROUNDS = 6
+"""Of noise and fit in turn; what is left to move shrinks by a third in each."""
+
+
+def agreed(problem: Problem, library: Library, point: Point) -> Point:
+    """Return a model that fits under the weights which it gives the samples itself.
+
+    Those of a model before it hold on to that one.
+    """
+    if not problem.weighs_by_model or not point.model.fitted:
+        return point
+    for _ in range(AGREED_ROUNDS):
+        problem.learn_noise(problem.residual(point.predicted))
+        point = fit(problem, point.model, point, iterations=3)
+    library.rewhiten(point)
+    return point

@@ -10,7 +10,7 @@ from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anch
 from hilserver.diagnosis.decide.drift import with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, settle
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
-from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
+from hilserver.diagnosis.decide.selection import Selected, agreed, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
     Unknown,
     families_of,
@@ -49,7 +49,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
     point, ties = _weighed(p, selected)
-    weighed = point
+    weighed = point = agreed(problem, p.library, point)
     explained = max(p.base.deviance - point.deviance, 0.0) if point.model.fitted else 0.0
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     doubtful = set(without_unknown(problem, point, unknown))

@@ -100,6 +100,20 @@ class Problem:
         """The stage's samples."""
         return self.stage.stack
 
+    @property
+    def weighs_by_model(self) -> bool:
+        """Whether a sample counts by how far the model misses it from which the noise was learned.
+
+        Such weights take the side of that model against any other.
+        """
+        return self.stage.segments.longest_s < NOISE_SHORT_S
+
+    def heard_by(self, point: Point) -> "Problem":
+        """Return the same stage under the noise that a model leaves."""
+        other = replace(self)
+        other.learn_noise(other.residual(point.predicted))
+        return other
+
     def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
         """Return the same stage under another noise."""
         return replace(self, noise=noise, weights=weights)
@@ -212,7 +226,7 @@ class Problem:
     # --- noise ------------------------------------------------------------------------------------
     def learn_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
-        if self.stage.segments.longest_s < NOISE_SHORT_S:
+        if self.weighs_by_model:
             self._learn_short_noise(raw)
             return
         self.noise = {name: self._noise_of(name, raw) for name in self.stack.channels}
@@ -238,12 +252,15 @@ class Problem:
             columns = (stack.t_s[part], raw[part], exact[part], stack.values[part])
             parts.append(tuple(column[free] for column in columns))
         residuals = [(t, r) for t, r, _, _ in parts]
+        readings = [(t, x, y) for t, _, x, y in parts]
         if self.stage.memoryless and not self.ripples:
-            rounded = None
-            if reading.step > 0.0:
-                rounded = noise_of_readings([(t, x, y) for t, _, x, y in parts], reading)
+            rounded = noise_of_readings(readings, reading) if reading.step > 0.0 else None
             return rounded or noise_of_neighbours(residuals)
-        return plain_noise(residuals) or fit_noise(residuals)
+        found, rounding = plain_noise(residuals) or fit_noise(residuals), reading.step / 12.0**0.5
+        if found.sd >= rounding:
+            return found
+        # what stands still shows one value; no reading is truer than its rounding
+        return noise_of_readings(readings, reading) or NoiseModel(rounding)
 
     def _learn_short_noise(self, raw: Array) -> None:
         noise, weights = {}, np.ones(len(self.stack))
