@@ -12,7 +12,8 @@ from hilserver.measured.data import MeasuredLog
 
 NO_STAGE: Final[Mapping[StageName, str]] = {
     "drive": "no set-points with wheel speeds, or the mapping gives no plant.process",
-    "pose": "no pose and no turn rate in the log, or too few wheel speeds",
+    "pose": "no pose and no turn rate in the log, or no wheel speed of both sides"
+    " (of a mecanum robot: of every wheel)",
 }
 """Why causes are not judged whose stage the log does not allow."""
 
