@@ -2,7 +2,8 @@
 
 numba's file cache looks at the modification time of the file a function stands in, not at the
 functions it calls. A changed callee would silently run in its old form. The cache directory is
-therefore keyed by a hash of the source of every kernel room (and of numba itself).
+therefore keyed by a hash of the source of every kernel room (and of numba itself). Kernels of other
+rooms call those and their own room's: they have a directory within, keyed by their room's sources.
 """
 
 import hashlib
@@ -61,13 +62,24 @@ def cache_dir() -> Path:
     return path
 
 
+@cache
+def room_dir(room: Path) -> Path:
+    """Return the directory of the kernels that stand in one folder."""
+    if not room.is_relative_to(_PACKAGE) or room.relative_to(_PACKAGE).parts[0] in _KERNEL_ROOMS:
+        return cache_dir()
+    return cache_dir() / hash_of(sorted(room.glob("*.py")))
+
+
 def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function without Python objects, without the interpreter lock, cached on disk.
 
     No fast-math and no error model surprises: the same inputs give the same bits in every pacing
     back end. Division follows IEEE 754 (``error_model="numpy"``): a kernel never raises.
     """
-    config.CACHE_DIR = str(cache_dir())
     settings = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": False} | options
-    decorate: Callable[[Callable[..., Any]], Any] = numba.njit(*signature, **settings)
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        config.CACHE_DIR = str(room_dir(Path(function.__code__.co_filename).parent))
+        return numba.njit(*signature, **settings)(function)
+
     return decorate

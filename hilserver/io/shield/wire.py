@@ -139,9 +139,14 @@ def _listen(
         missing = REQUEST_BYTES - state[w.FILL] % REQUEST_BYTES
         count = libc_read(file, chunk.ctypes, missing)
         if count > 0:
+            begins_ns = max(now_ns, state[w.RX_LAST])
+            if state[w.MORE]:  # however late they are read, they have come behind the last ones
+                begins_ns = state[w.RX_LAST]
             state[w.RX_COUNT] = count
-            state[w.RX_DUE] = max(now_ns, state[w.RX_LAST]) + count * state[w.BYTE]
+            state[w.RX_DUE] = begins_ns + count * state[w.BYTE]
+            state[w.MORE] = (_wait(file, 0, 0, poll, timespec) & POLL_IN) != 0
             return False
+    state[w.MORE] = 0
     if seen & POLL_BROKEN:
         sleep_until(min(until_ns, now_ns + ABSENT_WAIT_NS), timespec)
         return bool(state[w.IS_PTY] == 0)

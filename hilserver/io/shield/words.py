@@ -29,6 +29,7 @@ ALONE: Final = 1
     RX_COUNT,
     RX_DUE,  # [ns] when the bytes that were read have come in
     RX_LAST,  # [ns] when the newest byte had come in
+    MORE,  # 1: others were waiting when the newest ones were read
     TX_COUNT,
     TX_DUE,  # [ns] before which the response must not be seen
     TX_LAST,  # [ns] when the newest response was written
@@ -49,7 +50,7 @@ ALONE: Final = 1
     LATE_SUM,  # [ns]
     LATE_MAX,  # [ns]
     LATE_COUNTS,
-) = range(32)
+) = range(33)
 PENDING_ROWS: Final = LATE_COUNTS + N_BUCKETS  # PENDING x (command, due)
 RING_ROWS: Final = PENDING_ROWS + 2 * PENDING  # RING x (command, flags, payload, time)
 STAMP_ROWS: Final = RING_ROWS + 4 * RING  # STAMPS x (due, written)

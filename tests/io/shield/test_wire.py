@@ -1,0 +1,61 @@
+"""What the thread of the line makes of bytes, however late it is."""
+
+import os
+
+import numpy as np
+import pytest
+
+from hilserver.io.shield import words as w
+from hilserver.io.shield.framing import stands_alone
+from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, Command, request
+from hilserver.io.shield.wire import _listen, _receive
+
+HOUR_NS = 3600 * 10**9
+
+
+class Line:
+    """The thread's two steps, without the thread: its pauses are as long as a test wants."""
+
+    def __init__(self):
+        self.far, self.near = os.pipe2(os.O_NONBLOCK)
+        self.state = np.zeros(w.N_WORDS, dtype=np.int64)
+        self.state[w.BYTE], self.state[w.PAUSE] = BYTE_NS, 1
+        self.chunk, self.frame = np.zeros((2, REQUEST_BYTES), dtype=np.uint8)
+        self.poll, self.scratch = np.zeros(2, dtype=np.int32), np.zeros(3, dtype=np.int64)
+
+    def read(self):
+        """Read once; whatever this thread reads later, it reads after a pause of its own."""
+        _listen(self.far, 0, 0, self.chunk, self.state, self.poll, self.scratch)
+        _receive(self.chunk, self.frame, self.state, -1, self.scratch[2:])
+
+
+@pytest.fixture
+def line():
+    line = Line()
+    yield line
+    os.close(line.far)
+    os.close(line.near)
+
+
+def test_bytes_that_were_waiting_have_come_without_a_pause(line):
+    """A driver that opens the line sends XOFF, then a request without its end: 12 bytes wait."""
+    odd = request(Command.GEAR_RATIO)[:-1] + b"\x07"
+    os.write(line.near, b"\x13" + odd)
+    line.read()
+    first_ns = line.state[w.RX_LAST]
+    line.read()
+    assert stands_alone(line.state)
+    assert line.state[w.SKIPPED] == 1
+    assert line.frame.tobytes() == odd
+    assert line.state[w.RX_LAST] - first_ns == BYTE_NS
+
+
+def test_bytes_that_came_later_have_come_after_a_pause(line):
+    os.write(line.near, b"\x13" + request(Command.ENABLE)[:5])
+    line.read()
+    line.state[w.RX_LAST] -= HOUR_NS
+    os.write(line.near, request(Command.ENABLE))
+    line.read()  # no more than the half request lacks
+    line.read()
+    assert line.state[w.REQUESTS] == 1
+    assert line.state[w.SKIPPED] == 6
