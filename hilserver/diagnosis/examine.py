@@ -28,9 +28,8 @@ from hilserver.diagnosis.regression.stages import (
     prepare_all,
     stages_of,
 )
-from hilserver.diagnosis.replay.encoders import speed_factors
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
-from hilserver.diagnosis.thresholds import LOST_SHARE
+from hilserver.diagnosis.thresholds import LEAST_GAIN, LOST_SHARE
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -94,13 +93,17 @@ def _with_wheels(
 ) -> Prepared | None:
     """Return the pose, moved by the wheels as the drive's causes say that they turn.
 
-    None where these are the speeds of the log.
+    Between their samples, and where they have none, they turn as the drive's model says. None where
+    what its causes change of that is too little for any sensor of the pose to show.
     """
-    stage, terms = p.problem.stage, drive.point.model.terms
-    if speed_factors(stage.robot, terms) == speed_factors(stage.robot, {}):
+    problem, poses, terms = p.problem, p.base.poses, drive.point.model.terms
+    if not terms:
         return None
-    anew = stages_of(log, stage.robot, jobs, drive_terms=terms)
-    return prepare(anew[stage.name], jobs, tell)[0]
+    anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[problem.stage.name]
+    moved = problem.stage.difference(anew.predict({}, poses), problem.stage.predict({}, poses))
+    bases = problem.bases(problem.nuisance(p.base.predicted, poses))
+    shown = problem.project(problem.whiten(moved), bases)
+    return prepare(anew, jobs, tell)[0] if float(shown @ shown) > LEAST_GAIN else None
 
 
 def beside(j: Judged) -> list[Finding]:

@@ -88,7 +88,9 @@ def covariance(columns: Array, sums: Array, blocks: int, level: float) -> Array:
     """
     robust = sandwich(columns, sums) * (blocks / (blocks - columns.shape[1]))
     naive = np.diag(inverse_gram(columns)) * max(level, 1.0)
-    growth = np.sqrt(np.maximum(naive / np.maximum(np.diag(robust), 1e-12 * naive), 1.0))
+    exact = np.diag(robust) < 1e-12 * naive  # a fit that leaves nothing has no scatter
+    robust[exact, exact] = naive[exact]
+    growth = np.sqrt(np.maximum(naive / np.diag(robust), 1.0))
     return np.asarray(robust * np.outer(growth, growth))
 
 

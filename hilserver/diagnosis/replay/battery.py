@@ -23,8 +23,11 @@ def voltage(log: MeasuredLog, segments: Segments, load: Array) -> Array:
     """Return the battery voltage at every tick, without the noise of its sensor.
 
     Noise on the voltage would drive the simulated loop. So the voltage is taken apart: what follows
-    the load at once (the simulated sum of the duties), and what is left, smoothed.
+    the load at once (the simulated sum of the duties), and what is left, smoothed. The simulation's
+    own battery has no noise, and keeps its voltage from one run of its slice to the next.
     """
+    if log.on_ticks:
+        return _held(log, segments)
     volts = np.full(segments.ticks, NOMINAL_V)
     for i, span in enumerate(segments.span):
         t, v = log[VOLTAGE].of(int(span))
@@ -43,6 +46,17 @@ def voltage(log: MeasuredLog, segments: Segments, load: Array) -> Array:
         drop = float(fast_load @ fast_v) / max(float(fast_load @ fast_load), 1e-9)
         slow = _mean(v - drop * at_samples, width)
         volts[part] = np.interp(ticks, t, slow) + drop * load[part]
+    return volts
+
+
+def _held(log: MeasuredLog, segments: Segments) -> Array:
+    """Return the last voltage before every tick: the battery runs behind the drive of its tick."""
+    volts = np.full(segments.ticks, NOMINAL_V)
+    for i, span in enumerate(segments.span):
+        t, v = log[VOLTAGE].of(int(span))
+        if len(t):
+            last = np.searchsorted(t, segments.times(i) - 0.5 * segments.period_s) - 1
+            volts[segments.first[i] : segments.first[i + 1]] = v[np.maximum(last, 0)]
     return volts
 
 

@@ -51,7 +51,7 @@ def main():
             begun = time.monotonic()
             key = repr(drive)
             if key not in made:
-                (home := Path(folder) / str(len(made))).mkdir()
+                (home := Path(folder) / str(number)).mkdir()
                 made[key] = drive.record(home / "run.mcap")
             findings = found_in(read(made[key], made[key].parent, rows))
             if cause is not None:

@@ -4,9 +4,14 @@ from dataclasses import replace
 
 import pytest
 
-from tests.diagnosis.assertions import LARGEST_GROUP, nothing_is_found, said
+from tests.diagnosis.assertions import (
+    LARGEST_GROUP,
+    nothing_is_found,
+    said,
+    the_cause_is_named,
+)
 from tests.diagnosis.own_recordings.cases import DROVE, HIDDEN, ROWS
-from tests.diagnosis.own_recordings.recordings import found_in, read
+from tests.diagnosis.own_recordings.recordings import Drive, Rows, found_in, read
 
 QUICK = {
     ("wheels, noise", "1 kHz"),
@@ -42,6 +47,14 @@ def nothing_is_found_in(recording, rows, folder):
 def test_nothing_is_found_in_a_short_recording(drive, rows, recorded, tmp_path):
     short = replace(DROVE[drive], seconds=QUICK_S)
     nothing_is_found_in(recorded(short), rows, tmp_path)
+
+
+def test_between_their_rows_wheels_turn_as_the_drive_that_was_found(tmp_path, monkeypatch):
+    """Of a long recording not every row of the wheels is used; the pose needs those between."""
+    monkeypatch.setattr("hilserver.measured.frames.ENOUGH_ROWS", 600)
+    late = Drive("wheels", 12.0, 21, terms={"actuation_delay": 0.04})
+    found = found_in(read(late.record(tmp_path / "run.mcap"), tmp_path, Rows(whole=True)))
+    the_cause_is_named(found, "actuation_delay")
 
 
 @pytest.mark.long

@@ -57,3 +57,8 @@ def test_the_covariance_is_that_of_white_noise_or_of_blocks_that_scatter_more(co
     assert drawn.tolist() == pytest.approx([1.1] * 3, abs=0.2)
     alike = np.sign(columns[:, 1]) * np.repeat(rng.normal(size=40), 10)
     assert of(alike)[1] / white[1] > 4.0
+
+
+def test_a_fit_that_leaves_nothing_is_as_sure_as_the_noise_model(columns):
+    left = linear.covariance(columns, np.zeros((40, 3)), 40, 0.0)
+    assert np.sqrt(np.diag(left)) * LENGTHS == pytest.approx(np.full(3, 0.05), rel=0.2)
