@@ -292,8 +292,13 @@ def _accepted(
     limit: float,
     selected: Selected,
 ) -> Trial | None:
-    """Return the best trial that is significant and holds on blocks it was not fitted to."""
+    """Return the best trial that is significant and holds on blocks it was not fitted to.
+
+    One that only explains a part of what a better one does, which shows in too few blocks to be
+    believed, is a wrong name for it.
+    """
     causes: set[str] = set()
+    unsure: list[Trial] = []
     for trial in trials:
         causes.add(trial.candidate.cause)
         if len(causes) > MOST_FITTED:
@@ -306,14 +311,26 @@ def _accepted(
             why = f"{saved}, too little"
         elif z <= limit:
             why = f"{saved}, but only {z:.1f} standard errors from zero; {limit:.1f} are needed"
+            unsure.append(replace(trial, point=fitted))
         elif not holds(problem, point, fitted.model, fitted):
             why = f"{saved}, but not on held-out blocks"
+        elif any(_part_of(problem, other, trial, least) for other in unsure):
+            why = f"{saved}, but nothing beside a cause that saves more and shows in too few blocks"
         if why is None:
             why = f"{saved}, {z:.1f} standard errors from zero"
             selected.rows.append(SelectionRow(cause, "taken", None, why))
             return replace(trial, point=fitted)
         selected.rows.append(SelectionRow(cause, "refused", None, why))
     return None
+
+
+def _part_of(problem: Problem, other: Trial, trial: Trial, least: float) -> bool:
+    """Return whether another cause explains clearly more, and this one hardly more beside it."""
+    if trial.gain > GROUP_COSINE**2 * other.gain:
+        return False
+    model = other.point.model.plus(trial.candidate, trial.theta)
+    both = fit(problem, model, other.point, iterations=4)
+    return other.point.deviance - both.deviance <= least
 
 
 def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:

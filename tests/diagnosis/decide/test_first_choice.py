@@ -57,3 +57,15 @@ def test_a_cause_at_its_bound_explains_nothing(drawn, others_help):
         problem, library, base, lambda barred: Selected(other if barred else at_edge)
     )
     assert found.point.model.causes == (("a",) if others_help else ())
+
+
+@pytest.mark.parametrize(("own", "names"), [(0.0, ()), (0.9, ("part",))])
+def test_a_part_of_what_shows_in_too_few_blocks_is_no_name_for_it(own, names):
+    """`whole` explains more than `part`, nearly all of it in one block; `aside` is part's alone."""
+    rng = np.random.default_rng(3)
+    shape, burst, aside = 3.0 * toy.smooth(rng, N), np.zeros(N), 3.0 * toy.smooth(rng, N)
+    burst[110:140] = 40.0
+    columns = {"whole": shape * (1.0 + burst), "part": shape * (1.0 + 0.3 * burst) + 0.3 * aside}
+    found = selected(columns["whole"] + own * aside + rng.normal(size=N), columns)
+    assert ("whole", "refused") in {(row.cause, row.action) for row in found.rows}
+    assert found.point.model.causes == names
