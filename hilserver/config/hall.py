@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import Solid, default_hall, default_solids, wall_solids
+from hilserver.signals.numbers import is_finite_number
 
 MOST_WALLS: Final = 4096
 MOST_SOLIDS: Final = 256
@@ -72,14 +73,7 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
 
 
 def _are_numbers(value: object, length: int) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == length
-        and all(
-            isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
-            for v in value
-        )
-    )
+    return isinstance(value, list) and len(value) == length and all(map(is_finite_number, value))
 
 
 def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]) -> Hall:
@@ -107,7 +101,7 @@ def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]
                 if set(entry) - set(keys):
                     raise KeyError
                 solid = make(entry)
-            except (KeyError, TypeError, ValueError):
+            except (KeyError, TypeError, ValueError, OverflowError):
                 msg = f"{where}: {kind}, number {number}: must be {{{', '.join(keys)}}}, in m."
                 raise PlantError(msg) from None
             solids.append(solid)

@@ -21,6 +21,7 @@ from hilserver.image.status import (
 )
 from hilserver.plant.layout import WHEELS
 from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
+from hilserver.signals.numbers import is_finite_number
 
 SETPOINTS = (
     *(f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS),
@@ -64,7 +65,7 @@ def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
         is_boolean = isinstance(part, bool)
         if not isinstance(part, int | float) or is_boolean != (signal.type is ValueType.BOOLEAN):
             return Refusal.TYPE_MISMATCH
-        if not math.isfinite(part):
+        if not is_boolean and not is_finite_number(part):
             return Refusal.NOT_FINITE
         if signal.type is not ValueType.DOUBLE and part != int(part):
             return Refusal.TYPE_MISMATCH

@@ -8,6 +8,8 @@ import pytest
 from hilserver.config.hall import load_hall
 from hilserver.plant.errors import PlantError
 
+HUGE = 10**400
+
 
 def hall(tmp_path, text):
     (tmp_path / "hall.yaml").write_text(text, encoding="utf-8")
@@ -62,6 +64,13 @@ def test_the_range_finders_see_boxes_and_no_thresholds(tmp_path):
             "slopes, number 1",
         ),
         ("walls: []\nslopes: [[1]]\n", "slopes, number 1"),
+        (f"walls: []\nheight_m: {HUGE}\n", "height_m and thickness_m must be numbers"),
+        (f"walls: [[0, 0, 1, {HUGE}]]\n", "wall 1 must be four finite numbers"),
+        (f"walls: []\nboxes: [{{centre: [0, 0], size: [1, 1, {HUGE}]}}]\n", "boxes, number 1"),
+        (
+            f"walls: []\nslopes: [{{from: [0, 0], to: [1, 0], width_m: {HUGE}, rise_m: 1}}]\n",
+            "slopes, number 1",
+        ),
     ],
 )
 def test_a_mistake_is_one_sentence(tmp_path, text, words):

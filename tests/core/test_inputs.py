@@ -93,6 +93,7 @@ def test_a_wrong_type_names_the_type_wanted(world, name, value, wanted):
         ("drive.enable", 1, Refusal.TYPE_MISMATCH),
         ("control.mode", 3, Refusal.OUT_OF_RANGE),
         ("control.mode", 0.5, Refusal.TYPE_MISMATCH),
+        pytest.param("wheel.fl.setpoint_rpm", 10**400, Refusal.NOT_FINITE, id="400 digits"),
         ("pose.x_m", 1.0, Refusal.NOT_WRITABLE),
         ("internal.command", 1.0, Refusal.UNKNOWN_SIGNAL),
         ("no.such_signal", 1.0, Refusal.UNKNOWN_SIGNAL),

@@ -90,7 +90,7 @@ def test_from_the_log_to_the_loaded_patch(browser, url, plant, worker, daemon, l
     browser.do("wait", selector=".jobs .hint", text="%")
     plant.wait(lambda: not worker(), LONG_S)
     browser.do("click", role="button", name="Read the report")
-    assert re.search(r"turns 1\d % more", browser.do("framed", selector="body"))
+    assert re.search(r"turns 1\d\s% more", browser.do("framed", selector="body"))
     browser.do("click", role="button", name="Load the patch")
     browser.do("wait", selector="[aria-label='Patch']", text="is loaded.")
     browser.do("click", role="button", name="Remove the patch")

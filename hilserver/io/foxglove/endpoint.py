@@ -5,7 +5,6 @@ and the dead-man of the page ends what is not renewed.
 """
 
 import asyncio
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import structlog
 from foxglove import messages as fg
 from foxglove.channels import FrameTransformChannel, SceneUpdateChannel
 from foxglove.websocket import Capability, ServerListener
+from pydantic import BaseModel, TypeAdapter
 
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.core.clock import UtcClock
@@ -36,8 +36,22 @@ SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0
 LARGEST_MESSAGE: Final = 65_536
 MOST_WAITING: Final = 100
+MOST_CHANNELS: Final = 1000
+_SIGNALS: Final = TypeAdapter(dict[str, Any])
 
 _log = structlog.get_logger(__name__)
+
+
+class _Vector(BaseModel):
+    x: float = 0.0
+    z: float = 0.0
+
+
+class _Twist(BaseModel):
+    """Message ``geometry_msgs/msg/Twist`` as JSON; pydantic refuses what is nested too deeply."""
+
+    linear: _Vector = _Vector()
+    angular: _Vector = _Vector()
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +188,7 @@ class Endpoint:
     ) -> None:
         try:
             values = self._understood(topic, encoding, data)
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except ValueError as error:
             _log.warning(
                 "a viewer published what is no command", topic=topic, why=f"{error!r:.100}"
             )
@@ -186,22 +200,18 @@ class Endpoint:
         if len(data) > LARGEST_MESSAGE:
             raise ValueError("too long")
         if topic == SET and encoding == "json":
-            given = json.loads(data)
-            if not isinstance(given, dict):
-                raise ValueError("an object of signals and values is needed")
-            return given
+            return _SIGNALS.validate_json(data)
         if topic != TWIST:
             raise ValueError(f"publish {TWIST} ({TWIST_TYPE}) or {SET} (JSON)")
         if encoding == "json":
-            twist = json.loads(data)
-            linear, angular = twist.get("linear", {}), twist.get("angular", {})
-            return _twist(linear.get("x", 0.0), angular.get("z", 0.0))
-        message = self._types.decode(data, TWIST_TYPE)
-        return _twist(message.linear.x, message.angular.z)
-
-
-def _twist(linear: object, angular: object) -> Mapping[str, object]:
-    return {"control.mode": 1, "twist.linear_m_s": linear, "twist.angular_rad_s": angular}
+            twist: Any = _Twist.model_validate_json(data)
+        else:
+            twist = self._types.decode(data, TWIST_TYPE)
+        return {
+            "control.mode": 1,
+            "twist.linear_m_s": twist.linear.x,
+            "twist.angular_rad_s": twist.angular.z,
+        }
 
 
 def foxglove_error() -> type[Exception]:
@@ -220,6 +230,8 @@ class _Inbox(ServerListener):
     def on_client_advertise(self, client: Any, channel: Any) -> None:
         """Remember."""
         self._channels[client.id, channel.id] = channel.topic, channel.encoding
+        if len(self._channels) > MOST_CHANNELS:  # nobody says when a client is gone
+            del self._channels[next(iter(self._channels))]
 
     def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
         """Forget."""

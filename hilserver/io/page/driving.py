@@ -3,13 +3,13 @@
 import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any, Protocol
 
 from hilserver.io.page.browsers import Browser
 from hilserver.io.page.frames import age_ms
 from hilserver.io.page.hand import RefusedError
 from hilserver.plant.layout import WHEELS
+from hilserver.signals.numbers import is_finite_number
 
 _MODES = {"wheels": 0, "twist": 1}
 
@@ -49,14 +49,10 @@ class Command:
             numbers = given if isinstance(given, list) else []
         else:
             raise RefusedError("a command has the mode 'twist' or 'wheels'")
-        if len(numbers) != len(names) or not all(_is_number(n) for n in numbers):
+        if len(numbers) != len(names) or not all(map(is_finite_number, numbers)):
             raise RefusedError("a command has finite numbers")
         values = {n: float(v) for n, v in zip(names, numbers, strict=True)}
         return cls({"control.mode": _MODES[mode], **values})
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
 class Driving:

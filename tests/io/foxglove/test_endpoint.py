@@ -17,6 +17,7 @@ from tests.io.ros2.rig import value
 from tests.loopback.rig import configuration, wait_until
 
 PATIENCE_S = 60.0
+NOT_A_NUMBER = b'{"wheel.fl.setpoint_rpm": NaN}'
 MESSAGE_DATA, CLIENT_MESSAGE = 1, 1
 
 
@@ -89,7 +90,7 @@ async def test_signals_transforms_and_hall():
         assert b"hall" in (await viewer.subscribe("/scene", 3))[0]
 
 
-async def test_what_is_published_obeys_control_and_the_dead_man():
+async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
     async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
         await viewer.advertise(1, "/cmd_vel", "json", "geometry_msgs/Twist")
         await viewer.advertise(2, "/hilserver/set", "json")
@@ -120,10 +121,13 @@ async def test_what_is_published_obeys_control_and_the_dead_man():
         message = make("geometry_msgs/msg/Twist", linear=still, angular=still)
         await viewer.publish(3, known_types().encode(message))
         await wait_until(lambda: value(daemon, "control.mode") == 1.0, PATIENCE_S)
-        for wrong in (b"", b"[]", b"{", b"[" * 50_000, b'{"wheel.fl.setpoint_rpm": NaN}'):
+        digits = b'{"wheel.fl.setpoint_rpm": 1%s}' % (b"0" * 400)
+        nested = b"[" * 50_000, b'{"linear": ' * 5_000
+        for wrong in (b"", b"[]", b'{"linear": []}', b"{", b"\xff", digits, *nested, NOT_A_NUMBER):
             await viewer.publish(2, wrong)
             await viewer.publish(1, wrong)
-        await wait_until(lambda: rejected["page:foxglove", "not_finite"] > 0, PATIENCE_S)
+        await wait_until(lambda: rejected["page:foxglove", "not_finite"] == 2, PATIENCE_S)
+        assert not [record for record in caplog.records if record.levelname == "ERROR"]
         await viewer.publish(2, json.dumps({"lights.command": 2}).encode())
         await wait_until(lambda: value(daemon, "lights.command") == 2.0, PATIENCE_S)
 

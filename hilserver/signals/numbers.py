@@ -1,0 +1,17 @@
+"""What counts as a number where strangers write: in files, in JSON."""
+
+from sys import float_info
+from typing import TypeGuard
+
+
+def is_finite_number(value: object) -> TypeGuard[int | float]:
+    """Whether `value` is a number (no boolean) that a double can hold; JSON's integers are endless.
+
+    Examples
+    --------
+    >>> [is_finite_number(v) for v in (1, 0.5, True, "1", float("nan"), 10**400)]
+    [True, True, False, False, False, False]
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= float_info.max
