@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -51,6 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="position noise from the ultra-wideband recording in HIL_DATA_DIR",
     )  # fmt: skip
     parser.add_argument(
+        "--sysid", action="store_true",
+        help="fit the single causes with mujoco.sysid, too: it is given which they are",
+    )  # fmt: skip
+    parser.add_argument(
         "--resume", type=Path, default=Path("diagnose-results/campaign.jsonl"), metavar="FILE",
         help="results so far, of the present sources: the campaign goes on from them and adds to"
         " them; default %(default)s",
@@ -83,7 +88,12 @@ def run(args: argparse.Namespace) -> list[Result]:
         raise FailedError(msg)
     length = "" if args.duration is None else f"{args.duration:g} s"
     noise = "measured noise" if args.measured_noise else ""
-    results = Results(args.resume, ", ".join(filter(None, (length, noise))))
+    rival = "sysid" if args.sysid else ""
+    if args.sysid:
+        from hilserver.bench.sysid import library  # noqa: PLC0415 (slow to import)
+
+        library()  # or the sentence that says what to install
+    results = Results(args.resume, ", ".join(filter(None, (length, noise, rival))))
     try:
         asked = _work_off(args, results)
     except SystemExit:
@@ -142,12 +152,13 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
 def _work_off(args: argparse.Namespace, results: Results) -> list[str]:
     """Run every case that has no result; return the keys of all that were asked for."""
     asked: list[str] = []
+    job = partial(work, with_sysid=True) if args.sysid else work
     for group in _groups(args.groups):
         wanted = list(_wanted(args, group, list(results.records.values())))
         asked += [case.key for case in wanted]
         todo = [case for case in wanted if case.key not in results.records]
         begin, shown = time.monotonic(), 0.0
-        with closing(in_processes(work, todo, args.jobs)) as records:
+        with closing(in_processes(job, todo, args.jobs)) as records:
             for done, (_, record) in enumerate(records, 1):
                 results.add(record)
                 now = time.monotonic() - begin

@@ -137,15 +137,19 @@ def _values(loud: Sequence[Finding], answer: Answer) -> dict[str, Value]:
         parameter = fitted.get(_full(name))
         if parameter is None or not math.isfinite(parameter.value):
             continue
-        null = TERMS[_full(name)].null or 0.0
-        ci = parameter.ci95
-        scored[name] = Value(
-            true=true,
-            fitted=parameter.value,
-            in_ci95=None if ci is None else ci[0] <= true <= ci[1],
-            within_20=abs(parameter.value - true) <= WITHIN * abs(true - null),
-        )
+        scored[name] = value_of(name, true, parameter.value, parameter.ci95)
     return scored
+
+
+def value_of(name: str, true: float, fitted: float, ci95: tuple[float, float] | None) -> Value:
+    """Return a fitted value beside the true one; near is near by the size of the effect."""
+    null = TERMS[_full(name)].null or 0.0
+    return Value(
+        true=true,
+        fitted=fitted,
+        in_ci95=None if ci95 is None else ci95[0] <= true <= ci95[1],
+        within_20=abs(fitted - true) <= WITHIN * abs(true - null),
+    )
 
 
 def _full(name: str) -> str:

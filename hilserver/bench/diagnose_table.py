@@ -67,6 +67,7 @@ def rows(records: Sequence[Record]) -> list[Row]:
 
     values = [v for r in records if r["group"] == "single" for v in r["values"].values()]
     judged = [v for v in values if v["in_ci95"] is not None]
+    rival = [v for r in records for v in r.get("sysid", {}).values()]
     sized = [r for r in records if r["group"] == "size"]
     return [
         row(
@@ -76,6 +77,10 @@ def rows(records: Sequence[Record]) -> list[Row]:
         row("right name, single cause", "single", _right, least=0.9),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
+        Row(
+            "mujoco.sysid, given the cause: in its ci95", sum(v["in_ci95"] for v in told), len(told)
+        ),
+        Row("mujoco.sysid: within 20 %", sum(v["within_20"] for v in rival), len(rival)),
         row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
         row("diagnosis broke off, all tests", "any", _broken, most=0.0),
         row("outside the library flagged", "outside", _right, least=0.7),
@@ -139,18 +144,26 @@ def _seconds(records: Sequence[Record]) -> list[str]:
 
 def _each(records: Sequence[Record]) -> list[str]:
     outcomes = ("right", "missed", "vague", "unknown", "crashed")
-    lines = [f"| class | case | logs | {' | '.join(outcomes)} | false name | value in ci95 |"]
-    lines.append("|---" * (len(outcomes) + 5) + "|")
+    lines = [
+        f"| class | case | logs | {' | '.join(outcomes)} | false name | value in ci95 | sysid |"
+    ]
+    lines.append("|---" * (len(outcomes) + 6) + "|")
     cases = sorted({(r["group"], r["name"]) for r in records if r["group"] != "pair"})
     for group, name in cases:
         mine = [r for r in records if (r["group"], r["name"]) == (group, name)]
         counted = Counter(r["outcome"] for r in mine)
         counts = " | ".join(str(counted[outcome]) for outcome in outcomes)
         wrong = sum(bool(r["wrong"]) for r in mine)
-        inside = [v["in_ci95"] for r in mine for v in r["values"].values()]
-        known = f"{sum(map(bool, inside))} of {len(inside)}" if inside else ""
-        lines.append(f"| {group} | {name} | {len(mine)} | {counts} | {wrong} | {known} |")
+        inside = [_inside(mine, by) for by in ("values", "sysid")]
+        cells = [group, name, len(mine), counts, wrong, *inside]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     return lines
+
+
+def _inside(records: Sequence[Record], by: str) -> str:
+    """Return how many intervals hold the truth."""
+    inside = [v["in_ci95"] for r in records for v in r.get(by, {}).values()]
+    return f"{sum(map(bool, inside))} of {len(inside)}" if inside else ""
 
 
 def _confusion(records: Sequence[Record]) -> list[str]:
