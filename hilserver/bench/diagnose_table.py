@@ -77,9 +77,7 @@ def rows(records: Sequence[Record]) -> list[Row]:
         row("right name, single cause", "single", _right, least=0.9),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
-        Row(
-            "mujoco.sysid, given the cause: in its ci95", sum(v["in_ci95"] for v in told), len(told)
-        ),
+        Row("mujoco.sysid: in its ci95", sum(v["in_ci95"] for v in rival), len(rival)),
         Row("mujoco.sysid: within 20 %", sum(v["within_20"] for v in rival), len(rival)),
         row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
         row("diagnosis broke off, all tests", "any", _broken, most=0.0),
