@@ -21,12 +21,16 @@ def selected(values, columns):
     return select({"drive": problem}, {"drive": library}, {"drive": base}, rng)["drive"]
 
 
-@pytest.fixture
-def drawn():
+def two_and_a_lure():
     """Two causes, and one that looks like their sum: it explains more than either alone."""
     rng = np.random.default_rng(1)
     a, b, aside = (30.0 * toy.smooth(rng, N) for _ in range(3))
     return rng.normal(size=N), {"a": a, "b": b, "lure": a + b + 0.3 * aside}
+
+
+@pytest.fixture
+def drawn():
+    return two_and_a_lure()
 
 
 def test_two_causes_stand_for_one_that_is_far_too_large(drawn):

@@ -3,10 +3,14 @@
 A mutated engine that crashes proves nothing: whatever is no `AssertionError` is an error here, too.
 """
 
+import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide import identifiability
+from hilserver.diagnosis.decide import identifiability, structure, trial
 from hilserver.diagnosis.findings import gain
+from hilserver.diagnosis.noise.readings import Reading
+from hilserver.diagnosis.noise.whitening import NoiseModel
+from hilserver.diagnosis.regression import problem as regression
 from hilserver.diagnosis.regression import screen
 from hilserver.plant import packing
 from tests.diagnosis import toy
@@ -16,8 +20,10 @@ from tests.diagnosis.assertions import (
     nothing_is_found,
     the_twins_are_one_group,
 )
+from tests.diagnosis.decide.test_first_choice import selected, two_and_a_lure
 from tests.diagnosis.hidden.logs import diagnosis, judged, recipe
 from tests.diagnosis.mutation import mutated
+from tests.diagnosis.noise.test_readings import read
 from tests.diagnosis.regression.test_fits import drawn, spoil
 from tests.diagnosis.regression.test_screen import null_draws
 
@@ -31,6 +37,91 @@ def no_finding_without_an_effect():
 
 def held_out_means_held_out():
     no_prediction_saw_its_block(drawn(5), toy.model("c0", "c1"), spoil)
+
+
+def what_no_machine_has_is_left():
+    noise, columns = two_and_a_lure()
+    found = selected(0.6 * columns["a"] + 0.6 * columns["b"] + noise, columns)
+    assert "lure" not in found.point.model.causes, "far larger than its prior"
+
+
+def readings_at_a_limit_are_censored():
+    limit, noise_sd = 100.0, 0.15
+    exact = np.full(100_000, limit)
+    said = Reading(0.0, 0.0, limit).mean(exact, NoiseModel(noise_sd))[0]
+    shown = read(exact, noise_sd, 0.0, limit).mean()
+    assert said == pytest.approx(shown, abs=0.03 * noise_sd), "readings at the limit"
+
+
+def nothing_is_replaced_by_what_shows_in_one_block():
+    """What is fitted to one block says nothing of the others, so it saves nothing there."""
+    made = drawn(6)
+    own = (made.stack.block == 0).astype(float)
+    saved = structure._saved_held_out(made, own[:, None], 5.0 * own)
+    assert saved == pytest.approx(0.0), "saved in the block that it was fitted to"
+
+
+class Turned(toy.LinearStage):
+    """Two columns that share one parameter, the angle between them: far from linear."""
+
+    def predict(self, terms, poses=None, *, keep=False):
+        angle = terms.get("angle", 0.0)
+        return np.sin(angle) * self.columns["a"] + np.cos(angle) * self.columns["b"]
+
+
+def a_fit_follows_the_curve():
+    rng = np.random.default_rng(7)
+    columns = {name: 30.0 * toy.smooth(rng, 2400) for name in "ab"}
+    truth = Turned(np.zeros(2400), columns).predict({"angle": 1.35})
+    made = regression.Problem(Turned(truth + rng.normal(size=2400), columns))
+    made.noise = toy.problem(truth, columns).noise
+    model = toy.model("angle")
+    found = regression.fit(made, model, made.point(model, np.zeros((0, 3))))
+    assert found.model.theta() == pytest.approx([1.35], abs=0.01), "stopped short of the bottom"
+
+
+@pytest.mark.parametrize(
+    ("function", "line", "changed", "holds", "says"),
+    [
+        pytest.param(
+            trial.implausible,
+            "return max(away) > SELECTION_PLAUSIBLE_SD * f.candidate.prior",
+            "return False",
+            what_no_machine_has_is_left,
+            "larger than its prior",
+            id="priors off",
+        ),
+        pytest.param(
+            Reading.mean,
+            "if noise is None or math.isinf(self.limit):",
+            "if True:",
+            readings_at_a_limit_are_censored,
+            "readings at the limit",
+            id="censoring off",
+        ),
+        pytest.param(
+            structure._saved_held_out,
+            "a, b = columns[fold != test], target[fold != test]",
+            "a, b = columns, target",
+            nothing_is_replaced_by_what_shows_in_one_block,
+            "block that it was fitted to",
+            id="removals without held-out blocks",
+        ),
+        pytest.param(
+            regression.fit,
+            "problem.columns(point, point.model)",
+            "problem.columns(start, model)",
+            a_fit_follows_the_curve,
+            "stopped short",
+            id="sensitivities of the start only",
+        ),
+    ],
+)
+def test_what_the_search_rests_on(function, line, changed, holds, says):
+    holds()
+    with mutated(function, line, changed), pytest.raises(AssertionError, match=says):
+        holds()
+    holds()
 
 
 def test_naive_variance_instead_of_the_robust_one():
