@@ -143,6 +143,7 @@ class Seen:
     written: int
     rate_hz: float
     cpu_share: float
+    real_time_factor: float
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -210,6 +211,7 @@ async def _measure(args: argparse.Namespace, fast_dds: Path, cyclone: Path) -> S
         before = daemon.ros2.status.writes
         cpu_share = await _cpu_share(args.seconds)
         rate_hz = (daemon.ros2.status.writes - before) / args.seconds
+        real_time_factor = daemon.core.scheduler.statistics.tick.real_time_factor_total
     got = reader.streams()
     return Seen(
         ours={topic: got[topic] for _, topic, _, _ in ours},
@@ -219,6 +221,7 @@ async def _measure(args: argparse.Namespace, fast_dds: Path, cyclone: Path) -> S
         written=times,
         rate_hz=rate_hz,
         cpu_share=cpu_share,
+        real_time_factor=real_time_factor,
     )
 
 
@@ -251,6 +254,7 @@ def _results(seen: Seen, idle_share: float) -> list[Result]:
     lost, theirs_lost = (100.0 * (1.0 - len(c) / seen.written) for c in (commands, theirs))
     results.append(Result("ros2_command_lost_pct", lost, "%", theirs_lost, "Fast DDS to Cyclone C"))
     results.append(Result("ros2_rate_hz", seen.rate_hz, "Hz", float(RATE_HZ), "asked for"))
+    results.append(Result("ros2_real_time_factor", seen.real_time_factor, "1", 1.0, "real time"))
     cost_pct, idle_pct = 100.0 * seen.cpu_share, 100.0 * idle_share
     results.append(Result("ros2_cpu_pct", cost_pct, "%", idle_pct, "without ROS 2"))
     return results
