@@ -32,6 +32,10 @@ from hilserver.plant.parameters import RobotParameters
 
 MOSTLY = 0.5
 """Share of a channel's changes at which another changes, too, if one source sends both."""
+OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
+"""Share of a period by which runs may miss whole ones, beside half a row; longest row."""
+MOST_PERIODS = 6.5
+"""Of a longer run the period is not known well enough."""
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -97,13 +101,30 @@ def _rate(channel: Channel, runs: Runs, changes: Array) -> tuple[float, float] |
     if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first[full], changes):
         return None
     low, middle, high = np.quantile(length, [0.1, 0.5, 0.9])
-    if high > HELD_SPREAD * max(low, 1.0) or middle < 2:
+    if middle < 2:
         return None
     usual = duration[(length > 0.5 * middle) & (length < 1.6 * middle)]
-    rate_hz = 1.0 / float(usual.mean())
-    if rate_hz < HELD_SLOWEST_HZ or rate_hz * row_period_s(channel) > 0.67:
+    rate_hz, row_s = 1.0 / float(usual.mean()), row_period_s(channel)
+    if high > HELD_SPREAD * max(low, 1.0) and not _on_a_clock(rate_hz * duration, rate_hz * row_s):
+        return None
+    if rate_hz < HELD_SLOWEST_HZ or rate_hz * row_s > 0.67:
         return None
     return rate_hz, rate_hz**2 * float(usual.std()) / np.sqrt(len(usual))
+
+
+def _on_a_clock(periods: Array, row: float) -> bool:
+    """Return whether runs last whole periods: a rounded value may stay the same for several.
+
+    Parameters
+    ----------
+    periods : ndarray
+        Their durations by the period.
+    row : float
+        Time between rows by the period.
+    """
+    known = periods[periods < MOST_PERIODS]
+    on = np.abs(known - np.rint(known)) < 0.5 * row + OFF_THE_CLOCK
+    return row < MOST_OF_A_PERIOD and bool(np.mean(on) >= HELD_SHARE)
 
 
 def _follow(channel: Channel, first: NDArray[np.int64], changes: Array) -> bool:

@@ -206,6 +206,17 @@ def test_held_samples(table, names, rate_hz):
     assert len(log[names[0]]) < 1.1 * len(real)
 
 
+def test_held_readings_that_are_rounded_often_stay_the_same_for_several_periods():
+    """Taken for current ones, they would make every other clock early."""
+    t, columns = drive(6, moves_s=6.0)
+    columns = quantised(columns, 1.0)
+    first = np.searchsorted(np.floor(t * 5.7), np.floor(t * 5.7))
+    spoilt = {n: v[first] if n in SPEEDS else v for n, v in columns.items()}
+    cause, value, channels, _ = fault(t, spoilt)
+    assert (cause, channels) == ("held_samples", set(SPEEDS))
+    assert value.value == pytest.approx(5.7, rel=0.03)
+
+
 @pytest.mark.parametrize("missing", [0.0, 0.01])
 def test_no_reading_of_a_held_channel_is_stale(table, missing):
     """A coarse wheel may show one value for many periods while the others change."""
