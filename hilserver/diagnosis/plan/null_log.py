@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.replay.battery import NOMINAL_V, VOLTAGE
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.replay.encoders import as_turned
+from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.data import Array, Channel, MeasuredLog, Source, Span
@@ -143,7 +143,7 @@ def _with_truth(
     pose = PoseStage(
         as_turned(log, robot, terms),
         robot,
-        (drive, drive.simulate(terms)[0]),
+        driven(drive, terms),
         block_s=1.0,
         longest_s=AT_ONCE_S,
     )

@@ -13,7 +13,7 @@ from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.replay.encoders import as_turned
+from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -82,9 +82,9 @@ def stages_of(
         drive = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
         stages[drive.name] = drive
     if PoseStage.judges(log, robot, driven=drive is not None):
-        driven = None if drive is None else (drive, drive.simulate(drive_terms)[0])
+        known = None if drive is None else driven(drive, drive_terms)
         turned, block_s = as_turned(log, robot, drive_terms), block_length(total_s, 3.0, 5.0, 72)
-        stages[PoseStage.name] = PoseStage(turned, robot, driven, block_s=block_s, jobs=jobs)
+        stages[PoseStage.name] = PoseStage(turned, robot, known, block_s=block_s, jobs=jobs)
     return stages
 
 

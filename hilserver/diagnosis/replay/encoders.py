@@ -2,19 +2,39 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
+from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_ENCODER_GAIN
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
+Array = NDArray[np.float64]
+Driven = tuple[DriveStage, Array, Array]
+"""A drive, and of its wheels at every tick the speed and what encoders of the right scale show."""
+
+
+def driven(drive: DriveStage, terms: Mapping[str, float]) -> Driven:
+    """Return how the wheels of a drive turn, and what encoders show of that."""
+    speed, seen, _ = drive.simulate(terms)
+    shown = seen / _gains(drive.robot, terms)
+    return drive, speed, speed if np.array_equal(shown, speed) else shown
+
+
+def _gains(robot: RobotParameters, terms: Mapping[str, float]) -> Array:
+    p = pack(robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")}))
+    return p[P_ENCODER_GAIN : P_ENCODER_GAIN + 4]
+
 
 def speed_factors(robot: RobotParameters, terms: Mapping[str, float]) -> dict[str, float]:
     """Return by how much each wheel's speed in the log is that of the wheel, where it is not 1."""
-    gains = pack(robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")}))
+    gains = _gains(robot, terms)
     factors = {
-        name: terms.get(scale, 1.0) * float(gains[P_ENCODER_GAIN + wheel])
+        name: terms.get(scale, 1.0) * float(gains[wheel])
         for wheel, (name, scale) in enumerate(SPEED_SCALES.items())
     }
     return {name: factor for name, factor in factors.items() if factor != 1.0}

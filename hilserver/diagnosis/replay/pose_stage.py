@@ -17,7 +17,7 @@ from hilserver.diagnosis.catalogue.library import (
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import LATENCIES
 from hilserver.diagnosis.checks.support import row_period_s
-from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.encoders import Driven, driven
 from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.positions import begins_anew, driven_place, paired
@@ -81,7 +81,7 @@ class PoseStage(Stage):
         self,
         log: MeasuredLog,
         robot: RobotParameters,
-        drive: tuple[DriveStage, Array] | None,
+        drive: Driven | None,
         *,
         block_s: float,
         longest_s: float | None = LONGEST_SEGMENT_S,
@@ -150,8 +150,8 @@ class PoseStage(Stage):
     def as_simulated(self) -> "PoseStage":
         """Return the stage with wheels that turn as the configured drive does from set-points."""
         assert self.drive is not None
-        driven = self.drive, self.drive.simulate({})[0]
-        return PoseStage(self.log.without(SPEEDS), self.robot, driven, block_s=self._block_s)
+        wheels = driven(self.drive, {})
+        return PoseStage(self.log.without(SPEEDS), self.robot, wheels, block_s=self._block_s)
 
     def candidates(self) -> list[Candidate]:
         """Return the causes of kinematics, navigation and gyro, and of encoders."""

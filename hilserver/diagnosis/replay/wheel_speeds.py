@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
-from hilserver.diagnosis.replay.drive_stage import DriveStage
+from hilserver.diagnosis.replay.encoders import Driven
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
@@ -35,13 +35,13 @@ class WheelSpeeds:
     ----------
     segments : Segments
         Pieces of the log's spans.
-    drive : tuple of DriveStage and ndarray, or None
-        Stage of the drive and its simulated wheel speeds, shape (ticks, 4).
+    drive : Driven or None
+        Stage of the drive and its simulated wheels.
     """
 
     log: MeasuredLog
     segments: Segments
-    drive: tuple[DriveStage, Array] | None
+    drive: Driven | None
 
     @cached_property
     def _joined(self) -> list[list[int]]:
@@ -70,8 +70,9 @@ class WheelSpeeds:
         """Return one wheel's speed at every tick.
 
         The closed loop's own model interpolates: simulated speed plus the interpolated difference
-        to the measured one, of its noise only the slow part. Without set-points a smooth curve goes
-        through the samples.
+        to the measured one, of its noise only the slow part. What encoders show may be late or in
+        steps: the difference is to what they would show of the simulated wheels. Without set-points
+        a smooth curve goes through the samples.
         """
         dense = np.zeros(self.segments.ticks)
         for i in range(len(self.segments)):
@@ -87,7 +88,7 @@ class WheelSpeeds:
                 return np.full(len(times), v[0] if len(v) else 0.0)
             inside = np.clip(times, t[0], t[-1])
             return np.asarray(PchipInterpolator(t, v)(inside))
-        stage, speed = self.drive
+        stage, speed, shown = self.drive
         own = int(np.flatnonzero(stage.segments.span == span)[0])
         part = slice(int(stage.segments.first[own]), int(stage.segments.first[own + 1]))
         simulated = speed[part, wheel]
@@ -95,7 +96,7 @@ class WheelSpeeds:
         model = _read(simulated, (times - start_s) / stage.segments.period_s, last)
         if len(t) == 0:
             return np.asarray(model)
-        at_samples = _read(simulated, (t - start_s) / stage.segments.period_s, last)
+        at_samples = _read(shown[part, wheel], (t - start_s) / stage.segments.period_s, last)
         difference = beyond_rounding(v - at_samples, self._steps[wheel])
         return np.asarray(model + np.interp(times, t, steadied(t, difference)))
 
