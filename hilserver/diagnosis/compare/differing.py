@@ -69,8 +69,7 @@ def _imitators(
         c = rival.candidate
         if not rival.ties or c.n > 1 or c.cause in told:
             continue
-        own = next(f for f in rival.point.model.fitted if f.candidate is c)
-        share = (own.theta[0] - c.null[0]) / away
+        share = (rival.fitted.theta[0] - c.null[0]) / away
         values = (best.values[0] * share, best.values[1] * share)
         errors = (best.errors[0] * abs(share), best.errors[1] * abs(share))
         out.append(replace(best, candidate=c, values=values, errors=errors))

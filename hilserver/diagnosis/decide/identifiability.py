@@ -12,6 +12,7 @@ from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.linear import basis, cosine, orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,
     LEAST_GAIN,
@@ -47,6 +48,11 @@ class Rival:
     cosine: float
     worse: float
     z: float
+
+    @property
+    def fitted(self) -> Fitted:
+        """The cause with its fitted values."""
+        return next(f for f in self.point.model.fitted if f.candidate is self.candidate)
 
     @property
     def close(self) -> bool:

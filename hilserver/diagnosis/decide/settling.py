@@ -1,11 +1,12 @@
 """From selected causes to findings: rivals, superfluous causes, unknown structure, drift."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decide.drift import with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, settle
@@ -18,11 +19,11 @@ from hilserver.diagnosis.decide.structure import (
     remaining,
     without_unknown,
 )
-from hilserver.diagnosis.decide.trial import worth_a_name
+from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
-from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, SETTLING_LEFT_SHARE
 
@@ -73,11 +74,10 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         why = "another cause changes along the log"
         rows += _left_out(point, changing.point, "dropped", why)
         point, drift, unknown = changing.point, changing.p, []
-    for index in reversed(range(len(point.model.fitted))):
-        if not worth_a_name(point.model.fitted[index]):
-            less = fit(problem, point.model.without(index), point, iterations=3)
-            rows += _left_out(point, less, "dropped", "too small to be worth a name")
-            point = less
+    point, silent = _named_only(problem, point, ties, rows)
+    drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
+    if silent:
+        unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     if not drift and fails(p, point):
         rows += _left_out(point, p.base, "dropped", "far more remains than it explains")
         point, unknown = problem.point(Model(), p.base.poses), []
@@ -95,6 +95,37 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     kept = {c: t for c, t in ties.items() if c in point.model.causes}
     scores = p.library.scores(p.base)
     return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor, in_doubt)
+
+
+def _named_only(
+    problem: Problem, point: Point, ties: Mapping[str, Sequence[Rival]], rows: list[SelectionRow]
+) -> tuple[Point, bool]:
+    """Return a model without causes that are no findings, and whether one of them was large."""
+    large = False
+    while True:
+        reasons = [no_name(problem, f, ties) for f in point.model.fitted]
+        index = next((i for i, reason in enumerate(reasons) if reason is not None), None)
+        if index is None:
+            return point, large
+        large = large or worth_a_name(point.model.fitted[index])
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        rows += _left_out(point, less, "dropped", reasons[index] or "")
+        point = less
+
+
+def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) -> str | None:
+    """Return why a fitted cause is no finding; None: it is one.
+
+    Of a size that no machine has it may stand in a group behind a cause that is plausible.
+    """
+    if not worth_a_name(f):
+        return "too small to be worth a name"
+    if at_bound(f):
+        return "at the bound of its range"
+    cause = f.candidate.cause
+    mirrored = traits_of(cause).mirrored_by and not problem.stage.robot.is_mecanum
+    alone = not mirrored and all(implausible(r.fitted) for r in ties.get(cause, ()))
+    return "of a size that no machine has" if implausible(f) and alone else None
 
 
 def _dropped(problem: Problem, point: Point, index: int, rows: list[SelectionRow]) -> Point:

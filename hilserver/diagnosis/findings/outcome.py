@@ -21,6 +21,7 @@ from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.lost_steps import LostSteps
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
+from hilserver.diagnosis.decide.trial import implausible
 from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
 from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
 from hilserver.diagnosis.regression.intervals import limits
@@ -98,7 +99,7 @@ def named(
     scrubs: bool = False,
     anchor: Anchor | None = None,
 ) -> list[Finding]:
-    """Return one finding for every accepted cause, with its group.
+    """Return one finding for every accepted cause, with its group; what is plausible comes first.
 
     Parameters
     ----------
@@ -112,18 +113,17 @@ def named(
     for i, f in enumerate(point.model.fitted):
         cause = f.candidate.cause
         values = dict(own[i])
-        causes = [cause]
+        causes, behind = [cause], {cause} if implausible(f) else set()
         for rival in ties.get(cause, ()):
             if rival.candidate.cause in causes:
                 continue
             causes.append(rival.candidate.cause)
-            index = next(
-                k for k, r in enumerate(rival.point.model.fitted)
-                if r.candidate is rival.candidate
-            )  # fmt: skip
+            behind |= {rival.candidate.cause} if implausible(rival.fitted) else set()
+            index = rival.point.model.fitted.index(rival.fitted)
             values |= parameters(problem, rival.point)[index]
         twins = _twins(problem, f, own[i].get(cause), scrubs=scrubs, anchor=anchor)
         causes += [cause_of(name).name for name in twins]
+        causes.sort(key=behind.__contains__)
         values |= twins
         found.append(
             fitted_finding(causes, values, drift.get(cause, p.get(cause, 0.01)), cause in drift)

@@ -74,9 +74,7 @@ def _of(j: Judged, groups: int) -> list[Cause]:
     for f in j.point.model.fitted:
         cause = f.candidate.cause
         rivals = {
-            r.candidate.cause: next(o for o in r.point.model.fitted if o.candidate is r.candidate)
-            for r in j.ties.get(cause, ())
-            if r.candidate.cause != cause
+            r.candidate.cause: r.fitted for r in j.ties.get(cause, ()) if r.candidate.cause != cause
         }
         p = j.drift.get(cause, j.selected.p.get(cause, 0.01))
         out.append(Cause(f, rivals, min(groups * p, 1.0), cause in j.drift))

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from hilserver.diagnosis.decide.structure import families_of, remaining
-from hilserver.diagnosis.decide.trial import at_bound, worth_a_name
+from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
 from hilserver.diagnosis.groups.causes import Cause, causes_of
 from hilserver.diagnosis.groups.joint_fit import JointFit, Member, fit_in_all, refitted
 from hilserver.diagnosis.replay.model import Fitted, Model
@@ -40,7 +40,7 @@ def decided(members: Sequence[Member]) -> Decided:
     joint = None
     while causes:
         joint = fit_in_all(members, [_model(member, causes) for member in members])
-        doubt = [_doubt(joint, index) for index in range(len(causes))]
+        doubt = [_doubt(joint, index, cause) for index, cause in enumerate(causes)]
         weakest = int(np.argmax(doubt))
         if doubt[weakest] < 1.0:
             break
@@ -93,12 +93,14 @@ def _model(member: Member, causes: Sequence[Cause]) -> Model:
     return model
 
 
-def _doubt(joint: JointFit, index: int) -> float:
+def _doubt(joint: JointFit, index: int, cause: Cause) -> float:
     """Return how far a cause is from being needed: from 1 on it is not, 1 over its evidence."""
     values = [joint.model(group).fitted[index] for group in range(len(joint.members))]
     if not any(map(worth_a_name, values)):
         return np.inf
     if any(worth_a_name(f) and at_bound(f) for f in values):
+        return np.inf
+    if any(map(implausible, values)) and all(map(implausible, cause.rivals.values())):
         return np.inf
     mine = joint.points[0].model.slices[index]
     free = joint.all.free[mine]

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.selection import Selected, _plausible, select
+from hilserver.diagnosis.decide.settling import no_name
 from hilserver.diagnosis.regression.problem import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
@@ -73,3 +75,30 @@ def test_a_part_of_what_shows_in_too_few_blocks_is_no_name_for_it(own, names):
     found = selected(columns["whole"] + own * aside + rng.normal(size=N), columns)
     assert ("whole", "refused") in {(row.cause, row.action) for row in found.rows}
     assert found.point.model.causes == names
+
+
+def rival(problem, point, name, theta, prior):
+    """A cause in the place of the only one of a model, which it cannot be told from."""
+    other = Model().plus(toy.candidate(name, prior=prior), (theta,))
+    return Rival(other.fitted[0].candidate, replace(point, model=other), 1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("theta", "high", "rival_prior", "stays"),
+    [
+        (0.19, 1.0, None, True),
+        (0.21, 1.0, None, False),
+        (0.21, 1.0, 0.05, False),
+        (0.21, 1.0, np.inf, True),
+        (0.19, 0.19, np.inf, False),
+    ],
+)
+def test_a_size_that_no_machine_has_is_no_finding_alone(drawn, theta, high, rival_prior, stays):
+    """Four prior deviations are 0.2; behind a plausible cause it may stand in a group."""
+    noise, columns = drawn
+    problem = toy.problem(theta * columns["lure"] + noise, columns)
+    made = replace(toy.candidate("lure", prior=0.05), high=(high,))
+    point = replace(problem.point(Model(), np.zeros((0, 3))), model=Model().plus(made, (theta,)))
+    ties = {} if rival_prior is None else {"lure": [rival(problem, point, "a", theta, rival_prior)]}
+    why = no_name(problem, point.model.fitted[0], ties)
+    assert (why is None) == stays, why
