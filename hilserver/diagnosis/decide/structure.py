@@ -76,6 +76,7 @@ def remaining(
     -----
     A model without any cause that misses grossly is never left without a word: where no family is
     significant, because all that was missed is in few blocks, the one that explains most is given.
+    Not so where set-points are followed: one may have come and gone between two rows of the log.
     """
     stack = problem.stack
     bases = problem.bases(problem.nuisance(point.predicted, point.poses))
@@ -84,7 +85,7 @@ def remaining(
     order = blocks.order
     scores, strong = [], []
     gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
-    gross = gross and stack.n_blocks >= FEWEST_BLOCKS
+    gross = gross and stack.n_blocks >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
     most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)

@@ -260,5 +260,8 @@ def test_a_gross_misfit_is_never_left_without_a_word():
     # one block alone: no test that counts blocks can be sure of it
     burst = np.where(np.arange(N) < 50, 40.0, 0.0) * columns["b"]
     loud = toy.problem(values + burst, {"a": columns["a"]})
+    loud.stage.follows_setpoints = False
     found = remaining(loud, loud.point(Model(), none), rng, [family], 0.0)
     assert [u.family.name for u in found] == ["turn"]
+    loud.stage.follows_setpoints = True  # of which one may have come and gone between two rows
+    assert remaining(loud, loud.point(Model(), none), rng, [family], 0.0) == []
