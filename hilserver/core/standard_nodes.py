@@ -7,14 +7,19 @@ import asyncio
 import contextlib
 import gc
 import os
+import pickle
 import tempfile
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 from asyncua.server.internal_server import InternalServer
 
 from hilserver.compiled.cache import cache_dir
+
+BATCH: Final = 50
+"""Nodes of one pickle: reading holds on to all its intermediates, some 100 MB for all nodes."""
 
 
 class QuickInternalServer(InternalServer):  # type: ignore[misc]
@@ -29,21 +34,24 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
                 await asyncio.to_thread(self._write, path)
 
     def _read(self, path: Path) -> bool:
+        nodes = self.aspace._nodes
         try:
-            self.aspace.load(path)
-        except FileNotFoundError:
-            return False
+            with path.open("rb") as file:
+                while file.peek(1):
+                    nodes.update(pickle.load(file))  # noqa: S301 - our own file in our own folder
         except Exception:  # noqa: BLE001 - a damaged file may raise anything; it is written anew
-            return False
-        return True
+            nodes.clear()
+        return bool(nodes)
 
     def _write(self, path: Path) -> None:
+        nodes = list(self.aspace._nodes.items())
         # Complete or not there: other processes may start at the same moment.
         with contextlib.suppress(OSError):
             handle, unfinished = tempfile.mkstemp(dir=path.parent)
-            os.close(handle)
             try:
-                self.aspace.dump(unfinished)
+                with os.fdopen(handle, "wb") as file:
+                    for first in range(0, len(nodes), BATCH):
+                        pickle.dump(nodes[first : first + BATCH], file, pickle.HIGHEST_PROTOCOL)
                 Path(unfinished).replace(path)
             except OSError:
                 Path(unfinished).unlink(missing_ok=True)
@@ -51,7 +59,7 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
 
 def nodes_file() -> Path:
     """Return where the nodes of this version of asyncua are kept."""
-    return cache_dir() / f"standard_nodes-{version('asyncua')}.pickle"
+    return cache_dir() / f"standard_nodes-{version('asyncua')}.pickles"
 
 
 @contextlib.contextmanager

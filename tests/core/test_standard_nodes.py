@@ -1,6 +1,6 @@
 """A server's standard nodes: read from disk they are those that asyncua builds."""
 
-import pickle
+import tracemalloc
 
 import pytest
 
@@ -39,9 +39,24 @@ async def test_what_is_read_is_what_asyncua_builds():
 
 
 async def test_a_damaged_file_is_written_anew():
-    nodes_file().write_bytes(b"\x80\x05K\x01garbage")
+    built = await loaded()
+    whole = nodes_file().read_bytes()
+    for damaged in (b"\x80\x05K\x01garbage", whole[:-100]):
+        nodes_file().write_bytes(damaged)
+        assert described(await loaded()) == described(built)
+        assert nodes_file().read_bytes() == whole
+
+
+async def test_reading_takes_hardly_more_memory_than_what_is_read():
     await loaded()
-    assert len(pickle.loads(nodes_file().read_bytes())) > 5000
+    tracemalloc.start()
+    try:
+        server = await loaded()
+        kept, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(server.aspace._nodes) > 5000
+    assert peak < 1.2 * kept
 
 
 async def test_a_folder_that_cannot_be_written_costs_only_time(tmp_path, monkeypatch):
