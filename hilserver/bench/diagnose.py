@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="position noise from the ultra-wideband recording in HIL_DATA_DIR",
     )  # fmt: skip
     parser.add_argument(
-        "--sysid", action="store_true",
-        help="fit the single causes with mujoco.sysid, too: it is given which they are",
+        "--rivals", action="store_true",
+        help="ask rivals, too: mujoco.sysid fits the single causes and is given which they are",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, default=Path("diagnose-results/campaign.jsonl"), metavar="FILE",
@@ -88,11 +88,11 @@ def run(args: argparse.Namespace) -> list[Result]:
         raise FailedError(msg)
     length = "" if args.duration is None else f"{args.duration:g} s"
     noise = "measured noise" if args.measured_noise else ""
-    rival = "sysid" if args.sysid else ""
-    if args.sysid:
-        from hilserver.bench.sysid import library  # noqa: PLC0415 (slow to import)
+    rival = "rivals" if args.rivals else ""
+    if args.rivals:
+        from hilserver.bench.campaign_rivals import require  # noqa: PLC0415 (slow to import)
 
-        library()  # or the sentence that says what to install
+        require()
     results = Results(args.resume, ", ".join(filter(None, (length, noise, rival))))
     try:
         asked = _work_off(args, results)
@@ -152,7 +152,7 @@ def _at_smallest_size(records: Iterable[Record], seeds: range) -> Iterator[Case]
 def _work_off(args: argparse.Namespace, results: Results) -> list[str]:
     """Run every case that has no result; return the keys of all that were asked for."""
     asked: list[str] = []
-    job = partial(work, with_sysid=True) if args.sysid else work
+    job = partial(work, with_rivals=True) if args.rivals else work
     for group in _groups(args.groups):
         wanted = list(_wanted(args, group, list(results.records.values())))
         asked += [case.key for case in wanted]

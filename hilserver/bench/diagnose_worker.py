@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from typing import Any, Protocol
@@ -62,15 +62,15 @@ class Staged:
         return f"{self.group}/{self.name}/{self.seed}"
 
 
-def work(case: Case | Staged, *, with_sysid: bool = False) -> dict[str, Any]:
+def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
     """Return the record of one case: plain data, one line of the results file.
 
     An engine that breaks on a log is a result too: outcome ``crashed``.
 
     Parameters
     ----------
-    with_sysid : bool
-        Fit a single cause with `mujoco.sysid`, too.
+    with_rivals : bool
+        Record what rivals of the diagnosis say, too.
     """
     seed, kind = (
         (case.seed, case.kind) if isinstance(case, Staged) else (case.recipe.seed, case.recipe.kind)
@@ -88,10 +88,9 @@ def work(case: Case | Staged, *, with_sysid: bool = False) -> dict[str, Any]:
     except Exception as error:  # noqa: BLE001 (the campaign goes on)
         result = Score(outcome="crashed", found=[f"{type(error).__name__}: {error}"])
     seconds = time.perf_counter() - begin
-    if with_sysid and isinstance(case, Case) and case.group == "single":
-        rival = import_module("hilserver.bench.sysid").fitted
-        values = rival(case, logs, assemble(None).robot)
-        record["sysid"] = {name: asdict(value) for name, value in values.items()}
+    if with_rivals and isinstance(case, Case):
+        rivals = import_module("hilserver.bench.campaign_rivals")
+        record |= rivals.answers(case, logs, assemble(None).robot)
     return record | {"seconds": seconds, "smallest": smallest} | result.as_json()
 
 

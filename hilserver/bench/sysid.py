@@ -46,7 +46,7 @@ def library() -> Any:
     except ImportError:
         sysid = None
     if not hasattr(sysid, "calculate_intervals"):  # it imports without its extra, but empty
-        raise FailedError("--sysid needs mujoco.sysid: pip install 'hilserver[sysid]'")
+        raise FailedError("--rivals needs mujoco.sysid: pip install 'hilserver[rivals]'")
     return sysid
 
 

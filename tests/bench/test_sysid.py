@@ -20,7 +20,7 @@ def test_a_single_cause_is_fitted_beside_the_diagnosis(monkeypatch):
     found = {"key": case.key, "values": {}, "outcome": "missed", "found": [], "wrong": []}
     monkeypatch.setattr(diagnose_worker, "_findings", lambda *_: None)
     monkeypatch.setattr(diagnose_worker, "score", lambda *_: diagnose_worker.Score("missed"))
-    record = diagnose_worker.work(case, with_sysid=True) | found
+    record = diagnose_worker.work(case, with_rivals=True) | found
     value = record["sysid"]["time_constant"]
     assert value["fitted"] == pytest.approx(value["true"], rel=0.05)
     assert value["within_20"]
@@ -31,8 +31,8 @@ def test_a_single_cause_is_fitted_beside_the_diagnosis(monkeypatch):
 
 def test_without_the_extra_one_sentence_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(FailedError, match=r"pip install 'hilserver\[sysid\]'"):
-        diagnose.run(arguments(tmp_path, words=["--sysid"]))
+    with pytest.raises(FailedError, match=r"pip install 'hilserver\[rivals\]'"):
+        diagnose.run(arguments(tmp_path, words=["--rivals"]))
 
 
 def test_nothing_is_fitted_that_the_log_cannot_show():
