@@ -38,6 +38,7 @@ HELD_SLOWEST_HZ: Final = 1.5  # Hz: slower is no held sample but a stuck one
 HELD_QUANTA: Final = 4.0  # steps of the resolution by which a change is real
 HELD_SHARE: Final = 0.8  # of the stretches that last two rows and longer
 HELD_SPREAD: Final = 3.0  # longest usual stretch by the shortest: a sampling is even
+HELD_TOGETHER: Final = 0.5  # share of changes at which another channel of the same source changes
 RAMP_ON_THE_CLOCK: Final = 0.9  # share of the bends that lie on one clock
 RAMP_SAME_SLOPE: Final = 0.02  # share by which the slope of a straight piece may change
 SHORTEST_BURST: Final = 4  # rows of one value where the others moved

@@ -61,6 +61,15 @@ def make_certificate(folder):
     assert main(["certs", "make", "-c", str(folder / "config.yaml")]) == 0
 
 
+async def all_closed():
+    """Wait for connections that take leave of their server; aiohttp forgets them at once."""
+    open_files = asyncio.get_running_loop()._selector.get_map()
+    async with asyncio.timeout(120):
+        while len(open_files) > 1:  # the loop's own
+            await asyncio.sleep(0.02)
+    await asyncio.sleep(0)
+
+
 @pytest.fixture
 async def visit(secured):
     """Log in as a user, each a browser of its own."""
@@ -87,6 +96,7 @@ async def visit(secured):
     for session in sessions:
         await session.connector.close(abort_ssl=True)
         await session.close()
+    await all_closed()
 
 
 async def test_nobody_sees_or_does_anything_before_the_log_in(visit):

@@ -25,13 +25,12 @@ from hilserver.diagnosis.thresholds import (
     HELD_SHARE,
     HELD_SLOWEST_HZ,
     HELD_SPREAD,
+    HELD_TOGETHER,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-MOSTLY = 0.5
-"""Share of a channel's changes at which another changes, too, if one source sends both."""
 OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
 """Share of a period by which runs may miss whole ones, beside half a row; longest row."""
 MOST_PERIODS = 6.5
@@ -70,7 +69,7 @@ def _begins(
     for other in group:
         there = np.searchsorted(at, along(log[other])[first[other]])
         there = there[there < len(at)]
-        if np.mean(np.isin(first[name], there)) > MOSTLY:
+        if np.mean(np.isin(first[name], there)) > HELD_TOGETHER:
             begins[there] = True
     return begins
 
