@@ -79,10 +79,11 @@ def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
         "key": case.key, "group": case.group, "name": case.name, "seed": seed, "kind": kind,
     }  # fmt: skip
     logs, against = _logs(case)
-    begin, smallest = time.perf_counter(), {}
+    begin, smallest, gain = time.perf_counter(), {}, {}
     try:
         found = _findings(logs, against, seed)
         result = _judged(case, found) if isinstance(case, Staged) else score(case, found)
+        gain = {quantity: one.ratio for quantity, one in found.total_gain.items()}
         if case.group == "null":
             smallest = {row.cause: row.size for row in found.smallest_detectable}
     except Exception as error:  # noqa: BLE001 (the campaign goes on)
@@ -91,7 +92,7 @@ def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
     if with_rivals and isinstance(case, Case):
         rivals = import_module("hilserver.bench.campaign_rivals")
         record |= rivals.answers(case, logs, assemble(None).robot)
-    return record | {"seconds": seconds, "smallest": smallest} | result.as_json()
+    return record | {"seconds": seconds, "smallest": smallest, "gain": gain} | result.as_json()
 
 
 def _logs(case: Case | Staged) -> tuple[MeasuredLog, MeasuredLog | None]:

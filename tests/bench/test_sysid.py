@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from hilserver_injector import make
@@ -18,7 +19,7 @@ CASE = next(singles(1, names=("time_constant",)))
 def test_a_single_cause_is_fitted_beside_the_diagnosis(monkeypatch):
     case = replace(CASE, recipe=replace(CASE.recipe, duration_s=12.0))
     found = {"key": case.key, "values": {}, "outcome": "missed", "found": [], "wrong": []}
-    monkeypatch.setattr(diagnose_worker, "_findings", lambda *_: None)
+    monkeypatch.setattr(diagnose_worker, "_findings", lambda *_: SimpleNamespace(total_gain={}))
     monkeypatch.setattr(diagnose_worker, "score", lambda *_: diagnose_worker.Score("missed"))
     record = diagnose_worker.work(case, with_rivals=True) | found
     value = record["sysid"]["time_constant"]
