@@ -27,8 +27,9 @@ RECORDED = ("sim.tick", *SETPOINTS, *SPEEDS, *DUTIES, GYRO)
 POSE = ("mech.x_m", "mech.y_m", "mech.yaw_rad")
 ROW, SAMPLE = 20, 100
 """Ticks between two rows, and between two of the tag."""
-NOISE = {**dict.fromkeys(SPEEDS, 0.1), **dict.fromkeys(DUTIES, 0.1)}
+NOISE = {**dict.fromkeys(SPEEDS, 0.1), **dict.fromkeys(DUTIES, 0.1), GYRO: 0.006}
 TAG_NOISE = (0.01, 0.01, 0.01)
+MODEL = Config()
 GRID_S = 1e-3 * ROW
 
 
@@ -47,7 +48,20 @@ async def driven(config, scenario, seconds):
         return np.concatenate([batch.frames.values[:, slots] async for batch in batches])
 
 
-def found_in(folder, config, scenario, seconds):
+def omni(seconds, seed):
+    """Mecanum wheels that drive ahead, to the side and turn, all at once."""
+    rng, at_s, steps = np.random.default_rng(seed), 0.0, []
+    while at_s < seconds:
+        ahead, aside, turn = rng.uniform(-1.0, 1.0, 3) * (40.0, 25.0, 20.0)
+        left = (ahead - aside - turn, ahead + aside - turn)
+        right = (ahead + aside + turn, ahead - aside + turn)
+        speeds = MIRROR * (*left, *right)
+        steps.append({"at_s": at_s, "write": {"wheels.setpoints_rpm": speeds.tolist()}})
+        at_s += rng.uniform(0.4, 2.0)
+    return steps
+
+
+def found_in(folder, config, scenario, seconds, model=MODEL):
     """The findings of a drive, with the body's pose in place of a tag's, and usual noise."""
     rng, path = np.random.default_rng(1), folder / "drive.csv"
     frames = asyncio.run(driven(config, scenario, seconds))[::ROW]
@@ -60,8 +74,8 @@ def found_in(folder, config, scenario, seconds):
     lines = [",".join("" if v != v else repr(v) for v in row) for row in rows.tolist()]
     head = ",".join(("t_s", *RECORDED, *TAG))
     path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
-    log = read_measured([path], None, Sampling.of(Config()))
-    return diagnose(log, assemble_config(Config()), jobs=1).findings
+    log = read_measured([path], None, Sampling.of(model))
+    return diagnose(log, assemble_config(model), jobs=1).findings
 
 
 @pytest.mark.long
@@ -81,6 +95,20 @@ def test_tyres_that_grip_across_are_a_rotation_gain(tmp_path):
     gain = findings.total_gain["yaw_rad"]
     assert gain.ratio > 3.0
     assert gain.ci95[0] > 1.0
+
+
+@pytest.mark.long
+def test_the_wheel_radius_of_a_mecanum_body_is_named(tmp_path):
+    plant = {"drive": "mecanum", "wheel_radius_m": 0.05}
+    model = Config.model_validate({"plant": plant})
+    body = {"enabled": True, "sensors": "body"}
+    plant = plant | {"wheel_radius_m": 0.05 * 1.12}
+    config = Config.model_validate({"plant": plant, "mechatronic": body})
+    findings = found_in(tmp_path, config, on_rows(omni(90.0, 3)), 90.0, model)
+    (named,) = (f for f in findings.findings if f.verdict in (Verdict.NAMED, Verdict.NAMED_GROUP))
+    assert "wheel_radius" in named.causes
+    low, high = named.parameters["wheel_radius"].ci95
+    assert low < 0.12 < high
 
 
 @pytest.mark.long
