@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from hilserver.bench.gaussian_process import gaussian_process
+from hilserver.bench.sindy import sindy
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.problem import Point, Problem, fit
@@ -176,4 +178,7 @@ def _most_promising(prepared: Prepared, point: Point, rows: NDArray[np.bool_]) -
 RIVALS: Final[Mapping[str, Callable[[Prepared], Array]]] = {
     "nine terms": nine_terms,
     "stepwise": stepwise,
+    "PySINDy": sindy,
+    "Gaussian process": gaussian_process,
 }
+"""`sindy` and `gaussian_process` need the extra ``rivals``."""

@@ -1,11 +1,19 @@
-"""What rivals of the diagnosis say of the logs of the campaign, beside its own answer."""
+"""What rivals of the diagnosis make of the logs of the campaign, beside its own answer."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 from hilserver_injector.cases import Case
 
-from hilserver.bench import sysid
+from hilserver.bench import sindy, sysid
+from hilserver.bench.baselines import RIVALS, applies
+from hilserver.bench.diagnose_scoring import Score
+from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.engine import HORIZON_S, silent
+from hilserver.diagnosis.findings.gain import gains, reported
+from hilserver.diagnosis.regression.stages import Prepared, machine, prepare_all
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -19,12 +27,45 @@ def require() -> None:
         If one of them is not installed.
     """
     sysid.library()
+    sindy.library()
 
 
 def answers(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, Any]:
-    """Return the answer of every rival that has one, as plain data by its name."""
+    """Return the answer of every rival that has one, as plain data by its name.
+
+    On velocities rivals are asked about logs without an effect, and single causes that PySINDy has
+    terms for.
+    """
     found: dict[str, Any] = {}
     if case.group == "single":
         values = sysid.fitted(case, log, robot)
         found["sysid"] = {name: asdict(value) for name, value in values.items()}
+    if case.group == "null" or (case.group == "single" and case.name in sindy.CAUSES):
+        own = machine(log, robot)
+        prepared, _ = prepare_all(check(log, own).log, own, 1, silent)
+        if "pose" in prepared and applies(prepared["pose"].problem):
+            pose = prepared["pose"]
+            found["pysindy"] = scored(case, sindy.said(pose)).as_json()
+            found["gains"] = compared(pose)
     return found
+
+
+def compared(pose: Prepared) -> dict[str, dict[str, float]]:
+    """Return the held-out gain of every rival by quantity."""
+    problem, before, fold = pose.problem, pose.base.predicted, reported(pose.problem)
+    rng, found = np.random.default_rng(0), {}
+    for name, predict in RIVALS.items():
+        made = gains(problem, before, predict(pose), HORIZON_S, rng, fold=fold)
+        found[name] = {quantity: one.ratio for quantity, one in made.items()}
+    return found
+
+
+def scored(case: Case, groups: Sequence[Sequence[str]]) -> Score:
+    """Compare groups of causes with the answer; one that holds the truth is right."""
+    truth = frozenset().union(*case.answer.causes)
+    wrong = ["|".join(sorted(group)) for group in groups if not truth & set(group)]
+    if truth:
+        outcome = "right" if len(wrong) < len(groups) else "missed"
+    else:
+        outcome = "false_alarm" if groups else "right"
+    return Score(outcome, wrong=wrong, found=["|".join(sorted(group)) for group in groups])

@@ -21,6 +21,7 @@ from hilserver_injector.cases import CLASSES, Case, cases, singles
 from hilserver_injector.causes import CAUSES, REQUIRED
 
 from hilserver import __version__
+from hilserver.bench.diagnose_beside import beside
 from hilserver.bench.diagnose_results import Results
 from hilserver.bench.diagnose_table import Record, markdown, rows
 from hilserver.bench.diagnose_worker import Staged, changed, work
@@ -53,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--rivals", action="store_true",
-        help="ask rivals, too: mujoco.sysid fits the single causes and is given which they are",
+        help="ask rivals, too: mujoco.sysid, which is given the single causes, and simple ones"
+        " where the pose hides one cause or none",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, default=Path("diagnose-results/campaign.jsonl"), metavar="FILE",
@@ -97,15 +99,19 @@ def run(args: argparse.Namespace) -> list[Result]:
     try:
         asked = _work_off(args, results)
     except SystemExit:
-        print(markdown(list(results.records.values()), _heading(results)))
+        print(_text(list(results.records.values()), results))
         print(f"stopped; the same command goes on from {results.file}", file=sys.stderr)
         raise
     mine = [results.records[key] for key in asked if key in results.records]
-    text = markdown(mine, _heading(results))
+    text = _text(mine, results)
     print(text)
     if args.out is not None:
         args.out.write_text(text, encoding="utf-8")
     return [row.as_result() for row in rows(mine) if row.trials]
+
+
+def _text(records: Sequence[Record], results: Results) -> str:
+    return markdown(records, [*_heading(results), "", *beside(records)])
 
 
 def _groups(text: str) -> list[str]:

@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 
 from hilserver.bench.baselines import RIVALS, applies
+from hilserver.bench.campaign_rivals import compared
 from hilserver.bench.report import Result
+from hilserver.bench.sindy import library
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import HORIZON_S, judge, silent
-from hilserver.diagnosis.findings.gain import gains, reported
+from hilserver.diagnosis.engine import judge, silent
 from hilserver.diagnosis.regression.stages import machine, prepare_all
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.reading import read_measured
@@ -54,42 +55,38 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]]) -> list[Result]:
     mapped : iterable of (str, sequence of Path)
         A mapping file, or a built-in one by name, and its logs.
     """
+    library()
     robot = assemble(None).robot
     rows: list[Row] = []
     print(f"| recording | quantity | diagnosis | {' | '.join(RIVALS)} | all columns | ratio |")
     print("|---" * (len(RIVALS) + 5) + "|")
     for file, mapping in ((file, mapping) for mapping, files in mapped for file in files):
-        for row in compared(file.stem, read_measured([file], mapping), robot):
+        for row in beside(file.stem, read_measured([file], mapping), robot):
             rows.append(row)
-            beside = " | ".join(f"{ratio:.2f}" for ratio in row.rivals.values())
+            cells = " | ".join(f"{ratio:.2f}" for ratio in row.rivals.values())
             print(
-                f"| {row.name} | {row.quantity} | {row.engine:.2f} | {beside} "
+                f"| {row.name} | {row.quantity} | {row.engine:.2f} | {cells} "
                 f"| {row.ceiling:.2f} | {row.ratio:.3f} |",
                 flush=True,
             )
     return list(_figures(rows))
 
 
-def compared(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
+def beside(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
     """Yield what the diagnosis and its rivals gain on one log."""
     findings = judge(log, robot).findings
     own = machine(log, robot)
     prepared, _ = prepare_all(check(log, own).log, own, 1, silent)
     if "pose" not in prepared or not applies(prepared["pose"].problem):
         return
-    p, rng = prepared["pose"], np.random.default_rng(0)
-    fold = reported(p.problem)
-    rivals = {
-        rival: gains(p.problem, p.base.predicted, predict(p), HORIZON_S, rng, fold=fold)
-        for rival, predict in RIVALS.items()
-    }
+    rivals = compared(prepared["pose"])
     for key, quantity in QUANTITIES.items():
         engine = findings.total_gain.get(key)
         yield Row(
             name,
             quantity,
             1.0 if engine is None else engine.ratio,
-            {rival: gain[key].ratio for rival, gain in rivals.items()},
+            {rival: gain[key] for rival, gain in rivals.items()},
             findings.ceiling.get(key, float("nan")),
         )
 

@@ -46,7 +46,9 @@ def library() -> Any:
     except ImportError:
         sysid = None
     if not hasattr(sysid, "calculate_intervals"):  # it imports without its extra, but empty
-        raise FailedError("--rivals needs mujoco.sysid: pip install 'hilserver[rivals]'")
+        raise FailedError(
+            "the rivals of the diagnosis need mujoco.sysid: pip install 'hilserver[rivals]'"
+        )
     return sysid
 
 

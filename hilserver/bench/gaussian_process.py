@@ -1,0 +1,58 @@
+"""A Gaussian process on what is left of the body's velocities: a ceiling that names no cause.
+
+It takes them for any smooth function of the replay's speed, turn rate and their derivatives.
+"""
+
+import warnings
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.bench.body_velocities import AHEAD, TURN, WINDOW, BodyVelocities
+from hilserver.diagnosis.findings.gain import held_out
+from hilserver.diagnosis.regression.stages import Prepared
+
+Array = NDArray[np.float64]
+
+LEARNED_FROM: Final = 300
+MOST: Final = 1500
+LENGTHS: Final = (1.0, 100.0)
+"""Of the kernel, in standard deviations of each input."""
+
+
+def gaussian_process(prepared: Prepared) -> Array:
+    """Return the held-out prediction of all samples of a pose."""
+    body = BodyVelocities(prepared)
+    ahead, turn = body.replayed[AHEAD], body.replayed[TURN]
+    inputs = np.stack([ahead, turn, body.rate(ahead), body.rate(turn)], axis=1)
+    inputs /= inputs.std(axis=0) + 1e-12
+    predictions = []
+    for test in (0, 1):
+        rows = np.flatnonzero(body.fold != test)
+        left = {key: _mean(inputs, values, rows) for key, values in body.left.items()}
+        predictions.append(body.predicted(left))
+    return held_out(prepared.problem, predictions)
+
+
+def _mean(inputs: Array, left: Array, rows: NDArray[np.int64]) -> Array:
+    """Return the mean of the process at all inputs, given some rows.
+
+    The kernel is learned from rows that share no measurement: noise that neighbours share would
+    pass for structure. The mean is over as many as memory allows.
+    """
+    from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415 (an extra)
+    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel  # noqa: PLC0415
+
+    scale = float(left[rows].std()) + 1e-12
+    apart = rows[:: max(WINDOW, len(rows) // LEARNED_FROM)]
+    smooth = ConstantKernel(1.0, (1e-4, 1e4)) * RBF(2.0, LENGTHS)
+    learning = GaussianProcessRegressor(smooth + WhiteKernel(0.5, (1e-4, 10.0)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # at a bound: nothing is left to learn
+        learning.fit(inputs[apart], left[apart] / scale)
+    process = GaussianProcessRegressor(learning.kernel_, optimizer=None)
+    rows = rows[:: max(1, -(-len(rows) // MOST))]
+    process.fit(inputs[rows], left[rows] / scale)
+    return np.asarray(scale * process.predict(inputs))

@@ -1,0 +1,100 @@
+"""PySINDy beside the diagnosis: what its terms name, what they gain, and the process beside it."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hilserver_injector import Recipe, make
+from hilserver_injector.cases import null, singles
+
+from hilserver.bench import diagnose
+from hilserver.bench.campaign_rivals import scored
+from hilserver.bench.diagnose_beside import beside
+from hilserver.bench.diagnose_worker import measured
+from hilserver.bench.gaussian_process import gaussian_process
+from hilserver.bench.sindy import CAUSES, mapped, said, sindy, sparse
+from hilserver.daemon.assembly import assemble
+from hilserver.diagnosis.engine import silent
+from hilserver.diagnosis.findings.gain import gains
+from hilserver.diagnosis.regression.stages import prepare_all
+from hilserver.errors import FailedError
+from hilserver.plant.terms import TERMS
+from tests.bench.test_diagnose import arguments
+
+ALL = frozenset({"ahead", "aside", "turn", "gyro"})
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    recipe = Recipe(seed=3, causes={"rotation_gain": -0.3}, duration_s=40.0)
+    log = measured(make(recipe)[0], recipe)
+    slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
+    return prepare_all(slim, assemble(None).robot, 1, silent)[0]["pose"]
+
+
+def test_pysindy_names_a_large_rotation_gain(prepared):
+    assert ["rotation_gain"] in said(prepared)
+
+
+@pytest.mark.parametrize("rival", [sindy, gaussian_process])
+def test_rivals_on_velocities_gain_on_held_out_blocks(prepared, rival):
+    rng = np.random.default_rng(0)
+    found = gains(prepared.problem, prepared.base.predicted, rival(prepared), 5.0, rng)
+    assert found["yaw_rad"].ratio > 3.0
+    assert found["gyro_z_rad_s"].ratio > 3.0
+
+
+def test_weights_are_few_and_true():
+    rng, block = np.random.default_rng(1), np.repeat(np.arange(12), 50)
+    columns = rng.normal(size=(600, 5)) * [1.0, 10.0, 0.1, 1.0, 1.0]
+    left = columns @ [0.2, 0.0, 3.0, 0.0, 0.0] + 0.05 * rng.normal(size=600)
+    assert sparse(columns, left, block) == pytest.approx([0.2, 0.0, 3.0, 0.0, 0.0], rel=0.05)
+
+
+def test_noise_alone_has_no_weights():
+    rng, block = np.random.default_rng(1), np.repeat(np.arange(12), 50)
+    assert not sparse(rng.normal(size=(600, 5)), 0.05 * rng.normal(size=600), block).any()
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_the_terms_of_a_cause_name_it(cause):
+    assert cause in {term.cause for term in TERMS.values()}
+    assert cause in mapped(set(CAUSES[cause]), ALL)[0]
+
+
+def test_terms_name_the_causes_that_make_most_of_them():
+    assert mapped({("turn", "om"), ("gyro", "om")}, ALL) == [["rotation_gain"]]
+    assert mapped({("turn", "om")}, ALL - {"gyro"}) == [["rotation_gain"]]
+    assert mapped({("aside", "v"), ("gyro", "1")}, ALL) == [
+        ["wheel_misalignment", "nav_frame_yaw"],
+        ["gyro_bias"],
+    ]
+    assert mapped({("turn", "1")}, ALL) == []
+
+
+def test_a_group_that_holds_the_truth_is_right():
+    case, sound = next(singles(1, names=("nav_scale",))), next(null(1))
+    assert scored(case, [["nav_scale", "traction_slip"]]).outcome == "right"
+    assert scored(case, [["gyro_bias"]]).wrong == ["gyro_bias"]
+    assert scored(case, []).outcome == "missed"
+    assert scored(sound, []).outcome == "right"
+    assert scored(sound, [["gyro_bias"]]).outcome == "false_alarm"
+
+
+def test_each_rival_is_a_column():
+    said = {"outcome": "right", "wrong": []}
+    rivals = {"nine terms": {"yaw_rad": 2.0}, "PySINDy": {"yaw_rad": 8.0}}
+    log = {"group": "single", **said, "gain": {"yaw_rad": 4.0}, "gains": rivals}
+    other = log | {"gain": {}, "pysindy": {"outcome": "right", "wrong": ["icr_offset"]}}
+    table = beside([log | {"pysindy": said}, other])
+    assert "| measure | logs | diagnosis | nine terms | PySINDy |" in table
+    assert "| right name, and no other | 2 | 2 |  | 1 |" in table
+    assert "| gain in yaw, single cause | 2 | 2.00 | 2.00 | 8.00 |" in table
+    assert beside([said]) == []
+
+
+def test_without_pysindy_one_sentence_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    with pytest.raises(FailedError, match=r"pip install 'hilserver\[rivals\]'"):
+        diagnose.run(arguments(tmp_path, words=["--rivals"]))
