@@ -3,6 +3,7 @@
 import argparse
 import json
 
+from hilserver.commands.credentials import check_credentials
 from hilserver.commands.options import add_config, config_path, out_file
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
@@ -35,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     assembly = assemble(config_path(args))
     with assembly.at("blocks"):  # a name or a unit of theirs that OPC UA cannot show
         address_space(assembly.table)
+    check_credentials(assembly)
     print("\n".join(describe(assembly)))
     return EXIT_DONE
 

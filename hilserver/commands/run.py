@@ -13,6 +13,7 @@ from pathlib import Path
 import structlog
 
 from hilserver.commands.announcing import Announcer
+from hilserver.commands.credentials import check_credentials
 from hilserver.commands.demo import demo_assembly, running_controller
 from hilserver.commands.options import add_config, number_within
 from hilserver.commands.page_setup import page_setup
@@ -85,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_DONE
     play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
     assembly = _recorded(assembled(args), args.record)
+    check_credentials(assembly)
     logging = assembly.config.logging
     main = _demo if args.demo else _run
     with Footer(sys.stderr) if sys.stderr.isatty() else contextlib.nullcontext() as footer:

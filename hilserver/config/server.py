@@ -257,6 +257,11 @@ class OpcUaConfig(BaseModel):
         return ("None",) if insecure else SECURE_POLICIES
 
     @property
+    def needs_certificate(self) -> bool:
+        """Whether a client may choose a policy that needs one."""
+        return any(policy != "None" for policy in self.offered_policies)
+
+    @property
     def is_secure(self) -> bool:
         """Whether every session is encrypted and every client known by its certificate."""
         return "None" not in self.offered_policies

@@ -173,6 +173,8 @@ def parse_key(data: bytes) -> rsa.RSAPrivateKey:
         key = serialization.load_pem_private_key(data, password=None)
     except TypeError:
         raise ValueError("the key has a password; store it without, readable by you only") from None
+    except ValueError:
+        raise ValueError("no private key in PEM form") from None
     if not isinstance(key, rsa.RSAPrivateKey):
         raise ValueError("not an RSA key")
     return key

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from asyncua import ua
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import rsa
 
 from hilserver.config.server import OpcUaConfig, Policy, Role, default_application_uri
 from hilserver.core.clock import UtcClock
@@ -161,8 +163,8 @@ class OpcUaServer:
         ConfigError
             If certificate or key are missing or cannot be used.
         """
-        needs_certificate = any(policy != "None" for policy in self._config.offered_policies)
-        trust = TrustList(self._folder / self._config.certificates) if needs_certificate else None
+        secure = self._config.needs_certificate
+        trust = TrustList(self._folder / self._config.certificates) if secure else None
         iserver = RobotInternalServer(self._config, self._access, trust)
         server = RobotUaServer(iserver=iserver)
         if trust is not None:
@@ -223,17 +225,11 @@ class OpcUaServer:
     @property
     def application_uri(self) -> str:
         """URI of this application, which its certificate must name."""
-        return self._config.application_uri or default_application_uri()
+        return _application_uri(self._config)
 
     def _load_certificate(self, iserver: RobotInternalServer, trust: TrustList) -> None:
         trust.make_folders()
-        key = self._config.private_key
-        certificate, private_key = trust.own(None if key is None else self._folder / key)
-        if self.application_uri not in application_uris(certificate):
-            raise ConfigError(
-                f"the certificate in {trust.folder} does not name the application URI"
-                f" {self.application_uri}: make another with 'hilserver certs renew'"
-            )
+        certificate, private_key = own_certificate(self._config, self._folder)
         left = certificate.not_valid_after_utc - datetime.now(UTC)
         if left < _WARN_BEFORE:
             log.warning(
@@ -308,3 +304,29 @@ class OpcUaServer:
         if error.errno == errno.EACCES:
             return f"{what}: ports below 1024 need rights; change opcua.endpoint"
         return f"{what}: {error.strerror or os.strerror(error.errno or 0)}; change opcua.endpoint"
+
+
+def own_certificate(
+    config: OpcUaConfig, folder: Path
+) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
+    """Return the certificate and key of the server of a configuration.
+
+    Raises
+    ------
+    ConfigError
+        If one is missing or cannot be used, or the certificate is that of another application.
+    """
+    trust = TrustList(folder / config.certificates)
+    certificate, key = trust.own(
+        None if config.private_key is None else folder / config.private_key
+    )
+    if _application_uri(config) not in application_uris(certificate):
+        raise ConfigError(
+            f"the certificate in {trust.folder} does not name the application URI"
+            f" {_application_uri(config)}: make another with 'hilserver certs renew'"
+        )
+    return certificate, key
+
+
+def _application_uri(config: OpcUaConfig) -> str:
+    return config.application_uri or default_application_uri()

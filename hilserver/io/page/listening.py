@@ -1,10 +1,13 @@
-"""The socket that the page listens on."""
+"""The socket that the page listens on, and its encryption."""
 
 import errno
 import os
 import socket
+import ssl
+from pathlib import Path
 
-from hilserver.errors import FailedError
+from hilserver.config.page import PageTlsConfig
+from hilserver.errors import ConfigError, FailedError
 
 _TRIES = 20
 _BACKLOG = 128
@@ -36,6 +39,44 @@ def listen(host: str, port: int) -> socket.socket:
         else:
             return listener
     raise FailedError(f"page: no port for {host}")
+
+
+def tls_context(tls: PageTlsConfig, folder: Path) -> ssl.SSLContext:
+    """Return what encrypts the page.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that relative paths start from.
+
+    Raises
+    ------
+    ConfigError
+        If certificate or key are missing or cannot be used.
+    """
+    certificate, key = folder / tls.certificate, folder / tls.key
+    for path in (certificate, key):
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(certificate, key, password=_no_password)
+    except ssl.SSLError as error:
+        if error.reason == "KEY_VALUES_MISMATCH":
+            raise ConfigError(f"{certificate} does not belong to the key {key}") from None
+        raise ConfigError(
+            f"{certificate} and {key} cannot be used: a certificate and its key in PEM form are"
+            " needed"
+        ) from None
+    except ValueError:
+        raise ConfigError(f"{key} has a password; store it without, readable by you only") from None
+    return context
+
+
+def _no_password() -> str:
+    raise ValueError  # without this function Python would ask for one at the terminal
 
 
 def url_of(listener: socket.socket, host: str, *, is_encrypted: bool) -> str:

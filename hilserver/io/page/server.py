@@ -20,6 +20,7 @@ from hilserver.io.page.driving import Driving
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.jobs import LOG_SUFFIXES, Jobs, files_in
+from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live
 from hilserver.io.page.log_in import LogIns
 from hilserver.io.page.setup import Setup
@@ -89,12 +90,7 @@ class PageServer:
 
     def _tls(self) -> ssl.SSLContext | None:
         tls = self._setup.page.tls
-        if tls is None:
-            return None
-        context, base = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH), Path()
-        base = Path(self._setup.base_folder)
-        context.load_cert_chain(base / tls.certificate, base / tls.key)
-        return context
+        return None if tls is None else tls_context(tls, Path(self._setup.base_folder))
 
     async def _sweep(self) -> None:
         while True:

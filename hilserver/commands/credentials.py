@@ -1,0 +1,26 @@
+"""Certificates, keys and passwords of a configuration, looked at before anything starts."""
+
+from hilserver.daemon.assembly import Assembly
+from hilserver.io.opcua_client.security import LinkSecurity
+from hilserver.io.opcua_server.server import own_certificate
+from hilserver.io.page.listening import tls_context
+
+
+def check_credentials(assembly: Assembly) -> None:
+    """Refuse files that server, peers or page could not use.
+
+    Raises
+    ------
+    ConfigError
+        With file, line and key of the configuration, and what to do.
+    """
+    config, folder = assembly.config, assembly.folder
+    if config.opcua.enabled and config.opcua.needs_certificate:
+        with assembly.at("opcua"):
+            own_certificate(config.opcua, folder)
+    for index, peer in enumerate(config.peers):
+        with assembly.at("peers", index):
+            LinkSecurity(peer, config.opcua, folder)
+    if config.page.enabled and config.page.tls is not None:
+        with assembly.at("page", "tls"):
+            tls_context(config.page.tls, folder)

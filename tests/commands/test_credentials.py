@@ -1,0 +1,97 @@
+"""Certificates and keys that cannot be used: `check` and `run` name file, line and remedy."""
+
+import subprocess
+
+import pytest
+
+from hilserver.commands import main
+from hilserver.errors import EXIT_BAD_CONFIGURATION
+
+PAGE = """
+opcua: {enabled: false}
+metrics: {enabled: false}
+page: {port: 0, tls: {certificate: page.pem, key: page.key}}
+"""
+SERVER = """
+metrics: {enabled: false}
+page: {enabled: false}
+opcua: {endpoint: 'opc.tcp://127.0.0.1:0/x', policies: [Basic256Sha256]}
+"""
+
+
+def openssl(folder, *words):
+    subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+
+def self_signed(folder):
+    words = ["-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost", "-days", "2"]
+    openssl(folder, "req", "-x509", *words, "-keyout", "page.key", "-out", "page.pem")
+
+
+def other_key(folder):
+    self_signed(folder)
+    openssl(folder, "genrsa", "-out", "page.key", "2048")
+
+
+def key_with_password(folder):
+    self_signed(folder)
+    openssl(folder, "genrsa", "-aes128", "-passout", "pass:wheel", "-out", "page.key", "2048")
+
+
+def junk(folder):
+    for name in ("page.pem", "page.key"):
+        (folder / name).write_text("junk")
+
+
+@pytest.mark.parametrize(
+    ("prepare", "complaint"),
+    [
+        (lambda _: None, "page.pem cannot be read: No such file or directory"),
+        (junk, "a certificate and its key in PEM form are needed"),
+        (other_key, "page.pem does not belong to the key"),
+        (key_with_password, "page.key has a password; store it without"),
+    ],
+)
+def test_the_page_does_not_start_without_its_certificate(tmp_path, capsys, prepare, complaint):
+    path = tmp_path / "config.yaml"
+    path.write_text(PAGE)
+    prepare(tmp_path)
+    for command in ("check", "run", "page"):
+        assert main([command, "-c", str(path)]) == EXIT_BAD_CONFIGURATION
+        shown = capsys.readouterr()
+        assert f"{path}:4: page.tls: " in shown.err
+        assert complaint in shown.err
+        assert "operator page" not in shown.err + shown.out
+
+
+def test_check_accepts_what_openssl_makes(tmp_path, capsys):
+    path = tmp_path / "config.yaml"
+    path.write_text(PAGE)
+    self_signed(tmp_path)
+    assert main(["check", "-c", str(path)]) == 0
+
+
+def test_check_looks_at_the_certificate_of_the_server(tmp_path, capsys):
+    path = tmp_path / "config.yaml"
+    path.write_text(SERVER)
+    check = ["check", "-c", str(path)]
+    assert main(check) == EXIT_BAD_CONFIGURATION
+    assert f"{path}:4: opcua: " in (missing := capsys.readouterr().err)
+    assert "hilserver certs make" in missing
+    assert main(["certs", "make", "-c", str(path)]) == 0
+    assert main(check) == 0
+    (tmp_path / "certificates" / "own" / "key.pem").write_text("junk")
+    assert main(check) == EXIT_BAD_CONFIGURATION
+    assert "key.pem cannot be used: no private key in PEM form" in capsys.readouterr().err
+
+
+def test_check_looks_at_the_files_of_peers(tmp_path, capsys):
+    path = tmp_path / "config.yaml"
+    path.write_text("""peers:
+  - name: iot2050
+    endpoint: 'opc.tcp://127.0.0.1:4841'
+    read: {'ns=1;s=left': wheel.fl.setpoint_rpm}
+    security: {user: robot, password_file: secret.txt, allow_clear_password: true}
+""")
+    assert main(["check", "-c", str(path)]) == EXIT_BAD_CONFIGURATION
+    assert f"{path}:2: peers[0]: peer 'iot2050': password_file" in capsys.readouterr().err
