@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.diagnosis.checks import Checked, check
-from hilserver.diagnosis.checks.frame import on_a_frame, standing
+from hilserver.diagnosis.checks.frame import untold, without_kinematics
 from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.decide.selection import Selected, select
 from hilserver.diagnosis.decide.settling import Judged, settled
@@ -59,7 +59,8 @@ def examine(
     robot = machine(log, robot)
     tell("checking the data", 0.0)
     checked = check(log, robot)
-    log = on_a_frame(checked.log) if standing(checked.log, robot) else checked.log
+    why = untold(checked.log, robot)
+    log = checked.log if why is None else without_kinematics(checked.log, why)
     lap("checks")
     prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
     lap("effects")

@@ -1,4 +1,4 @@
-"""A machine on a frame: its wheels are in the air, and nothing tells of its kinematics."""
+"""A machine whose kinematics nothing tells of: its wheels are in the air, or it never turned."""
 
 from dataclasses import replace
 
@@ -16,21 +16,21 @@ from hilserver.plant.parameters import RobotParameters
 Array = NDArray[np.float64]
 
 
-def standing(log: MeasuredLog, robot: RobotParameters) -> bool:
-    """Return whether the machine did not turn although its wheels did: it stood on a frame.
+def untold(log: MeasuredLog, robot: RobotParameters) -> str | None:
+    """Return why nothing in a log tells of its machine's kinematics; None if something does.
 
-    Its kinematics cannot be judged then: they would all be wrong by the same whole.
+    On a frame they would all be wrong by the same whole. Without a position, what the wheels ask of
+    a machine that does not turn is their own noise.
     """
     turn = asked_turn(log, robot)
-    if turn is None or not _turning(turn, TURNS_RAD_S):
-        return False
-    return abs(float(turn @ log[GYRO].values) / float(turn @ turn)) < FRAME_STANDS
-
-
-def without_motion(log: MeasuredLog, robot: RobotParameters) -> bool:
-    """Return whether nothing in a log tells of its kinematics: no position, and no turn."""
-    turn = asked_turn(log, robot)
-    return turn is not None and not log.has(*POSITION) and not _turning(turn, FRAME_MOVED_RAD_S)
+    if turn is None:
+        return None
+    if _turning(turn, TURNS_RAD_S):
+        share = float(turn @ log[GYRO].values) / float(turn @ turn)
+        return "did not turn although its wheels did" if abs(share) < FRAME_STANDS else None
+    if log.has(*POSITION) or _turning(turn, FRAME_MOVED_RAD_S):
+        return None
+    return "hardly turned, and no position was measured"
 
 
 def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
@@ -52,9 +52,9 @@ def _turning(turn: Array, least_rad_s: float) -> bool:
     return float(turn @ turn) >= least_rad_s**2 * len(turn)
 
 
-def on_a_frame(log: MeasuredLog) -> MeasuredLog:
-    """Return the log of a machine that stood on a frame without what does not hold there."""
+def without_kinematics(log: MeasuredLog, why: str) -> MeasuredLog:
+    """Return a log without the channels that tell of the kinematics, see `untold`."""
     moved = {*POSITION, YAW, GYRO}
     kept = {name: c for name, c in log.channels.items() if name not in moved}
-    note = "the machine did not turn although its wheels did: the kinematics are not judged"
+    note = f"the machine {why}: the kinematics are not judged"
     return replace(log, channels=kept, notices=(*log.notices, note))

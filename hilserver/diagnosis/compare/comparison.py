@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.checks.frame import on_a_frame, standing, without_motion
+from hilserver.diagnosis.checks.frame import untold, without_kinematics
 from hilserver.diagnosis.checks.standstill import stood_still, too_little_motion
 from hilserver.diagnosis.compare.differences import Difference, differences_of
 from hilserver.diagnosis.compare.differing import difference_findings, smallest_differences
@@ -76,8 +76,9 @@ def compare(
     faults = [finding for checked in both for finding in checked.findings]
     cleaned = [checked.log for checked in both]
     still = [too_little_motion()] if any(map(stood_still, cleaned)) else []
-    if any(standing(one, robot) or without_motion(one, robot) for one in cleaned):
-        cleaned = [on_a_frame(one) for one in cleaned]
+    reasons_untold = [why for one in cleaned if (why := untold(one, robot)) is not None]
+    if reasons_untold:
+        cleaned = [without_kinematics(one, reasons_untold[0]) for one in cleaned]
     pooled, second = together(*cleaned)
     prepared, reasons = prepare_all(
         pooled, robot, jobs, tell, lost_setpoints=any(checked.lost_setpoints for checked in both)

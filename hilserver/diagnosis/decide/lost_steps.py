@@ -5,12 +5,14 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import (
     LOST_LARGE_STEP_RPM,
     LOST_LATE_S,
 )
 from hilserver.measured.channels import SETPOINTS, SPEEDS
+from hilserver.measured.data import Channel
 
 RESPONSE_S: Final = 0.15
 """In which the wheel answers a step."""
@@ -36,7 +38,8 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
     """Return how many steps of the set-points were lost on the way; None if few can be judged.
 
     A step that waits for the next message is late by one message, others are not at all: after
-    every step the residual is compared with the slope of the simulated response.
+    every step what is seen is compared with the simulated response, and with the same one later.
+    Where a sample was taken at some time between two rows, all in between is on time.
     """
     log, stack, stage = problem.stage.log, problem.stack, problem.stage
     both = [(a, b) for a, b in zip(SETPOINTS, SPEEDS, strict=True) if a in log and b in stack.edges]
@@ -44,12 +47,18 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
         return None
     residual = problem.residual(point.predicted)
     shown = stage.signals(point.model.terms, point.poses)
+    rate_hz = 1.0 / stage.segments.period_s
     late: list[bool] = []
     for setpoint, speed in both:
         edge = stack.edges[speed]
         t, r = stack.t_s[edge], residual[edge]
-        slope = np.gradient(shown[speed]) / stage.segments.period_s
-        g = slope[np.rint(stack.at[edge]).astype(np.int64)]
+        row_s = _row_s(log[setpoint], log[speed])
+        at_once, by_a_row, later = (
+            np.interp(stack.at[edge] - by_s * rate_hz, np.arange(len(shown[speed])), shown[speed])
+            for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S)
+        )
+        seen, g = r + at_once, later - by_a_row
+        r = seen - np.clip(seen, np.minimum(at_once, by_a_row), np.maximum(at_once, by_a_row))
         noise = problem.noise[speed].white_sd
         spans = stage.segments.span[stack.segment[edge]]
         for span in range(len(log.spans)):
@@ -58,9 +67,18 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
             for a in np.flatnonzero(np.abs(np.diff(s)) > LOST_LARGE_STEP_RPM) + 1:
                 low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
                 power = float(g[low:high] @ g[low:high])
-                if power <= 0.0 or noise / np.sqrt(power) > 0.25 * LOST_LATE_S:
+                if power <= 0.0 or noise / np.sqrt(power) > 0.125:
                     continue
-                late.append(-float(r[low:high] @ g[low:high]) / power > LOST_LATE_S)
+                late.append(float(r[low:high] @ g[low:high]) / power > 0.5)
     if len(late) < 12:
         return None
     return LostSteps(float(np.mean(late)), int(np.sum(late)), len(late))
+
+
+def _row_s(setpoint: Channel, speed: Channel) -> float:
+    """Return the time [s] between rows that hold a speed sampled more slowly; 0 where none does.
+
+    When such a sample was taken is known to a row only.
+    """
+    rows_s, samples_s = row_period_s(setpoint), row_period_s(speed)
+    return rows_s if samples_s > 1.5 * rows_s else 0.0

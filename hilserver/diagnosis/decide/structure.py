@@ -21,6 +21,7 @@ from hilserver.diagnosis.thresholds import (
     FEWEST_BLOCKS,
     GROSS,
     INEXACT,
+    LEAST_GAIN,
     LEAST_USEFUL,
     REST_LEAST_GAIN,
     REST_LEVEL,
@@ -75,7 +76,8 @@ def remaining(
     Notes
     -----
     A model without any cause that misses grossly is never left without a word: where no family is
-    significant, because all that was missed is in few blocks, the one that explains most is given.
+    significant, because what was missed is in few blocks, the one that explains most is given. In
+    fewer than `FEWEST_BLOCKS` it is an event, such as a single misplaced sample.
     Not so where set-points are followed: one may have come and gone between two rows of the log.
     """
     stack = problem.stack
@@ -84,8 +86,9 @@ def remaining(
     blocks = Blocks.of(stack.block, stack.n_blocks)
     order = blocks.order
     scores, strong = [], []
+    missed = stack.block_sums(point.left**2) > GROSS * np.diff(blocks.starts)
     gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
-    gross = gross and stack.n_blocks >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
+    gross = gross and missed.sum() >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
     most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)
@@ -171,7 +174,10 @@ def joint_gain(white: Array, left: Array) -> float:
 
 
 def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:
-    """Return whether a family explains blocks that its coefficients were not fitted to."""
+    """Return whether a family explains blocks that its coefficients were not fitted to.
+
+    No block counts for more than `LEAST_GAIN`: what is missed in a few alone is an event.
+    """
     stack = problem.stack
     unit, _ = scaled(white)
     gained = []
@@ -184,7 +190,8 @@ def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_L
         gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
         rest = left - unit @ np.linalg.solve(gram, a.T @ b)
         part = stack.fold == test
-        gained.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
+        gain = np.minimum(stack.block_sums(left**2 - rest**2)[part], LEAST_GAIN)
+        gained.append(float(gain.sum()))
     return sum(gained) > least and min(gained) > 0.0
 
 
