@@ -14,7 +14,8 @@ from hilserver.bench.gaussian_process import gaussian_process
 from hilserver.bench.sindy import sindy
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.findings.gain import held_out
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.measured.channels import GYRO, POSITION, YAW

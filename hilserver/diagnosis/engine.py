@@ -99,7 +99,8 @@ def judge(
     timings: dict[str, float] = {}
 
     def lap(name: str) -> None:
-        timings[name] = time.perf_counter() - started - sum(timings.values())
+        spent_s = time.perf_counter() - started - sum(timings.values())
+        timings[name] = timings.get(name, 0.0) + spent_s
 
     tell = progress or silent
     rng = np.random.default_rng(seed)

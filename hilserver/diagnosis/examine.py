@@ -8,7 +8,7 @@ import numpy as np
 from hilserver.diagnosis.checks import Checked, check
 from hilserver.diagnosis.checks.frame import untold, without_kinematics
 from hilserver.diagnosis.decide.lost_steps import lost_steps
-from hilserver.diagnosis.decide.selection import Selected, select
+from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.settling import Judged, settled
 from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.findings.outcome import (
@@ -65,28 +65,18 @@ def examine(
     prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
     lap("effects")
     tell("selecting causes", 0.0)
-    selected = _selected(prepared, rng, jobs)
+    scores = {name: p.library.scores(p.base) for name, p in prepared.items()}
     judged: dict[str, Judged] = {}
-    for name, p in prepared.items():
+    for name, as_configured in prepared.items():
         drive = judged.get("drive")
-        anew = None if drive is None else _with_wheels(p, drive, log, jobs, tell)
-        if anew is not None:
-            selected |= _selected({name: anew}, rng, jobs)
-        judged[name] = settled(anew or p, selected[name], rng)
-    lap("selection")
+        anew = None if drive is None else _with_wheels(as_configured, drive, log, jobs, tell)
+        beside = [] if anew else [s for n, s in scores.items() if n != name]
+        p = anew or as_configured
+        selected = select(p.problem, p.library, p.base, rng, jobs, beside)
+        lap("selection")
+        judged[name] = settled(p, selected, rng)
+        lap("settling")
     return Examined(checked, log, robot, judged, reasons)
-
-
-def _selected(
-    prepared: Mapping[str, Prepared], rng: np.random.Generator, jobs: int
-) -> dict[str, Selected]:
-    return select(
-        {n: p.problem for n, p in prepared.items()},
-        {n: p.library for n, p in prepared.items()},
-        {n: p.base for n, p in prepared.items()},
-        rng,
-        jobs,
-    )
 
 
 def _with_wheels(

@@ -21,6 +21,7 @@ from hilserver.diagnosis.compare.differing import difference_findings, smallest_
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.examine import Tell
+from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import machine, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence
@@ -85,18 +86,18 @@ def compare(
     )
     runs = run_of_spans(cleaned)
     differences: list[Difference] = []
-    shared = select(
-        {n: p.problem for n, p in prepared.items()},
-        {n: p.library for n, p in prepared.items()},
-        {n: p.base for n, p in prepared.items()},
+    rng, scores = (
         np.random.default_rng(seed),
-        jobs,
+        {n: p.library.scores(p.base) for n, p in prepared.items()},
     )
+    points: dict[str, Point] = {}
     for name, p in prepared.items():
-        differences += differences_of(name, p, shared[name].point, second, runs)
+        beside = [s for n, s in scores.items() if n != name]
+        points[name] = select(p.problem, p.library, p.base, rng, jobs, beside).point
+        differences += differences_of(name, p, points[name], second, runs)
     count = max(len({d.candidate.label for d in differences}), 1)
     differences = [replace(d, p=min(d.p * count, 1.0)) for d in differences]
-    found = difference_findings(differences, prepared, {n: one.point for n, one in shared.items()})
+    found = difference_findings(differences, prepared, points)
     detectable = smallest_differences(differences, count)
     findings = Findings(
         verdict=Overall.DIFFERS if found else Overall.NO_DIFFERENCE,

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.intervals import own_share
 from hilserver.diagnosis.regression.linear import orthogonal, saved
-from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, score
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (

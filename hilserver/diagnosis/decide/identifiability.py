@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.linear import basis, cosine, orthogonal
-from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
     GROUP_COSINE,

@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.structure import Unknown
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.findings import Parameter
 from hilserver.diagnosis.thresholds import (

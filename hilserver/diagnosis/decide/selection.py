@@ -23,7 +23,8 @@ from hilserver.diagnosis.decide.trial import (
 )
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
@@ -152,24 +153,23 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
 
 
 def select(
-    problems: Mapping[str, Problem],
-    libraries: Mapping[str, Library],
-    points: Mapping[str, Point],
+    problem: Problem,
+    library: Library,
+    base: Point,
     rng: np.random.Generator,
     jobs: int = 1,
-) -> dict[str, Selected]:
-    """Select causes, stage by stage, at one family-wise level; in so many threads."""
-    scores = {name: lib.scores(points[name]) for name, lib in libraries.items()}
-    maxima = null_maxima(list(scores.values()), rng)
-    out = {}
+    other: Sequence[Scores] = (),
+) -> Selected:
+    """Select the causes of a stage, in so many threads.
+
+    Parameters
+    ----------
+    other : sequence of Scores
+        Of the other stages, which share the family-wise level.
+    """
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        for name, library in libraries.items():
-            other = [s for n, s in scores.items() if n != name]
-            search = partial(
-                _forward, problems[name], library, points[name], other, rng, maxima, pool
-            )
-            out[name] = _plausible(problems[name], library, points[name], search)
-    return out
+        search = partial(_forward, problem, library, base, other, rng, pool)
+        return _plausible(problem, library, base, search)
 
 
 def _plausible(
@@ -231,15 +231,13 @@ def _forward(
     point: Point,
     other: Sequence[Scores],
     rng: np.random.Generator,
-    maxima: Array,
     pool: ThreadPoolExecutor,
     barred: frozenset[str],
 ) -> Selected:
     selected, start = Selected(point), point
-    for round_ in range(SELECTION_MOST_CAUSES):
+    for _ in range(SELECTION_MOST_CAUSES):
         scores = library.scores(point)
-        if round_:
-            maxima = null_maxima([scores, *other], rng)
+        maxima = null_maxima([scores, *other], rng)
         limit = critical(maxima)
         gross = point.deviance > GROSS * len(point.left)
         if np.abs(scores.t).max(initial=0.0) < limit and not gross:

@@ -20,7 +20,8 @@ from hilserver.diagnosis.decide.structure import (
     without_unknown,
 )
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted, Model

@@ -7,7 +7,8 @@ from typing import Final
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import GROSS
 
 PROMISING: Final = 0.5

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.unknown import Family, families
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.linear import orthogonal, saved, scaled
-from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import (
     Blocks,
     adjusted,

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.intervals import covariance
 from hilserver.diagnosis.regression.linear import orthogonal
-from hilserver.diagnosis.regression.problem import Point, Problem, apart, fit
+from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import freedom_of, normal
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.diagnosis.regression.problem import Point, Problem, fit
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.diagnosis.thresholds import FEWEST_BLOCKS

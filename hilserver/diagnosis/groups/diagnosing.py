@@ -73,7 +73,8 @@ def diagnose_groups(
     timings: dict[str, float] = {}
 
     def lap(name: str) -> None:
-        timings[name] = time.perf_counter() - started
+        spent_s = time.perf_counter() - started - sum(timings.values())
+        timings[name] = timings.get(name, 0.0) + spent_s
 
     tell = progress or silent
     examined = {

@@ -5,7 +5,8 @@ residuals, in expectation one per sample), its share of every block, and columns
 that went through the same whitening and projection.
 """
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +23,6 @@ from hilserver.diagnosis.noise.fitting import (
 from hilserver.diagnosis.noise.quick_noise import isolated, noise_of_neighbours, plain_noise, spikes
 from hilserver.diagnosis.noise.readings import Reading, noise_of_readings
 from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
-from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
@@ -31,8 +31,6 @@ from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
-DAMPED = 1e-6
-"""Damping of the steps of a fit, see `linear`."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +86,7 @@ class Problem:
         if not len(self.weights):
             self.weights = np.ones(len(self.stage.stack))
         self._runs = list(self.stage.stack.runs())
+        self._known: deque[tuple[Point, Array]] = deque(maxlen=2)
         self._poses = FreePoses(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
@@ -185,27 +184,38 @@ class Problem:
         left = self.project(white, self.bases(nuisance))
         return Point(model, poses, predicted, white, left, self.stack.block_sums(left * left))
 
-    def columns(self, point: Point, model: Model) -> Array:
-        """Return the raw sensitivities of all parameters of a model, shape (n, k)."""
+    def columns(self, point: Point, model: Model, which: Sequence[int] | None = None) -> Array:
+        """Return the raw sensitivities of the parameters of a model, all or some: shape (n, k)."""
         theta, step = model.theta(), np.array([s for f in model.fitted for s in f.candidate.step])
         low, high = model.borders()
         # beyond its border a parameter may be none that the plant accepts
         step = np.where((theta + step < low) | (theta + step > high), -step, step)
+        which = range(len(theta)) if which is None else which
         base = point.predicted
-        out = np.empty((len(self.stack), len(theta)))
-        for j in range(len(theta)):
+        out = np.empty((len(self.stack), len(which)))
+        for column, j in enumerate(which):
             moved = theta.copy()
             moved[j] += step[j]
             terms = model.with_theta(moved).terms
-            out[:, j] = self.stage.difference(self.predict(terms, point.poses), base) / step[j]
+            shown = self.predict(terms, point.poses)
+            out[:, column] = self.stage.difference(shown, base) / step[j]
         return out
+
+    def own_columns(self, point: Point) -> Array:
+        """Return the raw sensitivities of a point's own parameters; of the last points, once."""
+        for known, columns in list(self._known):
+            if known is point:
+                return columns
+        columns = self.columns(point, point.model)
+        self._known.append((point, columns))
+        return columns
 
     def accepted(self, point: Point) -> Array | None:
         """Return whitened, projected sensitivities of a model's own parameters."""
         if not point.model.fitted:
             return None
         bases = self.bases(self.nuisance(point.predicted, point.poses))
-        return self.project(self.whiten(self.columns(point, point.model)), bases)
+        return self.project(self.whiten(self.own_columns(point)), bases)
 
     def column(self, point: Point, candidate: Candidate) -> Array:
         """Return the raw effect of a candidate per unit, or at its start value; shape (n, k)."""
@@ -277,51 +287,3 @@ def apart(point: Point, accepted: Array, index: int) -> tuple[Array, Array]:
     f, mine = point.model.fitted[index], point.model.slices[index]
     own = accepted[:, mine] @ (np.asarray(f.theta) - np.asarray(f.candidate.null))
     return np.delete(accepted, mine, axis=1), own
-
-
-def fit(
-    problem: Problem,
-    model: Model,
-    start: Point,
-    *,
-    rows: NDArray[np.bool_] | None = None,
-    iterations: int = 6,
-) -> Point:
-    """Fit the parameters of a model by damped Gauss-Newton steps.
-
-    Parameters
-    ----------
-    start : Point
-        Gives the initial poses.
-    rows : ndarray of bool, shape (blocks,), optional
-        Blocks that count; all.
-    """
-    low, high = model.borders()
-    point = problem.point(model, start.poses)
-    if not len(low):
-        return point
-    used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
-    for _ in range(iterations):
-        nuisance = problem.nuisance(point.predicted, point.poses)
-        raw = problem.whiten(problem.columns(point, point.model))
-        white = problem.project(raw, problem.bases(nuisance))
-        keep = used[problem.stack.block]
-        step = ridge(white[keep], point.left[keep], DAMPED)
-        best = None
-        for share in (1.0, 0.5, 0.2):
-            theta = np.clip(point.model.theta() + share * step, low, high)
-            poses = point.poses
-            if nuisance is not None:
-                moved = point.white - raw @ (theta - point.model.theta())
-                poses = poses + problem.pose_step(moved, nuisance)
-            trial = problem.point(point.model.with_theta(theta), poses, pose_steps=0)
-            if trial.loss[used].sum() < point.loss[used].sum():
-                best = trial
-                break
-        if best is None:
-            break
-        gained = point.loss[used].sum() - best.loss[used].sum()
-        point = best
-        if gained < 0.05:
-            break
-    return point

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.drift import course, drifting, parts, with_drift
-from hilserver.diagnosis.regression.problem import fit
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
 

@@ -8,7 +8,7 @@ import pytest
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.selection import Selected, _plausible, select
 from hilserver.diagnosis.decide.settling import no_name
-from hilserver.diagnosis.regression.problem import fit
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
 
@@ -20,7 +20,7 @@ def selected(values, columns):
     problem = toy.problem(values, columns)
     library, base = toy.library(problem, prior=LURE)
     rng = np.random.default_rng(0)
-    return select({"drive": problem}, {"drive": library}, {"drive": base}, rng)["drive"]
+    return select(problem, library, base, rng)
 
 
 def two_and_a_lure():

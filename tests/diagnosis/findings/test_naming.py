@@ -9,7 +9,7 @@ from hilserver.diagnosis.decide.settling import with_fewer
 from hilserver.diagnosis.decide.structure import holds_out, imitated, joint_gain, remaining
 from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import Family
-from hilserver.diagnosis.regression.problem import fit
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import DETECTABLE_POWER_SD, GROUP_COSINE
@@ -24,9 +24,7 @@ def columns_of(rng, *names):
 
 def selected(problem, seed=0):
     library, base = toy.library(problem)
-    found = select({"drive": problem}, {"drive": library}, {"drive": base},
-                   np.random.default_rng(seed))  # fmt: skip
-    return library, found["drive"]
+    return library, select(problem, library, base, np.random.default_rng(seed))
 
 
 def test_what_is_there_is_selected_and_nothing_else():
@@ -66,7 +64,7 @@ def test_of_two_that_explain_alike_the_one_without_a_shape_is_taken():
     values = 10.0 * columns["simple"] + 0.3 * (columns["region"] - columns["simple"])
     problem = toy.problem(values + rng.normal(size=N), columns)
     library, base = toy.library(problem, hidden={"region": 1})
-    found = select({"drive": problem}, {"drive": library}, {"drive": base}, rng)["drive"]
+    found = select(problem, library, base, rng)
     assert found.point.model.causes[0] == "simple"
     assert cost(library.candidates[1], 1000.0) > cost(library.candidates[0], 1000.0) + 4.0
     settled, _ = settle(library, found.point)
@@ -257,8 +255,8 @@ def test_a_gross_misfit_is_never_left_without_a_word():
     quiet = toy.problem(values, {"a": columns["a"]})
     none = np.zeros((0, 3))
     assert remaining(quiet, quiet.point(Model(), none), rng, [family], 0.0) == []
-    # one block alone: no test that counts blocks can be sure of it
-    burst = np.where(np.arange(N) < 50, 40.0, 0.0) * columns["b"]
+    # four blocks alone: no test that counts blocks can be sure of it
+    burst = np.where(np.arange(N) < 200, 40.0, 0.0) * columns["b"]
     loud = toy.problem(values + burst, {"a": columns["a"]})
     loud.stage.follows_setpoints = False
     found = remaining(loud, loud.point(Model(), none), rng, [family], 0.0)

@@ -12,7 +12,7 @@ from hilserver_injector import make, nothing
 
 from hilserver.bench.diagnose_worker import measured
 from hilserver.diagnosis.decide.structure import families_of, remaining
-from hilserver.diagnosis.regression.problem import fit
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.report.course import courses

@@ -10,8 +10,8 @@ from hilserver.diagnosis.decide import identifiability, structure, trial
 from hilserver.diagnosis.findings import gain
 from hilserver.diagnosis.noise.readings import Reading
 from hilserver.diagnosis.noise.whitening import NoiseModel
-from hilserver.diagnosis.regression import problem as regression
-from hilserver.diagnosis.regression import screen
+from hilserver.diagnosis.regression import fitting, screen
+from hilserver.diagnosis.regression.problem import Problem
 from hilserver.plant import packing
 from tests.diagnosis import toy
 from tests.diagnosis.assertions import (
@@ -73,10 +73,10 @@ def a_fit_follows_the_curve():
     rng = np.random.default_rng(7)
     columns = {name: 30.0 * toy.smooth(rng, 2400) for name in "ab"}
     truth = Turned(np.zeros(2400), columns).predict({"angle": 1.35})
-    made = regression.Problem(Turned(truth + rng.normal(size=2400), columns))
+    made = Problem(Turned(truth + rng.normal(size=2400), columns))
     made.noise = toy.problem(truth, columns).noise
     model = toy.model("angle")
-    found = regression.fit(made, model, made.point(model, np.zeros((0, 3))))
+    found = fitting.fit(made, model, made.point(model, np.zeros((0, 3))))
     assert found.model.theta() == pytest.approx([1.35], abs=0.01), "stopped short of the bottom"
 
 
@@ -108,7 +108,7 @@ def a_fit_follows_the_curve():
             id="removals without held-out blocks",
         ),
         pytest.param(
-            regression.fit,
+            fitting.fit,
             "problem.columns(point, point.model)",
             "problem.columns(start, model)",
             a_fit_follows_the_curve,

@@ -1,0 +1,99 @@
+"""The fit of a model's parameters: damped Gauss-Newton steps that re-linearise where they must."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.regression.linear import ridge
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Model
+
+Array = NDArray[np.float64]
+
+DAMPED: Final = 1e-6
+"""Damping of the steps of a fit, see `linear`."""
+ENOUGH: Final = 0.01
+"""Deviance; a step from which less is expected is not taken."""
+AS_EXPECTED: Final = 0.1
+"""Share by which a step's gain may miss the linear one, for the same sensitivities to serve on."""
+
+
+def fit(
+    problem: Problem,
+    model: Model,
+    start: Point,
+    *,
+    rows: NDArray[np.bool_] | None = None,
+    iterations: int = 6,
+) -> Point:
+    """Fit the parameters of a model.
+
+    Parameters
+    ----------
+    start : Point
+        Gives the initial poses, and the first sensitivities of causes that have their values there.
+    rows : ndarray of bool, shape (blocks,), optional
+        Blocks that count; all.
+    """
+    point = problem.point(model, start.poses, pose_steps=0)
+    if not model.fitted:
+        return point
+    used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
+    raw, fresh = problem.whiten(_columns_near(problem, point, start)), False
+    for _ in range(iterations):
+        best, expected = _step(problem, point, raw, used)
+        if expected < ENOUGH or (best is None and fresh):
+            break
+        gained = 0.0 if best is None else float((point.loss - best.loss)[used].sum())
+        point = best or point
+        fresh = abs(gained - expected) > AS_EXPECTED * expected
+        if fresh:
+            raw = problem.whiten(problem.columns(point, point.model))
+    return point
+
+
+def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
+    """Return raw sensitivities: of causes that are alike at the start those that it has."""
+    model, theirs = point.model, start.model
+    found = np.empty((len(problem.stack), len(model.theta())))
+    new: list[int] = []
+    for f, mine in zip(model.fitted, model.slices, strict=True):
+        if f in theirs.fitted:
+            at = theirs.slices[theirs.fitted.index(f)]
+            found[:, mine] = problem.own_columns(start)[:, at]
+        else:
+            new += range(mine.start, mine.stop)
+    if new:
+        found[:, new] = problem.columns(point, model, new)
+    return found
+
+
+def _step(
+    problem: Problem, point: Point, raw: Array, used: NDArray[np.bool_]
+) -> tuple[Point | None, float]:
+    """Return the point after a step that gains, if any, and the gain that was expected of it.
+
+    Parameters
+    ----------
+    raw : ndarray, shape (n, k)
+        Whitened sensitivities.
+    """
+    low, high = point.model.borders()
+    nuisance = problem.nuisance(point.predicted, point.poses)
+    keep = used[problem.stack.block]
+    white, left = problem.project(raw, problem.bases(nuisance))[keep], point.left[keep]
+    step, expected = ridge(white, left, DAMPED), 0.0
+    for share in (1.0, 0.5, 0.2):
+        theta = np.clip(point.model.theta() + share * step, low, high)
+        away, poses = theta - point.model.theta(), point.poses
+        explained = white @ away
+        expected = float(explained @ (2.0 * left - explained))
+        if expected < ENOUGH:
+            break
+        if nuisance is not None:
+            poses = poses + problem.pose_step(point.white - raw @ away, nuisance)
+        trial = problem.point(point.model.with_theta(theta), poses, pose_steps=0)
+        if trial.loss[used].sum() < point.loss[used].sum():
+            return trial, expected
+    return None, expected
