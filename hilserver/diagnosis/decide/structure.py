@@ -22,7 +22,6 @@ from hilserver.diagnosis.thresholds import (
     FEWEST_BLOCKS,
     GROSS,
     INEXACT,
-    LEAST_GAIN,
     LEAST_USEFUL,
     REST_LEAST_GAIN,
     REST_LEVEL,
@@ -175,10 +174,7 @@ def joint_gain(white: Array, left: Array) -> float:
 
 
 def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_LEAST_GAIN) -> bool:
-    """Return whether a family explains blocks that its coefficients were not fitted to.
-
-    No block counts for more than `LEAST_GAIN`: what is missed in a few alone is an event.
-    """
+    """Return whether a family explains blocks that its coefficients were not fitted to."""
     stack = problem.stack
     unit, _ = scaled(white)
     gained = []
@@ -191,8 +187,7 @@ def holds_out(problem: Problem, white: Array, left: Array, least: float = REST_L
         gram = a.T @ a + 0.02 * np.eye(unit.shape[1])
         rest = left - unit @ np.linalg.solve(gram, a.T @ b)
         part = stack.fold == test
-        gain = np.minimum(stack.block_sums(left**2 - rest**2)[part], LEAST_GAIN)
-        gained.append(float(gain.sum()))
+        gained.append(float(stack.block_sums(left**2 - rest**2)[part].sum()))
     return sum(gained) > least and min(gained) > 0.0
 
 

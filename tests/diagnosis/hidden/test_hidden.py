@@ -29,7 +29,7 @@ NULL = [("nothing drive", 101, 120.0), ("nothing drive", 102, 120.0),
 NAMED = [
     ("rotation_gain", 1, 120.0, "yaw_rad"),
     ("wheel_radius", 1, 150.0, "position_m"),
-    ("side_slip", 1, 240.0, None),
+    ("side_slip", 1, 300.0, None),
     ("nav_latency", 1, 120.0, None),
     ("gyro_bias", 1, 120.0, "gyro_z_rad_s"),
     ("saturation_limit", 1, 60.0, "speed_rpm"),
