@@ -23,6 +23,7 @@ from hilserver.diagnosis.thresholds import (
     READING_FEWEST_CALM,
     READING_LEAST_SHARE,
 )
+from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,11 @@ class Reading:
     step: float = 0.0
     origin: float = 0.0
     limit: float = math.inf
+
+    @classmethod
+    def of(cls, values: Array, limit: float = math.inf) -> "Reading":
+        """Return how a channel is rounded; its limit need be no multiple of its step."""
+        return cls(*step_of(values[np.abs(values) < limit]), limit)
 
     def mean(self, exact: Array, noise: NoiseModel | None) -> Array:
         """Return the mean reading of a quantity, less what rounding adds to it, shape (n,).

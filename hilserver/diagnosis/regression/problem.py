@@ -27,7 +27,6 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import NOISE_SHORT_S, READING_NEAR
-from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
@@ -90,7 +89,7 @@ class Problem:
         self._poses = FreePoses(self.stage.stack.segment, len(self.stage.segments))
         limits = self.stage.log.limits
         self.readings = {
-            name: Reading(*step_of(self.stack.values[edge]), limits.get(name, np.inf))
+            name: Reading.of(self.stack.values[edge], limits.get(name, np.inf))
             for name, edge in self.stack.edges.items()
         }
 

@@ -53,6 +53,12 @@ def test_far_from_a_limit_a_reading_is_the_quantity():
     assert np.array_equal(Reading().mean(exact, NoiseModel(0.15)), exact)
 
 
+@pytest.mark.parametrize("limit", [math.inf, 50.0, 50.17])
+def test_the_step_is_told_whether_or_not_the_limit_is_one_of_them(limit):
+    found = Reading.of(read(plateaus(), 0.1, 0.4, limit), limit)
+    assert (found.step, found.limit) == (pytest.approx(0.4), limit)
+
+
 @pytest.mark.parametrize("noise_sd", [0.03, 0.08, 0.15, 0.4])
 @pytest.mark.parametrize("step", [0.05, 0.3, 1.0])
 def test_the_noise_is_told_whatever_its_share_of_a_step(noise_sd, step):
