@@ -1,6 +1,6 @@
 """One set of logs: its faults, its stages, and what was decided of each of them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from hilserver.diagnosis.checks.frame import untold, without_kinematics
 from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.settling import Judged, settled
+from hilserver.diagnosis.decide.turned_wheels import disproved, with_wheels
 from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.findings.outcome import (
     coarse,
@@ -20,16 +21,15 @@ from hilserver.diagnosis.findings.outcome import (
     structure,
 )
 from hilserver.diagnosis.findings.sensors import noise_of
-from hilserver.diagnosis.regression.screen import critical, null_maxima
+from hilserver.diagnosis.regression.screen import Scores, critical, null_maxima
 from hilserver.diagnosis.regression.stages import (
     Prepared,
     machine,
     prepare,
     prepare_all,
-    stages_of,
 )
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
-from hilserver.diagnosis.thresholds import LEAST_GAIN, LOST_SHARE
+from hilserver.diagnosis.thresholds import LOST_SHARE
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -67,34 +67,25 @@ def examine(
     tell("selecting causes", 0.0)
     scores = {name: p.library.scores(p.base) for name, p in prepared.items()}
     judged: dict[str, Judged] = {}
-    for name, as_configured in prepared.items():
-        drive = judged.get("drive")
-        anew = None if drive is None else _with_wheels(as_configured, drive, log, jobs, tell)
-        beside = [] if anew else [s for n, s in scores.items() if n != name]
-        p = anew or as_configured
+
+    def judge(p: Prepared, beside: Sequence[Scores]) -> Judged:
         selected = select(p.problem, p.library, p.base, rng, jobs, beside)
         lap("selection")
-        judged[name] = settled(p, selected, rng)
+        found = settled(p, selected, rng)
         lap("settling")
+        return found
+
+    for name, as_configured in prepared.items():
+        anew = None
+        if (drive := judged.get("drive")) is not None:
+            barred = disproved(as_configured, drive, log, jobs, rng)
+            other = prepare(drive.prepared.problem.stage, jobs, tell, barred)[0] if barred else None
+            if other is not None:
+                drive = judged["drive"] = judge(other, [scores[name]])
+            anew = with_wheels(as_configured, drive, log, jobs, tell)
+        beside = [] if anew else [s for n, s in scores.items() if n != name]
+        judged[name] = judge(anew or as_configured, beside)
     return Examined(checked, log, robot, judged, reasons)
-
-
-def _with_wheels(
-    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, tell: Tell
-) -> Prepared | None:
-    """Return the pose, moved by the wheels as the drive's causes say that they turn.
-
-    Between their samples, and where they have none, they turn as the drive's model says. None where
-    what its causes change of that is too little for any sensor of the pose to show.
-    """
-    problem, poses, terms = p.problem, p.base.poses, drive.point.model.terms
-    if not terms:
-        return None
-    anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[problem.stage.name]
-    moved = problem.stage.difference(anew.predict({}, poses), problem.stage.predict({}, poses))
-    bases = problem.bases(problem.nuisance(p.base.predicted, poses))
-    shown = problem.project(problem.whiten(moved), bases)
-    return prepare(anew, jobs, tell)[0] if float(shown @ shown) > LEAST_GAIN else None
 
 
 def beside(j: Judged) -> list[Finding]:

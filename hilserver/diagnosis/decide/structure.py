@@ -23,6 +23,7 @@ from hilserver.diagnosis.thresholds import (
     GROSS,
     INEXACT,
     LEAST_USEFUL,
+    OUTLIER_SD,
     REST_LEAST_GAIN,
     REST_LEVEL,
     STRUCTURE_LEAST_BETTER,
@@ -76,8 +77,8 @@ def remaining(
     Notes
     -----
     A model without any cause that misses grossly is never left without a word: where no family is
-    significant, because what was missed is in few blocks, the one that explains most is given. In
-    fewer than `FEWEST_BLOCKS` it is an event, such as a single misplaced sample.
+    significant, because all that was missed is in few blocks, the one that explains most is given.
+    Single samples that are far off, as those of a slow sensor about a step, are no gross misfit.
     Not so where set-points are followed: one may have come and gone between two rows of the log.
     """
     stack = problem.stack
@@ -86,9 +87,9 @@ def remaining(
     blocks = Blocks.of(stack.block, stack.n_blocks)
     order = blocks.order
     scores, strong = [], []
-    missed = stack.block_sums(point.left**2) > GROSS * np.diff(blocks.starts)
-    gross = not point.model.fitted and point.deviance > GROSS * len(point.left)
-    gross = gross and missed.sum() >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
+    bounded = float(np.minimum(point.left**2, OUTLIER_SD**2).sum())
+    gross = not point.model.fitted and bounded > GROSS * len(point.left)
+    gross = gross and stack.n_blocks >= FEWEST_BLOCKS and not problem.stage.follows_setpoints
     most: Unknown | None = None
     for family in families:
         white = problem.project(problem.whiten(family.columns), bases)

@@ -118,12 +118,14 @@ def prepare_all(
     return prepared, reasons
 
 
-def prepare(stage: Stage, jobs: int, tell: Tell) -> tuple[Prepared | None, dict[str, str]]:
-    """Learn a stage's noise and compute all its columns."""
+def prepare(
+    stage: Stage, jobs: int, tell: Tell, barred: frozenset[str] = frozenset()
+) -> tuple[Prepared | None, dict[str, str]]:
+    """Learn a stage's noise and compute the columns of all causes that are not barred."""
     if len(stage.stack) == 0:
         return None, {}
     candidates, reasons = judged_candidates(stage)
-    candidates = [c for c in candidates if splits(stage.log, c)]
+    candidates = [c for c in candidates if splits(stage.log, c) and c.cause not in barred]
     problem = Problem(stage)
     poses = problem.start_poses({})
     problem.learn_noise(problem.residual(problem.predict({}, poses)))

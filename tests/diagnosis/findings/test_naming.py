@@ -255,8 +255,8 @@ def test_a_gross_misfit_is_never_left_without_a_word():
     quiet = toy.problem(values, {"a": columns["a"]})
     none = np.zeros((0, 3))
     assert remaining(quiet, quiet.point(Model(), none), rng, [family], 0.0) == []
-    # four blocks alone: no test that counts blocks can be sure of it
-    burst = np.where(np.arange(N) < 200, 40.0, 0.0) * columns["b"]
+    # one block alone: no test that counts blocks can be sure of it
+    burst = np.where(np.arange(N) < 50, 40.0, 0.0) * columns["b"]
     loud = toy.problem(values + burst, {"a": columns["a"]})
     loud.stage.follows_setpoints = False
     found = remaining(loud, loud.point(Model(), none), rng, [family], 0.0)

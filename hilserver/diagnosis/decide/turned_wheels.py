@@ -1,0 +1,67 @@
+"""How wheels turn: what the causes of the drive say of it, and what the pose makes of that."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.decide.identifiability import deviations
+from hilserver.diagnosis.decide.settling import Judged
+from hilserver.diagnosis.regression.screen import critical, null_maxima
+from hilserver.diagnosis.regression.stages import Prepared, Tell, prepare, stages_of
+from hilserver.diagnosis.replay.stage import Stage
+from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, RIVAL_CLEAR_Z
+from hilserver.measured.data import MeasuredLog
+
+Array = NDArray[np.float64]
+
+
+def with_wheels(
+    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, tell: Tell
+) -> Prepared | None:
+    """Return the pose, moved by the wheels as the drive's causes say that they turn.
+
+    Between their samples, and where they have none, they turn as the drive's model says. None where
+    what its causes change of that is too little for any sensor of the pose to show.
+    """
+    terms = drive.point.model.terms
+    if not terms:
+        return None
+    anew, shown = _moved(p, terms, log, jobs)
+    return prepare(anew, jobs, tell)[0] if float(shown @ shown) > LEAST_GAIN else None
+
+
+def disproved(
+    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, rng: np.random.Generator
+) -> frozenset[str]:
+    """Return causes of the drive that make wheels turn as the pose shows that they do not.
+
+    A wheel whose encoder shows too much and one whose motor pulls too well take the same duty.
+    Where the pose needs no cause with wheels that turn as measured, and misses the data with wheels
+    that turn as a cause says, that cause is the wrong one.
+    """
+    named: set[str] = set()
+    for f in drive.point.model.fitted:
+        _, shown = _moved(p, f.terms, log, jobs)
+        worse = p.problem.stack.block_sums(shown * (shown - 2.0 * p.base.left))
+        if worse.sum() > LEAST_GAIN and deviations(worse) > RIVAL_CLEAR_Z:
+            named.add(f.candidate.cause)
+    return frozenset(named) if named and _sound(p, rng) else frozenset()
+
+
+def _moved(
+    p: Prepared, terms: Mapping[str, float], log: MeasuredLog, jobs: int
+) -> tuple[Stage, Array]:
+    """Return the pose whose wheels turn by terms of the drive, and its whitened difference."""
+    problem, poses = p.problem, p.base.poses
+    anew = stages_of(log, problem.stage.robot, jobs, drive_terms=terms)[problem.stage.name]
+    moved = problem.stage.difference(anew.predict({}, poses), problem.stage.predict({}, poses))
+    bases = problem.bases(problem.nuisance(p.base.predicted, poses))
+    return anew, problem.project(problem.whiten(moved), bases)
+
+
+def _sound(p: Prepared, rng: np.random.Generator) -> bool:
+    scores = p.library.scores(p.base)
+    gross = p.base.deviance > GROSS * len(p.base.left)
+    largest = float(np.abs(scores.t).max(initial=0.0))
+    return not gross and largest < critical(null_maxima([scores], rng))
