@@ -21,6 +21,13 @@ def check_credentials(assembly: Assembly) -> None:
     for index, peer in enumerate(config.peers):
         with assembly.at("peers", index):
             LinkSecurity(peer, config.opcua, folder)
-    if config.page.enabled and config.page.tls is not None:
+    if config.page.enabled:
+        check_page(assembly)
+
+
+def check_page(assembly: Assembly) -> None:
+    """Refuse files that the page could not use, see `check_credentials`."""
+    tls = assembly.config.page.tls
+    if tls is not None:
         with assembly.at("page", "tls"):
-            tls_context(config.page.tls, folder)
+            tls_context(tls, assembly.folder)

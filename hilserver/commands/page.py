@@ -49,12 +49,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _by_hand(args: argparse.Namespace) -> Setup:
     # Beside a daemon none of this is needed.
-    from hilserver.commands.credentials import check_credentials  # noqa: PLC0415
+    from hilserver.commands.credentials import check_page  # noqa: PLC0415
     from hilserver.commands.page_setup import page_setup  # noqa: PLC0415
     from hilserver.commands.patching import assembled  # noqa: PLC0415
 
     assembly = assembled(args)
-    check_credentials(assembly)
+    check_page(assembly)
     return page_setup(assembly, assembly.config.image.name, assembly.config.opcua.endpoint)
 
 

@@ -86,11 +86,11 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_DONE
     play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
     assembly = _recorded(assembled(args), args.record)
-    check_credentials(assembly)
     logging = assembly.config.logging
     main = _demo if args.demo else _run
     with Footer(sys.stderr) if sys.stderr.isatty() else contextlib.nullcontext() as footer:
         limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s, footer)
+        check_credentials(assembly)
         announcer = Announcer(readable=is_readable(logging.format, sys.stderr), footer=footer)
         return event_loop.run(main(assembly, limiter, args.duration, play, announcer))
 

@@ -1,6 +1,8 @@
 """Certificates and keys that cannot be used: `check` and `run` name file, line and remedy."""
 
+import json
 import subprocess
+import sys
 
 import pytest
 
@@ -95,3 +97,35 @@ def test_check_looks_at_the_files_of_peers(tmp_path, capsys):
 """)
     assert main(["check", "-c", str(path)]) == EXIT_BAD_CONFIGURATION
     assert f"{path}:2: peers[0]: peer 'iot2050': password_file" in capsys.readouterr().err
+
+
+def test_a_page_by_hand_looks_at_its_own_files_alone(tmp_path, capsys):
+    path = tmp_path / "config.yaml"
+    path.write_text("""
+opcua: {endpoint: 'opc.tcp://127.0.0.1:0/x', policies: [Basic256Sha256]}
+page: {port: 0, tls: {certificate: page.pem, key: page.key}}
+""")
+    for command, key in (("check", "opcua"), ("page", "page.tls")):
+        assert main([command, "-c", str(path)]) == EXIT_BAD_CONFIGURATION
+        assert f": {key}: " in capsys.readouterr().err
+
+
+def test_what_run_says_of_certificates_has_the_form_of_the_log(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("""
+logging: {format: json}
+metrics: {enabled: false}
+page: {enabled: false}
+opcua: {endpoint: 'opc.tcp://127.0.0.1:0/x'}
+scheduler: {backend: virtual}
+peers:
+  - name: iot2050
+    endpoint: 'opc.tcp://127.0.0.1:4841'
+    read: {'ns=1;s=left': wheel.fl.setpoint_rpm}
+    security: {policy: Basic256Sha256}
+""")
+    assert main(["certs", "make", "--days", "2", "-c", str(path)]) == 0
+    command = [sys.executable, "-m", "hilserver", "run", "-c", str(path), "--duration", "0.1"]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stderr
+    lines = [json.loads(line) for line in said.splitlines()]
+    assert "certificate ends" in [line["event"] for line in lines]
