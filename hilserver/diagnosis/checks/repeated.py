@@ -72,7 +72,7 @@ def _repetitions(channel: Channel) -> NDArray[np.bool_] | None:
     """Return which samples repeat the one before in bursts; None if the channel is sound.
 
     Judged only where equal values are no accident: in a channel with noise of its own, which a
-    computed one (the duty) and a coarse one have not.
+    computed one (the duty) and a coarse one have not. Rounded noise repeats itself now and then.
     """
     if len(channel) < 200:
         return None
@@ -90,7 +90,9 @@ def _repetitions(channel: Channel) -> NDArray[np.bool_] | None:
     burst &= size[runs.first] < size.max()  # a limited sensor stands there, too
     sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())
-    if sudden.sum() < max(FEWEST_BURSTS, 0.7 * burst.sum()) or samples > 0.5 * len(channel):
+    by_chance = len(runs.length) * float(np.mean(runs.length > 1)) ** (SHORTEST_BURST - 1)
+    fewest = max(FEWEST_BURSTS * (1.0 + by_chance), 0.7 * burst.sum())
+    if sudden.sum() < fewest or samples > 0.5 * len(channel):
         return None
     again = np.repeat(burst, runs.length)
     again[runs.first] = False

@@ -296,6 +296,13 @@ def test_repeated_samples_are_dropouts_and_left_out(table):
     assert np.mean(kept == ~lost) > 0.999  # of two bursts in one the second may be short
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_rounded_noise_that_repeats_itself_now_and_then_is_no_dropout(seed):
+    t, columns = drive(seed, length_s=600.0)
+    columns["imu.gyro_z_rad_s"] = 0.0011 * np.round(columns["imu.gyro_z_rad_s"] / 0.0011)
+    assert not check(log_of(t, columns), ROBOT).findings
+
+
 def test_rows_missing_in_bursts_are_dropouts(table):
     t, columns = table
     keep = np.ones(len(t), dtype=bool)
