@@ -80,10 +80,13 @@ def page_url(daemon):
 
 
 def page_process(daemon):
-    """The process of the page that belongs to a daemon."""
+    """The page of a daemon, which starts a new one some time after the old one died."""
     words = ["pgrep", "-P", str(daemon.process.pid), "-f", "hilserver page"]
-    found = subprocess.run(words, capture_output=True, text=True, check=True)
-    return int(found.stdout.split()[0])
+    end_s = time.monotonic() + 60
+    while not (found := subprocess.run(words, capture_output=True, text=True, check=False).stdout):
+        assert time.monotonic() < end_s, "the daemon has no page"
+        time.sleep(0.1)
+    return int(found.split()[0])
 
 
 def diagnoses(daemon):
