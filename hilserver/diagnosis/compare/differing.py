@@ -67,7 +67,8 @@ def _imitators(
     out = []
     for rival in rivals(library, point, index):
         c = rival.candidate
-        if not rival.ties or c.n > 1 or c.cause in told:
+        alike = rival.close and rival.cosine > GROUP_COSINE  # what is left is the difference itself
+        if not alike or c.n > 1 or c.cause in told:
             continue
         share = (rival.fitted.theta[0] - c.null[0]) / away
         values = (best.values[0] * share, best.values[1] * share)

@@ -15,6 +15,7 @@ from hilserver.diagnosis.regression.linear import basis, cosine, orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
+    GROSS,
     GROUP_COSINE,
     LEAST_GAIN,
     RIVAL_CLEAR_Z,
@@ -62,8 +63,13 @@ class Rival:
 
     @property
     def ties(self) -> bool:
-        """Whether the data cannot tell it from the accepted cause."""
-        return self.close and self.cosine > GROUP_COSINE
+        """Whether the data cannot tell it from the accepted cause.
+
+        What is less alike can be told apart where only noise is left. Where far more is left,
+        something unknown moves the robot as well, and may be what makes one of the two fit.
+        """
+        gross = self.point.deviance > GROSS * len(self.point.left)
+        return self.close and self.cosine > (RIVAL_COSINE if gross else GROUP_COSINE)
 
     @property
     def wins(self) -> bool:
