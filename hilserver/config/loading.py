@@ -220,8 +220,10 @@ def _sentence(model: type[BaseModel], error: Any) -> str:
     location, kind = error["loc"], error["type"]
     key = _key(location)
     if kind == "extra_forbidden":
-        known = _keys_at(model, location[:-1])
-        hint = meant(str(location[-1]), known, f"known are {', '.join(sorted(known))}")
+        known, name = _keys_at(model, location[:-1]), str(location[-1])
+        places = [f"'{place}'" for place in _places_of(model, name)]
+        belongs = f"did you mean {' or '.join(places)}?" if len(places) in (1, 2) else ""
+        hint = meant(name, known, belongs or f"known are {', '.join(sorted(known))}")
         return f"unknown key '{key}'; {hint}"
     if kind == "missing":
         return f"key '{key}' is missing"
@@ -256,6 +258,15 @@ def _keys_at(model: type[BaseModel], location: Path_) -> list[str]:
             return []
         current = _model_in(fields[part].annotation)
     return list(getattr(current, "model_fields", {}))
+
+
+def _places_of(model: Any, name: str) -> Iterator[str]:
+    """Give every place below a model where a key is known."""
+    for part, field in getattr(model, "model_fields", {}).items():
+        if part == name:
+            yield part
+        for place in _places_of(_model_in(field.annotation), name):
+            yield f"{part}.{place}"
 
 
 def _model_in(annotation: Any) -> Any:

@@ -34,6 +34,10 @@ def complaint(tmp_path, text):
             "peers:\n  - name: a\n    publishing_s: 0.05\n",
             "config.yaml:3: unknown key 'peers[0].publishing_s'; did you mean 'publishing_ms'?",
         ),
+        (
+            "publishing_ms: 5\n",
+            "config.yaml:1: unknown key 'publishing_ms'; did you mean 'peers.publishing_ms'?",
+        ),
         ("\n\nbackendd: x\n", "config.yaml:3: unknown key 'backendd'; did you mean 'backend'?"),
         ("peers:\n  - publishing_ms: 5\n", "config.yaml:2: key 'peers[0].name' is missing"),
         (

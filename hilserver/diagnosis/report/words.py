@@ -29,6 +29,8 @@ BADGES = {
 }
 LARGE = 1.5
 """Residual, by what the noise alone would give, from which a replay is clearly wrong."""
+MOST_TIMES = 1000
+"""By which an error shrinks or grows; more is an error of next to nothing, before or after."""
 COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -84,19 +86,28 @@ class Change:
     @classmethod
     def of(cls, gain: Gain | HorizonRow) -> "Change":
         """Return the change of an error, from before to after."""
-        if not 0.0 < gain.ratio < 1.0:
-            return cls(gain.ratio, True, gain.ci95)
-        ends = None if gain.ci95 is None else (1.0 / gain.ci95[1], 1.0 / gain.ci95[0])
-        return cls(1.0 / gain.ratio, False, ends)
+        is_better, ends = not 0.0 < gain.ratio < 1.0, gain.ci95
+        factor = gain.ratio if is_better else 1.0 / gain.ratio
+        if factor > MOST_TIMES:
+            ends = None
+        elif not is_better and ends is not None:
+            ends = 1.0 / ends[1], 1.0 / ends[0]
+        return cls(factor, is_better, ends)
 
     @property
     def is_none(self) -> bool:
         """Whether the error is, in two digits, what it was."""
         return number(self.factor, digits=2) == "1"
 
+    @property
+    def times(self) -> str:
+        """How many times, in digits."""
+        far = self.factor > MOST_TIMES
+        return f"more than {MOST_TIMES}" if far else number(self.factor, digits=2)
+
     def __str__(self) -> str:
         """``3.2 times smaller``, ``1.1 times larger`` or ``unchanged``, with the interval."""
-        text = f"{number(self.factor, digits=2)} times {'smaller' if self.is_better else 'larger'}"
+        text = f"{self.times} times {'smaller' if self.is_better else 'larger'}"
         text = "unchanged" if self.is_none else text
         if self.ci95 is None:
             return text
