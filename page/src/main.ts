@@ -119,8 +119,10 @@ function showBoard(context: Context): void {
   setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
   const plant = board.slices?.["plant"];
   setText(margin, micros(plant?.["margin_last_us"] as number | null | undefined));
-  margin.title = `Least so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
-  margin.classList.toggle("warn", !!plant && grewLately("plant", overruns(plant)));
+  const late = !!plant && grewLately("plant", overruns(plant));
+  margin.classList.toggle("warn", late);
+  const least = micros(plant?.["margin_min_us"] as number | null | undefined);
+  margin.title = `Least so far: ${least}${late ? "; red: the plant was late a moment ago" : ""}`;
 }
 
 function showAge(): void {
