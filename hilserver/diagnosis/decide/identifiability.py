@@ -43,6 +43,8 @@ class Rival:
         Deviance that it leaves more, a penalty per parameter included; negative: it is better.
     z : float
         Deviations of the difference over the blocks, see `deviations`.
+    gross : bool
+        The accepted cause leaves far more than noise.
     """
 
     candidate: Candidate
@@ -50,6 +52,7 @@ class Rival:
     cosine: float
     worse: float
     z: float
+    gross: bool
 
     @property
     def fitted(self) -> Fitted:
@@ -68,8 +71,7 @@ class Rival:
         What is less alike can be told apart where only noise is left. Where far more is left,
         something unknown moves the robot as well, and may be what makes one of the two fit.
         """
-        gross = self.point.deviance > GROSS * len(self.point.left)
-        return self.close and self.cosine > (RIVAL_COSINE if gross else GROUP_COSINE)
+        return self.close and self.cosine > (RIVAL_COSINE if self.gross else GROUP_COSINE)
 
     @property
     def wins(self) -> bool:
@@ -155,6 +157,7 @@ def _fitted(
     """Return the possible ones of some candidates, fitted in the place of an accepted cause."""
     accepted, found = point.model.fitted[index].candidate, []
     saved = explained(problem, point, index) if starts else 0.0
+    gross = point.deviance > GROSS * len(point.left)
     for c, theta in starts:
         trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
         if not possible(trial):
@@ -162,7 +165,7 @@ def _fitted(
         difference = trial.loss - point.loss
         penalty = cost(c, saved) - cost(accepted, saved)
         worse = float(difference.sum()) + penalty
-        found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty)))
+        found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty), gross))
     return found
 
 

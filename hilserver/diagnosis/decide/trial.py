@@ -98,14 +98,31 @@ def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
 def wald(problem: Problem, point: Point, index: int) -> float:
     """Return how far a fitted cause lies from its null, as a normal deviation.
 
-    The blocks that tell it from the causes beside it count, see `screen.normal`.
+    Asked is the share in which all that it changes is there. The slope at the fit would say less of
+    a cause that acts in jumps: a robot that nearly missed the edge of a floor turns there
+    altogether otherwise. The blocks that tell the cause from those beside it count, see
+    `screen.normal`.
     """
     columns = problem.accepted(point)
     assert columns is not None
-    cov, _ = covariance(problem, point, columns)
-    f, part = point.model.fitted[index], point.model.slices[index]
-    away = np.asarray(f.theta) - np.asarray(f.candidate.null)
-    t = np.sqrt(max(away @ np.linalg.pinv(cov[part, part]) @ away, 0.0))
-    others, own = apart(point, columns, index)
-    mine = orthogonal(own[:, None], others)
-    return float(normal(t, freedom_of(problem.stack.block_sums(mine**2)))[0])
+    others, own = apart(point, columns, index)[0], problem.effect(point, index)
+    told = problem.stack.block_sums(orthogonal(own, others) ** 2)
+    heard = not_alone(told)[problem.stack.block]
+    cov, _ = covariance(problem, point, np.column_stack([others, own]) * heard[:, None])
+    return float(normal(cov[-1, -1] ** -0.5, freedom_of(told[not_alone(told)]))[()])
+
+
+def not_alone(told: Array) -> NDArray[np.bool_]:
+    """Return which blocks count: one that says more than all others together is no evidence.
+
+    It would hide what the others say.
+
+    Parameters
+    ----------
+    told : ndarray, shape (blocks,)
+        Information of each block.
+    """
+    heard = np.ones(len(told), dtype=bool)
+    while 2.0 * told[heard].max() > told[heard].sum() and np.count_nonzero(told[heard]) > 1:
+        heard &= told < told[heard].max()
+    return heard

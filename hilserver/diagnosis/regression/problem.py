@@ -216,6 +216,12 @@ class Problem:
         bases = self.bases(self.nuisance(point.predicted, point.poses))
         return self.project(self.whiten(self.own_columns(point)), bases)
 
+    def effect(self, point: Point, index: int) -> Array:
+        """Return what a point's cause changes, whitened and projected, shape (n,)."""
+        without = self.predict(point.model.without(index).terms, point.poses)
+        white = self.whiten(self.stage.difference(point.predicted, without))
+        return self.project(white, self.bases(self.nuisance(point.predicted, point.poses)))
+
     def column(self, point: Point, candidate: Candidate) -> Array:
         """Return the raw effect of a candidate per unit, or at its start value; shape (n, k)."""
         if not candidate.linear:

@@ -12,21 +12,25 @@ SAMPLES = 100
 BLANK = np.zeros(SAMPLES)
 
 
-def rival(left_sd: float, cosine: float, z: float) -> Rival:
+def rival(cosine: float, z: float, *, gross: bool, left_sd: float = 1.0) -> Rival:
     left = np.full(SAMPLES, left_sd)
     point = Point(Model(), np.zeros((1, 3)), BLANK, left, left, left**2)
-    return Rival(toy.candidate("other"), point, cosine, 200.0, z)
+    return Rival(toy.candidate("other"), point, cosine, 200.0, z, gross)
 
 
 @pytest.mark.parametrize(
-    ("left_sd", "cosine", "z", "ties"),
+    ("gross", "cosine", "z", "ties"),
     [
-        (1.0, 0.7, 1.0, False),
-        (1.0, 0.96, 1.0, True),
-        (2.0, 0.7, 1.0, True),
-        (2.0, 0.5, 1.0, False),
-        (2.0, 0.7, 3.0, False),
+        (False, 0.7, 1.0, False),
+        (False, 0.96, 1.0, True),
+        (True, 0.7, 1.0, True),
+        (True, 0.5, 1.0, False),
+        (True, 0.7, 3.0, False),
     ],
 )
-def test_unlike_causes_are_told_apart_where_only_noise_is_left(left_sd, cosine, z, ties):
-    assert rival(left_sd, cosine, z).ties is ties
+def test_unlike_causes_are_told_apart_where_only_noise_is_left(gross, cosine, z, ties):
+    assert rival(cosine, z, gross=gross).ties is ties
+
+
+def test_what_the_rival_itself_leaves_does_not_count():
+    assert not rival(0.7, 1.0, gross=False, left_sd=9.0).ties

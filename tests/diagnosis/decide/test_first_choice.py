@@ -8,6 +8,7 @@ import pytest
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.selection import Selected, _plausible, select
 from hilserver.diagnosis.decide.settling import no_name
+from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
@@ -65,22 +66,39 @@ def test_a_cause_at_its_bound_explains_nothing(drawn, others_help):
     assert found.point.model.causes == (("a",) if others_help else ())
 
 
-@pytest.mark.parametrize(("own", "names"), [(0.0, ()), (0.9, ("part",))])
-def test_a_part_of_what_shows_in_too_few_blocks_is_no_name_for_it(own, names):
+@pytest.mark.parametrize(
+    ("elsewhere", "own", "names"),
+    [(0.05, 0.0, ()), (0.05, 0.9, ("part",)), (1.0, 0.0, ("whole",))],
+)
+def test_one_block_is_no_evidence_and_hides_none(elsewhere, own, names):
     """`whole` explains more than `part`, nearly all of it in one block; `aside` is part's alone."""
     rng = np.random.default_rng(3)
     shape, burst, aside = 3.0 * toy.smooth(rng, N), np.zeros(N), 3.0 * toy.smooth(rng, N)
     burst[110:140] = 40.0
-    columns = {"whole": shape * (1.0 + burst), "part": shape * (1.0 + 0.3 * burst) + 0.3 * aside}
+    part = shape * (elsewhere + 0.3 * burst) + 0.3 * aside
+    columns = {"whole": shape * (elsewhere + burst), "part": part}
     found = selected(columns["whole"] + own * aside + rng.normal(size=N), columns)
-    assert ("whole", "refused") in {(row.cause, row.action) for row in found.rows}
     assert found.point.model.causes == names
+
+
+@pytest.mark.parametrize(
+    ("told", "heard"),
+    [
+        ([9.0, 1.0, 2.0, 1.0], [0, 1, 1, 1]),
+        ([9.0, 4.0, 3.0, 3.0], [1, 1, 1, 1]),
+        ([99.0, 9.0, 1.0, 1.0, 1.0], [0, 0, 1, 1, 1]),
+        ([5.0, 0.0, 0.0], [1, 1, 1]),
+        ([0.0, 0.0], [1, 1]),
+    ],
+)
+def test_a_block_that_says_more_than_all_others_does_not_count(told, heard):
+    assert not_alone(np.array(told)).tolist() == [bool(h) for h in heard]
 
 
 def rival(problem, point, name, theta, prior):
     """A cause in the place of the only one of a model, which it cannot be told from."""
     other = Model().plus(toy.candidate(name, prior=prior), (theta,))
-    return Rival(other.fitted[0].candidate, replace(point, model=other), 1.0, 0.0, 0.0)
+    return Rival(other.fitted[0].candidate, replace(point, model=other), 1.0, 0.0, 0.0, gross=False)
 
 
 @pytest.mark.parametrize(

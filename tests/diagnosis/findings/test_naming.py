@@ -171,7 +171,7 @@ def test_a_weak_cause_is_not_lost_with_a_rival_that_is_weaker_still():
     library, base = toy.library(problem)
     point = fit(problem, toy.model("own"), base)
     weaker = fit(problem, toy.model("twin"), base)
-    rival = Rival(library.candidates[1], weaker, 0.99, 1.0, 0.1)
+    rival = Rival(library.candidates[1], weaker, 0.99, 1.0, 0.1, gross=False)
     assert prune(problem, point, 10.0).model.causes == ("own",)
     assert prune(problem, weaker, 10.0).model.causes == ()
     assert with_fewer(problem, point, {"own": [rival]}) is None
