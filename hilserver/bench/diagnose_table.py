@@ -75,6 +75,7 @@ def rows(records: Sequence[Record]) -> list[Row]:
         ),
         row("ordinary sensors: more than their faults", "sensors", _more_than_faults, most=0.0),
         row("right name, single cause", "single", _right, least=0.9),
+        row("missed: structure or nothing instead of a name", "single", _missed, most=0.05),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
         Row("mujoco.sysid: in its ci95", sum(v["in_ci95"] for v in rival), len(rival)),
@@ -102,6 +103,10 @@ def _more_than_faults(record: Record) -> bool:
 
 def _broken(record: Record) -> bool:
     return bool(record["outcome"] == "crashed")
+
+
+def _missed(record: Record) -> bool:
+    return record["outcome"] in {"missed", "unknown"}
 
 
 def _right(record: Record) -> bool:

@@ -245,3 +245,12 @@ def test_ordinary_sensors_have_their_faults_and_nothing_else():
         result = score(held, findings(said("data_fault", fault))).as_json()
         row = rows([{"group": "sensors", **result}])[1]
         assert (row.count, row.trials) == (more, 1)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "missed"), [("right", 0), ("vague", 0), ("missed", 1), ("unknown", 1)]
+)
+def test_a_hidden_cause_without_a_name_is_missed(outcome, missed):
+    record = {"group": "single", "outcome": outcome, "wrong": [], "values": {}, "found": []}
+    (row,) = [row for row in rows([record]) if row.name.startswith("missed")]
+    assert (row.count, row.trials) == (missed, 1)
