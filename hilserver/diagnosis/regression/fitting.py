@@ -42,7 +42,8 @@ def fit(
     if not model.fitted:
         return point
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
-    raw, fresh = problem.whiten(_columns_near(problem, point, start)), False
+    raw = problem.whiten(_columns_near(problem, point, start))
+    fresh = np.array_equal(point.predicted, start.predicted)
     for _ in range(iterations):
         best, expected = _step(problem, point, raw, used)
         if expected < ENOUGH or (best is None and fresh):
@@ -84,15 +85,17 @@ def _step(
     raw : ndarray, shape (n, k)
         Whitened sensitivities.
     """
-    steering, expected = used, 0.0
+    steering = used
     nuisance = problem.nuisance(point.predicted, point.poses)
     white = problem.project(raw, problem.bases(nuisance))
     for _ in range(ATTEMPTS):
         found, expected, astray = _attempted(problem, point, raw, white, nuisance, used, steering)
+        astray &= steering
         steering = steering & ~astray
-        if found is not None or expected < ENOUGH or 2 * steering.sum() < used.sum():
-            return found, expected
-    return None, expected
+        few = 2 * steering.sum() < used.sum()
+        if found is not None or expected < ENOUGH or few or not astray.any():
+            break
+    return found, expected
 
 
 def _attempted(
