@@ -29,7 +29,7 @@ from hilserver.diagnosis.regression.stages import (
     prepare_all,
 )
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
-from hilserver.diagnosis.thresholds import LOST_SHARE
+from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -98,7 +98,7 @@ def beside(j: Judged) -> list[Finding]:
     if j.anchor is not None:
         found.append(misplaced_anchor(*j.anchor))
     steps = lost_steps(problem, j.point)
-    if steps is not None and steps.share > LOST_SHARE and steps.events >= 3:
+    if steps is not None and steps.share > NEGLIGIBLE and steps.events >= FEWEST_EVENTS:
         found.append(lost(steps))
     elif j.unknown:
         found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))

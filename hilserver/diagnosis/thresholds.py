@@ -9,85 +9,76 @@ is read are in `hilserver.measured.thresholds`.
 
 from typing import Final
 
-# Asked by several checks
+# Asked in several rooms: counts
 FEWEST_CHANGES: Final = 20  # of a channel; fewer tell no rate and no copy
-FEWEST_PIECES: Final = 15  # straight pieces or seconds of a log; fewer are chance
+FEWEST_PIECES: Final = 15  # straight pieces, readings at a limit, seconds; fewer are chance
 FEWEST_SAMPLES: Final = 100  # that a statement about single values rests on
 FEWEST_BLOCKS: Final = 4  # blocks or free runs; of fewer no spread is known
-IRREGULAR: Final = 0.05  # share of rows or durations that break the rule in sound logs, too
+FEWEST_EVENTS: Final = 3  # gaps, bursts, late steps; fewer are chance
+
+# Asked in several rooms: shares
+NEGLIGIBLE: Final = 0.01  # of a value or a whole: what is off by less is as it should be
+SAME: Final = 0.02  # by which slopes or steps that are the same may differ
+IRREGULAR: Final = 0.05  # of rows or durations that break the rule in sound logs, too
+LEFT_SHARE: Final = 0.1  # of a deviance; a cause that leaves more has not explained it
+STANDS: Final = 0.15  # of a way or turn that the wheels make: the robot has not moved
+HALF: Final = 0.5  # more often than not
+NEARLY_ALL: Final = 0.9  # of the changes that keep a rule; of a limit: readings below are free
+INEXACT: Final = 0.005  # of what causes explain, or of a value, that their own form may cost
+
+# Asked in several rooms: sizes
+FAR_SD: Final = 5.0  # deviations beyond which a value is no plain noise, or not possible
+OUTLIER_SD: Final = 6.0  # deviations beyond which a position takes no part, or a clock is off
 COMMAND_SLOWEST_S: Final = 0.5  # s: no set-point shows later, or lasts longer between messages
+SLOWEST_TURN_RAD_S: Final = 0.03  # rad/s: slower is the noise of wheel speeds
 TURNS_RAD_S: Final = 0.1  # rad/s from which a robot turns, and is not blocked
+LARGE_STEP_RPM: Final = 5.0  # rpm by which a wheel clearly changes its speed
 UNITY: Final = 4.0  # a real effect changes a channel, or the top speed, by less than this factor
 
 # Data checks: clocks
 CLOCK_LEAST_S: Final = 0.06  # s: a smaller offset is a latency; slower wheel samples hide one
-CLOCK_SIGMAS: Final = 6.0  # deviations of its estimate that an offset or drift must exceed
 CLOCK_FEWEST_CHUNKS: Final = 6  # of fewer stretches none is reported
 
 # Data checks: rounded speeds inside the robot (comb of their spectrum)
 COMB_FEWEST: Final = 500  # samples; fewer have no spectrum
 COMB_CLEAR: Final = 0.05  # least coefficient of a rounded quantity
 COMB_TIMES: Final = 5.0  # by which it exceeds the coefficient of a smooth quantity
-COARSE_SHOWN: Final = 0.5  # share of what a coarse loop does that must show: in motion, in duties
 
 # Data checks: values copied, held, interpolated, repeated, missing, limited
 COPIED_LEAST_CHANGE_RPM: Final = 0.02  # rpm: smaller changes of a set-point tell nothing
-COPIED_EXACT: Final = 0.01  # share of a change by which a copy may miss it
-COPIED_ALIKE: Final = 0.98  # share of the samples at changes that have to agree
 HELD_SLOWEST_HZ: Final = 1.5  # Hz: slower is no held sample but a stuck one
 HELD_QUANTA: Final = 4.0  # steps of the resolution by which a change is real
 HELD_SHARE: Final = 0.8  # of the stretches that last two rows and longer
 HELD_SPREAD: Final = 3.0  # longest usual stretch by the shortest: a sampling is even
-HELD_TOGETHER: Final = 0.5  # share of changes at which another channel of the same source changes
-RAMP_ON_THE_CLOCK: Final = 0.9  # share of the bends that lie on one clock
-RAMP_SAME_SLOPE: Final = 0.02  # share by which the slope of a straight piece may change
 SHORTEST_BURST: Final = 4  # rows of one value where the others moved
-FEWEST_BURSTS: Final = 3  # fewer are chance
 MISSING_IN_BURSTS: Final = 0.02  # share of rows in gaps of four and more
 MISSING_SLOWEST_S: Final = 0.22  # s: slower channels keep no clock that a sample could miss
-SPARSE_FEWEST_ROWS: Final = 3  # between faster set-points the stamps of rows are too coarse
 SPARSE_BETTER: Final = 0.7  # misfit of straight lines by that of stairs: interpolated
 SPARSE_USUAL_SHARE: Final = 0.2  # of the set-points that last as long as the usual one
-LIMITED_FEWEST: Final = 10  # readings at the limit; fewer bend nothing
-LIMITED_INSIDE: Final = 0.9  # share of the limit up to which readings follow the turn
 LIMITED_BEYOND: Final = 0.05  # share of the limit by which the turn exceeds it on average
-STUCK_MOVED_RPM: Final = 5.0  # rpm by which a wheel moved meanwhile
 
 # Data checks: sign, unit, frame, rest
 SIGN_SURE: Final = 0.7  # least correlation at which a sign is believed
 SIGN_AHEAD: Final = 0.1  # largest share of a way to the side on which the course is the heading
-SIGN_SLOWEST_RAD_S: Final = 0.03  # rad/s: slower turns show no direction
 LARGEST_SKEW_RAD: Final = 0.3  # rad between heading and course that is no other frame
 UNIT_ALIKE: Final = 0.8  # least correlation at which a factor is believed
 UNIT_CLOSE: Final = 1.6  # factor by which a ratio may miss that of two units
-FRAME_STANDS: Final = 0.05  # share of a turn that is none at all: the robot is on a frame
-FRAME_MOVED_RAD_S: Final = 0.02  # rad/s: more than the noise of wheel speeds
 BLOCKED_LEAST_WAY_M: Final = 0.3  # m that wheels must ask for in 2 s; more than a tag's noise
-BLOCKED_STANDS: Final = 0.15  # share of that way that is no way at all
 BLOCKED_FEWEST: Final = 2  # windows in a row
-BLOCKED_MOST: Final = 0.5  # share of the driven windows; more is a frame, not a spell
 STILL_RPM: Final = 1.0  # rpm: a wheel below is at rest but for its noise
 ALTERNATING: Final = 0.35  # share of steps against the one before, in a channel with noise
-TOO_FAST_ROUNDED: Final = 1.01  # times max_rpm that a rounded set-point may show
 
 # Noise of a channel
-NOISE_TAU_MAX_S: Final = 5.0  # s: what is correlated for longer is a misfit
+# s: what is correlated for longer is a misfit; segments all shorter show no correlation
+NOISE_TAU_MAX_S: Final = 5.0
 NOISE_WINDOW_S: Final = 12.0  # s: longest stretch that shares a level and a slope
-NOISE_FAR_SD: Final = 5.0  # deviations beyond which a sample is no plain noise
 NOISE_GATED_MAX: Final = 0.2  # share; more is no tail: the gate would leave out a misfit
 NOISE_NATS: Final = 3.0  # likelihood that every further parameter of a noise must earn
 SHORT_DOF: Final = 4.0  # degrees of freedom of the noise of short segments
-NOISE_SHORT_S: Final = 6.0  # s: where all segments are shorter the noise counts as white
-OUTLIER_SD: Final = 6.0  # deviations: positions beyond take no part in fits, ...
-OUTLIERS_IN_A_ROW: Final = 4  # ... if no more follow each other: a longer stretch is an effect
+OUTLIERS_IN_A_ROW: Final = 4  # positions; a longer stretch of outliers is an effect
 NOISE_WHITE: Final = 0.05  # largest first autocorrelations of what is taken for white at once
 NOISE_FEW_FAR: Final = 0.002  # share of samples beyond with which a channel is no plain noise
 READING_CALM: Final = 0.1  # share of a step that the quantity may move between two samples
-READING_FEWEST_CALM: Final = 50  # pairs of such samples that tell the noise
-READING_NEAR: Final = 0.99  # share of a limit beyond which readings show less than the noise
-READING_LEAST_SHARE: Final = 0.01  # of the variance that lasts; less is white
-# share by which a step may differ from that of the values' spectrum
-READING_SAME_STEP: Final = 0.02
 
 # Screen of all causes
 SCREEN_LEVEL: Final = 0.002  # family-wise; with all other levels below 1 % (specification)
@@ -101,38 +92,27 @@ TIE: Final = 4.0  # deviance, per parameter, within which two causes explain ali
 SELECTION_MOST_CAUSES: Final = 6  # rounds
 SELECTION_LEAST_SAVED: Final = 8.0  # deviance that a cause must save on held-out blocks
 SELECTION_PLAUSIBLE_SD: Final = 4.0  # prior deviations that no machine exceeds (specification)
-SHAPED: Final = 0.005  # share of its gain that a shape costs: it bends to what is left
 
 # Rivals and what falls away
 RIVAL_COSINE: Final = 0.6  # |cos| from which a cause is tried in another's place
 GROUP_COSINE: Final = 0.95  # |cos| from which two causes are a group (specification)
 RIVAL_CLEAR_Z: Final = 2.33  # deviations over the blocks by which one is clearly better (1 %)
-SETTLING_LEFT_SHARE: Final = 0.1  # of all deviance: what leaves more has not explained the drive
 SCRUBBING_MUCH: Final = -0.15  # rotation gain; less is dimensions rather than tyres
 SCRUBBING_LATE_S: Final = 0.03  # s: longest latency that tyres make
-LOST_LARGE_STEP_RPM: Final = 4.0  # rpm: steps of a set-point whose answer is looked for
 LOST_LATE_S: Final = 0.008  # s from which a step counts as late, if known to a quarter of it
-LOST_SHARE: Final = 0.01  # of the steps that must be late
 
 # What causes leave: unknown structure, anchors, changes along the log
 REST_LEVEL: Final = 0.001  # family-wise error of each test of what causes leave
 REST_LEAST_GAIN: Final = 40.0  # deviance that it must save, of structure on held-out blocks, too
 INSTEAD_LEAST_GAIN: Final = 20.0  # deviance that a change or an anchor in a cause's place must save
 LEAST_USEFUL: Final = 0.001  # of the samples' variance: less is of no use to anybody
-INEXACT: Final = 0.005  # share of what the causes explain that their own form may leave
-# deviance by which a column must beat a cause to put it in doubt
-STRUCTURE_LEAST_BETTER: Final = 50.0
-SUBSTITUTE: Final = 0.5  # |cos| of a column that could stand in a cause's place
 DOMINANCE: Final = 4.0  # times what structure explains, for a cause to stay beside it
 
 # Drift and comparison
-DRIFT_LEAST_BESIDE: Final = 0.1  # share of a cause's gain that must be left beside another's change
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
-BEYOND_SD: Final = 5.0  # deviations by which a linear estimate may lie beyond what is possible; ...
-COMPARE_INEXACT: Final = 0.2  # ... and share of the difference
+COMPARE_INEXACT: Final = 0.2  # share of a difference by which it may go beyond what is possible
 
 # Intervals and sizes
-MODEL_SHARE: Final = 0.005  # of a value that the plant's own steps of time may cost
 DETECTABLE_POWER_SD: Final = 0.95  # deviations above the critical value: about 83 % exceed it
 # deviations that held-out blocks ask besides (`bench diagnose --class size`)
 DETECTABLE_SELECTION_SD: Final = 1.25

@@ -12,8 +12,8 @@ from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     BLOCKED_FEWEST,
     BLOCKED_LEAST_WAY_M,
-    BLOCKED_MOST,
-    BLOCKED_STANDS,
+    HALF,
+    STANDS,
     TURNS_RAD_S,
 )
 from hilserver.measured.channels import GYRO, POSITION
@@ -42,7 +42,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     is_driven = way_m > BLOCKED_LEAST_WAY_M
     is_blocked = is_driven & _stands(log, windows, way_m)
     spells = _spells(is_blocked, windows)
-    if not spells or is_blocked.sum() > BLOCKED_MOST * is_driven.sum():
+    if not spells or is_blocked.sum() > HALF * is_driven.sum():
         return log, []
     times = "once" if len(spells) == 1 else f"{len(spells)} times"
     longest = max(spells, key=lambda spell: spell.end_s - spell.begin_s)
@@ -68,7 +68,7 @@ def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Arra
 def _stands(log: MeasuredLog, windows: Windows, way_m: Array) -> NDArray[np.bool_]:
     """Return in which windows position and heading stay where they are; False where unknown."""
     (x0, x1, _), (y0, y1, _) = (ends_in(log[name], windows) for name in POSITION)
-    is_there = np.hypot(x1 - x0, y1 - y0) < BLOCKED_STANDS * way_m
+    is_there = np.hypot(x1 - x0, y1 - y0) < STANDS * way_m
     return np.asarray(is_there & (np.abs(mean_in(log[GYRO], windows)) < TURNS_RAD_S))
 
 

@@ -13,11 +13,7 @@ import numpy as np
 from hilserver.diagnosis.checks.motion import RAD_S_PER_RPM
 from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import (
-    CLOCK_FEWEST_CHUNKS,
-    CLOCK_LEAST_S,
-    CLOCK_SIGMAS,
-)
+from hilserver.diagnosis.thresholds import CLOCK_FEWEST_CHUNKS, CLOCK_LEAST_S, OUTLIER_SD
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -55,18 +51,18 @@ class Lag:
     @property
     def is_early(self) -> bool:
         """Whether the source clearly tells before it happens."""
-        return self.offset_s < -max(CLOCK_LEAST_S, CLOCK_SIGMAS * self.offset_sd_s)
+        return self.offset_s < -max(CLOCK_LEAST_S, OUTLIER_SD * self.offset_sd_s)
 
     @property
     def is_off(self) -> bool:
         """Whether there clearly is a delay of either sign."""
-        return abs(self.offset_s) > max(CLOCK_LEAST_S, CLOCK_SIGMAS * self.offset_sd_s)
+        return abs(self.offset_s) > max(CLOCK_LEAST_S, OUTLIER_SD * self.offset_sd_s)
 
     @property
     def drifts(self) -> bool:
         """Whether the delay clearly grows."""
         return (
-            abs(self.drift) > CLOCK_SIGMAS * self.drift_sd
+            abs(self.drift) > OUTLIER_SD * self.drift_sd
             and abs(self.drift) * self.length_s > CLOCK_LEAST_S
         )
 

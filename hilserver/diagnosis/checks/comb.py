@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.thresholds import (
-    COARSE_SHOWN,
     COMB_CLEAR,
     COMB_FEWEST,
     COMB_TIMES,
     FEWEST_SAMPLES,
+    HALF,
 )
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | N
         clear = rounded > max(COMB_CLEAR, COMB_TIMES * follows) and (
             best is None or rounded > best[0]
         )
-        if clear and on_the_way(channels, step) > COARSE_SHOWN * rounded:
+        if clear and on_the_way(channels, step) > HALF * rounded:
             best = (rounded, step)
     return None if best is None else best[1]
 

@@ -6,10 +6,10 @@ from hilserver.diagnosis.checks.support import along, data_fault, listed, row_pe
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     COMMAND_SLOWEST_S,
-    COPIED_ALIKE,
-    COPIED_EXACT,
     COPIED_LEAST_CHANGE_RPM,
     FEWEST_CHANGES,
+    NEARLY_ALL,
+    NEGLIGIBLE,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
@@ -77,12 +77,11 @@ def _is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: f
     step = np.abs(sent - sent_last)
     error = np.maximum(np.abs(now - sent), np.abs(last - sent_last))
     wide = step > wide_rpm
-    exact = error <= COPIED_EXACT * np.minimum(step, 1.0)
+    exact = error <= NEGLIGIBLE * np.minimum(step, 1.0)
     return bool(
-        (len(step) >= FEWEST_CHANGES and exact.mean() >= COPIED_ALIKE)
+        (len(step) >= FEWEST_CHANGES and exact.mean() >= NEARLY_ALL)
         or (
-            wide.sum() >= FEWEST_CHANGES
-            and np.mean(error[wide] <= 0.05 * step[wide]) >= COPIED_ALIKE
+            wide.sum() >= FEWEST_CHANGES and np.mean(error[wide] <= 0.05 * step[wide]) >= NEARLY_ALL
         )
     )
 

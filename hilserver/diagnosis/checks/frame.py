@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import along
-from hilserver.diagnosis.thresholds import FRAME_MOVED_RAD_S, FRAME_STANDS, TURNS_RAD_S
+from hilserver.diagnosis.thresholds import SLOWEST_TURN_RAD_S, STANDS, TURNS_RAD_S
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
@@ -27,8 +27,8 @@ def untold(log: MeasuredLog, robot: RobotParameters) -> str | None:
         return None
     if _turning(turn, TURNS_RAD_S):
         share = float(turn @ log[GYRO].values) / float(turn @ turn)
-        return "did not turn although its wheels did" if abs(share) < FRAME_STANDS else None
-    if log.has(*POSITION) or _turning(turn, FRAME_MOVED_RAD_S):
+        return "did not turn although its wheels did" if abs(share) < STANDS else None
+    if log.has(*POSITION) or _turning(turn, SLOWEST_TURN_RAD_S):
         return None
     return "hardly turned, and no position was measured"
 

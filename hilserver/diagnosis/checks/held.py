@@ -21,11 +21,11 @@ from hilserver.diagnosis.checks.support import (
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     FEWEST_CHANGES,
+    HALF,
     HELD_QUANTA,
     HELD_SHARE,
     HELD_SLOWEST_HZ,
     HELD_SPREAD,
-    HELD_TOGETHER,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
@@ -69,7 +69,7 @@ def _begins(
     for other in group:
         there = np.searchsorted(at, along(log[other])[first[other]])
         there = there[there < len(at)]
-        if np.mean(np.isin(first[name], there)) > HELD_TOGETHER:
+        if np.mean(np.isin(first[name], there)) > HALF:
             begins[there] = True
     return begins
 

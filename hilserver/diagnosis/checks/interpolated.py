@@ -12,8 +12,8 @@ from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     COMMAND_SLOWEST_S,
     FEWEST_PIECES,
-    RAMP_ON_THE_CLOCK,
-    RAMP_SAME_SLOPE,
+    NEARLY_ALL,
+    SAME,
 )
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
@@ -58,8 +58,8 @@ def _pieces(channel: Channel) -> tuple[Ints, NDArray[np.float64]]:
     slope = np.where(inside, np.diff(channel.values) / np.where(inside, dt, 1.0), np.nan)
     size = np.maximum(np.abs(slope[1:]), np.abs(slope[:-1]))
     moving = np.abs(slope[np.nan_to_num(slope) != 0])
-    least = RAMP_SAME_SLOPE * float(np.median(moving)) if len(moving) else 0.0
-    bends = ~(np.abs(np.diff(slope)) <= RAMP_SAME_SLOPE * size + 0.1 * least)
+    least = SAME * float(np.median(moving)) if len(moving) else 0.0
+    bends = ~(np.abs(np.diff(slope)) <= SAME * size + 0.1 * least)
     first = np.concatenate(([0], np.flatnonzero(bends) + 1))
     return first, slope[first]
 
@@ -82,7 +82,7 @@ def _period_rows(channel: Channel) -> tuple[int, Ints] | None:
     if rows < 2 or rows * row_s > COMMAND_SLOWEST_S or counts.max() < FEWEST_PIECES:
         return None
     multiple = np.mean(length[sloped] % rows == 0)
-    if multiple < RAMP_ON_THE_CLOCK or counts.max() < 0.3 * sloped.sum():
+    if multiple < NEARLY_ALL or counts.max() < 0.3 * sloped.sum():
         return None
     return rows, first[sloped]
 

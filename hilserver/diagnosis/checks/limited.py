@@ -8,7 +8,7 @@ import numpy as np
 from hilserver.diagnosis.checks.frame import asked_turn
 from hilserver.diagnosis.checks.support import data_fault
 from hilserver.diagnosis.schema.findings import Finding, Parameter
-from hilserver.diagnosis.thresholds import LIMITED_BEYOND, LIMITED_FEWEST, LIMITED_INSIDE
+from hilserver.diagnosis.thresholds import FEWEST_PIECES, LIMITED_BEYOND, NEARLY_ALL
 from hilserver.measured.channels import DUTIES, GYRO
 from hilserver.measured.data import Array, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -52,13 +52,13 @@ def _ends_at(values: Array, most: float) -> bool:
 
 def _limit(values: Array, asked: Array | None) -> float | None:
     """Return the largest reading if the turn that was asked for goes on beyond it."""
-    if asked is None or len(values) < LIMITED_FEWEST:
+    if asked is None or len(values) < FEWEST_PIECES:
         return None
     limit = float(np.abs(values).max())
     at = np.abs(values) >= limit * AT
-    inside = np.abs(values) < LIMITED_INSIDE * limit
+    inside = np.abs(values) < NEARLY_ALL * limit
     power = float(asked[inside] @ asked[inside])
-    if at.sum() < LIMITED_FEWEST or power == 0.0:
+    if at.sum() < FEWEST_PIECES or power == 0.0:
         return None
     ratio = float(asked[inside] @ values[inside]) / power
     beyond = np.sign(values[at]) * ratio * asked[at] / limit - 1.0

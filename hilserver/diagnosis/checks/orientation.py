@@ -26,8 +26,8 @@ from hilserver.diagnosis.thresholds import (
     FEWEST_PIECES,
     LARGEST_SKEW_RAD,
     SIGN_AHEAD,
-    SIGN_SLOWEST_RAD_S,
     SIGN_SURE,
+    SLOWEST_TURN_RAD_S,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
@@ -165,7 +165,7 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     if mirrored < SIGN_SURE or mirrored < alike + 0.3:
         return log, []
     rate = rate_in(log["nav.yaw_rad"], windows_of(log))
-    others = [line(rate, other, SIGN_SLOWEST_RAD_S) for other in _other_rates(log, robot)]
+    others = [line(rate, other, SLOWEST_TURN_RAD_S) for other in _other_rates(log, robot)]
     votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SIGN_SURE]
     if sum(votes) > 0:
         text = "the tag's y axis points right: its course turns against its heading"
@@ -273,5 +273,5 @@ def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
 
 def _against(rate: Array | None, other: Array | None) -> bool:
     """Return whether two turn rates clearly have opposite signs."""
-    found: Line | None = line(rate, other, SIGN_SLOWEST_RAD_S)
+    found: Line | None = line(rate, other, SLOWEST_TURN_RAD_S)
     return found is not None and found.n >= FEWEST_PIECES and found.correlation < -SIGN_SURE

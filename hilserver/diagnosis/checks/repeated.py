@@ -15,7 +15,7 @@ from hilserver.diagnosis.checks.support import (
 )
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
-    FEWEST_BURSTS,
+    FEWEST_EVENTS,
     IRREGULAR,
     MISSING_IN_BURSTS,
     MISSING_SLOWEST_S,
@@ -91,7 +91,7 @@ def _repetitions(channel: Channel) -> NDArray[np.bool_] | None:
     sudden = burst & (runs.before > least) & (runs.after > least)
     samples = int(runs.length[burst].sum())
     by_chance = len(runs.length) * float(np.mean(runs.length > 1)) ** (SHORTEST_BURST - 1)
-    fewest = max(FEWEST_BURSTS * (1.0 + by_chance), 0.7 * burst.sum())
+    fewest = max(FEWEST_EVENTS * (1.0 + by_chance), 0.7 * burst.sum())
     if sudden.sum() < fewest or samples > 0.5 * len(channel):
         return None
     again = np.repeat(burst, runs.length)
@@ -110,7 +110,7 @@ def _missing(channel: Channel, fewest: int) -> float:
         return 0.0
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
     lost[lost < fewest] = 0
-    if (lost > 0).sum() < FEWEST_BURSTS:
+    if (lost > 0).sum() < FEWEST_EVENTS:
         return 0.0
     expected = float(steps.sum()) / period_s
     return min(float(lost.sum()) / expected, max(1.0 - len(steps) / expected, 0.0))

@@ -20,9 +20,9 @@ from hilserver.diagnosis.checks.support import (
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
     FEWEST_CHANGES,
+    FEWEST_EVENTS,
     IRREGULAR,
     SPARSE_BETTER,
-    SPARSE_FEWEST_ROWS,
     SPARSE_USUAL_SHARE,
 )
 from hilserver.measured.data import Array, Channel, MeasuredLog
@@ -90,7 +90,7 @@ def _lines(channel: Channel, period_s: float) -> Channel:
 def _knew(channel: Channel, lines: Channel, speed: Channel, period_s: float) -> bool:
     """Return whether a speed follows the lines, and sooner than the held set-points allow."""
     row_s = row_period_s(channel)
-    if period_s < (SPARSE_FEWEST_ROWS - 0.5) * row_s:
+    if period_s < (FEWEST_EVENTS - 0.5) * row_s:
         return False
     lags = np.arange(-1.0, 1.51, 0.05) * period_s
     by_lines = _misfit(lines, speed, lags)

@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, STUCK_MOVED_RPM
+from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, LARGE_STEP_RPM
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -51,12 +51,12 @@ def _should_change(log: MeasuredLog, name: str) -> bool:
     if name in AXES:
         other = log.channels.get(AXES[name])
         known = other is not None and (_is_noisy(other) or _is_constant(other))
-        return known and any(_range(log, wheel) > STUCK_MOVED_RPM for wheel in WHEELS)
+        return known and any(_range(log, wheel) > LARGE_STEP_RPM for wheel in WHEELS)
     if name in TURNS:
-        return max(_range(log, "fl", "fr"), _range(log, "rl", "rr")) > STUCK_MOVED_RPM
+        return max(_range(log, "fl", "fr"), _range(log, "rl", "rr")) > LARGE_STEP_RPM
     _, _, wheel_part = name.partition("wheel.")
     wheel, _, quantity = wheel_part.partition(".")
-    return quantity in ("speed_rpm", "duty_pct") and _range(log, wheel) > STUCK_MOVED_RPM
+    return quantity in ("speed_rpm", "duty_pct") and _range(log, wheel) > LARGE_STEP_RPM
 
 
 def _range(log: MeasuredLog, *wheels: str) -> float:

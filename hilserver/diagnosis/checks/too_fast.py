@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import TOO_FAST_ROUNDED
+from hilserver.diagnosis.thresholds import NEGLIGIBLE
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -15,7 +15,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     """Tell of set-points that the replay scales down; the log is left as it is."""
     names = [name for wheel in WHEELS if (name := f"wheel.{wheel}.setpoint_rpm") in log]
     fastest = {name: float(np.abs(log[name].values).max(initial=0.0)) for name in names}
-    slow = max(fastest.values(), default=0.0) <= TOO_FAST_ROUNDED * robot.max_rpm
+    slow = max(fastest.values(), default=0.0) <= (1.0 + NEGLIGIBLE) * robot.max_rpm
     if slow or not log.drive_is_known:
         return log, []
     name = max(fastest, key=lambda one: fastest[one])

@@ -12,7 +12,7 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, score
 from hilserver.diagnosis.regression.stages import Prepared
-from hilserver.diagnosis.thresholds import BEYOND_SD, COMPARE_INEXACT
+from hilserver.diagnosis.thresholds import COMPARE_INEXACT, FAR_SD
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class Difference:
         low, high = min(c.low) - min(c.null), max(c.high) - max(c.null)
         share = COMPARE_INEXACT * abs(self.values[1] - self.values[0])
         return all(
-            low - share - BEYOND_SD * error <= value <= high + share + BEYOND_SD * error
+            low - share - FAR_SD * error <= value <= high + share + FAR_SD * error
             for value, error in zip(self.values, self.errors, strict=True)
         )
 

@@ -1,7 +1,8 @@
 """Causes whose size changes along the log: their sensitivity times the course of time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
+from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.intervals import own_share
@@ -17,8 +19,8 @@ from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import Blocks, adjusted, null_maxima, score
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (
-    DRIFT_LEAST_BESIDE,
     INSTEAD_LEAST_GAIN,
+    LEFT_SHARE,
     REST_LEAST_GAIN,
     REST_LEVEL,
 )
@@ -177,11 +179,7 @@ def _rearranged(
         Deviance with sizes and trends of their own.
     """
     problem = library.problem
-    masks = parts(problem)
-
-    def cost(model: Model) -> float:
-        return sum(_left_in(problem, model, point, mask) for mask in masks)
-
+    cost = partial(left_by_changes, problem, start=point)
     model, least = point.model, cost(point.model)
     for index, f in enumerate(point.model.fitted):
         if f.candidate.cause not in drift:
@@ -204,6 +202,20 @@ def _rearranged(
         trial = fit(problem, model, point, iterations=5)
         point = trial if inside(trial) else point
     return point, least
+
+
+def left_by_changes(problem: Problem, model: Model, start: Point) -> float:
+    """Return the deviance of a model with sizes and trends of their own in each part of the log."""
+    return sum(_left_in(problem, model, start, mask) for mask in parts(problem))
+
+
+def changing_alike(problem: Problem, point: Point, rivals: Sequence[Rival]) -> list[Rival]:
+    """Return the rivals whose change along the log explains as much as that of an accepted cause.
+
+    With one size each, far more is left than the causes differ by.
+    """
+    most = left_by_changes(problem, point.model, point) + INSTEAD_LEAST_GAIN
+    return [r for r in rivals if left_by_changes(problem, r.point.model, r.point) < most]
 
 
 def _left_in(problem: Problem, model: Model, start: Point, mask: NDArray[np.bool_]) -> float:
@@ -242,7 +254,7 @@ def _without_stand_ins(
             share = beside / max(alone, 1e-9)
             shares.append(share if drift - {f.candidate.cause} else np.inf)
         weakest = int(np.argmin(shares))
-        if shares[weakest] > DRIFT_LEAST_BESIDE:
+        if shares[weakest] > LEFT_SHARE:
             break
         model = model.without(weakest)
         least = cost(model)

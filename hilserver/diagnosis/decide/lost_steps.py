@@ -7,10 +7,7 @@ import numpy as np
 
 from hilserver.diagnosis.checks.support import row_period_s
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.thresholds import (
-    LOST_LARGE_STEP_RPM,
-    LOST_LATE_S,
-)
+from hilserver.diagnosis.thresholds import LARGE_STEP_RPM, LOST_LATE_S
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel
 
@@ -64,7 +61,7 @@ def lost_steps(problem: Problem, point: Point) -> LostSteps | None:
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
             first, end = np.searchsorted(spans, [span, span + 1])  # stamps rise within a span only
-            for a in np.flatnonzero(np.abs(np.diff(s)) > LOST_LARGE_STEP_RPM) + 1:
+            for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
                 low, high = first + np.searchsorted(t[first:end], [ts[a], ts[a] + RESPONSE_S])
                 power = float(g[low:high] @ g[low:high])
                 if power <= 0.0 or noise / np.sqrt(power) > 0.125:

@@ -16,11 +16,7 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.findings import Parameter
-from hilserver.diagnosis.thresholds import (
-    INEXACT,
-    SCRUBBING_LATE_S,
-    SCRUBBING_MUCH,
-)
+from hilserver.diagnosis.thresholds import INEXACT, SCRUBBING_LATE_S, SCRUBBING_MUCH
 from hilserver.measured.channels import POSITION, YAW
 from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters

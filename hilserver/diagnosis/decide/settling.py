@@ -8,7 +8,7 @@ import numpy as np
 
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
-from hilserver.diagnosis.decide.drift import with_drift
+from hilserver.diagnosis.decide.drift import changing_alike, with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, settle
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, agreed, with_noise_anew
@@ -26,7 +26,7 @@ from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import SelectionRow
-from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, SETTLING_LEFT_SHARE
+from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE
 
 
 @dataclass
@@ -45,6 +45,12 @@ class Judged:
     """An anchor that is off, and its p."""
     in_doubt: Anchor | None = None
     """An anchor that could stand in the place of an accepted scale of the navigation."""
+
+    @property
+    def lasting(self) -> Model:
+        """The causes with one value for the whole log: without those that change along it."""
+        fitted = self.point.model.fitted
+        return Model(tuple(f for f in fitted if f.candidate.cause not in self.drift))
 
 
 def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
@@ -93,7 +99,11 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         unknown = []
     last = None if drift else scale_or_anchor(problem, point)
     in_doubt = last.anchor if last is not None and last.open else None
-    kept = {c: t for c, t in ties.items() if c in point.model.causes}
+    kept = {
+        c: changing_alike(problem, point, found) if c in drift else found
+        for c, found in ties.items()
+        if c in point.model.causes
+    }
     scores = p.library.scores(p.base)
     return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor, in_doubt)
 
@@ -186,13 +196,11 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
 def fails(p: Prepared, point: Point) -> bool:
     """Return whether causes leave a gross misfit, and no small part of all there was.
 
-    Of sensors without memory: what is left then is no noise, and whatever makes it may well make
-    the rest, too.
+    What is left then is no noise, and whatever makes it may well make the rest, too.
     """
-    gross = point.deviance > GROSS * len(point.left)
-    if not p.problem.stage.memoryless or not point.model.fitted or not gross:
+    if not point.model.fitted or point.deviance <= GROSS * len(point.left):
         return False
-    return point.deviance > SETTLING_LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
+    return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
 
 
 def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:

@@ -26,8 +26,7 @@ from hilserver.diagnosis.thresholds import (
     OUTLIER_SD,
     REST_LEAST_GAIN,
     REST_LEVEL,
-    STRUCTURE_LEAST_BETTER,
-    SUBSTITUTE,
+    RIVAL_COSINE,
 )
 
 Array = NDArray[np.float64]
@@ -148,12 +147,12 @@ def _better(problem: Problem, white: Array, point: Point, accepted: Array, index
     squares = (columns**2).sum(axis=0)
     usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
     length = np.sqrt(squares * float((effect**2).sum())) + 1e-300
-    usable &= np.abs(columns.T @ effect)[:, 0] / length > SUBSTITUTE
+    usable &= np.abs(columns.T @ effect)[:, 0] / length > RIVAL_COSINE
     if not usable.any():
         return 0.0
     more = _saved_held_out(problem, columns[:, usable], target)
     explained = float(_saved_held_out(problem, effect, target)[0])
-    better = float(more.max()) - explained * (1.0 + INEXACT) - STRUCTURE_LEAST_BETTER
+    better = float(more.max()) - explained * (1.0 + INEXACT) - REST_LEAST_GAIN
     return max(better, 0.0)
 
 

@@ -13,9 +13,9 @@ from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import freedom_of, normal
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import (
+    INEXACT,
     SELECTION_LEAST_SAVED,
     SELECTION_PLAUSIBLE_SD,
-    SHAPED,
     TIE,
 )
 
@@ -40,7 +40,7 @@ class Trial:
 
 def cost(candidate: Candidate, explained: float) -> float:
     """Return the deviance that a candidate must save before it is better than a simpler one."""
-    return TIE * candidate.weight + SHAPED * candidate.hidden * explained
+    return TIE * candidate.weight + INEXACT * candidate.hidden * explained
 
 
 def possible(point: Point) -> bool:

@@ -24,7 +24,7 @@ def with_wheels(
     Between their samples, and where they have none, they turn as the drive's model says. None where
     what its causes change of that is too little for any sensor of the pose to show.
     """
-    terms = drive.point.model.terms
+    terms = drive.lasting.terms
     if not terms:
         return None
     anew, shown = _moved(p, terms, log, jobs)
@@ -41,7 +41,7 @@ def disproved(
     that turn as a cause says, that cause is the wrong one.
     """
     named: set[str] = set()
-    for f in drive.point.model.fitted:
+    for f in drive.lasting.fitted:
         _, shown = _moved(p, f.terms, log, jobs)
         worse = p.problem.stack.block_sums(shown * (shown - 2.0 * p.base.left))
         if worse.sum() > LEAST_GAIN and deviations(worse) > RIVAL_CLEAR_Z:

@@ -22,7 +22,7 @@ from hilserver.diagnosis.noise.whitening import (
 )
 from hilserver.diagnosis.noise.windows import Windows
 from hilserver.diagnosis.thresholds import (
-    NOISE_FAR_SD,
+    FAR_SD,
     NOISE_GATED_MAX,
     NOISE_NATS,
     NOISE_TAU_MAX_S,
@@ -68,10 +68,10 @@ def fit_noise(
     windows = Windows.cut(residuals, window_s, SAMPLES_MAX)
     if windows.samples < 8 or not windows.spread > floor_sd:
         return NoiseModel(floor_sd)
-    windows.gate_level(2.0 * NOISE_FAR_SD)
+    windows.gate_level(2.0 * FAR_SD)
     model = _fit(windows, tau_max_s, None)
-    if windows.gate_innovations(model, NOISE_FAR_SD) > NOISE_GATED_MAX:
-        windows.gate_level(2.0 * NOISE_FAR_SD)
+    if windows.gate_innovations(model, FAR_SD) > NOISE_GATED_MAX:
+        windows.gate_level(2.0 * FAR_SD)
     else:
         model = _fit(windows, tau_max_s, model)
     dof = _tail_dof(windows.innovations(model))

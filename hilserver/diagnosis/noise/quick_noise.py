@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter
 from hilserver.diagnosis.noise.readings import FLOOR_SD
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.thresholds import (
-    NOISE_FAR_SD,
+    FAR_SD,
     NOISE_FEW_FAR,
     NOISE_WHITE,
     OUTLIER_SD,
@@ -53,7 +53,7 @@ def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
     pieces = [r for _, r in parts if len(r) > 20]
     if not pieces:
         return None
-    far = NOISE_FAR_SD * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
+    far = FAR_SD * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
     if np.mean(np.abs(np.concatenate(pieces)) > far) > NOISE_FEW_FAR:
         return None  # outliers would count as noise, and hide the correlation of the rest
     power = sum(float(r @ r) for r in pieces)

@@ -18,11 +18,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from hilserver.diagnosis.noise.whitening import NoiseModel
-from hilserver.diagnosis.thresholds import (
-    READING_CALM,
-    READING_FEWEST_CALM,
-    READING_LEAST_SHARE,
-)
+from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, NEGLIGIBLE, READING_CALM
 from hilserver.measured.resolution import step_of
 
 Array = NDArray[np.float64]
@@ -122,7 +118,7 @@ def noise_of_readings(
     moved = np.concatenate([np.diff(exact) for _, exact, _ in parts])
     jumped = np.concatenate([np.diff(read) for _, _, read in parts])
     calm = np.abs(moved) < READING_CALM * step
-    if calm.sum() < READING_FEWEST_CALM:
+    if calm.sum() < FEWEST_SAMPLES:
         return None
     square = np.square(jumped[calm] - moved[calm])
     for _ in range(3):
@@ -136,11 +132,11 @@ def noise_of_readings(
     low, high = (share * step for share in NOISE_BY_STEP)
     noise_sd = low if excess(low) > 0.0 else float(brentq(excess, low, high))
     whole = noise_sd**2 + step**2 / 12.0
-    if lasting(noise_sd, step) < READING_LEAST_SHARE * whole:
+    if lasting(noise_sd, step) < NEGLIGIBLE * whole:
         return NoiseModel(math.sqrt(whole))
     slow, tau_s = _memory([(t, _mean_error(x, reading, noise_sd)) for t, x, _ in parts])
     slow = min(slow, 0.99 * whole)
-    if slow < READING_LEAST_SHARE * whole:
+    if slow < NEGLIGIBLE * whole:
         return NoiseModel(math.sqrt(whole))
     return NoiseModel(math.sqrt(whole - slow), math.sqrt(slow), tau_s)
 

@@ -7,14 +7,14 @@ from scipy import stats
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.thresholds import MODEL_SHARE
+from hilserver.diagnosis.thresholds import INEXACT
 
 Array = NDArray[np.float64]
 
 
 def own_share(cause: str) -> float:
     """Return the share of its size by which the model's own form of a cause may be off."""
-    return traits_of(cause).abrupt or MODEL_SHARE
+    return traits_of(cause).abrupt or INEXACT
 
 
 def covariance(problem: Problem, point: Point, columns: Array | None) -> tuple[Array, int]:

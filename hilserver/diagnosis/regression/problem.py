@@ -26,7 +26,7 @@ from hilserver.diagnosis.regression.free_poses import Bases, FreePoses
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import NOISE_SHORT_S, READING_NEAR
+from hilserver.diagnosis.thresholds import NEGLIGIBLE, NOISE_TAU_MAX_S
 
 Array = NDArray[np.float64]
 OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
@@ -104,7 +104,7 @@ class Problem:
 
         Such weights take the side of that model against any other.
         """
-        return self.stage.segments.longest_s < NOISE_SHORT_S
+        return self.stage.segments.longest_s < NOISE_TAU_MAX_S
 
     def heard_by(self, point: Point) -> "Problem":
         """Return the same stage under the noise that a model leaves."""
@@ -263,7 +263,7 @@ class Problem:
         stack, reading, parts = self.stack, self.readings[name], []
         exact = stack.values - raw
         for part in (part for n, _, part in self._runs if n == name):
-            free = np.abs(exact[part]) < READING_NEAR * reading.limit
+            free = np.abs(exact[part]) < (1.0 - NEGLIGIBLE) * reading.limit
             columns = (stack.t_s[part], raw[part], exact[part], stack.values[part])
             parts.append(tuple(column[free] for column in columns))
         residuals = [(t, r) for t, r, _, _ in parts]

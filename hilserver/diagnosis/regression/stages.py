@@ -18,7 +18,7 @@ from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import COARSE_SHOWN, GROSS, READING_SAME_STEP
+from hilserver.diagnosis.thresholds import GROSS, HALF, SAME
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -165,7 +165,7 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     rounded = [problem.readings[n].step for n in names if problem.readings[n].step > 0.0]
     if step is None or not rounded:
         return step
-    own = all(abs(step - one) < READING_SAME_STEP * one for one in rounded)
+    own = all(abs(step - one) < SAME * one for one in rounded)
     return step if own and _answered(problem, base, step) else None
 
 
@@ -184,7 +184,7 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
     if not edges:
         return False
     smooth, stepped = ripple(base.predicted), ripple(coarse)
-    return ripple(stack.values) - smooth > COARSE_SHOWN * (stepped - smooth)
+    return ripple(stack.values) - smooth > HALF * (stepped - smooth)
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:
