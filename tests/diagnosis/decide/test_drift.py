@@ -1,9 +1,12 @@
 """What changes along a log is named, also where its mean is zero or another cause looks alike."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.drift import course, drifting, parts, with_drift
+from hilserver.diagnosis.decide.settling import Judged
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
@@ -95,3 +98,9 @@ def test_parts_hold_every_block_once():
     assert masks.any(axis=1).all()
     assert course(problem).min() == -1.0
     assert course(problem).max() == 1.0
+
+
+def test_what_changes_along_the_log_has_no_one_value():
+    found = Judged(None, None, SimpleNamespace(model=toy.model("a", "b")), {}, [], {"a": 1e-4},
+                   None, scrubs=False)  # fmt: skip
+    assert found.lasting.causes == ("b",)

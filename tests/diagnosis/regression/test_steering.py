@@ -33,6 +33,28 @@ def test_a_block_that_jumps_does_not_hold_a_fit_where_it_is():
     assert point.model.theta()[0] == pytest.approx(0.5, abs=0.04)
 
 
+class WorseEverywhere(toy.LinearStage):
+    """What its slope promises is never there: any step leaves every block as it is, or worse."""
+
+    predictions = 0
+
+    def predict(self, terms, poses=None, *, keep=False):
+        self.predictions += 1
+        size = terms.get("turn", 0.0)
+        return super().predict({"turn": size if abs(size) <= 0.1 else -size}, poses, keep=keep)
+
+
+def test_a_step_that_fails_alike_in_all_blocks_is_not_tried_again():
+    columns = {"turn": np.ones(N)}
+    problem = toy.problem(0.8 * columns["turn"], columns)
+    problem.stage.__class__ = WorseEverywhere
+    start = problem.point(Model(), np.zeros((0, 3)))
+    before = problem.stage.predictions
+    fit(problem, Model().plus(toy.candidate("turn"), (0.0,)), start)
+    at_start, sensitivity, shares = 1, 1, 3
+    assert problem.stage.predictions - before == at_start + sensitivity + shares
+
+
 @pytest.mark.parametrize(("far_off", "same"), [(3.0, True), (30.0, False), (3000.0, False)])
 def test_a_few_blocks_that_are_far_off_count_as_three(far_off, same):
     loss = np.array([0.0, 1.0, 1.0, 1.0, 1.0, far_off])
