@@ -32,7 +32,7 @@ OUTLIER_SD: Final = 6.0  # deviations beyond which a position takes no part, or 
 COMMAND_SLOWEST_S: Final = 0.5  # s: no set-point shows later, or lasts longer between messages
 SLOWEST_TURN_RAD_S: Final = 0.03  # rad/s: slower is the noise of wheel speeds
 TURNS_RAD_S: Final = 0.1  # rad/s from which a robot turns, and is not blocked
-LARGE_STEP_RPM: Final = 5.0  # rpm by which a wheel clearly changes its speed
+LARGE_STEP_RPM: Final = 4.0  # rpm by which a wheel clearly changes its speed
 UNITY: Final = 4.0  # a real effect changes a channel, or the top speed, by less than this factor
 
 # Data checks: clocks
