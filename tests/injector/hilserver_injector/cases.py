@@ -129,8 +129,12 @@ def outside(seed: int) -> Iterator[Case]:
     sign, phase = float(rng.choice([-1.0, 1.0])), float(rng.uniform(-math.pi, math.pi))
     source, target = (int(w) for w in rng.choice(4, 2, replace=False))
     wheels = ("fl", "rl", "fr", "rr")
+    # both wheels of a side do the same, unless one of them is the wheel that suffers
+    alike = {source, source ^ 1} - {target}
     of_source = {
-        f"wheel.{wheels[source]}.{what}" for what in ("duty_pct", "speed_rpm", "setpoint_rpm")
+        f"wheel.{wheels[w]}.{what}"
+        for w in alike
+        for what in ("duty_pct", "speed_rpm", "setpoint_rpm")
     }
     of_turning = {"velocity.angular_rad_s", "imu.gyro_z_rad_s", "velocity.linear_m_s", "history"}
     sent = {f"wheel.{wheel}.setpoint_rpm" for wheel in wheels}
