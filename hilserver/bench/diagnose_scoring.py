@@ -5,14 +5,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
+import numpy as np
 from hilserver_injector.cases import Answer, Case
+from scipy import stats
 
-from hilserver.diagnosis.schema.findings import Finding, Findings, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Findings, Joint, Verdict
 from hilserver.plant.terms import TERMS, main_part
 
 LARGEST_GROUP: Final = 5
 """A group that lists everything is a wrong answer."""
 WITHIN: Final = 0.2
+SHARE: Final = 0.9
+"""Of the joint ellipsoid."""
 _NAMES: Final = frozenset(
     {Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DRIFT, Verdict.DATA_FAULT, Verdict.DIFFERS}
 )
@@ -27,6 +31,23 @@ class Value:
     fitted: float
     in_ci95: bool | None
     within_20: bool
+
+
+@dataclass
+class Ellipsoid:
+    """The ellipsoid of all hidden parameters in `joint`.
+
+    Attributes
+    ----------
+    inside : bool
+        Whether it holds the truth.
+    width : float
+        Its mean half axis by the sizes of the effects: of one parameter the half width of the
+        interval; of several the geometric mean.
+    """
+
+    inside: bool
+    width: float
 
 
 @dataclass
@@ -49,6 +70,7 @@ class Score:
     wrong: list[str] = field(default_factory=list)
     found: list[str] = field(default_factory=list)
     values: dict[str, Value] = field(default_factory=dict)
+    ellipsoid: Ellipsoid | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return plain data."""
@@ -81,6 +103,8 @@ def score(case: Case, findings: Findings) -> Score:
     else:
         result.outcome = _worst([_one(loud, wanted, answer) for wanted in answer.causes])
         result.values = _values(loud, answer)
+        if findings.joint is not None and len(result.values) == len(answer.values):
+            result.ellipsoid = ellipsoid_of(findings.joint, answer.values)
     return result
 
 
@@ -150,6 +174,22 @@ def value_of(name: str, true: float, fitted: float, ci95: tuple[float, float] | 
         in_ci95=None if ci95 is None else ci95[0] <= true <= ci95[1],
         within_20=abs(fitted - true) <= WITHIN * abs(true - null),
     )
+
+
+def ellipsoid_of(joint: Joint, truth: Mapping[str, float]) -> Ellipsoid | None:
+    """Return the ellipsoid of 90 % over the true parameters; None unless it has all of them."""
+    names = [_full(name) for name in joint.parameters]
+    if not truth or any(_full(name) not in names for name in truth):
+        return None
+    own = [names.index(_full(name)) for name in truth]
+    true = np.array(list(truth.values()))
+    null = np.array([TERMS[_full(name)].null or 0.0 for name in truth])
+    covariance = np.array(joint.covariance)[np.ix_(own, own)]
+    away = np.array(joint.value)[own] - true
+    limit = float(stats.chi2.ppf(SHARE, len(own)))
+    scaled = covariance / np.outer(true - null, true - null)
+    width = math.sqrt(limit) * float(np.linalg.det(scaled)) ** (0.5 / len(own))
+    return Ellipsoid(bool(away @ np.linalg.solve(covariance, away) <= limit), width)
 
 
 def _full(name: str) -> str:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 from hilserver.bench.binomial import clopper_pearson
@@ -67,6 +68,7 @@ def rows(records: Sequence[Record]) -> list[Row]:
 
     values = [v for r in records if r["group"] == "single" for v in r["values"].values()]
     judged = [v for v in values if v["in_ci95"] is not None]
+    held = [r["ellipsoid"]["inside"] for r in records if r.get("ellipsoid")]
     rival = [v for r in records for v in r.get("sysid", {}).values()]
     sized = [r for r in records if r["group"] == "size"]
     return [
@@ -78,6 +80,7 @@ def rows(records: Sequence[Record]) -> list[Row]:
         row("missed: structure or nothing instead of a name", "single", _missed, most=0.05),
         Row("value within its ci95", sum(v["in_ci95"] for v in judged), len(judged), least=0.9),
         Row("value within 20 %", sum(v["within_20"] for v in values), len(values), least=0.9),
+        Row("ellipsoid of 90 % holds the truth", sum(held), len(held), 0.85, 0.95),
         Row("mujoco.sysid: in its ci95", sum(v["in_ci95"] for v in rival), len(rival)),
         Row("mujoco.sysid: within 20 %", sum(v["within_20"] for v in rival), len(rival)),
         row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
@@ -142,7 +145,11 @@ def _seconds(records: Sequence[Record]) -> list[str]:
     taken = sorted(record["seconds"] for record in records)
     if not taken:
         return []
-    return [f"Time per log: median {taken[len(taken) // 2]:.2f} s, longest {taken[-1]:.2f} s."]
+    lines = [f"Time per log: median {taken[len(taken) // 2]:.2f} s, longest {taken[-1]:.2f} s."]
+    widths = [r["ellipsoid"]["width"] for r in records if r.get("ellipsoid")]
+    if widths:
+        lines[0] += f" Ellipsoids: median half axis {100 * median(widths):.1f} % of the effect."
+    return lines
 
 
 def _each(records: Sequence[Record]) -> list[str]:

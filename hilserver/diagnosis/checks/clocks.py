@@ -101,18 +101,18 @@ def _judge(lags: list[Lag]) -> tuple[bool, Lag] | None:
     if not lags:
         return None
     best = min(lags, key=lambda lag: lag.offset_sd_s)
-    if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4):
+    if best.drifts and _agree([(g.drift, g.drift_sd) for g in lags], 1e-4, OUTLIER_SD):
         return True, best
-    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], 0.5 * CLOCK_LEAST_S):
+    if not _agree([(g.offset_s, g.offset_sd_s) for g in lags], 0.5 * CLOCK_LEAST_S, 2.5):
         return None
     together = len(lags) > 1 and all(abs(g.offset_s) > 3.0 * g.offset_sd_s for g in lags)
     return (False, best) if best.is_early or (best.is_off and together) else None
 
 
-def _agree(figures: list[tuple[float, float]], least: float) -> bool:
+def _agree(figures: list[tuple[float, float]], least: float, most_sd: float) -> bool:
     values = [value for value, _ in figures]
     sd = float(np.hypot.reduce([sd for _, sd in figures]))
-    return max(values) - min(values) <= max(least, 2.5 * sd)
+    return max(values) - min(values) <= max(least, most_sd * sd)
 
 
 def _finding(source: str, names: list[str], lag: Lag, *, drifts: bool) -> Finding:

@@ -24,6 +24,7 @@ from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.trial import implausible
 from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
 from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
+from hilserver.diagnosis.noise.quick_noise import aside
 from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
@@ -265,15 +266,20 @@ def _field(anchor: Anchor) -> dict[str, Parameter]:
 
 
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
-    """Return the finding of outliers in the position, if there are more than noise explains."""
+    """Return the finding of outliers in the position, if there are more than noise explains.
+
+    An outlier stands out from its neighbours: where all of them are off, the model is.
+    """
     stack = problem.stack
     if not all(n in stack.edges for n in ("nav.x_m", "nav.y_m")):
         return None
     x, y = (stack.edges[n] for n in ("nav.x_m", "nav.y_m"))
     if x.stop - x.start != y.stop - y.start:
         return None
-    residual = problem.residual(point.predicted)
-    size = np.hypot(residual[x], residual[y])
+    away = problem.residual(point.predicted)
+    for _, _, part in stack.runs():
+        away[part] = aside(stack.t_s[part], away[part])
+    size = np.hypot(away[x], away[y])
     noise = max(
         float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd))
         for n in ("nav.x_m", "nav.y_m")

@@ -37,15 +37,22 @@ def isolated(white: Array) -> NDArray[np.bool_]:
 
 
 def spikes(t_s: Array, residual: Array) -> NDArray[np.bool_]:
-    """Return which samples are far from their neighbours, alone or in a burst.
-
-    A burst of up to half of `AROUND_S` does not move the median about it.
-    """
+    """Return which samples are far from their neighbours, alone or in a burst."""
     if len(t_s) < 20:
         return np.zeros(len(t_s), dtype=bool)
+    away = np.abs(aside(t_s, residual))
+    return np.asarray(away > OUTLIER_SD * 1.4826 * max(float(np.median(away)), 1e-9))
+
+
+def aside(t_s: Array, residual: Array) -> Array:
+    """Return how far samples are from the median about them.
+
+    A burst of up to half of `AROUND_S` does not move it.
+    """
+    if len(t_s) < 2:
+        return np.zeros(len(t_s))
     width = round(AROUND_S / max(float(np.median(np.diff(t_s))), 1e-6)) // 2 * 2 + 1
-    aside = np.abs(residual - median_filter(residual, size=max(width, 5), mode="nearest"))
-    return np.asarray(aside > OUTLIER_SD * 1.4826 * max(float(np.median(aside)), 1e-9))
+    return np.asarray(residual - median_filter(residual, size=max(width, 5), mode="nearest"))
 
 
 def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
