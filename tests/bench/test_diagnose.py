@@ -12,10 +12,10 @@ from hilserver_injector.cases import CLASSES, Answer, Case, cases
 
 from hilserver.bench import diagnose, diagnose_results, diagnose_worker
 from hilserver.bench.binomial import clopper_pearson
-from hilserver.bench.diagnose_scoring import score
+from hilserver.bench.diagnose_scoring import ellipsoid_of, score
 from hilserver.bench.diagnose_table import Row, rows
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.schema.findings import Detectable, Finding, Findings, Parameter
+from hilserver.diagnosis.schema.findings import Detectable, Finding, Findings, Joint, Parameter
 from hilserver.errors import FailedError
 
 
@@ -80,6 +80,27 @@ def test_size_counts_from_null():
     for fitted, within in ((60.0, True), (70.0, False)):
         made = said("named", "saturation_limit", saturation_limit=(fitted, 50.0, 80.0))
         assert score(hidden, findings(made)).values["saturation_limit"].within_20 is within
+
+
+def test_the_ellipsoid_knows_what_goes_together():
+    """Two scales that grow together: off together they are inside, off against each other not."""
+    truth = {"rotation_gain": 0.03, "gyro_scale": 0.04}
+
+    def made(turn, gyro):
+        covariance = ((1e-4, 0.99e-4, 0.0), (0.99e-4, 1e-4, 0.0), (0.0, 0.0, 1e-8))
+        names = ("rotation_gain", "gyro_scale", "nav_latency")
+        return Joint(parameters=names, value=(turn, gyro, 9.0), covariance=covariance)
+
+    assert ellipsoid_of(made(0.045, 0.055), truth).inside
+    assert not ellipsoid_of(made(0.045, 0.025), truth).inside
+    assert ellipsoid_of(made(0.03, 0.04), {"wheel_radius": 0.02}) is None
+
+
+def test_the_width_of_one_parameter_is_its_half_interval():
+    made = Joint(parameters=("rotation_gain",), value=(0.03,), covariance=((1e-4,),))
+    one = ellipsoid_of(made, {"rotation_gain": -0.05})
+    assert one.width == pytest.approx(1.645 * 0.01 / 0.05, rel=1e-3)
+    assert not one.inside
 
 
 def test_two_effects():

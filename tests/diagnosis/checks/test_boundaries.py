@@ -117,6 +117,12 @@ def lag(offset_s=0.0, offset_sd_s=1e-4, drift=0.0, drift_sd=1e-9):
     return clocks.Lag(offset_s, offset_sd_s, drift, drift_sd, 300.0, 600.0)
 
 
+def one_drifting_clock(sd):
+    """Heading and position drift apart by so many deviations; both say the clock is off."""
+    drifts, _ = clocks._judge([lag(0.07, drift=4e-4), lag(0.07, 8e-3, 4e-4 - sd * 1e-4, 1e-4)])
+    return drifts
+
+
 def clock_line(chunks):
     n = round(chunks)
     return clocks._line_through(np.arange(n) * 30.0, np.full(n, 0.2), 600.0) is not None
@@ -202,3 +208,9 @@ def combed(samples):
 def test_a_check_decides_at_its_number(decides, holds, fails):
     assert decides(holds)
     assert not decides(fails)
+
+
+def test_two_drifts_of_one_clock_agree_unless_clearly_apart():
+    """What 11 stretches of a position say of a drift is off by four deviations now and then."""
+    assert one_drifting_clock(LESS * at.OUTLIER_SD)
+    assert not one_drifting_clock(MORE * at.OUTLIER_SD)
