@@ -87,6 +87,11 @@ def column(daemon, name, since=0):
     return [float(frame.values[slot]) for frame in frames(daemon, since)]
 
 
+def newest(daemon, name):
+    """Value of one signal in the newest frame; the plant may publish more of them meanwhile."""
+    return column(daemon, name, daemon.image.head - 1)[-1]
+
+
 async def run_ticks(daemon, n):
     """Wait until `n` more frames are published; return the number of the first of them."""
     head = daemon.image.head

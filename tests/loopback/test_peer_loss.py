@@ -20,6 +20,7 @@ from tests.loopback.rig import (
     configuration,
     frames,
     inbox,
+    newest,
     run_ticks,
     running,
     scrape,
@@ -65,7 +66,7 @@ def robot_without_server(*peers):
 def speed(daemon, wheel="fl"):
     if daemon.image.head == 0:
         return 0.0  # no frame yet
-    return column(daemon, f"wheel.{wheel}.speed_rpm", daemon.image.head - 1)[0]
+    return newest(daemon, f"wheel.{wheel}.speed_rpm")
 
 
 async def driven(daemon, peer, rpm=50.0):
@@ -104,7 +105,7 @@ async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called
         assert told[-1] - peer.offered_ns > STALE_AFTER_S * 1e9, "called silent too soon"
         assert status(daemon, "wheel.fl.setpoint_rpm") == UNCERTAIN_LAST_USABLE_VALUE
         await wait_until(lambda: box.has("peer_lost") and box.has("safe_state", "silent"))
-        await wait_until(lambda: column(daemon, "drive.enable", daemon.image.head - 1) == [0.0])
+        await wait_until(lambda: newest(daemon, "drive.enable") == 0.0)
 
         refused = await client.call("Reset")
         assert refused.StatusCode.name == "BadInvalidState"
