@@ -14,8 +14,9 @@ from hilserver.bench.sindy import library
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import judge, silent
-from hilserver.diagnosis.regression.stages import machine, prepare_all
+from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 

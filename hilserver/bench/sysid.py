@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from hilserver.bench.diagnose_scoring import Value, bare, value_of
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import silent
-from hilserver.diagnosis.regression.stages import Prepared, machine, prepare_all
+from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.errors import FailedError
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine
 from hilserver.plant.parameters import RobotParameters
 
 Array = NDArray[np.float64]

@@ -13,7 +13,6 @@ from typing import Any
 
 from hilserver.commands.options import add_config, config_path
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.regression.stages import machine
 from hilserver.errors import EXIT_DONE
 from hilserver.identify import text
 from hilserver.identify.consistency import check_sides, check_sign
@@ -23,6 +22,7 @@ from hilserver.identify.rotation import identify_rotation
 from hilserver.identify.step_response import INPUTS, identify_steps
 from hilserver.identify.update_rate import compare, identify_update_rate
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 
 EXAMPLE = "hilserver identify rotation spin.csv -c config.yaml"

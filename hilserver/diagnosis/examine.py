@@ -24,13 +24,13 @@ from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.regression.screen import Scores, critical, null_maxima
 from hilserver.diagnosis.regression.stages import (
     Prepared,
-    machine,
     prepare,
     prepare_all,
 )
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
 from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine
 from hilserver.plant.parameters import RobotParameters
 
 Tell = Callable[[str, float], None]

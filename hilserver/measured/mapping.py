@@ -85,10 +85,16 @@ class LogMapping(_Section):
 
     @property
     def plant_keys(self) -> dict[str, Any]:
-        """The keys that the file sets; a track without a wheelbase means two wheels."""
+        """The keys that the file sets, and those that follow.
+
+        A track without a wheelbase means two wheels, which turn at 1/track about their axle.
+        """
         keys = self.plant.model_dump(exclude_unset=True)
         if "track_m" in keys:
             keys.setdefault("wheelbase_m", None)
+        if keys.get("wheelbase_m", ...) is None:
+            two_wheels = {"drive": "skid", "icr_offset_m": 0.0, "rotation_gain": "geometric_diff"}
+            keys = two_wheels | keys
         return keys
 
     @property

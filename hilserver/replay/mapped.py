@@ -8,6 +8,7 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.errors import LogError
 from hilserver.logs import Log
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine_config
 from hilserver.measured.names import is_input
 from hilserver.measured.reading import read_measured
 
@@ -21,7 +22,10 @@ def mapped_inputs(path: Path, mapping: str | None, assembly: Assembly) -> tuple[
         One sentence that names file, place and remedy.
     """
     measured = read_measured([path], mapping)
-    return _inputs(path, measured), _machine(assembly, measured)
+    if not measured.plant:
+        return _inputs(path, measured), assembly
+    config = machine_config(measured, assembly.config)
+    return _inputs(path, measured), assemble_config(config, assembly.folder, assembly.patch)
 
 
 def _inputs(path: Path, measured: MeasuredLog) -> Log:
@@ -39,18 +43,3 @@ def _inputs(path: Path, measured: MeasuredLog) -> Log:
     numbers = np.array([span.number for span in measured.spans], dtype=np.int64)
     segment = numbers[rows[:, 0].astype(np.int64)]
     return Log(path, rows[:, 1] - rows[:, 1].min(), segment, columns, notices=measured.notices)
-
-
-def _machine(assembly: Assembly, measured: MeasuredLog) -> Assembly:
-    """Return the assembly with the dimensions that the mapping file gives."""
-    keys = dict(measured.plant)
-    if not keys:
-        return assembly
-    config, kinematics = assembly.config, assembly.config.kinematics
-    if keys.get("wheelbase_m", 0.0) is None:
-        keys.setdefault("icr_offset_m", 0.0)
-        kinematics = kinematics.model_copy(update={"rotation_gain": "geometric_diff"})
-    given = config.plant.model_dump(exclude_unset=True) | keys
-    plant = type(config.plant).model_validate(given)
-    changed = config.model_copy(update={"plant": plant, "kinematics": kinematics})
-    return assemble_config(changed, assembly.folder, assembly.patch)

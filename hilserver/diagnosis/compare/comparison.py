@@ -22,7 +22,7 @@ from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.examine import Tell
 from hilserver.diagnosis.regression.problem import Point
-from hilserver.diagnosis.regression.stages import machine, prepare_all
+from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence
 from hilserver.diagnosis.schema.findings import (
@@ -32,6 +32,7 @@ from hilserver.diagnosis.schema.findings import (
     Overall,
 )
 from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.measured.machine import machine
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, path_of
 from hilserver.diagnosis.plan.outlook import Outlook, Tell, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
 from hilserver.diagnosis.plan.search import choose, information_of
-from hilserver.diagnosis.regression.stages import machine
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import as_yaml
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 

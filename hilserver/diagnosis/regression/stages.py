@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -41,20 +41,6 @@ class Prepared:
     library: Library
     base: Point
     coarse_rpm: float | None = None
-
-
-def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
-    """Return the plant of the log: the configured one with the keys of the mapping file.
-
-    A two-wheel robot (``track_m`` without ``wheelbase_m``) turns at 1/track about its axle.
-    """
-    keys = dict(log.plant)
-    if "track_m" in keys and "wheelbase_m" not in keys:
-        keys.setdefault("icr_offset_m", 0.0)
-        keys["wheelbase_m"] = None
-        keys.setdefault("rotation_gain", "geometric_diff")
-    known = {k: v for k, v in keys.items() if hasattr(robot, k)}
-    return replace(robot, **known)  # type: ignore[arg-type]
 
 
 def block_length(total_s: float, shortest_s: float, longest_s: float, aim: int) -> float:

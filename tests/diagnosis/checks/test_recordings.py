@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from hilserver.diagnosis.checks import check
+from hilserver.measured.machine import machine
 from hilserver.measured.mapping import builtin_mappings, load_mapping
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
@@ -15,7 +16,7 @@ MAPPINGS = Path(__file__).parents[3] / "docs" / "how-to" / "mappings"
 
 def checked(file, mapping):
     log = read_measured([file], MAPPINGS / f"{mapping}.yaml")
-    return check(log, RobotParameters(icr_offset_m=0.0, **log.plant))
+    return check(log, machine(log, RobotParameters()))
 
 
 def causes(result):

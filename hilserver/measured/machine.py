@@ -1,0 +1,45 @@
+"""The machine of a log: the configured one with what the mapping file says of it."""
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from hilserver.config.root import Config
+from hilserver.errors import LogError
+from hilserver.measured.data import MeasuredLog
+from hilserver.plant.errors import PlantError
+from hilserver.plant.parameters import RobotParameters
+
+
+def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
+    """Return the plant of a log.
+
+    Raises
+    ------
+    LogError
+        If the mapping's machine and the rest of the configured one do not fit together.
+    """
+    names = {item.name for item in fields(robot)}
+    given = {key: value for key, value in log.plant.items() if key in names}
+    for key in ("controller", "process"):
+        if isinstance(given.get(key), Mapping):
+            given[key] = replace(getattr(robot, key), **given[key])
+    try:
+        return replace(robot, **given)
+    except PlantError as error:
+        raise LogError(f"{log.sources[0].file}: the machine of its mapping: {error}") from None
+
+
+def machine_config(log: MeasuredLog, config: Config) -> Config:
+    """Return the configuration with the plant of a log."""
+    keys: dict[str, Any] = dict(log.plant)
+    gain = keys.pop("rotation_gain", config.kinematics.rotation_gain)
+    given = config.plant.model_dump(exclude_unset=True)
+    for key in ("controller", "process"):
+        if key in keys:
+            keys[key] = {**given.get(key, {}), **keys[key]}
+    changed = {
+        "plant": type(config.plant).model_validate({**given, **keys}),
+        "kinematics": config.kinematics.model_copy(update={"rotation_gain": gain}),
+    }
+    return config.model_copy(update=changed)
