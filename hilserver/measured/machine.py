@@ -20,7 +20,7 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
         If the mapping's machine and the rest of the configured one do not fit together.
     """
     names = {item.name for item in fields(robot)}
-    given = {key: value for key, value in log.plant.items() if key in names}
+    given: dict[str, Any] = {key: value for key, value in log.plant.items() if key in names}
     for key in ("controller", "process"):
         if isinstance(given.get(key), Mapping):
             given[key] = replace(getattr(robot, key), **given[key])
