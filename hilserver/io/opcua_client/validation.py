@@ -21,6 +21,7 @@ class FaultKind(StrEnum):
     MISSING_NODE = "missing_node"
     REFUSED_VALUE = "refused_value"
     REFUSED_WRITE = "refused_write"
+    UNFIT_OUTPUT = "unfit_output"
     FROZEN_STAMP = "frozen_stamp"
     STAMP_BACKWARDS = "stamp_backwards"
     STAMP_AHEAD = "stamp_ahead"

@@ -10,6 +10,13 @@ from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
 from hilserver.image.status import GOOD, is_bad
 from hilserver.io.opcua_client.acquisition import every
+from hilserver.io.opcua_client.outgoing import (
+    Form,
+    UnfitError,
+    data_value,
+    variant,
+    variant_type,
+)
 from hilserver.io.opcua_client.session import LinkLostError, Session
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_faults import FaultBook
@@ -19,30 +26,6 @@ LOOK_AGAIN_S = 1.0
 
 Output = tuple[object, int, int]
 """Value, OPC UA status code, CLOCK_MONOTONIC [ns] of the tick that made it."""
-
-_FLOATS = (ua.VariantType.Double, ua.VariantType.Float)
-_INTEGERS = (
-    ua.VariantType.SByte,
-    ua.VariantType.Byte,
-    ua.VariantType.Int16,
-    ua.VariantType.UInt16,
-    ua.VariantType.Int32,
-    ua.VariantType.UInt32,
-    ua.VariantType.Int64,
-    ua.VariantType.UInt64,
-)
-
-
-def variant(value: object, kind: ua.VariantType) -> ua.Variant:
-    """Return `value` (number, bool or list of them) as the type that the peer's node has."""
-    if kind in _FLOATS:
-        convert: Callable[[object], object] = float  # type: ignore[assignment]
-    elif kind in _INTEGERS:
-        convert = round  # type: ignore[assignment]
-    else:
-        convert = bool
-    converted = [convert(v) for v in value] if isinstance(value, list | tuple) else convert(value)
-    return ua.Variant(converted, kind)
 
 
 class Writer:
@@ -66,7 +49,7 @@ class Writer:
         self._utc = utc
         self._lane = lane or Lane(Line(config.name), "out")
         self._targets: dict[str, tuple[ua.NodeId, ua.VariantType]] = {}
-        self._bare: set[str] = set()
+        self._forms: dict[str, Form] = {}
         self._look_again_s = 0.0
 
     async def run(self) -> None:
@@ -85,14 +68,11 @@ class Writer:
             outputs = {signal: self._read_output(signal) for signal in self._targets}
         except LookupError:
             return  # no tick has made a value yet
-        if self._config.write_status == "good":
-            outputs = {
-                s: (value, GOOD, ns) for s, (value, code, ns) in outputs.items() if not is_bad(code)
-            }
-        if not outputs:
+        values = [value for s, output in outputs.items() if (value := self._value(s, output))]
+        if not values:
             return
-        signals, request = list(outputs), ua.WriteParameters()
-        request.NodesToWrite = [self._value(signal, outputs[signal]) for signal in signals]
+        signals, request = [signal for signal, _ in values], ua.WriteParameters()
+        request.NodesToWrite = [value for _, value in values]
         self._lane.put((signals, request))
         for named, due in self._lane.take():
             await self._send(named, due)
@@ -106,23 +86,28 @@ class Writer:
             if not result.is_good() and signal in self._targets:
                 self._on_refused(signal, result)
 
-    def _value(self, signal: str, output: Output) -> ua.WriteValue:
+    def _value(self, signal: str, output: Output) -> tuple[str, ua.WriteValue] | None:
+        """Return what is written for a signal now; None where nothing can be."""
         node, kind = self._targets[signal]
         value, status, monotonic_ns = output
-        data = ua.DataValue(variant(value, kind))
-        if signal not in self._bare:
-            data = ua.DataValue(
-                variant(value, kind),
-                StatusCode=ua.StatusCode(ua.UInt32(status)),
-                SourceTimestamp=self._utc(monotonic_ns),
-            )
-        return ua.WriteValue(NodeId=node, AttributeId=ua.AttributeIds.Value, Value=data)
+        form, address = self._forms.get(signal, Form.WHOLE), self._config.write[signal]
+        is_honest = self._config.write_status == "honest"
+        if is_bad(status) and not (is_honest and form.has_status):
+            return None  # without its status it would look like a good value
+        try:
+            fitted = variant(value, kind, is_bad=is_bad(status))
+        except UnfitError as error:
+            sentence = f"{signal} is not written to {address}: {error}"
+            self._faults.report(FaultKind.UNFIT_OUTPUT, signal, sentence, time.monotonic_ns())
+            return None
+        data = data_value(fitted, form, status if is_honest else GOOD, self._utc(monotonic_ns))
+        return signal, ua.WriteValue(NodeId=node, AttributeId=ua.AttributeIds.Value, Value=data)
 
     def _on_refused(self, signal: str, result: ua.StatusCode) -> None:
         node = self._config.write[signal]
-        if result.value == ua.StatusCodes.BadWriteNotSupported and signal not in self._bare:
-            # Part 4 allows a server to take values only: it then gets neither stamp nor status.
-            self._bare.add(signal)
+        form = self._forms.get(signal, Form.WHOLE)
+        if result.value == ua.StatusCodes.BadWriteNotSupported and form is not Form.BARE:
+            self._forms[signal] = Form(form + 1)
             return
         if result.value == ua.StatusCodes.BadNodeIdUnknown:
             del self._targets[signal]
@@ -152,21 +137,9 @@ class Writer:
                 sentence = f"{node} is not there, so {signal} is not written"
                 self._faults.report(FaultKind.MISSING_NODE, node, sentence, now_ns)
                 continue
-            kind = _variant_type(kinds[signal][1])
+            kind = variant_type(kinds[signal][1])
             if kind is None:
                 sentence = f"{node} is no number, so {signal} is not written"
                 self._faults.report(FaultKind.REFUSED_WRITE, node, sentence, now_ns)
                 continue
             self._targets[signal] = (kinds[signal][0], kind)
-
-
-def _variant_type(data_type: ua.NodeId) -> ua.VariantType | None:
-    """Return the built-in type of a DataType node; abstract Number (26) is served as Double."""
-    if data_type.NamespaceIndex != 0 or not isinstance(data_type.Identifier, int):
-        return None
-    if data_type.Identifier in (24, 26):
-        return ua.VariantType.Double
-    for kind in (*_FLOATS, *_INTEGERS, ua.VariantType.Boolean):
-        if kind.value == data_type.Identifier:
-            return kind
-    return None
