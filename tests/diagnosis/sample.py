@@ -172,8 +172,8 @@ def evidence(n=18000, seed=1):
         similarity=Similarity(names, cosine),
         gain_by_horizon=tuple(
             HorizonRow(q, h, 0.06 * h, 0.06 * h / r, r, (0.8 * r, 1.2 * r))
-            for q, k in (("position_m", 0.9), ("yaw_rad", 2.0))
-            for h, r in ((0.0, 1.1), *((h, 1 + k * np.log1p(h)) for h in (0.5, 1, 2, 5, 10, 20)))
+            for h in (0.0, 0.5, 1, 2, 5, 10, 20)
+            for q, r in (("yaw_rad", 1.1 + 2.0 * np.log1p(h)), ("position_m", 1 + np.log1p(h)))
         ),
         dependences=(
             Dependence("nav.yaw_rad", "rad", "pose.yaw_rad", "rad", x, bump, bump - 0.003,

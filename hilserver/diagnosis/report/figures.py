@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 
 import numpy as np
 from markupsafe import Markup
@@ -54,21 +53,30 @@ def path(way: Path) -> Figure:
     else:
         x = _around(x, height * inner_w / inner_h)
     plot = Plot(x, y, "x [m]", "y [m]", height=400)
-    for role, track in (("measured", way.measured), ("simulated", way.simulated)):
-        plot.track(track, role, role)
+    plot.track(way.measured, "measured", "measured")
+    models = [("simulated", way.simulated)]
     if way.extended is not None:
-        plot.track(way.extended, "extended", "extended")
+        models.append(("extended", way.extended))
+    for role, track in models:
+        plot.track(track, role, role, begins=way.begins)
+        starts = track[[0, *way.begins]]
+        titles = [f"{role} begins"] * len(starts)
+        plot.dots(starts[:, 0], starts[:, 1], f"begin {role}", titles)
     plot.dots(way.measured[:1, 0], way.measured[:1, 1], "start", ["start"])
     ends = ", ".join(
-        f"{name} {number(_end_error(way.measured, track), 'm', digits=2)}"
-        for name, track in (("simulated", way.simulated), ("extended", way.extended))
-        if track is not None
+        f"{name} {number(_end_error(way.measured, track), 'm', digits=2)}" for name, track in models
     )
     return Figure(
         picture([plot], f"Path of segment {way.span}"),
         f"Path, segment {way.span}",
-        f"Distance from the measured end: {ends}.",
+        f"Distance from the measured end: {ends}. {_beginnings(way)}",
     )
+
+
+def _beginnings(way: Path) -> str:
+    if not way.begins:
+        return "Rings: where a model begins; that pose is fitted."
+    return f"Rings: where a model begins, in {len(way.begins) + 1} pieces; those poses are fitted."
 
 
 def _around(span: tuple[float, float], width: float) -> tuple[float, float]:
@@ -92,17 +100,18 @@ def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
                 "times better", width=720, height=320, log_x=True, log_y=True)  # fmt: skip
     plot.level(1.0, "as good as before")
     legend = []
-    for place, (key, group) in enumerate(groupby(runs, lambda r: r.quantity)):
-        name, unit = QUANTITIES.get(key, (key, "1"))
-        role = f"quantity q{place}"
-        legend.append((role, name))
-        _gain_line(plot, list(group), role, name, unit, aside=ASIDE**place)
+    for place, (key, (name, unit)) in enumerate(QUANTITIES.items()):
+        if own := [r for r in runs if r.quantity == key]:
+            legend.append((f"quantity q{place}", name))
+            _gain_line(plot, own, f"quantity q{place}", name, unit, aside=ASIDE**place)
     steps = [
         f"{QUANTITIES.get(r.quantity, (r.quantity, ''))[0]} {Change.of(r)}"
         for r in rows
         if r.horizon_s == 0
     ]
     caption = "Error of the simulation by that of the extension, on held-out parts."
+    if any(r.ci95 is None for r in runs):
+        caption += " Rings: too few runs for an interval."
     if steps:
         caption += f" Of one step the error is: {'; '.join(steps)}."
     svg = picture([plot], "Gain over the length of a free run")
@@ -113,10 +122,12 @@ def _gain_line(
     plot: Plot, rows: list[HorizonRow], role: str, name: str, unit: str, *, aside: float
 ) -> None:
     x, ratio = aside * np.array([r.horizon_s for r in rows]), np.array([r.ratio for r in rows])
-    low, high = (np.array([r.ratio if r.ci95 is None else r.ci95[i] for r in rows]) for i in (0, 1))
+    low, high = np.array([(math.nan, math.nan) if r.ci95 is None else r.ci95 for r in rows]).T
     plot.line(x, ratio, role, f"{name}: ratio of errors")
     plot.whiskers(x, low, high, role)
-    plot.dots(x, ratio, role, [f"{name}, {_horizon_title(r, unit)}" for r in rows])
+    for at, value, row in zip(x, ratio, rows, strict=True):
+        own = f"{role} ring" if row.ci95 is None else role
+        plot.dots(at[None], value[None], own, [f"{name}, {_horizon_title(row, unit)}"])
 
 
 def _horizon_title(row: HorizonRow, unit: str) -> str:

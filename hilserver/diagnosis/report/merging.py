@@ -50,7 +50,7 @@ def _series(parts: Iterable[Evidence]) -> tuple[Series, ...]:
             measured=np.concatenate([known.measured, item.measured]),
             simulated=np.concatenate([known.simulated, item.simulated]),
             extended=_both(known.extended, item.extended),
-            span=np.concatenate([known.span, item.span + int(known.span.max(initial=-1)) + 1]),
+            run=np.concatenate([known.run, item.run + int(known.run.max(initial=-1)) + 1]),
         )
     return tuple(found.values())
 

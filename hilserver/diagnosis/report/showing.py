@@ -124,7 +124,7 @@ def _series(s: Shown, extended: bool) -> list[Series]:
                 measured,
                 measured - first[e],
                 measured - second[e] if extended else None,
-                span[e],
+                stack.segment[e],
             )
         )
     return out
@@ -214,14 +214,16 @@ def _paths(s: Shown, extended: bool) -> tuple[Path, ...]:
     x, y = (stack.edges[n] for n in POSITION)
     if x.stop - x.start != y.stop - y.start:
         return ()
-    span = s.prepared.problem.stage.segments.span[stack.segment[x]]
+    segment = stack.segment[x]
+    span = s.prepared.problem.stage.segments.span[segment]
     out = []
     for k in np.unique(span)[:4]:
         rows = span == k
         tracks = [
             np.stack([v[x][rows], v[y][rows]], axis=1) for v in (stack.values, s.before, s.after)
         ]
-        out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None))
+        begins = tuple((np.flatnonzero(np.diff(segment[rows])) + 1).tolist())
+        out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None, begins))
     return tuple(out)
 
 

@@ -2,8 +2,14 @@
 
 import textwrap
 
-from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number
-from hilserver.diagnosis.report.words import Change, headline, is_unchanged, shared_and_free
+from hilserver.diagnosis.findings.explain import explain_finding, number
+from hilserver.diagnosis.report.words import (
+    Change,
+    gains,
+    headline,
+    is_unchanged,
+    shared_and_free,
+)
 from hilserver.diagnosis.schema.findings import Findings, Overall
 
 WIDTH = 96
@@ -21,15 +27,13 @@ def summary(findings: Findings) -> str:
         if item.separating_experiment
     ]
     lines += [f"  {text}" for text in shared_and_free(findings)]
-    for key, gain in findings.total_gain.items():
-        name, unit = QUANTITIES.get(key, (key, "1"))
-        if is_unchanged(gain):
-            continue
-        lines.append(
-            f"  Error of the {name} after {number(gain.horizon_s, 's')}:"
-            f" {number(gain.before, unit, digits=2)} to {number(gain.after, unit, digits=2)}"
-            f" ({Change.of(gain)})"
-        )
+    lines += [
+        f"  {' '.join(filter(None, ('Error of the', g.name, g.when)))}:"
+        f" {number(g.gain.before, g.unit, digits=2)} to {number(g.gain.after, g.unit, digits=2)}"
+        f" ({Change.of(g.gain)})"
+        for g in gains(findings)
+        if not is_unchanged(g.gain)
+    ]
     if findings.verdict is Overall.NOTHING_FOUND and findings.smallest_detectable:
         lines.append("  The report says how large an effect must be to be found.")
     lines += [f"  Note: {notice}" for notice in findings.notices]

@@ -19,6 +19,10 @@ MARGIN_TOP: Final = 14.0
 MARGIN_BOTTOM: Final = 44.0
 MAX_POINTS: Final = 700
 """Points of one line; more are drawn as the extremes of so many pieces."""
+MAX_RUNS: Final = 400
+"""Runs of one line; of more only every second, or third, is drawn."""
+FEWEST_POINTS: Final = 4
+"""Points of a run, however many there are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +111,16 @@ def decimate(x: Array, y: Array, n: int = MAX_POINTS) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
+def thinned(x: Array, y: Array, run: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the points of a line that breaks (at a NaN) wherever another run begins."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [len(run)]])
+    drawn = np.arange(0, len(edges) - 1, math.ceil((len(edges) - 1) / MAX_RUNS) or 1)
+    most = max(FEWEST_POINTS, MAX_POINTS // max(len(drawn), 1))
+    parts = [decimate(x[edges[k] : edges[k + 1]], y[edges[k] : edges[k + 1]], most) for k in drawn]
+    xs, ys = zip(*((np.append(a, np.nan), np.append(b, np.nan)) for a, b in parts), strict=True)
+    return np.concatenate(xs), np.concatenate(ys)
+
+
 def path_data(x: Array, y: Array) -> str:
     """Return the ``d`` of a line through the points; it is broken where one is not finite."""
     parts, pen = [], "M"
@@ -156,20 +170,46 @@ class Plot:
             *self.y, self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP, self.log_y
         )
 
-    def line(self, x: Array, y: Array, role: str, title: str, *, points: int = MAX_POINTS) -> None:
-        """Draw a line; `role` is its class, `title` what shows when the pointer rests on it."""
-        data = path_data(*(self._place(*decimate(x, y, points))))
-        if data:
+    def line(
+        self,
+        x: Array,
+        y: Array,
+        role: str,
+        title: str,
+        *,
+        points: int = MAX_POINTS,
+        run: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Draw a line; `role` is its class, `title` what shows when the pointer rests on it.
+
+        Parameters
+        ----------
+        run : ndarray of int64, optional
+            The line breaks where it changes; shape as `x`.
+        """
+        kept_x, kept_y = decimate(x, y, points) if run is None else thinned(x, y, run)
+        self._line(kept_x, kept_y, role, title)
+
+    def track(
+        self,
+        xy: Array,
+        role: str,
+        title: str,
+        *,
+        points: int = MAX_POINTS,
+        begins: Sequence[int] = (),
+    ) -> None:
+        """Draw a way in the plane, shape (n, 2): every k-th point; it breaks at `begins`."""
+        step = max(1, math.ceil(len(xy) / points))
+        gap = np.full((1, 2), np.nan)
+        parts = [np.vstack([own[::step], own[-1:], gap]) for own in np.split(xy, begins)]
+        kept = np.concatenate(parts)
+        self._line(kept[:, 0], kept[:, 1], role, title)
+
+    def _line(self, x: Array, y: Array, role: str, title: str) -> None:
+        if data := path_data(*self._place(x, y)):
             text = f"<title>{escape(title)}</title>"
             self._drawn.append(f'<path class="line {role}" d="{data}">{text}</path>')
-
-    def track(self, xy: Array, role: str, title: str, *, points: int = MAX_POINTS) -> None:
-        """Draw a way in the plane, shape (n, 2): every k-th point."""
-        step = max(1, math.ceil(len(xy) / points))
-        kept = np.vstack([xy[::step], xy[-1:]])
-        data = path_data(*self._place(kept[:, 0], kept[:, 1]))
-        text = f"<title>{escape(title)}</title>"
-        self._drawn.append(f'<path class="line {role}" d="{data}">{text}</path>')
 
     def band(self, x: Array, low: Array, high: Array, role: str) -> None:
         """Fill between two lines."""
@@ -196,7 +236,14 @@ class Plot:
             for px, a, b in zip(xs, lows, highs, strict=True)
             if math.isfinite(a) and math.isfinite(b)
         )
-        self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
+        if data:
+            self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
+
+    def begins(self, x: Array) -> None:
+        """Mark at the upper edge where something begins anew."""
+        y = self.top + MARGIN_TOP
+        data = "".join(f"M{at:.1f} {y:g}v-7" for at in self.to_x(x))
+        self._drawn.append(f'<path class="begin" d="{data}"/>')
 
     def stretch(self, first: float, last: float, role: str) -> None:
         """Shade the whole height between two places."""

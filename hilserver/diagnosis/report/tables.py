@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.schema.decisions import ScreenRow
+from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.schema.evidence import Similarity
-from hilserver.diagnosis.schema.findings import Joint, NotJudged
+from hilserver.diagnosis.schema.findings import Finding, Joint, NotJudged, Parameter
 
 CUT_POINTS: Final = {
     "setpoints": "From the set-points: the whole chain",
@@ -26,6 +26,30 @@ def screens(rows: Sequence[ScreenRow]) -> dict[int, list[ScreenRow]]:
         )
         for taken in sorted({r.round for r in rows})
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Selected:
+    """A decision of the selection, and what the findings say of the cause in the end."""
+
+    cause: str
+    action: str
+    reason: str
+    p: float | None = None
+    parameter: Parameter | None = None
+
+
+def selected(rows: Iterable[SelectionRow], findings: Iterable[Finding]) -> list[Selected]:
+    """Return every decision of the selection; the last one on a cause with its finding."""
+    in_the_end = {cause: f for f in findings for cause in f.causes}
+    out: list[Selected] = []
+    for row in reversed(list(rows)):
+        p = size = None
+        if found := in_the_end.pop(row.cause, None):
+            own = (v for n, v in found.parameters.items() if n.partition(".")[0] == row.cause)
+            p, size = found.p_adjusted, next(own, None)
+        out.append(Selected(row.cause, row.action, row.reason, p, size))
+    return out[::-1]
 
 
 def twins(similarity: Similarity | None) -> list[tuple[float, str, str]]:

@@ -8,47 +8,58 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.plain import plain
-from hilserver.diagnosis.report.svg import MAX_POINTS, Figure, Plot, picture, span_of
+from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, span_of
 from hilserver.diagnosis.schema.evidence import Array, Series
 
-MAX_SPANS = 60
+MAX_MARKS = 60
+"""Beginnings of a run that are marked; more of them would be a bar."""
 
 
 def series(item: Series) -> Figure:
     """Draw one channel above its residual before and after."""
-    t = _continuous(item.t_s, item.span)
-    edges = _edges(item.span)
-    values = Plot(
-        span_of(t, margin=0.0),
-        span_of(item.measured, item.simulated, item.extended),
-        "",
-        f"{_short(item.name)} [{item.unit}]",
-        height=230,
-    )
+    t = _continuous(item.t_s, item.run)
     before = item.measured - item.simulated
     after = None if item.extended is None else item.measured - item.extended
+    x, models = span_of(t, margin=0.0), (item.measured, item.simulated, item.extended)
+    values = Plot(x, span_of(*models), "", f"value [{item.unit}]", height=230)
     residual = Plot(
-        values.x, span_of(before, after), "time [s]", f"residual [{item.unit}]", height=190, top=206
+        x, span_of(before, after), "time [s]", f"residual [{item.unit}]", height=190, top=206
     )
-    for role, y in (
-        ("measured", item.measured),
-        ("simulated", item.simulated),
-        ("extended", item.extended),
-    ):
-        _lines(values, t, y, edges, role, f"{item.name} {role}")
     for edge in _held_out(item):
         residual.stretch(float(t[edge.start]), float(t[edge.stop - 1]), "held")
     residual.level(0.0)
-    _lines(residual, t, before, edges, "before", "measured minus simulated")
-    _lines(residual, t, after, edges, "after", "measured minus extended")
+    for plot, role, y, title in (
+        (values, "measured", item.measured, f"{item.name} measured"),
+        (values, "simulated", item.simulated, f"{item.name} simulated"),
+        (values, "extended", item.extended, f"{item.name} extended"),
+        (residual, "before", before, "measured minus simulated"),
+        (residual, "after", after, "measured minus extended"),
+    ):
+        if y is not None:
+            plot.line(t, y, role, title, run=item.run)
+    begins = np.array([edge.start for edge in _edges(item.run)][1:], dtype=np.int64)
+    if 0 < len(begins) <= MAX_MARKS:
+        values.begins(t[begins])
     text = f"Mean absolute residual {_mean(before, item.unit)}"
     if after is not None:
         text += f" before, {_mean(after, item.unit)} after"
     if item.held_out is not None:
         text += "; shaded: took no part in the fit"
     return Figure(
-        picture([values, residual], f"{item.name} over time"), plain(item.name), f"{text}."
+        picture([values, residual], f"{item.name} over time"),
+        plain(item.name),
+        f"{text}.{_anew(len(begins))}",
     )
+
+
+def _anew(begins: int) -> str:
+    """Say where the models begin anew, and what is not drawn."""
+    if not begins:
+        return ""
+    text = f" The models begin anew {begins} time{'s' * (begins > 1)}"
+    text += ", at the marks above." if begins <= MAX_MARKS else ", where the lines break."
+    step = math.ceil((begins + 1) / MAX_RUNS)
+    return f"{text} One piece in {step} is drawn." if step > 1 else text
 
 
 def improvement(item: Series) -> float:
@@ -60,19 +71,9 @@ def improvement(item: Series) -> float:
     return before / after if after > 0 else math.inf
 
 
-def _lines(
-    plot: Plot, t: Array, y: Array | None, edges: list[slice], role: str, title: str
-) -> None:
-    if y is None:
-        return
-    points = max(8, MAX_POINTS // max(1, len(edges)))
-    for edge in edges:
-        plot.line(t[edge], y[edge], role, title, points=points)
-
-
-def _edges(span: NDArray[np.int64]) -> list[slice]:
-    starts = [0, *(np.flatnonzero(np.diff(span)) + 1).tolist(), len(span)]
-    return [slice(a, b) for a, b in pairwise(starts)][:MAX_SPANS]
+def _edges(run: NDArray[np.int64]) -> list[slice]:
+    starts = [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
+    return [slice(a, b) for a, b in pairwise(starts)]
 
 
 def _held_out(item: Series) -> list[slice]:
@@ -82,10 +83,10 @@ def _held_out(item: Series) -> list[slice]:
     return [run for run in runs if item.held_out[run.start]]
 
 
-def _continuous(t_s: Array, span: NDArray[np.int64]) -> Array:
-    """Put segments whose times overlap one after the other."""
+def _continuous(t_s: Array, run: NDArray[np.int64]) -> Array:
+    """Put runs whose times overlap one after the other."""
     t, end = t_s.copy(), -math.inf
-    for edge in _edges(span):
+    for edge in _edges(run):
         if len(t[edge]) and t[edge][0] < end:
             t[edge] += end - t[edge][0]
         end = float(t[edge][-1]) if len(t[edge]) else end
@@ -94,7 +95,3 @@ def _continuous(t_s: Array, span: NDArray[np.int64]) -> Array:
 
 def _mean(residual: Array, unit: str) -> str:
     return number(float(np.nanmean(np.abs(residual))), unit, digits=2)
-
-
-def _short(name: str) -> str:
-    return name.rpartition("_")[0].replace("_", " ") or name

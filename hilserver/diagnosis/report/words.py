@@ -31,6 +31,8 @@ LARGE = 1.5
 """Residual, by what the noise alone would give, from which a replay is clearly wrong."""
 MOST_TIMES = 1000
 """By which an error shrinks or grows; more is an error of next to nothing, before or after."""
+FREE_RUNS = ("position_m", "yaw_rad")
+"""Quantities whose error is taken at the end of a free run; of the others it is the mean."""
 COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
@@ -67,12 +69,25 @@ def _count(items: Sequence[object]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Gained:
-    """The gain of one quantity, with its name and unit for reading."""
+    """The gain of one quantity, with its name and unit for reading.
+
+    Attributes
+    ----------
+    when : str
+        ``after 5 s``; empty where the error does not grow along a run.
+    """
 
     name: str
     unit: str
+    when: str
     gain: Gain
     ceiling: float | None
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the whole interval is on the better side."""
+        ends = self.gain.ci95 or (self.gain.ratio, self.gain.ratio)
+        return ends[0] > 1.0 and not is_unchanged(self.gain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,17 +131,29 @@ class Change:
 
 
 def gains(findings: Findings) -> list[Gained]:
-    """Return the gain of every quantity, the largest first."""
-    named = [
-        Gained(*quantity(key), gain, findings.ceiling.get(key))
-        for key, gain in findings.total_gain.items()
+    """Return the gain of every quantity: first where the robot is, last what its sensors show."""
+    order = list(QUANTITIES)
+    return [
+        Gained(*quantity(key), when(key, gain), gain, findings.ceiling.get(key))
+        for key, gain in sorted(findings.total_gain.items(), key=lambda item: order.index(item[0]))
     ]
-    return sorted(named, key=lambda g: -g.gain.ratio)
+
+
+def when(key: str, gain: Gain) -> str:
+    """Return after which time of a free run an error is taken; nothing where it is a mean."""
+    return f"after {number(gain.horizon_s, 's', digits=2)}" if key in FREE_RUNS else ""
+
+
+def best(gained: Sequence[Gained]) -> Gained | None:
+    """Return the gain that the page begins with: the first that is sure, or else the largest."""
+    better = [g for g in gained if g.gain.ratio > 1.0]
+    largest = max(better, key=lambda g: g.gain.ratio, default=None)
+    return next((g for g in gained if g.is_sure), largest)
 
 
 def quantity(key: str) -> tuple[str, str]:
     """Return what a key of a gain is called, and its unit."""
-    return QUANTITIES.get(key, (key, "1"))
+    return QUANTITIES[key]
 
 
 def is_unchanged(gain: Gain) -> bool:

@@ -21,7 +21,7 @@ Interval = tuple[float, float]
 class Series:
     """One measured channel beside both models, at the stamps of its samples.
 
-    Angles are unwrapped. A free run starts anew at every span.
+    Angles are unwrapped.
 
     Attributes
     ----------
@@ -31,8 +31,8 @@ class Series:
         `simulated` is the configured plant after corrections of data faults.
     extended : ndarray of float64, shape (n,), or None
         The plant with the terms of the extension; None when there is none.
-    span : ndarray of int64, shape (n,)
-        Index into the log's spans; does not fall.
+    run : ndarray of int64, shape (n,)
+        The models begin anew where it rises; it does not fall.
     held_out : ndarray of bool, shape (n,), or None
         True where the sample took no part in selection and fit.
     """
@@ -43,18 +43,25 @@ class Series:
     measured: Array
     simulated: Array
     extended: Array | None
-    span: NDArray[np.int64]
+    run: NDArray[np.int64]
     held_out: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The way over the floor in one span; each track has shape (n, 2) of x, y [m]."""
+    """The way over the floor in one span; each track has shape (n, 2) of x, y [m].
+
+    Attributes
+    ----------
+    begins : tuple of int
+        Rows at which the models begin anew, the first left out.
+    """
 
     span: int
     measured: Array
     simulated: Array
     extended: Array | None
+    begins: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import pytest
 from hilserver.diagnosis.findings.explain import MINUS
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.report.plain import plain
+from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import Evidence
 from hilserver.diagnosis.schema.findings import Finding
@@ -115,7 +116,7 @@ def test_hundred_segments_that_all_begin_at_zero_follow_each_other():
     given = evidence(20_000)
     span = np.repeat(np.arange(200), 100)
     t = np.tile(np.arange(100) * 0.02, 200)
-    series = tuple(replace(s, t_s=t, span=span, held_out=None) for s in given.series)
+    series = tuple(replace(s, t_s=t, run=span, held_out=None) for s in given.series)
     page = render(findings(), replace(given, series=series))
     assert len(page.encode()) < 2_000_000
     assert Reader(page).open == []
@@ -221,3 +222,36 @@ def test_missing_samples_and_constant_channels_are_drawn():
 
 def test_the_page_is_the_same_every_time(page):
     assert render(findings(), evidence()) == page
+
+
+def test_the_page_begins_with_where_the_robot_is_not_with_the_largest_ratio(page):
+    text = Reader(page).text
+    lede = text[text.index("With the extended model") :].partition("falls")[0]
+    assert lede.split()[5:] == ["error", "in", "position", "after", "5", "s"]
+    tiles = re.findall(r'<div class="what">([^<]*)</div><div class="ratio">', page)
+    assert tiles == ["Position after 5\u00a0s", "Heading after 5\u00a0s", "Wheel speed on average"]
+
+
+def test_what_is_not_surely_better_is_not_the_headline():
+    unsure = findings(total_gain={
+        "position_m": gain(0.3, 0.28, 0.8, 1.3), "gyro_z_rad_s": gain(0.8, 0.1, 6.0, 9.0),
+    })  # fmt: skip
+    text = Reader(render(unsure, Evidence())).text
+    assert "the error in turn rate falls" in " ".join(text.split())
+    assert "Error of the turn rate: 0.8" in summary(unsure)
+    assert "Error of the position after 5\u00a0s:" in summary(unsure)
+
+
+def test_a_decision_stands_beside_what_was_found_in_the_end(page):
+    section = page[page.index('<section id="selection">') :].partition("</section>")[0]
+    assert "So both differ from those of the test alone" in section
+    taken, refused = re.findall(r"<tr>\s*<td.*?</tr>", section, re.DOTALL)
+    assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", taken)[-2:] == ["0.001", f"{MINUS}0.47"]
+    assert re.findall(r"<td[^>]*>(?:<code>)?([^<]*)", refused)[-2:] == ["", ""]
+
+
+def test_a_ceiling_is_explained_where_it_stands(page):
+    text = Reader(page).text
+    assert "regression: 3.9&times;" in page
+    assert "what a fit reaches that may use everything measured" in text
+    assert "flexible" not in text
