@@ -1,0 +1,221 @@
+"""How large and how entangled the house is, in numbers that may only get better.
+
+``python .ci/house.py`` prints them beside the baseline in `house.json`; with ``--check`` it fails
+where one is worse. ``--write`` makes the present numbers the baseline; where one is worse it asks
+for ``--reason TEXT``, which stands in the baseline until the next one.
+"""
+
+import argparse
+import ast
+import io
+import json
+import re
+import sys
+import tokenize
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+BASELINE = HERE / "house.json"
+PACKAGE = "hilserver"
+LONG = 50
+"""Lines of a function that no longer fits on a screen."""
+INDEX = re.compile(r"[PXYUE]_[A-Z0-9_]+")
+"""Names of places in a vector: of parameters, states, outputs, inputs, events."""
+CONSTANT = re.compile(r"[A-Z][A-Z0-9_]+")
+MORE_IS_BETTER = {"comments_percent"}
+
+
+@dataclass(frozen=True)
+class File:
+    """One module of the package."""
+
+    name: str
+    room: str
+    text: str
+
+    @property
+    def tree(self) -> ast.Module:
+        """Its syntax."""
+        return ast.parse(self.text)
+
+    @property
+    def lines(self) -> int:
+        """Lines that are not blank."""
+        return sum(1 for line in self.text.splitlines() if line.strip())
+
+
+def read(root: Path) -> list[File]:
+    """Return all modules of the package; those at the top are rooms of their own."""
+    files = []
+    for path in sorted((root / PACKAGE).rglob("*.py")):
+        parts = path.relative_to(root / PACKAGE).with_suffix("").parts
+        name = ".".join((PACKAGE, *parts)).removesuffix(".__init__")
+        files.append(File(name, parts[0], path.read_text(encoding="utf-8")))
+    return files
+
+
+def long_functions(file: File) -> Iterator[str]:
+    """Yield the functions that are longer than a screen."""
+    for node in ast.walk(file.tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            if length > LONG:
+                yield f"{file.name}.{node.name} ({length})"
+
+
+def constants(file: File) -> Iterator[tuple[str, str]]:
+    """Yield the public upper-case names that a module binds to a number, with the number."""
+    for node in file.tree.body:
+        if isinstance(node, ast.Assign):
+            targets, value = node.targets, node.value
+        elif isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets, value = [node.target], node.value
+        else:
+            continue
+        try:
+            number = ast.literal_eval(value)
+        except ValueError:
+            continue
+        for target in targets:
+            if not isinstance(target, ast.Name) or not isinstance(number, int | float):
+                continue
+            if CONSTANT.fullmatch(target.id):
+                yield target.id, f"{number:g}"
+
+
+def index_lines(file: File) -> int:
+    """Return the lines that do nothing but import index constants."""
+    lines: set[int] = set()
+    for node in ast.walk(file.tree):
+        if isinstance(node, ast.ImportFrom):
+            lines |= {a.lineno for a in node.names if INDEX.fullmatch(a.name)}
+    return len(lines)
+
+
+def imported(file: File, rooms: set[str]) -> set[str]:
+    """Return the other rooms that a module knows."""
+    found: set[str] = set()
+    for node in ast.walk(file.tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [a.name for a in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{a.name}" for a in node.names]
+        for name in names:
+            first, _, rest = name.partition(".")
+            if first == PACKAGE:
+                found.add(rest.partition(".")[0])
+    return (found & rooms) - {file.room}
+
+
+def comments(file: File) -> int:
+    """Return the lines that hold a comment and no code."""
+    tokens = tokenize.generate_tokens(io.StringIO(file.text).readline)
+    return sum(1 for t in tokens if t.type == tokenize.COMMENT and t.line.lstrip().startswith("#"))
+
+
+@dataclass(frozen=True)
+class House:
+    """All numbers, and what stands behind them."""
+
+    numbers: dict[str, float]
+    by_room: Counter[str]
+    long: list[str]
+    two_values: dict[str, set[str]]
+
+
+def measure(root: Path) -> House:
+    """Measure the package below a folder."""
+    files = read(root)
+    rooms = {f.room for f in files} - {"__init__"}
+    arrows = {frozenset((f.room, other)) for f in files for other in imported(f, rooms)}
+    pairs = list(combinations(sorted(rooms), 2))
+    values: dict[str, set[str]] = defaultdict(set)
+    by_room: Counter[str] = Counter()
+    for file in files:
+        by_room[file.room] += file.lines
+        for name, literal in constants(file):
+            values[name].add(literal)
+    long = [name for f in files for name in long_functions(f)]
+    two_values = {name: found for name, found in sorted(values.items()) if len(found) > 1}
+    lines = sum(f.lines for f in files)
+    joined = sum(1 for pair in pairs if frozenset(pair) in arrows)
+    numbers: dict[str, float] = {
+        "lines": lines,
+        "files": len(files),
+        "functions_over_50_lines": len(long),
+        "names_with_two_values": len(two_values),
+        "room_pairs_joined_percent": round(100 * joined / len(pairs), 1) if pairs else 0.0,
+        "index_import_lines": sum(map(index_lines, files)),
+        "comments_percent": round(100 * sum(map(comments, files)) / max(lines, 1), 2),
+    }
+    return House(numbers, by_room, long, two_values)
+
+
+def worse(now: dict[str, float], before: dict[str, float]) -> list[str]:
+    """Return a sentence for every number that is worse than before."""
+    return [
+        f"{name} is {now[name]:g}, it was {before[name]:g}"
+        for name in before
+        if name in now
+        and (now[name] < before[name] if name in MORE_IS_BETTER else now[name] > before[name])
+    ]
+
+
+def show(house: House, before: dict[str, float]) -> None:
+    """Print the numbers beside the baseline, and what stands behind them."""
+    for name, value in house.numbers.items():
+        print(f"{name:28}{value:10g}{before.get(name, value):10g}")
+    print("\nlines by room")
+    for room, lines in house.by_room.most_common():
+        print(f"  {room:26}{lines:10}")
+    for title, found in (
+        ("functions over 50 lines", house.long),
+        (
+            "names with two values",
+            [f"{n}: {', '.join(sorted(v))}" for n, v in house.two_values.items()],
+        ),
+    ):
+        print(f"\n{title}", *(f"  {line:.96}" for line in found), sep="\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print, check or write; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="fail where a number is worse")
+    parser.add_argument("--write", action="store_true", help="make these the baseline")
+    parser.add_argument("--reason", default="", help="why a number may be worse")
+    parser.add_argument("--root", type=Path, default=HERE.parent)
+    parser.add_argument("--baseline", type=Path, default=BASELINE)
+    args = parser.parse_args(arguments)
+    house = measure(args.root)
+    known = json.loads(args.baseline.read_text("utf-8")) if args.baseline.exists() else {}
+    before: dict[str, float] = known.get("numbers", {})
+    found = worse(house.numbers, before)
+    if args.write:
+        if found and not args.reason:
+            print(*found, "say why with --reason TEXT", sep="\n", file=sys.stderr)
+            return 1
+        document = {"numbers": house.numbers, "reason": args.reason}
+        args.baseline.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
+        return 0
+    if args.check:
+        if found:
+            print(
+                *found,
+                "Make it smaller, or commit a new baseline with the reason:"
+                " python .ci/house.py --write --reason TEXT",
+                sep="\n",
+                file=sys.stderr,
+            )
+        return 1 if found else 0
+    show(house, before)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
