@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.bench import cyclictest
-from hilserver.bench.jitter_company import COMPANY, chosen
-from hilserver.bench.jitter_subjects import Subject, bare_pacing, loaded_daemon
+from hilserver.bench.jitter_subjects import Companion, Subject, bare_pacing, loaded_daemon
 from hilserver.bench.linear_histogram import (
     PERCENTILES,
     median_of_blocks_us,
@@ -90,27 +89,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="daemon",
         help="the daemon under OPC UA load (default), or the bare pacing loop",
     )
-    parser.add_argument(
-        "--with",
-        dest="beside",
-        type=_names,
-        default=(),
-        metavar="NAMES",
-        help=f"what the daemon serves besides, of {','.join(COMPANY)}; it is also measured without",
-    )
+    parser.set_defaults(beside=())
     parser.add_argument(
         "--backend",
         choices=("thread", "timerfd", "both"),
         default="both",
         help="pacing to be measured (default: both, one after the other)",
     )
-
-
-def _names(text: str) -> tuple[str, ...]:
-    try:
-        return chosen(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -126,7 +111,9 @@ def run(args: argparse.Namespace) -> list[Result]:
     return results
 
 
-def compare(args: argparse.Namespace, backend: str, beside: tuple[str, ...] = ()) -> Comparison:
+def compare(
+    args: argparse.Namespace, backend: str, beside: tuple[Companion, ...] = ()
+) -> Comparison:
     """Measure one back end and cyclictest in alternating blocks."""
     comparison = Comparison(backend)
     # Fail before anything is started if cyclictest is missing.

@@ -6,11 +6,10 @@ the difference of two looks, so that measuring costs it nothing.
 
 import contextlib
 import os
-import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hilserver.bench.jitter_company import Place, company, sections
+from hilserver.bench.target import DAEMON, free_port
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
@@ -28,7 +27,31 @@ from hilserver.scheduler import Statistics, map_statistics
 START_WITHIN_S = 120.0
 SETTLE_S = 2.0
 N_CLIENTS, N_NODES, RATE_HZ = 10, 50, 20
-_DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the daemon and what it serves besides meet: files in a folder, the page at a port."""
+
+    folder: Path
+    port: int
+
+
+@dataclass(frozen=True)
+class Companion:
+    """What the daemon serves besides its OPC UA clients.
+
+    Attributes
+    ----------
+    section : str
+        Of the configuration; `settings` makes its content.
+    busy : callable
+        Keeps a program at the other end busy while its context lasts; yields it in words.
+    """
+
+    section: str
+    settings: Callable[[Place], Mapping[str, Any]]
+    busy: Callable[[Place], contextlib.AbstractContextManager[str]]
 
 
 @dataclass
@@ -84,11 +107,11 @@ class Subject:
 
 @contextlib.contextmanager
 def bare_pacing(
-    backend: str, *, period_us: int, priority: int, beside: tuple[str, ...] = ()
+    backend: str, *, period_us: int, priority: int, beside: tuple[Companion, ...] = ()
 ) -> Iterator[Subject]:
     """Run the pacing loop with an empty step and a busy event loop."""
     if beside:
-        raise FailedError(f"--with {','.join(beside)} needs --subject daemon")
+        raise FailedError("--with needs --subject daemon")
     with tempfile.TemporaryDirectory(dir="/dev/shm", prefix="hilserver-") as folder:
         path = Path(folder) / "statistics"
         module = "hilserver.bench.pacing_subject"
@@ -100,30 +123,32 @@ def bare_pacing(
 
 @contextlib.contextmanager
 def loaded_daemon(
-    backend: str, *, period_us: int, priority: int, beside: tuple[str, ...] = ()
+    backend: str, *, period_us: int, priority: int, beside: tuple[Companion, ...] = ()
 ) -> Iterator[Subject]:
     """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each.
 
     Parameters
     ----------
-    beside : tuple of str
-        What the daemon serves besides, see `jitter_company`.
+    beside : tuple of Companion
+        What the daemon serves besides.
     """
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
-        port, image = _free_port(), f"bench-jitter-{os.getpid()}"
+        port, image = free_port(), f"bench-jitter-{os.getpid()}"
         url = f"opc.tcp://127.0.0.1:{port}/hilserver"
         path = Path(folder) / "config.yaml"
-        place = Place(Path(folder), _free_port())
-        settings = _settings(backend, period_us, priority, image, url) | sections(beside, place)
+        place = Place(Path(folder), free_port())
+        settings = _settings(backend, period_us, priority, image, url)
+        settings |= {one.section: one.settings(place) for one in beside}
         path.write_text(yaml.safe_dump(settings), encoding="utf-8")
-        arguments = ["-c", _DAEMON, "run", "-c", str(path)]
+        arguments = ["-c", DAEMON, "run", "-c", str(path)]
         with piped(python(*arguments), name="hilserver run") as daemon:
             statistics = _wait_for(lambda: _statistics_of(image), daemon)
             load = ["-m", "hilserver.bench.opcua_load", url]
             load += [str(N_CLIENTS), str(N_NODES), str(RATE_HZ)]
             text = f"{N_CLIENTS} OPC UA clients, {N_NODES} nodes at {RATE_HZ} Hz each"
             clients_of = piped(python(*load), name="the OPC UA clients")
-            with company(beside, place) as others, clients_of as clients:
+            with contextlib.ExitStack() as stack, clients_of as clients:
+                others = [stack.enter_context(one.busy(place)) for one in beside]
                 subject = Subject(statistics, [text, *others])
                 time.sleep(SETTLE_S)
                 began = time.monotonic()
@@ -149,6 +174,7 @@ def _settings(backend: str, period_us: int, priority: int, image: str, url: str)
         "image": {"name": image},
         "opcua": {"endpoint": url},
         "metrics": {"enabled": False},
+        "page": {"enabled": False},
         "logging": {"level": "ERROR"},
     }
 
@@ -186,9 +212,3 @@ def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]"
                 return statistics
         time.sleep(0.1)
     raise FailedError(f"the process to be measured did not start within {START_WITHIN_S:.0f} s")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

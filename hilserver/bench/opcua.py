@@ -19,9 +19,9 @@ from pathlib import Path
 
 from asyncua import ua
 
-from hilserver.bench.attack_target import free_port, running_daemon
 from hilserver.bench.opcua_clients import Clients, Delivered, build
 from hilserver.bench.report import Result
+from hilserver.bench.target import free_port, running_daemon
 from hilserver.bench.wire import Wire
 from hilserver.program.children import piped, python
 

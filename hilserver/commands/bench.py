@@ -1,45 +1,77 @@
-"""Measure the figures that the README quotes, each with its reference in the same run."""
+"""Measure the figures that the README quotes, each with its reference in the same run.
+
+What needs peers and rivals of hilserver is not installed with it; in a checkout it is here, too.
+"""
 
 import argparse
 import importlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
 
+import hilserver
 from hilserver.bench.report import as_table, write_json
 from hilserver.commands.options import out_file
-from hilserver.errors import EXIT_DONE
+from hilserver.errors import EXIT_DONE, FailedError
 
 EXAMPLE = "hilserver bench plant --json plant.json"
 BENCHES = {
     "plant": "one step of four wheels and pose against the same recurrence in C",
     "jitter": "wake latency under OPC UA load against cyclictest",
     "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
-    "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
-    "page": "what the operator page costs: server, plant's deadlines, browser",
     "loop": "set-point to pose and back over TCP, two processes",
-    "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
-    "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",
-    "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
-    "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
 }
+ELSEWHERE = ("attack", "diagnose", "mechatronic", "page", "ros2", "shield")
+"""Those of a checkout, in its folder ``benchmarks``."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one sub-command per bench."""
     benches = parser.add_subparsers(title="benches", metavar="BENCH", required=True)
-    for name, text in BENCHES.items():
+    modules = {name: (f"hilserver.bench.{name}", text) for name, text in BENCHES.items()}
+    others = _of_checkout()
+    modules |= {name: (f"benchmarks.{name}", text) for name, text in others.items()}
+    for name, (path, text) in modules.items():
+        module = importlib.import_module(path)
         bench = benches.add_parser(name, help=text, epilog=f"example: hilserver bench {name}")
         bench.add_argument(
             "--json", type=out_file, metavar="FILE", help="write figures and raw data"
         )
-        bench.set_defaults(bench=name)
-        module = importlib.import_module(f"hilserver.bench.{name}")
+        bench.set_defaults(measure=module.run)
         if hasattr(module, "add_arguments"):
             module.add_arguments(bench)
+    for name in ELSEWHERE if not others else ():
+        absent = benches.add_parser(
+            name, help="only in a checkout of hilserver", prefix_chars="\0", add_help=False
+        )
+        absent.add_argument("words", nargs="*")
+        absent.set_defaults(measure=_absent, bench=name, json=None)
+
+
+def _of_checkout() -> dict[str, str]:
+    """Return the benches beside the package, which are imported from there; none if installed."""
+    root = str(Path(hilserver.__file__).parents[1])
+    if not Path(root, "benchmarks", "__main__.py").is_file():
+        return {}
+    if root not in sys.path:
+        sys.path.append(root)
+        known = os.environ.get("PYTHONPATH")  # for the processes that they start
+        os.environ["PYTHONPATH"] = f"{known}{os.pathsep}{root}" if known else root
+    benches: dict[str, str] = importlib.import_module("benchmarks").BENCHES
+    return benches
+
+
+def _absent(args: argparse.Namespace) -> Any:
+    raise FailedError(
+        f"'bench {args.bench}' measures beside other programs and is not installed with hilserver;"
+        f" run 'python -m benchmarks {args.bench}' in a checkout of its source"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run one bench, print its table, write the JSON file if asked to."""
-    module = importlib.import_module(f"hilserver.bench.{args.bench}")
-    results = module.run(args)
+    results = args.measure(args)
     print(as_table(results))
     if args.json is not None:
         write_json(args.json, results)

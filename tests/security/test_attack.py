@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from hilserver.bench.attack_figures import ATTACK, CONTROL, IDLE, Block, Campaign, results
-from hilserver.bench.attack_floods import FLOODS
-from hilserver.bench.attack_packets import STAGES, captures, packets
-from hilserver.bench.poisson import block_ratio_interval, rate_ratio_interval
+from benchmarks.attack_figures import ATTACK, CONTROL, IDLE, Block, Campaign, results
+from benchmarks.attack_floods import FLOODS
+from benchmarks.attack_packets import STAGES, captures, packets
+from benchmarks.poisson import block_ratio_interval, rate_ratio_interval
 from hilserver.bench.wire import Wire
 from tests.io.opcua_server.rig import Rig
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hilserver_injector import Recipe, make
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.findings.outcome import outliers
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import stages_of

@@ -15,7 +15,7 @@ import numpy as np
 from hilserver_injector import Recipe, make
 from scipy import stats
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.groups.diagnosing import diagnose_groups
 from tests.diagnosis.assertions import LARGEST_GROUP, said
 from tests.diagnosis.hidden.logs import assembly

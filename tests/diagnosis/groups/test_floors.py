@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 from hilserver_injector import Recorder, make
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.config.patch import load_patch
 from hilserver.diagnosis.findings.patch import as_yaml, make_patch
 from hilserver.diagnosis.groups.diagnosing import diagnose_groups

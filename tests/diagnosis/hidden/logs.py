@@ -5,7 +5,7 @@ from functools import cache
 
 from hilserver_injector import Recipe, make, nothing, single
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.schema.evidence import Diagnosis

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hilserver_injector import make, nothing
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.decide.structure import families_of, remaining
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import prepare, stages_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from hilserver_injector import Recorder, make
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.schema.findings import Verdict
 from tests.diagnosis.assertions import the_cause_is_named

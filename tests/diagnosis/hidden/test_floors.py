@@ -2,7 +2,7 @@
 
 import pytest
 
-from hilserver.bench.diagnose_worker import Staged, _findings, _logs
+from benchmarks.diagnose_worker import Staged, _findings, _logs
 from hilserver.scenarios import SCENARIOS, judge
 
 

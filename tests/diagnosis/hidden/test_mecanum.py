@@ -3,7 +3,7 @@
 import pytest
 from hilserver_injector import Recipe, make
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.engine import diagnose

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hilserver_injector import make
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.compare.comparison import compare
 from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.engine import diagnose, silent

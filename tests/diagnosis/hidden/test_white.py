@@ -8,7 +8,7 @@ import pytest
 from hilserver_injector import Noise, make, nothing
 from scipy import stats
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.regression.stages import prepare, stages_of
 from tests.diagnosis.hidden.logs import assembly
 

@@ -7,7 +7,7 @@ import pytest
 from hilserver_injector import make
 from hilserver_injector.cases import cases
 
-from hilserver.bench.diagnose_worker import measured
+from benchmarks.diagnose_worker import measured
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.measured.channels import DUTIES, GYRO, SETPOINTS, SPEEDS

@@ -1,6 +1,6 @@
 import pytest
 
-from hilserver.bench.ros2_peers import build_cyclone, build_fast_dds
+from benchmarks.ros2_peers import build_cyclone, build_fast_dds
 from hilserver.ros.flavours import FLAVOURS
 from tests.helpers.shared import made_once
 from tests.io.ros2 import rig

@@ -8,7 +8,7 @@ import socket
 import numpy as np
 from mcap_ros2._dynamic import generate_dynamic
 
-from hilserver.bench.ros2_peers import arguments
+from benchmarks.ros2_peers import arguments
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.ros.types import known_types

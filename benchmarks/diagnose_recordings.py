@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.bench.baselines import RIVALS, applies
-from hilserver.bench.campaign_rivals import compared
+from benchmarks.baselines import RIVALS, applies
+from benchmarks.campaign_rivals import compared
+from benchmarks.sindy import library
 from hilserver.bench.report import Result
-from hilserver.bench.sindy import library
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import judge, silent

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hilserver.bench.chromium import Tab, browser
+from benchmarks.chromium import Tab, browser
 from hilserver.bench.report import Result
 
 _WATCHING = """

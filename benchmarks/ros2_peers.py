@@ -64,7 +64,7 @@ def build_fast_dds(folder: Path) -> Path:
         If a compiler or the library is missing.
     """
     program = folder / "ros2_fast_dds"
-    with as_file(files("hilserver.bench") / "ros2_fast_dds.cpp") as source:
+    with as_file(files("benchmarks") / "ros2_fast_dds.cpp") as source:
         libraries = ("-lfastrtps", "-lfastcdr", "-lpthread")
         _run("g++", "-O0", "-std=c++17", str(source), "-o", str(program), *libraries)
     return program
@@ -84,7 +84,7 @@ def build_cyclone(folder: Path, type_names: Iterable[str]) -> Path:
     (folder / "table.h").write_text("".join(rows), encoding="ascii")
     _run("idlc", "-t", "types.idl", folder=folder)  # rmw_cyclonedds announces no type either
     program = folder / "ros2_cyclone"
-    with as_file(files("hilserver.bench") / "ros2_cyclone.c") as source:
+    with as_file(files("benchmarks") / "ros2_cyclone.c") as source:
         made = ("-O0", "-I.", str(source), "types.c", "-o", str(program), "-lddsc", "-lpthread")
         _run("cc", *made, folder=folder)
     return program

@@ -15,7 +15,7 @@ import numpy as np
 from hilserver_injector.cases import Case
 from numpy.typing import NDArray
 
-from hilserver.bench.diagnose_scoring import Value, bare, value_of
+from benchmarks.diagnose_scoring import Value, bare, value_of
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all

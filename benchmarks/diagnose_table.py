@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from hilserver.bench.binomial import clopper_pearson
+from benchmarks.binomial import clopper_pearson
 from hilserver.bench.report import Result
 
 Record = dict[str, Any]

@@ -6,29 +6,21 @@ import json
 import math
 import os
 import re
-import socket
 import subprocess
-import tempfile
-import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
-import yaml
-from asyncua import ua
-
-from hilserver.bench.wire import Wire
+from hilserver.bench.target import running_daemon
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics
 
-START_WITHIN_S = 300.0
 _LOOK_BACK, _EVERY = 1500, 2
 """Frames: fewer than the ring keeps; every second one shows an age to 2 ms."""
 _SAFE = 3
-_DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
 _CONTROL = {
     "scheduler": {
         "base_period_ms": 10,
@@ -131,7 +123,7 @@ async def running_target(cpu: int | None) -> AsyncIterator[Target]:
     settings = {"scheduler": {"policy": "skip", "realtime": {"cpu": cpu}}}
     image = f"bench-attack-{os.getpid()}"
     async with running_daemon(settings, image, "--demo") as (url, daemon):
-        with piped(python("-m", "hilserver.bench.attack_probe", url), name="the probe") as probe:
+        with piped(python("-m", "benchmarks.attack_probe", url), name="the probe") as probe:
             reader = ImageReader.attach(image)
             _, words = reader.region("statistics")
             subject = Target(url, daemon, probe, Statistics.attach(words), PeerWatch(reader))
@@ -147,35 +139,6 @@ async def running_control() -> AsyncIterator[str]:
         yield url
 
 
-@contextlib.asynccontextmanager
-async def running_daemon(
-    settings: Mapping[str, Any], image: str, *arguments: str
-) -> "AsyncIterator[tuple[str, subprocess.Popen[str]]]":
-    """Start a daemon with these settings; give its address and its process."""
-    with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
-        url = f"opc.tcp://127.0.0.1:{free_port()}/hilserver"
-        ours = {
-            "image": {"name": image},
-            "opcua": {"endpoint": url},
-            "metrics": {"enabled": False},
-            "page": {"enabled": False},
-            "logging": {"level": "ERROR"},
-        }
-        path = Path(folder) / "config.yaml"
-        path.write_text(yaml.safe_dump({**ours, **settings}), encoding="utf-8")
-        command = python("-c", _DAEMON, "run", "-c", str(path), *arguments)
-        with piped(command, name="hilserver run") as daemon:
-            await _wait_for_server(url, daemon)
-            yield url, daemon
-
-
-def free_port() -> int:
-    """Return a TCP port that nobody uses now."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
-
-
 def core_for_the_plant() -> int | None:
     """Leave one core to the plant and return its number; None if there is but one.
 
@@ -188,16 +151,3 @@ def core_for_the_plant() -> int | None:
     cpu = max(cores)
     os.sched_setaffinity(0, cores - {cpu})
     return cpu
-
-
-async def _wait_for_server(url: str, daemon: "subprocess.Popen[str]") -> None:
-    deadline = time.monotonic() + START_WITHIN_S
-    while time.monotonic() < deadline and daemon.poll() is None:
-        with contextlib.suppress(OSError, ua.UaError, TimeoutError):
-            async with Wire(url) as wire:
-                await wire.log_in()
-                value = (await wire.read(ua.NodeId("sim.state", 2)))[0].Value
-                if value is not None and value.Value == 1:  # running
-                    return
-        await asyncio.sleep(0.2)
-    raise FailedError(f"the daemon did not start within {START_WITHIN_S:.0f} s")

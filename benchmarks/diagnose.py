@@ -20,11 +20,11 @@ from statistics import median
 from hilserver_injector.cases import CLASSES, Case, cases, singles
 from hilserver_injector.causes import CAUSES, REQUIRED
 
+from benchmarks.diagnose_beside import beside
+from benchmarks.diagnose_results import Results
+from benchmarks.diagnose_table import Record, markdown, rows
+from benchmarks.diagnose_worker import Staged, changed, work
 from hilserver import __version__
-from hilserver.bench.diagnose_beside import beside
-from hilserver.bench.diagnose_results import Results
-from hilserver.bench.diagnose_table import Record, markdown, rows
-from hilserver.bench.diagnose_worker import Staged, changed, work
 from hilserver.bench.report import Result
 from hilserver.errors import FailedError
 from hilserver.program.workers import in_processes
@@ -82,7 +82,7 @@ def _recordings(text: str) -> tuple[str, list[Path]]:
 def run(args: argparse.Namespace) -> list[Result]:
     """Run what has no result yet, print the tables and return their rows."""
     if args.recordings:
-        from hilserver.bench.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
+        from benchmarks.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
 
         return measure(args.recordings)
     if args.seeds < 1 or args.jobs < 1:
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> list[Result]:
     noise = "measured noise" if args.measured_noise else ""
     rival = "rivals" if args.rivals else ""
     if args.rivals:
-        from hilserver.bench.campaign_rivals import require  # noqa: PLC0415 (slow to import)
+        from benchmarks.campaign_rivals import require  # noqa: PLC0415 (slow to import)
 
         require()
     results = Results(args.resume, ", ".join(filter(None, (length, noise, rival))))
@@ -187,7 +187,7 @@ def _commit() -> str:
     commit = git("rev-parse", "--short=10", "HEAD")
     if not commit:
         return f"version-{__version__}"
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", "..")
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", "../hilserver")
     return f"{commit}-changed" if changed else commit
 
 

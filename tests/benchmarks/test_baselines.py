@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from hilserver_injector import Recipe, make
 
-from hilserver.bench import diagnose
-from hilserver.bench.baselines import NineTerms, applies, nine_terms, stepwise
-from hilserver.bench.diagnose_recordings import Row, _figures
-from hilserver.bench.diagnose_worker import measured
+from benchmarks import diagnose
+from benchmarks.baselines import NineTerms, applies, nine_terms, stepwise
+from benchmarks.diagnose_recordings import Row, _figures
+from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.findings.gain import gains
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.measured.channels import GYRO, POSITION, YAW
-from tests.bench.test_diagnose import arguments
+from tests.benchmarks.test_diagnose import arguments
 
 LATE_S = 0.15
 RECIPE = Recipe(
@@ -92,9 +92,7 @@ def test_a_recording_needs_its_mapping(tmp_path, text, capsys):
 def test_recordings_take_the_place_of_hidden_causes(tmp_path, monkeypatch):
     args = arguments(tmp_path, words=["--recordings", "husky.yaml=a.csv,b.csv", "w.yaml=c.csv"])
     asked = []
-    monkeypatch.setattr(
-        "hilserver.bench.diagnose_recordings.measure", lambda m: asked.extend(m) or []
-    )
+    monkeypatch.setattr("benchmarks.diagnose_recordings.measure", lambda m: asked.extend(m) or [])
     assert diagnose.run(args) == []
     assert [(m, [f.name for f in files]) for m, files in asked] == [
         ("husky.yaml", ["a.csv", "b.csv"]),

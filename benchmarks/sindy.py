@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.bench.body_velocities import AHEAD, TURN, BodyVelocities
+from benchmarks.body_velocities import AHEAD, TURN, BodyVelocities
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.errors import FailedError

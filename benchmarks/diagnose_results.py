@@ -13,7 +13,7 @@ from typing import Final
 import hilserver_injector
 
 import hilserver
-from hilserver.bench.diagnose_table import Record
+from benchmarks.diagnose_table import Record
 
 ROOMS: Final = ("diagnosis", "measured", "plant", "scenarios")
 """What a finding or its score depends on, beside the campaign's own worker and scoring."""
@@ -25,7 +25,7 @@ def sources() -> str:
     package = Path(hilserver.__file__).parent
     folders = [package / room for room in ROOMS] + [Path(hilserver_injector.__file__).parent]
     files = [file for folder in folders for file in folder.rglob("*.py")]
-    files += [package / "bench" / f"diagnose_{part}.py" for part in ("scoring", "worker")]
+    files += [Path(__file__).with_name(f"diagnose_{part}.py") for part in ("scoring", "worker")]
     total = hashlib.sha256()
     for file in sorted(files, key=lambda file: file.parts[-3:]):
         total.update("/".join(file.parts[-3:]).encode())

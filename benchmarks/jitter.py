@@ -1,36 +1,30 @@
-"""What the daemon of `bench jitter` may serve beside its OPC UA clients: page, body, ROS 2, shield.
+"""`bench jitter` with what the daemon may serve besides: page, body, ROS 2, shield.
 
 Each has a section of the configuration, and a program at its other end that keeps it busy.
 """
 
+import argparse
 import contextlib
 import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import IO, Any, Final
 
-from hilserver.bench.ros2_peers import arguments, build_fast_dds, published
+from benchmarks.ros2_peers import arguments, build_fast_dds, published
+from hilserver.bench import jitter
+from hilserver.bench.jitter_subjects import Companion, Place
 from hilserver.errors import FailedError
 from hilserver.program.children import piped, python
 from hilserver.ros.flavours import RPM
 from hilserver.ros.types import known_types
 
+run = jitter.run
 BROWSERS: Final = 3
 DOMAIN: Final = 102
 RATE_HZ: Final = 50
 LONGEST_S: Final = 3600
 START_WITHIN_S: Final = 60.0
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the daemon and its company meet: files in a folder, the page at a port."""
-
-    folder: Path
-    port: int
 
 
 def _no_settings(_: Place) -> dict[str, Any]:
@@ -55,7 +49,7 @@ def _nobody(_: Place) -> Iterator[str]:
 def _browsers(place: Place) -> Iterator[str]:
     url = f"http://127.0.0.1:{place.port}/"
     _wait_for(lambda: _is_open(place.port), "the page")
-    command = python("-m", "hilserver.bench.page_clients", url, str(BROWSERS))
+    command = python("-m", "benchmarks.page_clients", url, str(BROWSERS))
     with piped(command, name="the browsers") as process:
         _say(process.stdin, "connect\n")
         if process.stdout is None or not process.stdout.readline():
@@ -67,7 +61,7 @@ def _browsers(place: Place) -> Iterator[str]:
 def _host(place: Place) -> Iterator[str]:
     line = place.folder / "shield"
     _wait_for(line.exists, "the shield")
-    words = ("-m", "hilserver.bench.shield_host", str(line), str(RATE_HZ), str(LONGEST_S))
+    words = ("-m", "benchmarks.shield_host", str(line), str(RATE_HZ), str(LONGEST_S))
     with piped(python(*words), name="the shield's host") as process:
         yield f"a host on the serial line at {RATE_HZ} Hz"
         _still(process, "the shield's host")
@@ -88,42 +82,39 @@ def _peer(place: Place) -> Iterator[str]:
         _still(process, "the ROS 2 host")
 
 
-Settings = Callable[[Place], dict[str, Any]]
-Other = Callable[[Place], contextlib.AbstractContextManager[str]]
-COMPANY: Final[Mapping[str, tuple[str, Settings, Other]]] = {
-    "page": ("page", lambda place: {"port": place.port}, _browsers),
-    "body": ("mechatronic", _no_settings, _nobody),
-    "ros2": ("ros2", _ros2, _peer),
-    "shield": ("shield", _shield, _host),
+COMPANY: Final[Mapping[str, Companion]] = {
+    "page": Companion("page", lambda place: {"port": place.port}, _browsers),
+    "body": Companion("mechatronic", _no_settings, _nobody),
+    "ros2": Companion("ros2", _ros2, _peer),
+    "shield": Companion("shield", _shield, _host),
 }
-"""Name -> section of the configuration, its content, the program at the other end."""
 
 
-def chosen(text: str) -> tuple[str, ...]:
-    """Return the names in ``page,ros2``.
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the bench, and what the daemon serves besides."""
+    jitter.add_arguments(parser)
+    parser.add_argument(
+        "--with",
+        dest="beside",
+        type=chosen,
+        default=(),
+        metavar="NAMES",
+        help=f"what the daemon serves besides, of {','.join(COMPANY)}; it is also measured without",
+    )
+
+
+def chosen(text: str) -> tuple[Companion, ...]:
+    """Return what is named in ``page,ros2``.
 
     Raises
     ------
-    ValueError
-        If one is unknown.
+    argparse.ArgumentTypeError
+        If a name is unknown.
     """
     names = tuple(dict.fromkeys(name for name in text.split(",") if name))
     if unknown := [name for name in names if name not in COMPANY]:
-        raise ValueError(f"'{unknown[0]}' is none of {', '.join(COMPANY)}")
-    return names
-
-
-def sections(names: tuple[str, ...], place: Place) -> dict[str, Any]:
-    """Return what the configuration has in addition."""
-    chosen_ones = [COMPANY[name] for name in names]
-    return {"page": {"enabled": False}} | {key: make(place) for key, make, _ in chosen_ones}
-
-
-@contextlib.contextmanager
-def company(names: tuple[str, ...], place: Place) -> Iterator[list[str]]:
-    """Keep what was chosen busy; yields it in words."""
-    with contextlib.ExitStack() as stack:
-        yield [stack.enter_context(COMPANY[name][2](place)) for name in names]
+        raise argparse.ArgumentTypeError(f"'{unknown[0]}' is none of {', '.join(COMPANY)}")
+    return tuple(COMPANY[name] for name in names)
 
 
 def _say(pipe: IO[str] | None, text: str) -> None:

@@ -103,7 +103,7 @@ async def _measure(args: argparse.Namespace, config: Config, folder: Path) -> Bl
 
 
 async def _host(line: str, rate_hz: float, seconds: float) -> list[float]:
-    module = ("-m", "hilserver.bench.shield_host", line, str(rate_hz), str(seconds))
+    module = ("-m", "benchmarks.shield_host", line, str(rate_hz), str(seconds))
     process = await asyncio.create_subprocess_exec(
         sys.executable, *module, stdout=asyncio.subprocess.PIPE
     )

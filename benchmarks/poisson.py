@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hilserver.bench.binomial import clopper_pearson
+from benchmarks.binomial import clopper_pearson
 
 _RESAMPLES = 4000
 

@@ -10,10 +10,10 @@ import pytest
 from hilserver_injector import Recipe
 from hilserver_injector.cases import CLASSES, Answer, Case, cases
 
-from hilserver.bench import diagnose, diagnose_results, diagnose_worker
-from hilserver.bench.binomial import clopper_pearson
-from hilserver.bench.diagnose_scoring import ellipsoid_of, score
-from hilserver.bench.diagnose_table import Row, rows
+from benchmarks import diagnose, diagnose_results, diagnose_worker
+from benchmarks.binomial import clopper_pearson
+from benchmarks.diagnose_scoring import ellipsoid_of, score
+from benchmarks.diagnose_table import Row, rows
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Findings, Joint, Parameter
 from hilserver.errors import FailedError

@@ -11,7 +11,7 @@ import numpy as np
 from hilserver_injector import Recipe, Table, make
 from hilserver_injector.cases import Case
 
-from hilserver.bench.diagnose_scoring import Score, score
+from benchmarks.diagnose_scoring import Score, score
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
@@ -90,7 +90,7 @@ def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
         result = Score(outcome="crashed", found=[f"{type(error).__name__}: {error}"])
     seconds = time.perf_counter() - begin
     if with_rivals and isinstance(case, Case):
-        rivals = import_module("hilserver.bench.campaign_rivals")
+        rivals = import_module("benchmarks.campaign_rivals")
         record |= rivals.answers(case, logs, assemble(None).robot)
     return record | {"seconds": seconds, "smallest": smallest, "gain": gain} | result.as_json()
 

@@ -8,10 +8,10 @@ import pytest
 from hilserver_injector import make
 from hilserver_injector.cases import singles
 
-from hilserver.bench import diagnose, diagnose_worker, sysid
-from hilserver.bench.diagnose_table import markdown
+from benchmarks import diagnose, diagnose_worker, sysid
+from benchmarks.diagnose_table import markdown
 from hilserver.errors import FailedError
-from tests.bench.test_diagnose import arguments
+from tests.benchmarks.test_diagnose import arguments
 
 CASE = next(singles(1, names=("time_constant",)))
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from hilserver.bench.gaussian_process import gaussian_process
-from hilserver.bench.sindy import sindy
+from benchmarks.gaussian_process import gaussian_process
+from benchmarks.sindy import sindy
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.fitting import fit

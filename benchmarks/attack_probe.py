@@ -1,6 +1,6 @@
 """A healthy client that reads at a fixed rate, in a process of its own.
 
-``python -m hilserver.bench.attack_probe URL``: each line on standard input asks for the latencies
+``python -m benchmarks.attack_probe URL``: each line on standard input asks for the latencies
 of the reads since the line before, one JSON list [ms] on standard output.
 """
 

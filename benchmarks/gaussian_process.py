@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.bench.body_velocities import AHEAD, TURN, WINDOW, BodyVelocities
+from benchmarks.body_velocities import AHEAD, TURN, WINDOW, BodyVelocities
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
 

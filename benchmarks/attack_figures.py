@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from hilserver.bench.attack_packets import STAGES, Packet
-from hilserver.bench.poisson import block_ratio_interval, rate_ratio_interval
+from benchmarks.attack_packets import STAGES, Packet
+from benchmarks.poisson import block_ratio_interval, rate_ratio_interval
 from hilserver.bench.report import Result
 
 READ_DEADLINE_S = 2.0

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from hilserver_injector.cases import Case
 
-from hilserver.bench import sindy, sysid
-from hilserver.bench.baselines import RIVALS, applies
-from hilserver.bench.diagnose_scoring import Score
+from benchmarks import sindy, sysid
+from benchmarks.baselines import RIVALS, applies
+from benchmarks.diagnose_scoring import Score
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S, silent
 from hilserver.diagnosis.findings.gain import gains, reported

@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.bench import page_browser
-from hilserver.bench.attack_target import free_port, running_daemon
+from benchmarks import page_browser
 from hilserver.bench.jitter_subjects import Subject
 from hilserver.bench.linear_histogram import median_of_blocks_us, percentile_us, ratio_interval
 from hilserver.bench.report import Result
+from hilserver.bench.target import free_port, running_daemon
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
@@ -145,7 +145,7 @@ def _page_of(pid: int) -> int:
 
 @contextlib.contextmanager
 def _clients(url: str, n: int) -> Iterator[Clients]:
-    command = python("-m", "hilserver.bench.page_clients", url, str(n))
+    command = python("-m", "benchmarks.page_clients", url, str(n))
     with piped(command, name="the clients of the page") as process:
         clients = Clients(process)
         clients.tell("connect")

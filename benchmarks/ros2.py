@@ -22,8 +22,8 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.ros2_peers import Endpoint, arguments, build_cyclone, build_fast_dds, published
 from hilserver.bench.report import Result
-from hilserver.bench.ros2_peers import Endpoint, arguments, build_cyclone, build_fast_dds, published
 from hilserver.compiled.histogram import Histogram125
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config

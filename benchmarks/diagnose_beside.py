@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilserver.bench.diagnose_table import Record
+from benchmarks.diagnose_table import Record
 
 QUANTITIES: Final = {
     "position_m": "position", "yaw_rad": "yaw", "gyro_z_rad_s": "turn rate"

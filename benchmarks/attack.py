@@ -21,7 +21,7 @@ from pathlib import Path
 
 from asyncua import ua
 
-from hilserver.bench.attack_figures import (
+from benchmarks.attack_figures import (
     ATTACK,
     CONTROL,
     IDLE,
@@ -31,9 +31,9 @@ from hilserver.bench.attack_figures import (
     Campaign,
     results,
 )
-from hilserver.bench.attack_floods import FLOODS
-from hilserver.bench.attack_packets import STAGES, Packet, packets
-from hilserver.bench.attack_target import (
+from benchmarks.attack_floods import FLOODS
+from benchmarks.attack_packets import STAGES, Packet, packets
+from benchmarks.attack_target import (
     Target,
     core_for_the_plant,
     running_control,

@@ -4,8 +4,8 @@ import argparse
 
 import pytest
 
-from hilserver.bench import ros2
-from hilserver.bench.jitter_company import COMPANY, chosen
+from benchmarks import ros2
+from benchmarks.jitter import COMPANY, chosen
 
 
 def test_losses_are_gaps_in_the_sequence_between_first_and_last():
@@ -14,8 +14,8 @@ def test_losses_are_gaps_in_the_sequence_between_first_and_last():
 
 
 def test_company_of_the_daemon_is_chosen_by_name():
-    assert chosen("ros2,page,ros2") == ("ros2", "page")
-    with pytest.raises(ValueError, match=f"'cat' is none of {', '.join(COMPANY)}"):
+    assert chosen("ros2,page,ros2") == (COMPANY["ros2"], COMPANY["page"])
+    with pytest.raises(argparse.ArgumentTypeError, match=f"'cat' is none of {', '.join(COMPANY)}"):
         chosen("page,cat")
 
 

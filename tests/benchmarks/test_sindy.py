@@ -8,18 +8,18 @@ import pytest
 from hilserver_injector import Recipe, make
 from hilserver_injector.cases import null, singles
 
-from hilserver.bench import diagnose
-from hilserver.bench.baselines import RIVALS
-from hilserver.bench.campaign_rivals import compared, scored
-from hilserver.bench.diagnose_beside import beside
-from hilserver.bench.diagnose_worker import measured
-from hilserver.bench.sindy import CAUSES, mapped, said, sparse
+from benchmarks import diagnose
+from benchmarks.baselines import RIVALS
+from benchmarks.campaign_rivals import compared, scored
+from benchmarks.diagnose_beside import beside
+from benchmarks.diagnose_worker import measured
+from benchmarks.sindy import CAUSES, mapped, said, sparse
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.errors import FailedError
 from hilserver.plant.terms import TERMS
-from tests.bench.test_diagnose import arguments
+from tests.benchmarks.test_diagnose import arguments
 
 ALL = frozenset({"ahead", "aside", "turn", "gyro"})
 

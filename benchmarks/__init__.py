@@ -1,0 +1,15 @@
+"""What measures hilserver beside its peers and rivals, and the campaign of its diagnosis.
+
+It runs from a checkout and is no part of the installed package: ``python -m benchmarks NAME``.
+"""
+
+BENCHES = {
+    "jitter": "wake latency under OPC UA load, page, body, ROS 2 and shield, against cyclictest",
+    "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
+    "page": "what the operator page costs: server, plant's deadlines, browser",
+    "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
+    "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",
+    "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
+    "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
+}
+"""Name of a module with ``add_arguments`` and ``run`` -> what it measures."""

@@ -1,0 +1,7 @@
+"""``python -m benchmarks NAME``: as ``hilserver bench NAME`` in a checkout."""
+
+import sys
+
+from hilserver.commands import main
+
+sys.exit(main(["bench", *sys.argv[1:]]))

@@ -1,0 +1,64 @@
+"""The daemon that a bench measures: a process of its own on loopback."""
+
+import asyncio
+import contextlib
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from asyncua import ua
+
+from hilserver.bench.wire import Wire
+from hilserver.errors import FailedError
+from hilserver.program.children import piped, python
+
+START_WITHIN_S = 300.0
+DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
+"""What a process of Python runs to be the command line."""
+
+
+@contextlib.asynccontextmanager
+async def running_daemon(
+    settings: Mapping[str, Any], image: str, *arguments: str
+) -> "AsyncIterator[tuple[str, subprocess.Popen[str]]]":
+    """Start a daemon with these settings; give its address and its process."""
+    with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
+        url = f"opc.tcp://127.0.0.1:{free_port()}/hilserver"
+        ours = {
+            "image": {"name": image},
+            "opcua": {"endpoint": url},
+            "metrics": {"enabled": False},
+            "page": {"enabled": False},
+            "logging": {"level": "ERROR"},
+        }
+        path = Path(folder) / "config.yaml"
+        path.write_text(yaml.safe_dump({**ours, **settings}), encoding="utf-8")
+        command = python("-c", DAEMON, "run", "-c", str(path), *arguments)
+        with piped(command, name="hilserver run") as daemon:
+            await _wait_for_server(url, daemon)
+            yield url, daemon
+
+
+def free_port() -> int:
+    """Return a TCP port that nobody uses now."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+async def _wait_for_server(url: str, daemon: "subprocess.Popen[str]") -> None:
+    deadline = time.monotonic() + START_WITHIN_S
+    while time.monotonic() < deadline and daemon.poll() is None:
+        with contextlib.suppress(OSError, ua.UaError, TimeoutError):
+            async with Wire(url) as wire:
+                await wire.log_in()
+                value = (await wire.read(ua.NodeId("sim.state", 2)))[0].Value
+                if value is not None and value.Value == 1:  # running
+                    return
+        await asyncio.sleep(0.2)
+    raise FailedError(f"the daemon did not start within {START_WITHIN_S:.0f} s")

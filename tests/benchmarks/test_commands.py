@@ -1,0 +1,63 @@
+"""Benches that are not installed: where they are found, and what is said where they are not."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hilserver
+from benchmarks import BENCHES
+from hilserver import commands
+from hilserver.commands.bench import ELSEWHERE
+
+ROOT = Path(hilserver.__file__).parents[1]
+MAIN = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
+
+
+def python(*words, folder, path):
+    command = [sys.executable, *words]
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(path), "HOME": str(folder)}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_those_that_are_named_elsewhere_are_those_of_the_checkout():
+    assert sorted(ELSEWHERE) == sorted(set(BENCHES) - {"jitter"})
+
+
+@pytest.mark.parametrize("words", [("-c", MAIN, "bench"), ("-m", "benchmarks")])
+def test_a_checkout_has_them_all_under_both_commands(words):
+    shown = python(*words, "diagnose", "--help", folder=ROOT, path=ROOT / "tests" / "injector")
+    assert shown.returncode == 0, shown.stderr
+    assert "--first-seed" in shown.stdout
+
+
+def test_an_installed_package_says_where_they_are(tmp_path):
+    installed = tmp_path / "site"
+    shutil.copytree(
+        ROOT / "hilserver", installed / "hilserver",
+        ignore=shutil.ignore_patterns("__pycache__", "static"),
+    )  # fmt: skip
+    for words in (("attack",), ("diagnose", "--seeds", "3", "-h")):
+        said = python("-c", MAIN, "bench", *words, folder=tmp_path, path=installed)
+        assert said.returncode == 1
+        assert said.stderr.splitlines() == [
+            f"hilserver: 'bench {words[0]}' measures beside other programs and is not installed"
+            f" with hilserver; run 'python -m benchmarks {words[0]}' in a checkout of its source"
+        ]
+    shown = python("-c", MAIN, "bench", "jitter", "--help", folder=tmp_path, path=installed)
+    assert shown.returncode == 0
+    assert "--with" not in shown.stdout
+
+
+def test_every_figure_of_the_readme_has_a_command_that_is_taken():
+    rows = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    lines = [found[1] for row in rows if (found := re.search(r"\| `(bench [^`]*)` \|$", row))]
+    assert len(lines) > 15
+    for line in dict.fromkeys(lines):
+        commands._parse(shlex.split(line))
