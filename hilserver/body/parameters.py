@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 import hilserver.body.layout as at
 from hilserver.plant.errors import PlantError
-from hilserver.plant.parameters import RPM_PER_RAD_S, RobotParameters
+from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import complete
+from hilserver.plant.units import RPM_PER_RAD_S
 
 GRAVITY_M_S2 = 9.81
 PLATES_M = (0.38, 0.22, 0.10)

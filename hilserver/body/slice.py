@@ -6,7 +6,6 @@ from typing import Any
 import hilserver.body.layout as at
 from hilserver.body.step import advance, body_axes, place_body, to_body
 from hilserver.body.wheels import vector
-from hilserver.plant.drive import RAD_PER_RPM_S
 from hilserver.plant.imu import show_imu
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import (
@@ -25,6 +24,7 @@ from hilserver.plant.layout import (
 )
 from hilserver.plant.pose import wrap
 from hilserver.plant.tof import FARTHEST_M, NEAREST_M, seen_by, show_ranges
+from hilserver.plant.units import RAD_S_PER_RPM
 from hilserver.scheduler.faults import BODY
 
 MIRROR = (1.0, 1.0, -1.0, -1.0)
@@ -52,7 +52,7 @@ def _show_motion(b: Any, pose: Any, out: Any) -> None:
 @part
 def _show_wheels(b: Any, out: Any) -> None:
     for i in range(4):
-        out[at.M_SPEED + i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_PER_RPM_S
+        out[at.M_SPEED + i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_S_PER_RPM
         out[at.M_NORMAL + i] = b[at.B_NORMAL + i]
         out[at.M_SLIP + i] = b[at.B_SLIP + i]
         out[at.M_TORQUE + i] = MIRROR[i] * b[at.B_TORQUE + i]
@@ -108,7 +108,7 @@ def run_slice(
     if b[at.B_FAILED] != 0.0:
         return BODY
     for i in range(4):
-        rpm_or_duty = x[X_MOTOR + i] if p[at.P_TORQUE] != 0.0 else x[X_SPEED + i] * RAD_PER_RPM_S
+        rpm_or_duty = x[X_MOTOR + i] if p[at.P_TORQUE] != 0.0 else x[X_SPEED + i] * RAD_S_PER_RPM
         b[at.B_ASKED + i] = MIRROR[i] * rpm_or_duty
     b[at.B_WAIT] = p[at.P_TICKS]
     if not advance(p, b, a):
@@ -137,7 +137,7 @@ def hand_over_wheels(b: Any, x: Any) -> None:
         b[at.B_WAIT] -= 1.0
         if b[at.B_WAIT] == 0.0:
             for i in range(4):
-                x[X_SPEED + i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_PER_RPM_S
+                x[X_SPEED + i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_S_PER_RPM
 
 
 @part

@@ -15,8 +15,7 @@ import math
 from dataclasses import dataclass
 
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
-
-RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
+from hilserver.plant.units import RPM_PER_RAD_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,12 +25,12 @@ from hilserver.identify.wheels import (
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 YAW_RATES: Final = ("imu.gyro_z_rad_s", "imu.yaw_rad", "nav.yaw_rad")
-RAD_S_PER_RPM: Final = 2.0 * math.pi / 60.0
 _LAGS_S: Final = (-0.2, 0.6)
 _LAG_STEP_S: Final = 0.02
 _LAG_SMALLEST_S: Final = 0.005

@@ -62,10 +62,9 @@ from hilserver.plant.layout import (
     Y_DUTY,
     Y_SPEED,
 )
+from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
-RAD_PER_RPM_S = 2.0 * math.pi / 60.0
 REST_RPM = 0.05
-NOMINAL_VOLTAGE_V = 19.2
 
 Sums = tuple[float, float, float, float, float, float]
 
@@ -77,7 +76,7 @@ def drive_base(p: Any, x: Any, y: Any) -> Sums:
         return drive_terms(p, x, y)  # type: ignore[no-any-return]
     kp, ki_step, anti_windup, limit = p[P_KP], p[P_KI_STEP], p[P_ANTI_WINDUP_STEP], p[P_LIMIT]
     a00, a01, a10, a11, b0, b1 = p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0], p[P_B1]
-    half_turn = p[P_DT] * (0.5 * RAD_PER_RPM_S)
+    half_turn = p[P_DT] * (0.5 * RAD_S_PER_RPM)
     left, right = x[X_SPEED] + x[X_SPEED + 1], x[X_SPEED + 2] + x[X_SPEED + 3]
     accel_left = (x[X_MOTOR] + x[X_MOTOR + 1] - left) * p[P_INVERSE_T2]
     accel_right = (x[X_MOTOR + 2] + x[X_MOTOR + 3] - right) * p[P_INVERSE_T2]
@@ -208,7 +207,7 @@ def process_of_tick(p: Any, voltage_v: float) -> tuple[float, float, float, floa
     """Return the process of this tick: battery_sag scales the gain, and with it the coupling."""
     sag = 1.0
     if p[P_SAG] != 0.0:
-        sag = max(1.0 + p[P_SAG] * (voltage_v / NOMINAL_VOLTAGE_V - 1.0), 0.0)
+        sag = max(1.0 + p[P_SAG] * (voltage_v / NOMINAL_V - 1.0), 0.0)
     if sag == 1.0 or p[P_VISCOUS] == 0.0:
         return p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0] * sag, p[P_B1] * sag
     if p[P_EULER] != 0.0:
@@ -229,11 +228,11 @@ def through_backlash(
     half = p[P_BACKLASH]
     gap = x[X_GAP + i]
     engaged = (gap >= half and speed_rpm > 0.0) or (gap <= -half and speed_rpm < 0.0)
-    turned = mean_rpm * RAD_PER_RPM_S * p[P_DT]
+    turned = mean_rpm * RAD_S_PER_RPM * p[P_DT]
     free = gap + turned
     x[X_GAP + i] = min(max(free, -half), half)
     moved = free - x[X_GAP + i]  # exactly 0 inside the play
-    return speed_rpm if engaged else 0.0, moved / (RAD_PER_RPM_S * p[P_DT])
+    return speed_rpm if engaged else 0.0, moved / (RAD_S_PER_RPM * p[P_DT])
 
 
 @part
@@ -244,7 +243,7 @@ def drive_terms(p: Any, x: Any, y: Any) -> Sums:
         x[X_CONTROL_PHASE] += p[P_CONTROL_TICKS]
     x[X_CONTROL_PHASE] -= 1.0
     a00, a01, a10, a11, b0, b1 = process_of_tick(p, x[X_BATTERY_V])
-    half_turn = p[P_DT] * (0.5 * RAD_PER_RPM_S)
+    half_turn = p[P_DT] * (0.5 * RAD_S_PER_RPM)
     left, right, mean_left, mean_right, accel_left, accel_right = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(N_WHEELS):
         speed, motor = x[X_SPEED + i], x[X_MOTOR + i]

@@ -8,7 +8,6 @@ derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 import math
 from typing import Any
 
-from hilserver.plant.drive import RAD_PER_RPM_S
 from hilserver.plant.kernels import inlined, part
 from hilserver.plant.layout import (
     P_ACCELERATION_SLIP,
@@ -38,6 +37,7 @@ from hilserver.plant.layout import (
     X_POSE,
     X_SPEED,
 )
+from hilserver.plant.units import RAD_S_PER_RPM
 
 Velocity = tuple[float, float, float, float, float, float]
 
@@ -57,7 +57,7 @@ def _apart(p: Any, x: Any, first: int) -> float:
     """Return by how much the wheels of each side turn apart, as speed to the left."""
     left = p[P_RADIUS_LEFT] * (x[first] - x[first + 1])
     right = p[P_RADIUS_RIGHT] * (x[first + 2] - x[first + 3])
-    return float(-0.25 * RAD_PER_RPM_S * p[P_ROLLER_KEEP] * (left + right))
+    return float(-0.25 * RAD_S_PER_RPM * p[P_ROLLER_KEEP] * (left + right))
 
 
 @part

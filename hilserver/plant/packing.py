@@ -13,6 +13,7 @@ from hilserver.plant.friction import anisotropy
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.shield import AMBIENT_DEGC, WARMING_S
 from hilserver.plant.terms import TERMS, complete
+from hilserver.plant.units import RPM_PER_RAD_S
 
 Array = NDArray[np.float64]
 
@@ -98,10 +99,9 @@ def _delay_runs(name: str, delay_s: float, period_s: float, most: int) -> float:
 
 
 def _pack_command(p: Array, robot: RobotParameters, term: _Values) -> None:
-    rpm_per_rad_s = 60.0 / (2.0 * math.pi)
     p[at.P_MAX_RPM] = robot.max_rpm
-    p[at.P_RPM_PER_M_S] = rpm_per_rad_s / robot.wheel_radius_m
-    p[at.P_RPM_PER_RAD_S] = rpm_per_rad_s / (
+    p[at.P_RPM_PER_M_S] = RPM_PER_RAD_S / robot.wheel_radius_m
+    p[at.P_RPM_PER_RAD_S] = RPM_PER_RAD_S / (
         2.0 * robot.yaw_sign * robot.wheel_radius_m * robot.k_om
     )
     p[at.P_HALF_TRACK] = robot.track_m / 2.0

@@ -13,6 +13,7 @@ from hilserver.plant.hall import Solid, default_hall, default_solids
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
 from hilserver.plant.stability import Loop
 from hilserver.plant.terms import TERMS, complete
+from hilserver.plant.units import RPM_PER_RAD_S
 
 __all__ = [
     "GEOMETRIC_GAINS",
@@ -57,7 +58,6 @@ NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load"))
 """Causes in the part of the process that the mechatronic model computes."""
 
 GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")
-RPM_PER_RAD_S: Final = 60.0 / (2.0 * math.pi)
 
 _POSITIVE = frozenset(
     """period_s wheel_radius_m wheelbase_m track_m max_rpm limit_pct gain t1_s t2_s derivative_n

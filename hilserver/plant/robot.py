@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from hilserver.plant.command import command
-from hilserver.plant.drive import RAD_PER_RPM_S, drive_base, drive_terms
+from hilserver.plant.drive import drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
 from hilserver.plant.kinematics import (
     across,
@@ -36,8 +36,9 @@ from hilserver.plant.layout import (
     Y_VELOCITY,
 )
 from hilserver.plant.pose import move, set_pose
+from hilserver.plant.units import RAD_S_PER_RPM
 
-SIDE = 0.5 * RAD_PER_RPM_S  # sum of two wheels in rpm to their mean in rad/s
+SIDE = 0.5 * RAD_S_PER_RPM  # sum of two wheels in rpm to their mean in rad/s
 SLOPE_REST_RAD_S = 0.05
 
 

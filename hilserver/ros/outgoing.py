@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilserver.ros.robot import EDUART_ORDER, RPM_PER_RAD_S, Robot
+from hilserver.plant.units import RPM_PER_RAD_S
+from hilserver.ros.robot import EDUART_ORDER, Robot
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
 ROOM_DEGC: Final = 25.0

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from hilserver.plant.layout import WHEELS
+from hilserver.plant.units import RPM_PER_RAD_S
 from hilserver.ros.types import Types
 
-RPM_PER_RAD_S: Final = 60.0 / math.tau
 EDUART_ORDER: Final = ("fl", "fr", "rl", "rr")
 """Of EduArt's messages and of the range finders."""
 NS_PER_S: Final = 1_000_000_000

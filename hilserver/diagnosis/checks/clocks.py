@@ -10,13 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.checks.motion import RAD_S_PER_RPM
 from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import CLOCK_FEWEST_CHUNKS, CLOCK_LEAST_S, OUTLIER_SD
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 LARGEST_S: Final = 1.0
 """Offsets are looked for up to here."""

@@ -10,9 +10,9 @@ from hilserver.diagnosis.checks.support import SPAN_S, along
 from hilserver.measured.data import Array, Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 WINDOW_S = 1.0
-RAD_S_PER_RPM = np.pi / 30.0
 
 
 @dataclass(frozen=True, slots=True)

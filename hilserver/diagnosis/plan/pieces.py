@@ -15,6 +15,7 @@ import numpy as np
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.plan.null_log import path_of
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 Move = tuple[float, float, float]
 """Seconds, speeds of the left and the right wheels [rpm]; forward is positive."""
@@ -26,7 +27,6 @@ LONGEST_S: Final = 2.5
 ACROSS_S: Final = 5.0
 MARGIN_M: Final = 0.4
 """Kept between the robot's centre and the edge of the room."""
-RADIANS_PER_RPM_S: Final = 2.0 * math.pi / 60.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _all(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Mov
 
 
 def _straights(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Move]]]:
-    top, m_s = robot.max_rpm, robot.wheel_radius_m * RADIANS_PER_RPM_S
+    top, m_s = robot.max_rpm, robot.wheel_radius_m * RAD_S_PER_RPM
     for share in (0.25, 0.5, 0.85):
         rpm = share * top
         seconds = min(LONGEST_S, 0.95 * reach_m / (rpm * m_s))
@@ -97,7 +97,7 @@ def _spins(robot: RobotParameters) -> Iterator[tuple[str, list[Move]]]:
     top = robot.max_rpm
     for share, turn in ((0.15, 0.25), (0.35, 0.5), (0.35, 1.0), (0.7, 1.0)):
         rpm = share * top
-        rad_s = 2.0 * robot.wheel_radius_m * rpm * RADIANS_PER_RPM_S * robot.k_om
+        rad_s = 2.0 * robot.wheel_radius_m * rpm * RAD_S_PER_RPM * robot.k_om
         moves = [(turn * 2.0 * math.pi / rad_s, -rpm, rpm)]
         yield f"{turn:g} turns on the spot both ways, {rpm:.0f} rpm", there_and_back(moves)
     slow, fast = 0.15 * top, 0.6 * top
@@ -109,7 +109,7 @@ def _spins(robot: RobotParameters) -> Iterator[tuple[str, list[Move]]]:
 
 
 def _arcs(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Move]]]:
-    top, m_s = robot.max_rpm, robot.wheel_radius_m * RADIANS_PER_RPM_S
+    top, m_s = robot.max_rpm, robot.wheel_radius_m * RAD_S_PER_RPM
     for share in (0.4, 0.85):
         for inner in (0.0, 0.4, 0.75):
             rpm = share * top

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
+from hilserver.plant.units import NOMINAL_V
 
 Array = NDArray[np.float64]
 
 VOLTAGE: Final = "battery.voltage_v"
-NOMINAL_V: Final = 19.2
 SMOOTHING_S: Final = 2.0
 LATELY_S: Final = 0.02
 """A voltage is used where the load did not change for so long: the sensor may lag."""

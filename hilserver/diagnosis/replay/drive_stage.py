@@ -11,7 +11,7 @@ from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES, SPEED_STEP
-from hilserver.diagnosis.replay.battery import NOMINAL_V, VOLTAGE, voltage
+from hilserver.diagnosis.replay.battery import VOLTAGE, voltage
 from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
@@ -35,6 +35,7 @@ from hilserver.plant.layout import (
 )
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import NOMINAL_V
 
 Array = NDArray[np.float64]
 

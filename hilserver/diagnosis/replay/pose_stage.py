@@ -23,7 +23,7 @@ from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.positions import begins_anew, driven_place, paired
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.replay.wheel_speeds import RADIANS_PER_RPM_S, WheelSpeeds, angles_at_starts
+from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -31,6 +31,7 @@ from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_GYRO_BIAS, P_GYRO_GAIN, P_SEED
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 
@@ -177,7 +178,7 @@ class PoseStage(Stage):
         """Speed to the left [m/s] as nominal wheels make it, shape (ticks,); of tyres none."""
         if not self.apart.size:
             return np.zeros(self.segments.ticks)
-        rim_m_s_per_rpm = RADIANS_PER_RPM_S * self.robot.wheel_radius_m
+        rim_m_s_per_rpm = RAD_S_PER_RPM * self.robot.wheel_radius_m
         return np.asarray(-0.25 * rim_m_s_per_rpm * self.apart.sum(axis=0))
 
     @staticmethod

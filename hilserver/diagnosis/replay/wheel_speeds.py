@@ -15,12 +15,12 @@ from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of
+from hilserver.plant.units import RAD_S_PER_RPM
 
 Array = NDArray[np.float64]
 
 GOES_ON_S: Final = 0.11
 """Largest time between the last row of a segment and the first one of the next."""
-RADIANS_PER_RPM_S: Final = 2.0 * np.pi / 60.0
 MARGIN_S: Final = 1.0
 NOISE_WINDOW_S: Final = 0.4
 NOISE_MEMORY: Final = 0.15
@@ -112,7 +112,7 @@ class WheelSpeeds:
 def angles_at_starts(left: Array, segments: Segments) -> Array:
     """Return the left wheels' angle at the start of each segment, counted over the span."""
     angle = np.zeros(len(segments))
-    step = 0.5 * RADIANS_PER_RPM_S * segments.period_s
+    step = 0.5 * RAD_S_PER_RPM * segments.period_s
     lead, rows = round(segments.lead_s / segments.period_s), segments.first
     for i in range(len(segments)):
         if i and segments.span[i] == segments.span[i - 1]:

@@ -1,0 +1,9 @@
+"""Conversions and nominal values that several rooms need, once each."""
+
+import math
+from typing import Final
+
+RPM_PER_RAD_S: Final = 60.0 / (2.0 * math.pi)
+RAD_S_PER_RPM: Final = 2.0 * math.pi / 60.0
+NOMINAL_V: Final = 19.2
+"""Of the battery (4.2): sixteen cells of NiMH."""
