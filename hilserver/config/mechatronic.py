@@ -5,7 +5,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from hilserver.body.parameters import BodyParameters, Tyre
-from hilserver.config.timing import Section
+from hilserver.config.section import Section
 from hilserver.plant.parameters import RobotParameters
 
 DEFAULT_SLICE = "mechatronic"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from hilserver.config.timing import Section
+from hilserver.config.section import Section
 
 
 def _is_address(text: str) -> str:

@@ -5,8 +5,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from hilserver.config.section import Section
 from hilserver.config.server import is_loopback
-from hilserver.config.timing import Section
 
 
 class PageTlsConfig(Section):

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from hilserver.config.loading import load, place
 from hilserver.config.plant import PlantConfig
+from hilserver.config.section import Section
 from hilserver.errors import ConfigError
 from hilserver.plant.errors import PlantError
 from hilserver.plant.terms import TERMS, complete, main_part
@@ -23,11 +24,7 @@ SCHEMA: Final = "hilserver.model_patch/1"
 Interval = tuple[float, float]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MadeFrom(_Model):
+class MadeFrom(Section):
     """Where a patch comes from."""
 
     findings_sha256: str = Field(description="hash of the findings.json next to it")
@@ -35,7 +32,7 @@ class MadeFrom(_Model):
     version: str = Field(description="version of hilserver that made it")
 
 
-class FittedIn(_Model):
+class FittedIn(Section):
     """What the machine did in the data; null: not excited, then nothing is said about it."""
 
     speed_m_s: Interval | None = Field(None, description="smallest and largest speed, with sign")
@@ -52,7 +49,7 @@ class FittedIn(_Model):
         return value
 
 
-class PatchTerm(_Model):
+class PatchTerm(Section):
     """One term."""
 
     value: float = Field(description="value of the term, in its unit")
@@ -61,7 +58,7 @@ class PatchTerm(_Model):
     fitted_in: FittedIn = Field(default_factory=FittedIn, description="where it was fitted")
 
 
-class ModelPatch(_Model):
+class ModelPatch(Section):
     """The file."""
 
     schema_: Literal["hilserver.model_patch/1"] = Field(alias="schema", description="this format")
@@ -71,9 +68,7 @@ class ModelPatch(_Model):
         None, description="more terms by group of logs (floor, load); a run takes one group"
     )
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True
-    )
+    model_config = ConfigDict(populate_by_name=True)
 
     @model_validator(mode="after")
     def _known_terms(self) -> Self:

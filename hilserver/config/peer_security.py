@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from hilserver.config.section import Section
 from hilserver.config.server import Policy
 
 Mode = Literal["sign", "sign_and_encrypt"]
@@ -14,14 +15,12 @@ def _none_is_a_policy(value: object) -> object:
     return "None" if value is None else value
 
 
-class PeerSecurity(BaseModel):
+class PeerSecurity(Section):
     """Policy, certificates and user of the link to one peer.
 
     With a policy other than ``None`` the peer's certificate is judged before anything else is sent;
     see docs/how-to/secure-peers.md. Relative paths start from the folder of the configuration.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     policy: Annotated[Policy, BeforeValidator(_none_is_a_policy)] = Field(
         "None", description="security policy; the peer must offer exactly this one"

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hilserver.config.peer_security import PeerSecurity
+from hilserver.config.section import Section, check_endpoint
 from hilserver.config.server import is_loopback
 from hilserver.errors import meant
 
@@ -86,30 +87,19 @@ def _check_node(text: str) -> str:
     return text
 
 
-def _check_endpoint(text: str) -> str:
-    try:
-        parts = urlsplit(text)
-        complete = parts.scheme == "opc.tcp" and parts.hostname and parts.port
-    except ValueError:
-        complete = False
-    if not complete:
-        raise ValueError(f"'{text}' is not an endpoint: write opc.tcp://<host>:<port>/<path>")
-    if "@" in parts.netloc:
-        raise ValueError("an endpoint must not contain a user name or password")
+def _check_peer(text: str) -> str:
+    if urlsplit(check_endpoint(text)).port == 0:
+        raise ValueError(f"'{text}' needs the port that the peer listens on")
     return text
 
 
 NodeId = Annotated[str, AfterValidator(_check_node)]
-Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+Endpoint = Annotated[str, AfterValidator(_check_peer)]
 Inputs = Annotated[tuple[str, ...], Field(min_length=1, max_length=100)]
 Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class PeerConfig(_Section):
+class PeerConfig(Section):
     """One peer.
 
     Attributes

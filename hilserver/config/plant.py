@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from hilserver.config.hall import load_hall
+from hilserver.config.section import Section
 from hilserver.plant import parts
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import pack
@@ -23,11 +24,7 @@ from hilserver.plant.parameters import (
 from hilserver.plant.terms import complete
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class ControllerConfig(_Section):
+class ControllerConfig(Section):
     """Wheel speed controller: PI(D) in parallel form with back-calculation."""
 
     k_p: float = Field(13.513, ge=0, le=1e6, description="proportional gain [% duty per rpm]")
@@ -39,7 +36,7 @@ class ControllerConfig(_Section):
     limit_pct: float = Field(100.0, gt=0, le=1000, description="limit of the duty, both signs [%]")
 
 
-class ProcessConfig(_Section):
+class ProcessConfig(Section):
     """Motor, gear and wheel: gain / ((t1 s + 1)(t2 s + 1))."""
 
     gain: float = Field(1.11, gt=0, le=1e4, description="speed per duty [rpm/%]")
@@ -47,7 +44,7 @@ class ProcessConfig(_Section):
     t2_s: float = Field(0.0023, gt=0, le=100, description="fast time constant")
 
 
-class PlantConfig(_Section):
+class PlantConfig(Section):
     """The robot's drive and body."""
 
     slice: str = Field("plant", description="slice in which the plant runs")
@@ -96,7 +93,7 @@ class PlantConfig(_Section):
         return value
 
 
-class KinematicsConfig(_Section):
+class KinematicsConfig(Section):
     """Turn rate from wheel speeds: om = yaw_sign r K_om (w_L + w_R)."""
 
     yaw_sign: Literal[-1, 1] = Field(-1, description="-1: right-handed; 1: as the thesis prints it")
@@ -122,7 +119,7 @@ class KinematicsConfig(_Section):
 Slice = Annotated[str, Field(description="slice in which it runs")]
 
 
-class ImuConfig(_Section):
+class ImuConfig(Section):
     """Inertial unit."""
 
     enabled: bool = Field(
@@ -133,7 +130,7 @@ class ImuConfig(_Section):
     accel_noise_m_s2: float = Field(0.0, ge=0, le=100, description="white noise, sd")
 
 
-class BatteryConfig(_Section):
+class BatteryConfig(Section):
     """NiMH battery 19.2 V."""
 
     enabled: bool = Field(
@@ -149,7 +146,7 @@ class BatteryConfig(_Section):
     )
 
 
-class TofConfig(_Section):
+class TofConfig(Section):
     """Range finders at the corners."""
 
     enabled: bool = Field(
@@ -164,7 +161,7 @@ class TofConfig(_Section):
     field_of_view_rad: float = Field(0.1745, gt=0, lt=3.14, description="whole angle of the cone")
 
 
-class NavConfig(_Section):
+class NavConfig(Section):
     """Navigation tag."""
 
     enabled: bool = Field(
@@ -188,7 +185,7 @@ class NavConfig(_Section):
     yaw_correlation_s: float = Field(2.0, gt=0, le=1000, description="correlation time, yaw")
 
 
-class SensorsConfig(_Section):
+class SensorsConfig(Section):
     """All sensors."""
 
     imu: ImuConfig = Field(default_factory=ImuConfig)

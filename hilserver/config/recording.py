@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from hilserver.config.timing import Section
+from hilserver.config.section import Section
 
 
 class RecordingConfig(Section):

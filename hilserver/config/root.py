@@ -16,6 +16,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.ros2 import Ros2Config
+from hilserver.config.section import Section
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
@@ -24,7 +25,6 @@ from hilserver.config.timing import (
     ControlConfig,
     ImageConfig,
     SchedulerConfig,
-    Section,
     SnapshotConfig,
 )
 from hilserver.signals import Source

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hilserver.config.timing import Section
+from hilserver.config.section import Section
 from hilserver.errors import meant
 from hilserver.ros.flavours import FLAVOURS
 from hilserver.ros.types import Types

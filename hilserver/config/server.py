@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from hilserver.config.section import Section, check_endpoint
 
 Policy = Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"]
 RoleName = Literal["observer", "operator", "engineer"]
@@ -44,17 +46,6 @@ def _check_hash(text: str) -> str:
     return text
 
 
-def _check_endpoint(text: str) -> str:
-    url = urlsplit(text)
-    try:
-        port = url.port
-    except ValueError:
-        port = None
-    if url.scheme != "opc.tcp" or not url.hostname or port is None:
-        raise ValueError(f"'{text}' is not an endpoint; write opc.tcp://<address>:<port>/<path>")
-    return text
-
-
 def default_application_uri() -> str:
     """Return the application URI where none is configured."""
     return f"urn:{socket.gethostname()}:hilserver"
@@ -70,10 +61,8 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class OpcUaUser(BaseModel):
+class OpcUaUser(Section):
     """Somebody who logs in with name and password."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(min_length=1, max_length=64, description="Name to log in with")
     password: Annotated[str, AfterValidator(_check_hash)] = Field(
@@ -82,13 +71,11 @@ class OpcUaUser(BaseModel):
     role: RoleName = Field(default="observer", description="What the user may do")
 
 
-class OpcUaPermissions(BaseModel):
+class OpcUaPermissions(Section):
     """The lowest role that may write a variable or call a method; of several rows the last wins.
 
     Patterns are those of file names: ``*`` stands for any text.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     write: dict[str, RoleName] = Field(
         default={"*": "operator"}, description="Pattern of signal names: lowest role that writes"
@@ -109,10 +96,8 @@ class OpcUaPermissions(BaseModel):
     )
 
 
-class OpcUaShare(BaseModel):
+class OpcUaShare(Section):
     """What one session may hold."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     subscriptions: int = Field(ge=1, le=10_000, description="Subscriptions of one session")
     monitored_items: int = Field(ge=1, le=100_000, description="Monitored items of one session")
@@ -123,10 +108,8 @@ class OpcUaShare(BaseModel):
     )
 
 
-class OpcUaLimits(BaseModel):
+class OpcUaLimits(Section):
     """What one session may hold, by the role of its user."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     observer: OpcUaShare = OpcUaShare(subscriptions=10, monitored_items=1000, queued_values=5000)
     operator: OpcUaShare = OpcUaShare(subscriptions=20, monitored_items=2000, queued_values=10_000)
@@ -141,13 +124,11 @@ class OpcUaLimits(BaseModel):
         }[role]
 
 
-class OpcUaConfig(BaseModel):
+class OpcUaConfig(Section):
     """Endpoint, security and limits of the OPC UA server."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     enabled: bool = Field(default=True, description="Start the OPC UA server")
-    endpoint: Annotated[str, AfterValidator(_check_endpoint)] = Field(
+    endpoint: Annotated[str, AfterValidator(check_endpoint)] = Field(
         default="opc.tcp://127.0.0.1:4840/hilserver",
         description="Address, port and path to listen on; port 0 takes any free port",
     )

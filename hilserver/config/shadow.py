@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hilserver.config.timing import Section
+from hilserver.config.section import Section
 
 
 class ShadowConfig(Section):

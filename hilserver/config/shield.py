@@ -5,7 +5,7 @@ from typing import Final, Literal
 
 from pydantic import Field, field_validator
 
-from hilserver.config.timing import Section
+from hilserver.config.section import Section
 from hilserver.plant.layout import N_WHEELS, WHEELS
 
 Variant = Literal["iotbot", "crc"]

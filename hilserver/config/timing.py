@@ -4,14 +4,13 @@ from difflib import get_close_matches
 from typing import Annotated, Literal, Self
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     StringConstraints,
     field_validator,
     model_validator,
 )
 
+from hilserver.config.section import Section
 from hilserver.signals import RESERVED, SOURCES, Ranges, Source, robot_table
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
@@ -22,12 +21,6 @@ MAX_SLICES = 16
 _MISSPELT = 0.8
 """Likeness (difflib) to a known slice from which a name is taken for a spelling mistake."""
 Period = Annotated[float, Field(le=3_600_000)]
-
-
-class Section(BaseModel):
-    """A section of config.yaml: unknown keys are errors, nothing changes after loading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class LimitsConfig(Section):

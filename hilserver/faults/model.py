@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
+
+from hilserver.config.section import Section
 
 MAX_NUMBER = 1e12
 MAX_JSON = 65536
@@ -120,12 +122,10 @@ def _conditions(schema: dict[str, Any]) -> None:
     ]
 
 
-class Fault(BaseModel):
+class Fault(Section):
     """One fault on a signal, a peer link or the simulated shield; times count from the start."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_conditions
-    )
+    model_config = ConfigDict(json_schema_extra=_conditions)
 
     fault: KindName = Field(description="kind of fault")
     name: str | None = Field(

@@ -17,9 +17,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from hilserver.config.loading import load, place
+from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.errors import ConfigError
 from hilserver.faults.book import Faults
@@ -30,11 +31,7 @@ from hilserver.signals import SignalTable
 MAX_STEPS = 4000
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Step(_Section):
+class Step(Section):
     """Values that are written at one time."""
 
     at_s: Seconds = Field(description="this long after the start [s]")
@@ -43,7 +40,7 @@ class Step(_Section):
     )
 
 
-class Scenario(_Section):
+class Scenario(Section):
     """A timed scenario."""
 
     scenario: str = Field("", max_length=200, description="what it is about, for people")

@@ -5,10 +5,11 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from hilserver.config.loading import load, place
 from hilserver.config.plant import PlantConfig
+from hilserver.config.section import Section
 from hilserver.errors import ConfigError, LogError, meant
 from hilserver.logs.reading import refuse_endless
 from hilserver.measured.names import conversion, known_signals, units_of
@@ -18,11 +19,7 @@ ANY_NUMBER = "1"
 """Unit of a bare number, which `scale` turns into the signal's unit."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class TimeMap(_Section):
+class TimeMap(Section):
     """Where the stamps are."""
 
     column: str | None = Field(None, description="time column of a table; default t_s")
@@ -41,13 +38,13 @@ class TimeMap(_Section):
         return self
 
 
-class ColumnMap(_Section):
+class ColumnMap(Section):
     """A column of whole numbers."""
 
     column: str = Field(description="its name in the file")
 
 
-class ChannelMap(_Section):
+class ChannelMap(Section):
     """Where a signal comes from; unit, sign, scale, offset are applied in this order."""
 
     column: str | None = Field(None, description="column of a table")
@@ -72,7 +69,7 @@ class ChannelMap(_Section):
         return self
 
 
-class LogMapping(_Section):
+class LogMapping(Section):
     """A mapping file."""
 
     time: TimeMap = Field(default_factory=TimeMap, description="where the stamps are")

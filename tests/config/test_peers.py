@@ -79,6 +79,8 @@ def test_what_is_no_node_id(text):
         ({"endpoint": "192.0.2.10:53880"}, "is not an endpoint"),
         ({"endpoint": "opc.tcp://me:secret@192.0.2.10:53880/"}, "must not contain a user name"),
         ({"endpoint": "opc.tcp://192.0.2.10:port/"}, "is not an endpoint"),
+        ({"endpoint": "opc.tcp://192.0.2.10:0/"}, "needs the port that the peer listens on"),
+        ({"sampling_ms": float("nan")}, "finite number"),
         ({"stale_after_ms": 60}, "at least twice the interval"),
         ({"poll_ms": 0}, "greater than or equal to 1"),
         ({"publishing_ms": -1}, "greater than 0"),

@@ -238,7 +238,7 @@ async def test_loopback_is_allowed(endpoint: str) -> None:
     "endpoint", ["http://127.0.0.1:1", "opc.tcp://127.0.0.1", "opc.tcp://127.0.0.1:x", "4840"]
 )
 async def test_wrong_endpoint_is_one_sentence(endpoint: str) -> None:
-    with pytest.raises(ValidationError, match=r"is not an endpoint; write opc\.tcp://"):
+    with pytest.raises(ValidationError, match=r"is not an endpoint: write opc\.tcp://"):
         OpcUaConfig(endpoint=endpoint)
 
 
