@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from hilserver.config.hall import load_hall
-from hilserver.config.section import Section
+from hilserver.config.section import Section, of
 from hilserver.plant import parts
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import pack
@@ -27,21 +27,19 @@ from hilserver.plant.terms import complete
 class ControllerConfig(Section):
     """Wheel speed controller: PI(D) in parallel form with back-calculation."""
 
-    k_p: float = Field(13.513, ge=0, le=1e6, description="proportional gain [% duty per rpm]")
-    k_i: float = Field(195.84, ge=0, le=1e9, description="integral gain [% duty per rpm and s]")
-    k_d: float = Field(0.0, ge=0, le=1e6, description="derivative gain [% duty s per rpm]")
-    derivative_n: float = Field(
-        10.0, gt=0, le=1e6, description="derivative filter: tau = k_d / (derivative_n k_p)"
-    )
-    limit_pct: float = Field(100.0, gt=0, le=1000, description="limit of the duty, both signs [%]")
+    k_p: float = of(parts.Controller, "k_p")
+    k_i: float = of(parts.Controller, "k_i")
+    k_d: float = of(parts.Controller, "k_d")
+    derivative_n: float = of(parts.Controller, "derivative_n")
+    limit_pct: float = of(parts.Controller, "limit_pct")
 
 
 class ProcessConfig(Section):
     """Motor, gear and wheel: gain / ((t1 s + 1)(t2 s + 1))."""
 
-    gain: float = Field(1.11, gt=0, le=1e4, description="speed per duty [rpm/%]")
-    t1_s: float = Field(0.069, gt=0, le=100, description="slow time constant")
-    t2_s: float = Field(0.0023, gt=0, le=100, description="fast time constant")
+    gain: float = of(parts.Process, "gain")
+    t1_s: float = of(parts.Process, "t1_s")
+    t2_s: float = of(parts.Process, "t2_s")
 
 
 class PlantConfig(Section):
@@ -52,29 +50,21 @@ class PlantConfig(Section):
         "skid",
         description="skid, or mecanum (rollers in X pattern; r 0.05, l_x 0.25, l_y 0.36)",
     )
-    wheel_radius_m: float = Field(0.085, ge=0.001, le=10, description="wheel radius r")
-    wheelbase_m: float | None = Field(
-        0.25, ge=0.001, le=100, description="l_x, between front and rear wheels; null: two wheels"
-    )
-    track_m: float = Field(0.31, ge=0.001, le=100, description="l_y, between left and right wheels")
-    icr_offset_m: float = Field(
-        0.02, ge=-10, le=10, description="X_ICR from the centre of mass, below half the wheelbase"
-    )
-    max_rpm: float = Field(
-        90.0, gt=0, le=10000, description="largest set-point; all wheels are scaled together"
-    )
+    wheel_radius_m: float = of(RobotParameters, "wheel_radius_m")
+    wheelbase_m: float | None = of(RobotParameters, "wheelbase_m")
+    track_m: float = of(RobotParameters, "track_m")
+    icr_offset_m: float = of(RobotParameters, "icr_offset_m")
+    max_rpm: float = of(RobotParameters, "max_rpm")
     controller: ControllerConfig = Field(default_factory=ControllerConfig)
     process: ProcessConfig = Field(default_factory=ProcessConfig)
     discretization: Literal["exact", "euler"] = Field(
         "exact", description="exact joint solution, or forward differences"
     )
-    safe_ramp_s: float = Field(
-        0.5, ge=0, le=60, description="time in which the safe state ramps the set-points to zero"
-    )
+    safe_ramp_s: float = of(RobotParameters, "safe_ramp_s")
     exclusive_twist: bool = Field(
         default=False, description="a twist with both parts drives only the larger one (5.4)"
     )
-    seed: int = Field(0, ge=0, lt=2**53, description="seed of all noise")
+    seed: int = of(RobotParameters, "seed")
     terms: dict[str, float | None] = Field(
         default_factory=dict, description="values by cause or cause.part; null: none"
     )
@@ -126,8 +116,8 @@ class ImuConfig(Section):
         default=True, description="false: its outputs have the status BadOutOfService"
     )
     slice: Slice = "sensors"
-    gyro_noise_rad_s: float = Field(0.0, ge=0, le=10, description="white noise, sd")
-    accel_noise_m_s2: float = Field(0.0, ge=0, le=100, description="white noise, sd")
+    gyro_noise_rad_s: float = of(parts.Imu, "gyro_noise_rad_s")
+    accel_noise_m_s2: float = of(parts.Imu, "accel_noise_m_s2")
 
 
 class BatteryConfig(Section):
@@ -137,13 +127,11 @@ class BatteryConfig(Section):
         default=True, description="false: its output has the status BadOutOfService"
     )
     slice: Slice = "sensors"
-    capacity_ah: float = Field(3.0, gt=0, le=1000, description="charge of the full pack")
-    initial_charge: float = Field(0.9, ge=0, le=1, description="1 full, 0 empty")
-    resistance_ohm: float = Field(0.15, ge=0, le=10, description="internal resistance")
-    idle_current_a: float = Field(0.8, ge=0, le=100, description="current of the electronics")
-    full_duty_current_a: float = Field(
-        1.5, ge=0, le=100, description="current of one wheel at full duty"
-    )
+    capacity_ah: float = of(parts.Battery, "capacity_ah")
+    initial_charge: float = of(parts.Battery, "initial_charge")
+    resistance_ohm: float = of(parts.Battery, "resistance_ohm")
+    idle_current_a: float = of(parts.Battery, "idle_current_a")
+    full_duty_current_a: float = of(parts.Battery, "full_duty_current_a")
 
 
 class TofConfig(Section):
@@ -156,9 +144,9 @@ class TofConfig(Section):
     hall: str = Field(
         "default", description="default, or a YAML file with walls: [[x1, y1, x2, y2], ...] in m"
     )
-    mount_x_m: float = Field(0.20, gt=0, le=10, description="front sensors +x, rear ones -x")
-    mount_y_m: float = Field(0.12, gt=0, le=10, description="left sensors +y, right ones -y")
-    field_of_view_rad: float = Field(0.1745, gt=0, lt=3.14, description="whole angle of the cone")
+    mount_x_m: float = of(parts.RangeFinders, "mount_x_m")
+    mount_y_m: float = of(parts.RangeFinders, "mount_y_m")
+    field_of_view_rad: float = of(parts.RangeFinders, "field_of_view_rad")
 
 
 class NavConfig(Section):
@@ -168,21 +156,16 @@ class NavConfig(Section):
         default=False, description="false: its outputs have the status BadOutOfService"
     )
     slice: Slice = "sensors"
-    rate_hz: float = Field(
-        20.0,
-        gt=0,
-        le=10000,
-        description="sampling rate; its period must be a multiple of the slice",
-    )
-    lever_arm_x_m: float = Field(0.0, ge=-5, le=5, description="tag in front of the centre of mass")
-    lever_arm_y_m: float = Field(0.0, ge=-5, le=5, description="tag left of the centre of mass")
-    latency_s: float = Field(0.0, ge=0, le=100, description="age of the position")
-    yaw_latency_s: float = Field(0.0, ge=0, le=100, description="age of the yaw")
-    white_noise_m: float = Field(0.01, ge=0, le=10, description="white position noise, sd")
-    correlated_noise_m: float = Field(0.08, ge=0, le=10, description="correlated noise, sd")
-    correlation_s: float = Field(0.6, gt=0, le=1000, description="correlation time, position")
-    yaw_noise_rad: float = Field(0.0175, ge=0, le=3, description="correlated yaw noise, sd")
-    yaw_correlation_s: float = Field(2.0, gt=0, le=1000, description="correlation time, yaw")
+    rate_hz: float = of(parts.Navigation, "rate_hz")
+    lever_arm_x_m: float = of(parts.Navigation, "lever_arm_x_m")
+    lever_arm_y_m: float = of(parts.Navigation, "lever_arm_y_m")
+    latency_s: float = of(parts.Navigation, "latency_s")
+    yaw_latency_s: float = of(parts.Navigation, "yaw_latency_s")
+    white_noise_m: float = of(parts.Navigation, "white_noise_m")
+    correlated_noise_m: float = of(parts.Navigation, "correlated_noise_m")
+    correlation_s: float = of(parts.Navigation, "correlation_s")
+    yaw_noise_rad: float = of(parts.Navigation, "yaw_noise_rad")
+    yaw_correlation_s: float = of(parts.Navigation, "yaw_correlation_s")
 
 
 class SensorsConfig(Section):

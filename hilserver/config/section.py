@@ -1,14 +1,23 @@
 """What all sections of the configuration have in common."""
 
+from dataclasses import fields
+from typing import Any
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class Section(BaseModel):
     """A section of config.yaml: unknown keys are errors, nothing changes after loading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def of(part: type, name: str) -> Any:
+    """Return the field of a section with default, bounds and meaning of the plant's parameter."""
+    (item,) = (one for one in fields(part) if one.name == name)
+    meaning, bounds = item.metadata["meaning"], item.metadata["bounds"]
+    return Field(item.default, description=meaning, **bounds)
 
 
 def check_endpoint(text: str) -> str:

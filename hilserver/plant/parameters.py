@@ -1,9 +1,8 @@
 """The robot's parameters: physical values, checked; `packing` makes the array the kernels read."""
 
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
-from typing import Final, Literal, NamedTuple
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import Solid, default_hall, default_solids
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
+from hilserver.plant.quantity import quantity, refusal
 from hilserver.plant.stability import Loop
 from hilserver.plant.terms import TERMS, complete
 from hilserver.plant.units import RPM_PER_RAD_S
@@ -59,17 +59,6 @@ NOT_FOR_TORQUE: Final = frozenset(("backlash", "viscous_load"))
 
 GEOMETRIC_GAINS: Final = ("geometric_skid", "geometric_diff")
 
-_POSITIVE = frozenset(
-    """period_s wheel_radius_m wheelbase_m track_m max_rpm limit_pct gain t1_s t2_s derivative_n
-    capacity_ah mount_x_m mount_y_m field_of_view_rad rate_hz correlation_s
-    yaw_correlation_s""".split()  # noqa: SIM905 (a list of 17 lines says no more)
-)
-_NOT_NEGATIVE = frozenset(
-    """safe_ramp_s seed k_p k_i k_d gyro_noise_rad_s accel_noise_m_s2 initial_charge
-    resistance_ohm idle_current_a full_duty_current_a latency_s yaw_latency_s white_noise_m
-    correlated_noise_m yaw_noise_rad""".split()  # noqa: SIM905
-)
-
 
 class Ranges(NamedTuple):
     """Limits of the wheel speeds and of the twist."""
@@ -113,21 +102,29 @@ class RobotParameters:
         When a value is not finite, out of range, or the wheel loop would be unstable.
     """
 
-    period_s: float = 0.001
+    period_s: float = quantity(0.001, "period of its slice", gt=0)
     slice_name: str = "plant"
     drive: Literal["skid", "mecanum"] = "skid"
-    wheel_radius_m: float = 0.085
-    wheelbase_m: float | None = 0.25
-    track_m: float = 0.31
-    icr_offset_m: float = 0.02
-    max_rpm: float = 90.0
-    safe_ramp_s: float = 0.5
+    wheel_radius_m: float = quantity(0.085, "wheel radius r", ge=0.001, le=10)
+    wheelbase_m: float | None = quantity(
+        0.25, "l_x, between front and rear wheels; null: two wheels", ge=0.001, le=100
+    )
+    track_m: float = quantity(0.31, "l_y, between left and right wheels", ge=0.001, le=100)
+    icr_offset_m: float = quantity(
+        0.02, "X_ICR from the centre of mass, below half the wheelbase", ge=-10, le=10
+    )
+    max_rpm: float = quantity(
+        90.0, "largest set-point; all wheels are scaled together", gt=0, le=10_000
+    )
+    safe_ramp_s: float = quantity(
+        0.5, "time in which the safe state ramps the set-points to zero", ge=0, le=60
+    )
     discretization: Literal["exact", "euler"] = "exact"
     exclusive_twist: bool = False
     yaw_sign: int = -1
     rotation_gain: str | float = "geometric_skid"
     body_wheels: bool = False
-    seed: int = 0
+    seed: int = quantity(0, "seed of all noise", ge=0, lt=2**53)
     controller: Controller = field(default_factory=Controller)
     process: Process = field(default_factory=Process)
     imu: Imu = field(default_factory=Imu)
@@ -208,8 +205,8 @@ class RobotParameters:
         return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s, lateral_m_s)
 
 
-def _numbers(part: object, path: str) -> Iterator[tuple[str, str, float]]:
-    """Yield path, key and value of every number in a parameter class and its parts."""
+def _numbers(part: object, path: str) -> Iterator[tuple[str, "Field[Any]", float]]:
+    """Yield path, field and value of every number in a parameter class and its parts."""
     for item in fields(part):  # type: ignore[arg-type]
         value = getattr(part, item.name)
         if isinstance(value, Controller | Process):
@@ -217,21 +214,14 @@ def _numbers(part: object, path: str) -> Iterator[tuple[str, str, float]]:
         elif isinstance(value, Imu | Battery | RangeFinders | Navigation):
             yield from _numbers(value, f"sensors.{item.name}.")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield path + item.name, item.name, float(value)
+            yield path + item.name, item, float(value)
 
 
 def _check_numbers(robot: RobotParameters) -> None:
-    for path, key, value in _numbers(robot, "plant."):
-        if not math.isfinite(value):
-            wanted = "must be a finite number"
-        elif key in _POSITIVE and value <= 0.0:
-            wanted = "must be above 0"
-        elif key in _NOT_NEGATIVE and value < 0.0:
-            wanted = "must not be negative"
-        else:
-            continue
-        msg = f"{path}: {wanted}, not {value:g}."
-        raise PlantError(msg)
+    for path, item, value in _numbers(robot, "plant."):
+        if wanted := refusal(item, value):
+            msg = f"{path}: {wanted}, not {value:g}."
+            raise PlantError(msg)
 
 
 def _check_geometry(robot: RobotParameters) -> None:
@@ -260,12 +250,6 @@ def _check_geometry(robot: RobotParameters) -> None:
             f"plant.icr_offset_m: {robot.icr_offset_m:g} m must be below half the wheelbase, "
             f"{robot.wheelbase_m / 2.0:g} m."
         )
-        raise PlantError(msg)
-    if not robot.tof.field_of_view_rad < math.pi:
-        msg = "sensors.tof.field_of_view_rad: must be below pi."
-        raise PlantError(msg)
-    if robot.battery.initial_charge > 1.0:
-        msg = "sensors.battery.initial_charge: must lie between 0 (empty) and 1 (full)."
         raise PlantError(msg)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hilserver.plant.layout as at
-from hilserver.plant.parameters import Controller, RobotParameters
+from hilserver.plant.parameters import Controller, Process, RobotParameters
 from hilserver.plant.pose import wrap
 from tests.plant.rig import Rig
 
@@ -117,8 +117,8 @@ def test_circle_meets_closed_form(left, right):
 
 def test_large_turn_per_tick_leaves_the_series():
     """4 rad per tick: sin(h)/h is evaluated as it stands."""
-    fast = Controller(limit_pct=1e6)
-    rig = Rig(period_s=0.014, max_rpm=1e6, controller=fast).rolling(9000.0, 9000.0).step()
+    fast = {"controller": Controller(k_p=0.13513, k_i=1.9584), "process": Process(gain=111.0)}
+    rig = Rig(period_s=0.014, max_rpm=1e4, **fast).rolling(9000.0, 9000.0).step()
     om = -0.085 * rig.robot.k_om * 18000 * RAD
     vy = -0.02 * om
     turned = om * 0.014
