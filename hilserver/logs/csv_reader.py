@@ -6,20 +6,18 @@ import math
 import zlib
 from array import array
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant
 from hilserver.logs.csv_fast import parse_clean
 from hilserver.logs.csv_writer import meta_path, unpack_state
 from hilserver.logs.log import Log, State
 from hilserver.logs.provenance import SCHEMA
+from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
 
-TIME, SEGMENT, BLOCK = "t_s", "segment", "block"
 MAX_FIELD_CHARACTERS = 10_000
 
 
@@ -27,63 +25,17 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
     """Read a CSV log; see `reading.read_log`."""
     run, states = _read_meta(path)
     names = None if known is None and run is None else _Names(known, run)
-    table = read_table(path, names, ours=run is not None)
-    t_s = table.column(TIME)
-    segment = table.integers(SEGMENT)
-    if segment is None:
-        segment = np.zeros(len(t_s), dtype=np.int64)
-    check_time(table, TIME, segment)
+    table = in_time(read_table(path, names, ours=run is not None), TIME)
     return Log(
         path=path,
-        t_s=t_s,
-        segment=segment,
+        t_s=table.column(TIME),
+        segment=table.segment(),
         block=table.integers(BLOCK),
-        columns={n: table.column(n) for n in table.header if n not in (TIME, SEGMENT, BLOCK)},
+        columns={n: table.column(n) for n in table.names if n not in (TIME, SEGMENT, BLOCK)},
         run=run,
         states=states,
         notices=table.notices,
     )
-
-
-@dataclass
-class Table:
-    """Numbers as they stand in the file.
-
-    Attributes
-    ----------
-    header : list of str
-        Names of the columns.
-    numbers : buffer of float64
-        Row after row.
-    lines : sequence of int
-        Line of each row in the file.
-    """
-
-    path: Path
-    header: list[str]
-    numbers: "array[float] | NDArray[np.float64]" = field(default_factory=lambda: array("d"))
-    lines: "array[int] | range" = field(default_factory=lambda: array("q"))
-    notices: list[str] = field(default_factory=list)
-
-    def column(self, name: str) -> NDArray[np.float64]:
-        """Return a column, shape (n_rows,)."""
-        table = np.frombuffer(self.numbers).reshape(-1, len(self.header))
-        return np.ascontiguousarray(table[:, self.header.index(name)])
-
-    def where(self, row: int, name: str) -> str:
-        """Return the place of a number in words."""
-        return _where(self.path, self.lines[row], self.header, name)
-
-    def integers(self, name: str) -> NDArray[np.int64] | None:
-        """Return a column of whole numbers, shape (n_rows,); None if there is none."""
-        if name not in self.header:
-            return None
-        numbers = self.column(name)
-        wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
-        if wrong.size:
-            where = self.where(int(wrong[0]), name)
-            raise LogError(f"{where}: {float(numbers[wrong[0]])!r} is no whole number; write one")
-        return numbers.astype(np.int64)
 
 
 class _Names:
@@ -102,12 +54,13 @@ class _Names:
         return meant(name, self._all, "see 'hilserver signals' for the names")
 
 
-def _where(path: Path, line: int, header: Sequence[str], name: str) -> str:
-    return f"{path}: row {line}, column {header.index(name) + 1} '{name:.60}'"
-
-
 def read_table(
-    path: Path, names: "_Names | None" = None, *, ours: bool = False, time: str | None = TIME
+    path: Path,
+    names: "_Names | None" = None,
+    *,
+    ours: bool = False,
+    time: str | None = TIME,
+    used: Container[str] | None = None,
 ) -> Table:
     """Read the numbers of a CSV file.
 
@@ -119,6 +72,8 @@ def read_table(
         A last line without an end is torn, even if it looks whole.
     time : str or None
         A column it must have.
+    used : container of str, optional
+        Columns to read; whatever stands in the others does not matter. None: all with a name.
 
     Raises
     ------
@@ -128,12 +83,18 @@ def read_table(
     clean = parse_clean(path.read_bytes())
     if clean is not None:
         header, numbers = clean
-        header = _check_header(path, header, names, time)
-        return Table(path, header, numbers.reshape(-1), range(2, len(numbers) + 2))
+        table = _begin(path, header, names, time, used)
+        table.numbers = np.ascontiguousarray(numbers[:, table.read]).reshape(-1)
+        table.lines = range(2, len(numbers) + 2)
+        if time is None or not np.abs(table.column(time)[:1]).max(initial=0.0) >= EXACT:
+            return table
     csv.field_size_limit(MAX_FIELD_CHARACTERS)
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
-            return _parse(path, file, names, time, drop_unended=ours)
+            lines = _Lines(file)
+            reader = csv.reader(lines, strict=True)
+            table = _begin(path, next(reader, None), names, time, used)
+            return _parse(table, reader, lines, time, drop_unended=ours)
         except UnicodeDecodeError as error:
             raise LogError(_undecodable(path, error)) from None
         except csv.Error as error:
@@ -151,25 +112,23 @@ def _undecodable(path: Path, error: UnicodeDecodeError) -> str:
 
 
 def _parse(
-    path: Path, file: TextIO, names: _Names | None, time: str | None, *, drop_unended: bool
+    table: Table, reader: Any, lines: "_Lines", time: str | None, *, drop_unended: bool
 ) -> Table:
-    lines = _Lines(file)
-    reader = csv.reader(lines, strict=True)
-    header = next(reader, None)
-    table = Table(path, _check_header(path, header, names, time))
-    width = len(table.header)
+    width, at = len(table.header), -1 if time is None else table.names.index(time)
     held: tuple[int, list[str]] | None = None
     for row in reader:
         if held is not None:
-            _append(table, *held)
-        held = (reader.line_num, row) if row else None
+            _append(table, *held, at)
+        held = (reader.line_num, row) if any(map(str.strip, row)) else None
     if held is None:
         return table
     torn = not lines.ended and (drop_unended or len(held[1]) < width)
     if torn:
-        table.notices.append(f"{path}: row {held[0]}: the last line is incomplete and was dropped")
+        table.notices.append(
+            f"{table.path}: row {held[0]}: the last line is incomplete and was dropped"
+        )
     else:
-        _append(table, *held)
+        _append(table, *held, at)
     return table
 
 
@@ -186,30 +145,41 @@ class _Lines:
             yield line
 
 
-def _check_header(
-    path: Path, header: list[str] | None, names: _Names | None, time: str | None
-) -> list[str]:
+def _begin(
+    path: Path,
+    header: list[str] | None,
+    names: _Names | None,
+    time: str | None,
+    used: Container[str] | None,
+) -> Table:
+    """Return the empty table under a header, checked."""
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
     for separator, name in ((";", "';'"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             raise LogError(
-                f"{path}: row 1: columns are separated by {name}; separate them by commas"
+                f"{path}: row 1: columns are separated by {name}; separate them by commas, and"
+                " write decimal points"
             )
-    if all(_is_number(name) for name in header):
+    if all(_is_number(name or "0") for name in header):
         raise LogError(
             f"{path}: row 1 is no header but numbers; put 't_s,<signal>,...' into the first row"
         )
     if time is not None and time not in header:
         raise LogError(f"{path}: row 1: there is no column '{time}'; name the time column so, in s")
-    for index, name in enumerate(header):
-        where = f"{path}: row 1, column {index + 1} '{name:.60}'"
+    read = [i for i, name in enumerate(header) if name and (used is None or name in used)]
+    for index in read:
+        name = header[index]
         if name in header[:index]:
-            raise LogError(f"{where}: the column stands there twice; remove one of them")
+            raise LogError(
+                f"{path}: row 1, column {index + 1} '{name:.60}': the column stands there twice;"
+                " remove one of them"
+            )
         if names is not None and name not in names:
+            where = place_of(path, 1, header, name)
             raise LogError(f"{where}: there is no such signal; {names.hint(name)}")
-    return header
+    return Table(path, header, read=read)
 
 
 def _is_number(text: str) -> bool:
@@ -220,19 +190,33 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _append(table: Table, line: int, row: list[str]) -> None:
+def _append(table: Table, line: int, row: list[str], at: int) -> None:
+    """Append a row; `at` is the column of the stamps, -1 without."""
     width = len(table.header)
-    if len(row) != width:
+    if len(row) < width or any(map(str.strip, row[width:])):
         raise LogError(
             f"{table.path}: row {line} has {len(row)} columns, the header has {width};"
             " remove or complete the row"
         )
     try:
-        numbers = list(map(float, row))
+        numbers = [float(row[place]) for place in table.read]
     except ValueError:
-        numbers = [_number(table, line, i, text) for i, text in enumerate(row)]
+        numbers = [_number(table, line, place, row[place]) for place in table.read]
+    if at >= 0 and (table.origin or abs(numbers[at]) >= EXACT):
+        numbers[at] = _since_first(table, row[table.read[at]], numbers[at])
     cast("array[float]", table.numbers).extend(numbers)
     cast("array[int]", table.lines).append(line)
+
+
+def _since_first(table: Table, text: str, value: float) -> float:
+    """Return a stamp that is too long for a double as the time since the first one."""
+    try:
+        stamp = int(text)
+    except ValueError:
+        return value - table.origin
+    if not table.lines:
+        table.origin = stamp
+    return float(stamp - table.origin)
 
 
 def _number(table: Table, line: int, index: int, text: str) -> float:
@@ -241,31 +225,10 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        where = _where(table.path, line, table.header, table.header[index])
+        where = place_of(table.path, line, table.header, table.header[index])
         raise LogError(
             f"{where}: {text!r:.60} is no number; write one with a decimal point, or nothing"
         ) from None
-
-
-def check_time(table: Table, time: str, segment: NDArray[np.int64]) -> None:
-    """Refuse missing times and times that do not rise within a segment.
-
-    Raises
-    ------
-    LogError
-    """
-    t = table.column(time)
-    missing = np.flatnonzero(~np.isfinite(t))
-    if missing.size:
-        where = table.where(int(missing[0]), time)
-        raise LogError(f"{where}: there is no time; every row needs one, in s")
-    fall = np.flatnonzero((np.diff(t) <= 0) & (np.diff(segment) == 0))
-    if fall.size:
-        row = int(fall[0]) + 1
-        raise LogError(
-            f"{table.where(row, time)}: {float(t[row])!r} does not rise after"
-            f" {float(t[row - 1])!r}; sort the rows, or tell runs apart by a column 'segment'"
-        )
 
 
 def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:

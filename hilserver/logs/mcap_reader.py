@@ -20,7 +20,6 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError
-from hilserver.logs.csv_reader import BLOCK, TIME
 from hilserver.logs.log import Log, State
 from hilserver.logs.mcap_writer import (
     CONFIG_ATTACHMENT,
@@ -30,6 +29,7 @@ from hilserver.logs.mcap_writer import (
     record_dtype,
 )
 from hilserver.logs.provenance import SCHEMA
+from hilserver.logs.table import BLOCK, TIME
 
 BAD = 0x8000_0000
 _TEXTS = (

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.image import FrameBatch
-from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME
 from hilserver.logs.log import NS_PER_S, Log
 from hilserver.logs.provenance import SCHEMA
+from hilserver.logs.table import BLOCK, SEGMENT, TIME
 from hilserver.logs.writer import LogWriter, Segmented
 
 BATCH: Final = 1024

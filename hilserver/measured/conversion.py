@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from hilserver.errors import LogError
 from hilserver.logs import Log, read_log
 from hilserver.logs.bag_reader import is_own_bag
-from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME
 from hilserver.logs.reading import is_bag_of_ros, refuse_endless
 from hilserver.logs.rewriting import as_table
+from hilserver.logs.table import BLOCK, SEGMENT, TIME, in_time
 from hilserver.measured.bag import read_bag
 from hilserver.measured.mapping import builtin_mappings, load_mapping
 from hilserver.measured.names import known_columns
@@ -68,14 +68,15 @@ def _parquet(path: Path) -> Log:
     if TIME not in table.header:
         raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
     names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
-    segment = table.integers(SEGMENT)
+    table = in_time(table, TIME)
     columns: dict[str, NDArray[np.float64]] = {name: table.column(name) for name in names}
     return Log(
         path,
         table.column(TIME),
-        np.zeros(len(table.lines), dtype=np.int64) if segment is None else segment,
+        table.segment(),
         columns,
         table.integers(BLOCK),
+        notices=table.notices,
     )
 
 

@@ -1,20 +1,30 @@
 """Parquet tables, where the library for them is installed."""
 
+from collections.abc import Container
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilserver.errors import LogError
-from hilserver.logs.csv_reader import Table
+from hilserver.logs.table import EXACT, Table
+from hilserver.logs.unpacking import Budget
 
 
-def read_parquet(path: Path) -> Table:
+def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
     """Read the numbers of a Parquet file; rows are counted from 1.
+
+    Parameters
+    ----------
+    used : container of str, optional
+        Columns to read; None: all.
 
     Raises
     ------
     LogError
-        When pyarrow is not installed, the file is damaged, or a column holds no numbers.
+        When pyarrow is not installed, the file is damaged or too large, or a column holds no
+        numbers.
     """
     try:
         from pyarrow import ArrowException, parquet  # noqa: PLC0415 -- an extra
@@ -24,17 +34,34 @@ def read_parquet(path: Path) -> Table:
             " \"pip install 'hilserver[parquet]'\", or save the table as CSV"
         ) from None
     path.open("rb").close()  # the system's own words for what cannot be opened
+    budget = Budget(path)
     try:
-        table = parquet.read_table(path)
+        with parquet.ParquetFile(path) as file:
+            header = file.schema_arrow.names
+            read = [i for i, name in enumerate(header) if used is None or name in used]
+            names = [header[i] for i in read]
+            budget.take(file.metadata.num_rows * len(names) * 8)
+            table = file.read(columns=names)
     except (ArrowException, OSError) as error:
         reason = str(error).split(". ")[0].splitlines()[0]
         raise LogError(f"{path}: is no readable Parquet file: {reason:.120}") from None
-    columns = []
-    for name in table.column_names:
-        try:
-            column = table[name].cast("float64", safe=False)
-            columns.append(column.to_numpy(zero_copy_only=False).astype(np.float64))
-        except (ArrowException, ValueError):
-            raise LogError(f"{path}: column '{name}' holds no numbers; leave it out") from None
+    columns = [_numbers(path, name, table.column(i)) for i, name in enumerate(names)]
     numbers = np.stack(columns, axis=1) if columns else np.empty((0, 0))
-    return Table(path, list(table.column_names), numbers.reshape(-1), range(1, len(numbers) + 1))
+    return Table(path, header, numbers.reshape(-1), range(1, len(numbers) + 1), read=read)
+
+
+def _numbers(path: Path, name: str, column: Any) -> NDArray[np.float64]:
+    """Return a column as doubles; whole numbers too long for them count from the first one."""
+    from pyarrow import ArrowException, types  # noqa: PLC0415 -- an extra
+
+    try:
+        if types.is_timestamp(column.type):
+            column = column.cast("int64")
+        if types.is_integer(column.type) and not column.null_count:
+            whole = column.to_numpy()
+            if len(whole) and abs(int(whole[0])) >= EXACT:
+                return np.asarray(whole - whole[0], dtype=np.float64)
+        converted = column.cast("float64", safe=False)
+        return np.asarray(converted.to_numpy(), dtype=np.float64)
+    except (ArrowException, ValueError):
+        raise LogError(f"{path}: column '{name}' holds no numbers; leave it out") from None

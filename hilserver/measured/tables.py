@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
-from hilserver.logs.csv_reader import BLOCK, SEGMENT, TIME, Table, check_time, read_table
+from hilserver.logs.csv_reader import read_table
+from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
 from hilserver.measured.data import Array
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
-from hilserver.measured.mapping import PER_SECOND, ColumnMap, LogMapping
+from hilserver.measured.mapping import PER_SECOND, LogMapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.parquet import read_parquet
 from hilserver.measured.proposal import ForeignTable
@@ -132,54 +133,59 @@ def read_own_parquet(path: Path, sampling: Sampling | None = None) -> Recording:
             hint = meant(name, known, "see 'hilserver signals' for the names")
             raise LogError(f"{path}: column '{name}': there is no such signal; {hint}")
     measured = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
-    segment = table.integers(SEGMENT)
-    if segment is None:
-        segment = np.zeros(len(table.lines), dtype=np.int64)
-    check_time(table, TIME, segment)
+    table = in_time(table, TIME)
     columns = {name: table.column(name) for name in measured}
     for name, values in columns.items():
         refuse_absurd(values, name, table.where)
-    log = Log(path, table.column(TIME), segment, columns, table.integers(BLOCK))
+    log = Log(
+        path,
+        table.column(TIME),
+        table.segment(),
+        columns,
+        table.integers(BLOCK),
+        notices=table.notices,
+    )
     return _own(log, sampling)
 
 
 def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     """Read a foreign table, CSV or Parquet, through a mapping."""
     time = None if mapping.time.rate_hz else mapping.time.column or TIME
-    if path.suffix != ".parquet":
-        return _map_table(read_table(path, time=time), mapping, time)
-    table = read_parquet(path)
+    segment, block = (
+        default if named is None else named.column
+        for named, default in ((mapping.segment, SEGMENT), (mapping.block, BLOCK))
+    )
+    used = {str(channel.column) for channel in mapping.channels.values()}
+    used |= {segment, block, *([] if time is None else [time])}
+    is_parquet = path.suffix == ".parquet"
+    table = read_parquet(path, used) if is_parquet else read_table(path, time=time, used=used)
+    for key, column, is_named in (
+        ("time", str(time), time is not None),
+        (SEGMENT, segment, mapping.segment is not None),
+        (BLOCK, block, mapping.block is not None),
+    ):
+        if is_named:
+            _demand(table, column, key)
     if time is not None:
-        _demand(table, time, "time")
-    return _map_table(table, mapping, time)
-
-
-def _map_table(table: Table, mapping: LogMapping, time: str | None) -> Recording:
-    n = len(table.lines)
-    segment = _whole_numbers(table, mapping.segment, SEGMENT)
-    if segment is None:
-        segment = np.zeros(n, dtype=np.int64)
-    if time is None:
-        starts = np.flatnonzero(np.diff(segment, prepend=segment[:1] - 1))
-        row = np.arange(n) - np.repeat(starts, np.diff(starts, append=n))
-        t_s = row / float(mapping.time.rate_hz or 1.0)
-    else:
-        check_time(table, time, segment)
+        table = in_time(table, time, segment, block)
         t_s = table.column(time) * PER_SECOND[mapping.time.unit]
+    else:
+        t_s = _counted(table.segment(segment), float(mapping.time.rate_hz or 1.0))
     columns = {
         name: _mapped(table, mapping, name)
         for name, channel in mapping.channels.items()
         if not channel.optional or channel.column in table.header
     }
-    block = _whole_numbers(table, mapping.block, BLOCK)
-    part = Stamped(t_s, segment, columns, block)
-    return Recording(table.path, [part], time is not None, table.notices)
+    part = Stamped(t_s, table.segment(segment), columns, table.integers(block))
+    return Recording(path, [part], time is not None, table.notices)
 
 
-def _whole_numbers(table: Table, named: ColumnMap | None, default: str) -> NDArray[np.int64] | None:
-    if named is not None:
-        _demand(table, named.column, default)
-    return table.integers(default if named is None else named.column)
+def _counted(segment: NDArray[np.int64], rate_hz: float) -> Array:
+    """Return the times of rows that come at a rate."""
+    starts = np.flatnonzero(np.diff(segment, prepend=segment[:1] - 1))
+    n = len(segment)
+    row = np.arange(n) - np.repeat(starts, np.diff(starts, append=n))
+    return np.divide(row, rate_hz, dtype=np.float64)
 
 
 def _demand(table: Table, column: str, key: str) -> None:

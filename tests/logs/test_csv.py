@@ -98,7 +98,7 @@ def test_others_may_leave_out_samples_and_the_last_line_end(tmp_path):
         (b"t_s,a\n0,1\n0.1,x\n0.2,1\n", "row 3, column 2 'a': 'x' is no number; write one"),
         (b"t_s,a\n0,1\n0.1\n0.2,1\n", "row 3 has 1 columns, the header has 2; remove or complete"),
         (b"t_s,a\n0,1\n0.2,1\n0.1,1\n", "row 4, column 1 't_s': 0.1 does not rise after 0.2; sort"),
-        (b"t_s,a\n0,1\n0,1\n", "row 3, column 1 't_s': 0.0 does not rise"),
+        (b"t_s,a\n0,1\n0.1,1\n0,1\n", "0.0 does not rise after 0.1; number the runs in a column"),
         (b"t_s,a\n0,1\nnan,1\n", "row 3, column 1 't_s': there is no time; every row needs one"),
         (b"t_s,a\n0,1\n,1\n", "row 3, column 1 't_s': there is no time"),
         (b"t_s,segment\n0,0.5\n", "row 2, column 2 'segment': 0.5 is no whole number"),

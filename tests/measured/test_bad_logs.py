@@ -150,7 +150,16 @@ KINDS = {
     "absurd": (row_of("0.06,1e300"), None, "row 5, .* 1e[+]300 is no value of a robot; write"),
     "too few fields": (row_of("0.06"), None, "row 5 has 1 columns, the header has 2; remove"),
     "time falls": (row_of("0.01,3"), None, "row 5, column 1 't_s': 0.01 does not rise .*; sort"),
-    "time stands": (row_of("0.04,3"), None, "row 5, column 1 't_s': 0.04 does not rise"),
+    "time begins anew": (
+        raw(f"t_s,{SPEED}\n" + "".join(f"{0.02 * (i % 60)},{i}\n" for i in range(120))),
+        None,
+        "row 62, column 1 't_s': 0.0 does not rise after 1.18; number the runs in a column 'seg",
+    ),
+    "a run in between": (
+        raw(f"t_s,{SPEED}\n" + "".join(f"{0.02 * i - (i // 60)},{i}\n" for i in range(120))),
+        None,
+        "does not rise after 1.18; number the runs",
+    ),
     "time is NaN": (row_of("nan,3"), None, "row 5, column 1 't_s': there is no time; every row"),
     "time is infinite": (row_of("inf,3"), None, "row 5, column 1 't_s': there is no time"),
     "letters": (row_of("0.06,ä"), None, "row 5, .*'ä' is no number"),

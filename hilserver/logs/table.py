@@ -1,0 +1,176 @@
+"""Tables of numbers as they stand in a file, and their rows in time: one for every stamp."""
+
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import LogError
+
+TIME, SEGMENT, BLOCK = "t_s", "segment", "block"
+EXACT: Final = 1 << 53
+"""Whole numbers from here on are no doubles any more."""
+FEW_ROWS: Final = 10
+"""Rows that stand a little too late are sorted in; more are a run of their own."""
+
+
+@dataclass
+class Table:
+    """Numbers as they stand in the file.
+
+    Attributes
+    ----------
+    header : list of str
+        Names of the file's columns.
+    numbers : buffer of float64
+        Row after row, of the columns `read`.
+    lines : sequence of int
+        Line of each row in the file.
+    read : list of int
+        Places in the header of the columns that were read; all if not given.
+    origin : int
+        What the stamps count from, where they are too long for a double.
+    """
+
+    path: Path
+    header: list[str]
+    numbers: "array[float] | NDArray[np.float64]" = field(default_factory=lambda: array("d"))
+    lines: "array[int] | range | NDArray[np.int64]" = field(default_factory=lambda: array("q"))
+    notices: list[str] = field(default_factory=list)
+    read: list[int] = field(default_factory=list)
+    origin: int = 0
+
+    def __post_init__(self) -> None:
+        self.read = self.read or list(range(len(self.header)))
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns that were read."""
+        return [self.header[place] for place in self.read]
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The numbers, shape (n_rows, n_columns)."""
+        return np.frombuffer(self.numbers).reshape(-1, len(self.read))
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """Return a column, shape (n_rows,)."""
+        return np.ascontiguousarray(self.matrix[:, self.names.index(name)])
+
+    def where(self, row: int, name: str) -> str:
+        """Return the place of a number in words."""
+        return place_of(self.path, int(self.lines[row]), self.header, name)
+
+    def integers(self, name: str) -> NDArray[np.int64] | None:
+        """Return a column of whole numbers, shape (n_rows,); None if there is none."""
+        if name not in self.header:
+            return None
+        numbers = self.column(name)
+        wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
+        if wrong.size:
+            where = self.where(int(wrong[0]), name)
+            raise LogError(f"{where}: {float(numbers[wrong[0]])!r} is no whole number; write one")
+        return numbers.astype(np.int64)
+
+    def segment(self, name: str = SEGMENT) -> NDArray[np.int64]:
+        """Return the segment of every row; 0 where the file has no such column."""
+        found = self.integers(name)
+        return np.zeros(len(self.lines), dtype=np.int64) if found is None else found
+
+
+def place_of(path: Path, line: int, header: Sequence[str], name: str) -> str:
+    """Return the place of a number in words."""
+    return f"{path}: row {line}, column {header.index(name) + 1} '{name:.60}'"
+
+
+def in_time(table: Table, time: str, segment: str = SEGMENT, block: str = BLOCK) -> Table:
+    """Return the table with one row for every stamp.
+
+    Raises
+    ------
+    LogError
+        If a time is missing, or falls within a segment.
+    """
+    t, run = table.column(time), table.segment(segment)
+    missing = np.flatnonzero(~np.isfinite(t))
+    if missing.size:
+        where = table.where(int(missing[0]), time)
+        raise LogError(f"{where}: there is no time; every row needs one, in s")
+    fall = np.flatnonzero((np.diff(t) < 0) & (np.diff(run) == 0))
+    if fall.size:
+        raise _falls(table, time, t, run, int(fall[0]) + 1)
+    keys = [i for i, name in enumerate(table.names) if name in (time, segment, block)]
+    numbers, first, repeated = first_of_equal(t, run, table.matrix, keys)
+    if len(numbers) == len(t):
+        return table
+    notices = [*table.notices, *repeated_stamps(str(table.path), repeated, "rows")]
+    lines = np.asarray(table.lines)[first]
+    return replace(table, numbers=numbers.reshape(-1), lines=lines, notices=notices)
+
+
+def _falls(
+    table: Table, time: str, t: NDArray[np.float64], run: NDArray[np.int64], row: int
+) -> LogError:
+    """Return the complaint about a time that falls, with the remedy that helps."""
+    later = np.flatnonzero(t[row:] > t[row - 1])
+    rows = int(later[0]) if later.size else len(t) - row
+    begins_anew = t[row] <= t[np.argmax(run == run[row])]
+    remedy = (
+        "number the runs in a column 'segment'"
+        if begins_anew or rows > FEW_ROWS
+        else "sort the rows by time"
+    )
+    now, before = (
+        repr(float(t[i])) if not table.origin else str(table.origin + int(t[i]))
+        for i in (row, row - 1)
+    )
+    return LogError(f"{table.where(row, time)}: {now} does not rise after {before}; {remedy}")
+
+
+def first_of_equal(
+    stamps: NDArray[np.float64] | NDArray[np.int64],
+    segment: NDArray[np.int64],
+    values: NDArray[np.float64],
+    keys: Sequence[int] = (),
+) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
+    """Make one row of rows that follow each other with one stamp: each column's first value.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, k)
+        NaN where there is none.
+    keys : sequence of int
+        Columns that are no measurements.
+
+    Returns
+    -------
+    values, rows, repeated
+        The first row of every stamp in the one table, and how many rows held a value too many.
+    """
+    begins = np.ones(len(stamps), dtype=np.bool_)
+    begins[1:] = (np.diff(stamps) != 0) | (np.diff(segment) != 0)
+    first = np.flatnonzero(begins)
+    if begins.all():
+        return values, first, 0
+    group = np.cumsum(begins) - 1
+    merged = np.full((len(first), values.shape[1]), np.nan)
+    too_many = np.zeros(len(stamps), dtype=np.bool_)
+    for column in range(values.shape[1]):
+        there = np.flatnonzero(~np.isnan(values[:, column]))
+        again = np.diff(group[there], prepend=-1) == 0
+        kept = there[~again]
+        merged[group[kept], column] = values[kept, column]
+        if column not in keys:
+            too_many[there[again]] = True
+    return merged, first, int(too_many.sum())
+
+
+def repeated_stamps(where: str, repeated: int, what: str) -> list[str]:
+    """Return the notice about rows or messages whose stamp was there before."""
+    if not repeated:
+        return []
+    return [f"{where}: {repeated} {what} with a repeated stamp dropped; the first of each counts"]

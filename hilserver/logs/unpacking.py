@@ -1,0 +1,76 @@
+"""What unpacks is bounded, in one piece and in all: what a file declares is no proof."""
+
+import zlib
+from pathlib import Path
+from typing import Final
+
+import lz4.frame
+import zstandard
+from mcap.records import Chunk
+
+from hilserver.errors import LogError
+
+PIECE_BYTES: Final = 1 << 28
+"""Of a chunk, a message, a blob; recorders write chunks of a few MB."""
+FREE_BYTES: Final = 1 << 30
+RATIO: Final = 200
+"""Beyond them a file may become so many times its size; a robot at rest packs 100 to 1."""
+
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+
+
+class Budget:
+    """How much a file may still become."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._left = FREE_BYTES + RATIO * path.stat().st_size
+
+    def take(self, n_bytes: int) -> None:
+        """Count what was or would be unpacked.
+
+        Raises
+        ------
+        LogError
+            If it is too much.
+        """
+        self._left -= n_bytes
+        if self._left < 0 or n_bytes > PIECE_BYTES:
+            size = self._path.stat().st_size
+            raise LogError(
+                f"{self._path}: its {size / 1e6:.3g} MB unpack to far more than a recording does;"
+                " if it is one, cut it into shorter files"
+            )
+
+    def unzstd(self, data: bytes, most: int = PIECE_BYTES) -> bytes:
+        """Unpack zstd, one byte more than `most` at most, whatever size the frame declares."""
+        with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
+            result = stream.read(most + 1)
+        self.take(len(result))
+        return result
+
+    def unpack(self, chunk: Chunk) -> bytes:
+        """Return the records in a chunk of MCAP.
+
+        Raises
+        ------
+        ValueError
+            If it does not hold what it declares.
+        """
+        most = chunk.uncompressed_size
+        if most > PIECE_BYTES:
+            self.take(most)
+        if chunk.compression == "zstd":
+            data = self.unzstd(chunk.data, most)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=most + 1)
+            self.take(len(data))
+        elif chunk.compression == "":
+            data = chunk.data
+        else:
+            raise ValueError(f"is packed by {chunk.compression}")
+        if len(data) != most:
+            raise ValueError("does not hold what it declares")
+        if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            raise ValueError("has another checksum")
+        return data
