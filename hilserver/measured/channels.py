@@ -9,6 +9,9 @@ DUTIES: Final = tuple(f"wheel.{w}.duty_pct" for w in WHEELS)
 SETPOINTS: Final = tuple(f"wheel.{w}.setpoint_rpm" for w in WHEELS)
 DUTY_COMMANDS: Final = tuple(f"wheel.{w}.duty_command_pct" for w in WHEELS)
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
+OF_MODE: Final = (SETPOINTS, (*TWIST, "twist.lateral_m_s"), DUTY_COMMANDS)
+"""The set-points that are in force, by the value of `MODE`."""
+MODE: Final = "control.mode"
 POSITION: Final = ("nav.x_m", "nav.y_m")
 YAW: Final = "nav.yaw_rad"
 GYRO: Final = "imu.gyro_z_rad_s"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hilserver.config.root import Config
 from hilserver.logs import Log
-from hilserver.measured.channels import DUTY_COMMANDS, SETPOINTS, TWIST
+from hilserver.measured.channels import MODE, OF_MODE
 from hilserver.measured.data import Array
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
@@ -23,7 +23,6 @@ from hilserver.signals import MEASURED
 TICK: Final = "sim.tick"
 COMMAND: Final = "internal.command"
 POSE_REQUEST: Final = "internal.pose_request"
-MODE: Final = "control.mode"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
 BAD: Final = 0x8000_0000
 UNCERTAIN: Final = 0x4000_0000
@@ -189,11 +188,7 @@ def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
     """Return the inputs without set-points of the mode that is not in force."""
     if MODE not in inputs:
         return inputs
-    mode_of = {
-        name: mode
-        for mode, names in ((0.0, SETPOINTS), (1.0, TWIST), (2.0, DUTY_COMMANDS))
-        for name in names
-    }
+    mode_of = {name: mode for mode, names in enumerate(OF_MODE) for name in names}
     return {
         name: np.where(inputs[MODE] == mode_of[name], values, np.nan) if name in mode_of else values
         for name, values in inputs.items()

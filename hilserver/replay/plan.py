@@ -10,10 +10,11 @@ from hilserver.errors import LogError
 from hilserver.image.layout import Layout
 from hilserver.image.status import GOOD
 from hilserver.logs import Log, State
+from hilserver.measured.channels import MODE, OF_MODE, TWIST
 from hilserver.signals import Direction, SignalTable
 
 MAX_TICKS = 10**9
-_TWIST = ("twist.linear_m_s", "twist.angular_rad_s")
+ENABLE = "drive.enable"
 
 
 @dataclass(frozen=True)
@@ -189,14 +190,15 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
         for n in log.columns
         if n in table and table[n].writable and not table[n].is_measured and not table[n].is_array
     ]
-    if not any(n.startswith(("wheel.", "twist.")) for n in names):
+    if not any(n in names for of_mode in OF_MODE for n in of_mode):
         raise LogError(
-            f"{log.path}: has no column with set-points; known are wheel.fl.setpoint_rpm ... and"
-            f" {', '.join(_TWIST)}"
+            f"{log.path}: has no column with set-points; known are wheel.fl.setpoint_rpm ...,"
+            f" {', '.join(TWIST)} and wheel.fl.duty_command_pct ..."
         )
     if not len(log):
         raise LogError(f"{log.path}: holds no rows")
     plan = Plan([], feeds_state="internal.state" in names)
+    mode = _mode(log, plan.notices)
     ticks = log.ticks(base_period_ns)
     clipped = {n: _clipped(log, table, n, plan.notices) for n in names}
     stretches = []
@@ -206,12 +208,36 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
         if last - first > MAX_TICKS:
             raise LogError(f"{log.path}: segment {segment} lasts more than {MAX_TICKS} ticks")
         parts = [_rows(ticks[mask], table.slot(n), clipped[n][mask]) for n in names]
-        if "control.mode" not in names and not any(n.startswith("wheel.") for n in names):
-            parts.append(np.array([[first, table.slot("control.mode"), 1.0, GOOD]]))
+        if mode:
+            parts.append(np.array([[first, table.slot(MODE), mode, GOOD]]))
         rows = np.concatenate(parts)
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         stretches.append(Stretch(segment, first, last - first + 1, rows))
     return Plan(stretches, plan.feeds_state, plan.notices)
+
+
+def _mode(log: Log, notices: list[str]) -> int:
+    """Return the mode to begin with; say which set-points take no effect."""
+    used = {n for n, values in log.columns.items() if np.isfinite(values).any()}
+    given = [mode for mode, names in enumerate(OF_MODE) if used & set(names)]
+    if MODE in used:
+        modes = log.columns[MODE]
+        first, in_force = 0, set(modes[np.isfinite(modes)].tolist())
+    else:
+        first = given[0] if given else 0
+        in_force = {first}
+    idle = sorted(n for mode in given if mode not in in_force for n in used & set(OF_MODE[mode]))
+    if idle:
+        shown = " or ".join(f"{mode:g}" for mode in sorted(in_force))
+        notices.append(
+            f"{log.path}: {', '.join(idle)} take no effect: {MODE} is {shown} throughout;"
+            " record or map it, or leave the others out"
+        )
+    is_off = ENABLE in used and not np.nan_to_num(log.columns[ENABLE]).any()
+    if is_off or not any(mode in in_force for mode in given):
+        why = f"{ENABLE} is 0 throughout" if is_off else "no set-point is in force"
+        notices.append(f"{log.path}: none of its columns drives the robot: {why}")
+    return first
 
 
 def _rows(ticks: NDArray[np.int64], slot: int, values: NDArray[np.float64]) -> NDArray[np.float64]:

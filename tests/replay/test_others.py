@@ -90,6 +90,51 @@ def test_what_cannot_be_replayed_is_one_sentence(replay_here, tmp_path, text, co
     assert len(said.splitlines()) == 1
 
 
+DUTY = "t_s," + ",".join(f"wheel.{w}.duty_command_pct" for w in WHEELS)
+DUTIES = [(0.02 * i, 30, 30, -30, -30) for i in range(51)]
+
+
+def test_duties_alone_switch_to_duty_mode(replay_here, tmp_path):
+    replay_here(write_steps(tmp_path / "log.csv", DUTIES, DUTY), "-o", "out.csv")
+    out = read_log(tmp_path / "out.csv")
+    assert set(out.columns["control.mode"].tolist()) == {2.0}
+    assert out.columns["wheel.fl.speed_rpm"][-1] == pytest.approx(33.3, rel=0.01)
+
+
+def test_duties_of_a_foreign_table_drive_through_a_mapping(replay_here, tmp_path):
+    lines = [f"  {n}: {{column: pwm{k}}}" for k, n in enumerate(DUTY.split(",")[1:])]
+    (tmp_path / "map.yaml").write_text("channels:\n" + "\n".join(lines) + "\n")
+    log = write_steps(tmp_path / "log.csv", DUTIES, "t_s,pwm0,pwm1,pwm2,pwm3")
+    replay_here(log, "--mapping", "map.yaml", "-o", "out.csv")
+    assert read_log(tmp_path / "out.csv").columns["wheel.rr.speed_rpm"][-1] < -30
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "complaint"),
+    [
+        (f"{DUTY},wheel.fl.setpoint_rpm", "1,1,1,1,5", "rr.duty_command_pct take no effect"),
+        (f"{DUTY},control.mode", "1,1,1,1,0", "none of its columns drives the robot: no set-point"),
+        (f"{DUTY},drive.enable", "1,1,1,1,0", "drives the robot: drive.enable is 0 throughout"),
+        (
+            "t_s,twist.linear_m_s,control.mode",
+            "1,0",
+            "take no effect: control.mode is 0 throughout",
+        ),
+        ("t_s,twist.linear_m_s", "", "none of its columns drives the robot: no set-point"),
+    ],
+)
+def test_set_points_that_take_no_effect_are_said(replay_here, tmp_path, header, row, complaint):
+    text = "".join(f"{0.02 * i},{row}\n" for i in range(20))
+    (tmp_path / "log.csv").write_text(f"{header}\n{text}")
+    assert complaint in replay_here("log.csv", "-o", "out.csv")
+
+
+def test_set_points_in_force_are_not_spoken_of(replay_here, tmp_path):
+    rows = [(t, *duties, 2 * (t > 0.5), 1) for t, *duties in DUTIES]
+    log = write_steps(tmp_path / "log.csv", rows, f"{DUTY},control.mode,drive.enable")
+    assert "effect" not in replay_here(log, "-o", "out.csv")
+
+
 MAPPED = """
 plant: {wheel_radius_m: 0.165, track_m: 0.55}
 channels:
