@@ -1,8 +1,7 @@
 """The mechatronic model's parameters: physical values, checked, and packed for the kernel."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 import hilserver.body.layout as at
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.quantity import quantity, refused
 from hilserver.plant.terms import complete
 from hilserver.plant.units import RPM_PER_RAD_S
 
@@ -27,10 +27,12 @@ _GRIP_ANGLE = (-1.0, 1.0, 1.0, -1.0)
 class Tyre:
     """Friction along and across the wheels, its fading slip, and rolling resistance."""
 
-    mu_long: float = 0.8
-    mu_lat: float = 0.8
-    v0_m_s: float = 0.03
-    rolling: float = 0.01
+    mu_long: float = quantity(0.8, "friction along the wheels", gt=0, le=10)
+    mu_lat: float = quantity(0.8, "friction across them; mecanum: not used", gt=0, le=10)
+    v0_m_s: float = quantity(
+        0.03, "slip below which friction fades; 0.03 is stable at 1 ms", gt=0, le=1
+    )
+    rolling: float = quantity(0.01, "rolling resistance by normal force", ge=0, le=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,22 +63,27 @@ class BodyParameters:
     """
 
     robot: RobotParameters
-    slice_s: float = 0.002
-    step_s: float = 0.001
+    slice_s: float = quantity(0.002, "period of its slice", gt=0)
+    step_s: float = quantity(0.001, "step", gt=0)
     torque: bool = False
     sensors: bool = False
-    stall_torque_nm: float = 2.0
-    mass_kg: float = 5.0
+    stall_torque_nm: float = quantity(
+        2.0, "torque of a drive at full duty and standstill", gt=0, le=1e4
+    )
+    mass_kg: float = quantity(5.0, "mass of the whole robot", gt=0, le=1e5)
     centre_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.06)
     inertia_kg_m2: tuple[float, float, float] | None = None
-    air_n_s2_m2: float = 0.03
+    air_n_s2_m2: float = quantity(0.03, "drag of the air at 1 m/s [N]", ge=0, le=1e3)
     tyre: Tyre = field(default_factory=Tyre)
 
     def __post_init__(self) -> None:
-        for key, value, may_be_zero in _numbers(self):
-            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
-                wanted = "must not be negative" if may_be_zero else "must be above 0"
-                raise PlantError(f"mechatronic.{key}: {wanted}, not {value:g}.")
+        for part, path in ((self, ""), (self.tyre, "tyre.")):
+            for name, value, wanted in refused(part):
+                raise PlantError(f"mechatronic.{path}{name}: {wanted}, not {value:g}.")
+        for number, moment in enumerate(self.inertia_kg_m2 or ()):
+            if not 0.0 < moment < math.inf:
+                text = f"inertia_kg_m2.{number}: must be above 0, not {moment:g}."
+                raise PlantError(f"mechatronic.{text}")
         _check_geometry(self)
         _check_steps(self)
 
@@ -140,17 +147,6 @@ class BodyParameters:
         angle = 0.25 * math.pi * np.array(_GRIP_ANGLE) * robot.is_mecanum
         p[at.P_COS : at.P_COS + 4], p[at.P_SIN : at.P_SIN + 4] = np.cos(angle), np.sin(angle)
         return p
-
-
-def _numbers(body: BodyParameters) -> Iterator[tuple[str, float, bool]]:
-    """Yield key, value and whether 0 is allowed of every number."""
-    for part, path in ((body, ""), (body.tyre, "tyre.")):
-        for item in fields(part):
-            value = getattr(part, item.name)
-            if isinstance(value, float | int) and not isinstance(value, bool):
-                yield path + item.name, value, item.name in ("rolling", "air_n_s2_m2")
-    for number, moment in enumerate(body.inertia_kg_m2 or ()):
-        yield f"inertia_kg_m2.{number}", moment, False
 
 
 def _check_geometry(body: BodyParameters) -> None:

@@ -5,7 +5,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from hilserver.body.parameters import BodyParameters, Tyre
-from hilserver.config.section import Section
+from hilserver.config.section import Section, of
 from hilserver.plant.parameters import RobotParameters
 
 DEFAULT_SLICE = "mechatronic"
@@ -15,12 +15,10 @@ DEFAULT_PERIOD_MS = 2.0
 class TyreConfig(Section):
     """Friction between wheels and floor."""
 
-    mu_long: float = Field(0.8, gt=0, le=10, description="friction along the wheels")
-    mu_lat: float = Field(0.8, gt=0, le=10, description="friction across them; mecanum: not used")
-    v0_m_s: float = Field(
-        0.03, gt=0, le=1, description="slip below which friction fades; 0.03 is stable at 1 ms"
-    )
-    rolling: float = Field(0.01, ge=0, le=1, description="rolling resistance by normal force")
+    mu_long: float = of(Tyre, "mu_long")
+    mu_lat: float = of(Tyre, "mu_lat")
+    v0_m_s: float = of(Tyre, "v0_m_s")
+    rolling: float = of(Tyre, "rolling")
 
 
 class MechatronicConfig(Section):
@@ -40,10 +38,8 @@ class MechatronicConfig(Section):
     sensors: Literal["planar", "body"] = Field(
         "planar", description="who fills tof.* and imu.*; torque needs body"
     )
-    stall_torque_nm: float = Field(
-        2.0, gt=0, le=1e4, description="torque of a drive at full duty and standstill"
-    )
-    mass_kg: float = Field(5.0, gt=0, le=1e5, description="mass of the whole robot")
+    stall_torque_nm: float = of(BodyParameters, "stall_torque_nm")
+    mass_kg: float = of(BodyParameters, "mass_kg")
     inertia_kg_m2: tuple[float, float, float] | None = Field(
         None, description="moments about the centre of mass; null: a box as large as the chassis"
     )
@@ -52,7 +48,7 @@ class MechatronicConfig(Section):
         description="ahead and to the left of the wheels' centre, and above the floor",
     )
     tyre: TyreConfig = TyreConfig()
-    air_n_s2_m2: float = Field(0.03, ge=0, le=1e3, description="drag of the air at 1 m/s [N]")
+    air_n_s2_m2: float = of(BodyParameters, "air_n_s2_m2")
 
     @model_validator(mode="after")
     def _torque_has_sensors(self) -> Self:

@@ -1,8 +1,8 @@
 """The robot's parameters: physical values, checked; `packing` makes the array the kernels read."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import Field, dataclass, field, fields
-from typing import Any, Final, Literal, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import Solid, default_hall, default_solids
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
-from hilserver.plant.quantity import quantity, refusal
+from hilserver.plant.quantity import quantity, refused
 from hilserver.plant.stability import Loop
 from hilserver.plant.terms import TERMS, complete
 from hilserver.plant.units import RPM_PER_RAD_S
@@ -205,22 +205,12 @@ class RobotParameters:
         return Ranges(self.max_rpm, self.max_linear_m_s, self.max_angular_rad_s, lateral_m_s)
 
 
-def _numbers(part: object, path: str) -> Iterator[tuple[str, "Field[Any]", float]]:
-    """Yield path, field and value of every number in a parameter class and its parts."""
-    for item in fields(part):  # type: ignore[arg-type]
-        value = getattr(part, item.name)
-        if isinstance(value, Controller | Process):
-            yield from _numbers(value, f"{path}{item.name}.")
-        elif isinstance(value, Imu | Battery | RangeFinders | Navigation):
-            yield from _numbers(value, f"sensors.{item.name}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield path + item.name, item, float(value)
-
-
 def _check_numbers(robot: RobotParameters) -> None:
-    for path, item, value in _numbers(robot, "plant."):
-        if wanted := refusal(item, value):
-            msg = f"{path}: {wanted}, not {value:g}."
+    plant = {"plant": robot, "plant.controller": robot.controller, "plant.process": robot.process}
+    sensors = {f"sensors.{name}": getattr(robot, name) for name in ("imu", "battery", "tof", "nav")}
+    for path, part in (plant | sensors).items():
+        for name, value, wanted in refused(part):
+            msg = f"{path}.{name}: {wanted}, not {value:g}."
             raise PlantError(msg)
 
 

@@ -2,8 +2,8 @@
 
 import math
 import operator
-from collections.abc import Callable, Mapping
-from dataclasses import Field, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import field, fields
 from typing import Any, Final
 
 _BOUNDS: Final[Mapping[str, tuple[Callable[[float, float], bool], str]]] = {
@@ -27,11 +27,20 @@ def quantity(default: float | None, meaning: str, **bounds: float) -> Any:
     return field(default=default, metadata={"meaning": meaning, "bounds": bounds})
 
 
-def refusal(item: "Field[Any]", value: float) -> str | None:
-    """Return why a number cannot be the value of a field; None if it can."""
+def refused(part: Any) -> Iterator[tuple[str, float, str]]:
+    """Yield name, value and what it must be of every number of a dataclass that cannot be."""
+    for item in fields(part):
+        value = getattr(part, item.name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            wanted = _wanted(item.metadata.get("bounds", {}), value)
+            if wanted is not None:
+                yield item.name, value, wanted
+
+
+def _wanted(bounds: Mapping[str, float], value: float) -> str | None:
     if not math.isfinite(value):
         return "must be a finite number"
-    for name, bound in item.metadata.get("bounds", {}).items():
+    for name, bound in bounds.items():
         holds, wanted = _BOUNDS[name]
         if not holds(value, bound):
             return "must not be negative" if (name, bound) == ("ge", 0) else wanted.format(bound)
