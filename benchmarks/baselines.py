@@ -18,9 +18,8 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
-
-Array = NDArray[np.float64]
 
 MOST_CAUSES: Final = 8
 TRIED: Final = 3

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
-
-Array = NDArray[np.float64]
 
 STEP_S: Final = 0.05
 WINDOW: Final = 21

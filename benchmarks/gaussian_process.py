@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.body_velocities import AHEAD, TURN, WINDOW, BodyVelocities
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 LEARNED_FROM: Final = 300
 MOST: Final = 1500

@@ -25,13 +25,13 @@ from hilserver.compiled.foreign import call
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.builder import Pace, build
+from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings
 
 BLOCKS, STEPS = 20, 2000
 SETTLE_S = 1.0
 DRAWS = 2000
-Array = NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

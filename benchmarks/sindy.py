@@ -17,8 +17,8 @@ from benchmarks.body_velocities import AHEAD, TURN, BodyVelocities
 from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.errors import FailedError
+from hilserver.measured.arrays import Array
 
-Array = NDArray[np.float64]
 Pair = tuple[str, str]
 
 THRESHOLDS: Final = np.geomspace(3e-4, 0.3, 13)

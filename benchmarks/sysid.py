@@ -13,18 +13,16 @@ from typing import Any, Final
 
 import numpy as np
 from hilserver_injector.cases import Case
-from numpy.typing import NDArray
 
 from benchmarks.diagnose_scoring import Value, bare, value_of
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.errors import FailedError
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
 from hilserver.plant.parameters import RobotParameters
-
-Array = NDArray[np.float64]
 
 POSE_STEP: Final = 0.01
 FARTHEST: Final = 1000.0

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import Channel, MeasuredLog
-
-Array = NDArray[np.float64]
 
 RESTING_RPM: Final = 1.0
 MOSTLY: Final = 0.5

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
+
 Index = NDArray[np.int64]
 
 BLOCK_S: Final = 5.0

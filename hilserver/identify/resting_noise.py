@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.noise.fitting import NoiseModel, fit_noise
 from hilserver.errors import LogError
 from hilserver.identify.wheels import at, files, present
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
-
-Array = NDArray[np.float64]
 
 RESTING_RPM: Final = 1.0
 SETTLE_S: Final = 0.5

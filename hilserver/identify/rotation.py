@@ -22,13 +22,11 @@ from hilserver.identify.wheels import (
     present,
     side_sum_rpm,
 )
+from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 YAW_RATES: Final = ("imu.gyro_z_rad_s", "imu.yaw_rad", "nav.yaw_rad")
 _LAGS_S: Final = (-0.2, 0.6)

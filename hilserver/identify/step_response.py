@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from hilserver.errors import LogError
@@ -23,9 +22,9 @@ from hilserver.identify.strejc import (
     two_lags,
 )
 from hilserver.identify.wheels import files, present
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
-Array = NDArray[np.float64]
 Response = Callable[[Array, Array], Array]
 
 INPUTS: Final = ("duty_pct", "setpoint_rpm")

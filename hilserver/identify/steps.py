@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
-
-Array = NDArray[np.float64]
 
 _HOLD_S = 0.15
 _BEFORE_S = 0.1

@@ -9,11 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import gammainc
 
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 ORDER_MAX = 6
 

@@ -12,15 +12,13 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
-
-Array = NDArray[np.float64]
 
 RISE: Final = 0.632
 FEWEST_SAMPLES: Final = 10

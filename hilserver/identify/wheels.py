@@ -3,13 +3,11 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
-
-Array = NDArray[np.float64]
 
 
 def present(log: MeasuredLog, quantity: str, wheels: Sequence[str] = WHEELS) -> list[str]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant
 from hilserver.logs.bag_messages import Topic, is_bag, read_messages
-from hilserver.measured.data import Array
+from hilserver.measured.arrays import Array
 from hilserver.measured.mapping import LogMapping
 from hilserver.measured.messages import Decoder
 from hilserver.measured.tables import Recording, Stamped, refuse_absurd

@@ -4,13 +4,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.thresholds import SHORTEST_SEGMENT_S
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

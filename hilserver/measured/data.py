@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
+
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 

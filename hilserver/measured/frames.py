@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hilserver.config.root import Config
 from hilserver.logs import Log
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import MODE, OF_MODE
-from hilserver.measured.data import Array
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
 from hilserver.signals import MEASURED

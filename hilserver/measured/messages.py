@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant
-from hilserver.measured.data import Array
+from hilserver.measured.arrays import Array
 
 _EDUART = {
     "iotbot_interface/msg/RotationSpeed": (

@@ -27,7 +27,8 @@ from hilserver.diagnosis.checks import (
     wrapped,
 )
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.measured.data import Array, MeasuredLog
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import is_input
 from hilserver.plant.parameters import RobotParameters
 

@@ -16,8 +16,9 @@ from hilserver.diagnosis.thresholds import (
     STANDS,
     TURNS_RAD_S,
 )
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION
-from hilserver.measured.data import Array, MeasuredLog
+from hilserver.measured.data import MeasuredLog
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.thresholds import (
     COMB_CLEAR,
@@ -17,8 +16,7 @@ from hilserver.diagnosis.thresholds import (
     FEWEST_SAMPLES,
     HALF,
 )
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 STEPS_RPM: Final = (0.2, 6.0)
 """Steps that are looked for; finer ones are below the noise."""

@@ -11,7 +11,8 @@ from hilserver.diagnosis.thresholds import (
     NEARLY_ALL,
     NEGLIGIBLE,
 )
-from hilserver.measured.data import Array, Channel, MeasuredLog
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 

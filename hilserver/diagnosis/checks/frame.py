@@ -3,17 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import along
 from hilserver.diagnosis.thresholds import SLOWEST_TURN_RAD_S, STANDS, TURNS_RAD_S
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
-
-Array = NDArray[np.float64]
 
 
 def untold(log: MeasuredLog, robot: RobotParameters) -> str | None:

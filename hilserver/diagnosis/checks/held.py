@@ -27,7 +27,8 @@ from hilserver.diagnosis.thresholds import (
     HELD_SLOWEST_HZ,
     HELD_SPREAD,
 )
-from hilserver.measured.data import Array, Channel, MeasuredLog
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 

@@ -9,8 +9,9 @@ from hilserver.diagnosis.checks.frame import asked_turn
 from hilserver.diagnosis.checks.support import data_fault
 from hilserver.diagnosis.schema.findings import Finding, Parameter
 from hilserver.diagnosis.thresholds import FEWEST_PIECES, LIMITED_BEYOND, NEARLY_ALL
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO
-from hilserver.measured.data import Array, MeasuredLog
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 AT: Final = 1.0 - 1e-9

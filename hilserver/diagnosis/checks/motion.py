@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import SPAN_S, along
-from hilserver.measured.data import Array, Channel, MeasuredLog
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM

@@ -29,7 +29,8 @@ from hilserver.diagnosis.thresholds import (
     SIGN_SURE,
     SLOWEST_TURN_RAD_S,
 )
-from hilserver.measured.data import Array, Channel, MeasuredLog
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 

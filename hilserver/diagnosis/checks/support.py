@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.schema.findings import Finding, Interval, Parameter, Verdict
 from hilserver.diagnosis.thresholds import ALTERNATING
-from hilserver.measured.data import Array, Channel
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import Channel
 from hilserver.measured.names import is_input
 
 SPAN_S = 1e6

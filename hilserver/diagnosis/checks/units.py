@@ -17,7 +17,8 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
-from hilserver.measured.data import Array, MeasuredLog
+from hilserver.measured.arrays import Array
+from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 

@@ -13,8 +13,7 @@ from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, score
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.thresholds import COMPARE_INEXACT, FAR_SD
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from functools import singledispatch
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
@@ -40,9 +39,8 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_LEAST_SAVED,
     TIE,
 )
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION
-
-Array = NDArray[np.float64]
 
 ANCHOR_LEVEL: Final = 0.5 * REST_LEVEL
 """A test of its own beside that of all structure, which it is a part of."""

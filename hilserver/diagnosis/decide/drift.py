@@ -24,9 +24,7 @@ from hilserver.diagnosis.thresholds import (
     REST_LEAST_GAIN,
     REST_LEVEL,
 )
-
-Array = NDArray[np.float64]
-
+from hilserver.measured.arrays import Array
 
 RIVALS: Final = 3
 """Causes whose change is tried in full."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
@@ -22,9 +21,7 @@ from hilserver.diagnosis.thresholds import (
     RIVAL_COSINE,
     TIE,
 )
-
-Array = NDArray[np.float64]
-
+from hilserver.measured.arrays import Array
 
 MOST_SWAPS: Final = 4
 """Exchanges in a row."""

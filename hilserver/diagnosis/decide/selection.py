@@ -7,7 +7,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.shape_search import refined, searched
@@ -37,9 +36,7 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_MOST_CAUSES,
     TIE,
 )
-
-Array = NDArray[np.float64]
-
+from hilserver.measured.arrays import Array
 
 TRIALS: Final = 8
 """Candidates of a round that are fitted: those with the largest linear gains."""

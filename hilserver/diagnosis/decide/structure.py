@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.unknown import Family, families
 from hilserver.diagnosis.regression.fitting import fit
@@ -28,8 +27,7 @@ from hilserver.diagnosis.thresholds import (
     REST_LEVEL,
     RIVAL_COSINE,
 )
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 ALIKE_DAMPING = 1e-3
 """Of families, whose columns are much alike, see `linear`."""

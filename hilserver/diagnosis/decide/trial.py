@@ -18,8 +18,7 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_PLAUSIBLE_SD,
     TIE,
 )
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.identifiability import deviations
 from hilserver.diagnosis.decide.settling import Judged
@@ -11,9 +10,8 @@ from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, Tell, prepare, stages_of
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, RIVAL_CLEAR_Z
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
-
-Array = NDArray[np.float64]
 
 
 def with_wheels(

@@ -3,14 +3,12 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.gain import gains
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.schema.findings import Gain
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 
 def flexible(problem: Problem, library: Library, point: Point) -> Array:

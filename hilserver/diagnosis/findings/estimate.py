@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hilserver.diagnosis.catalogue.traits import traits_of
@@ -14,8 +13,7 @@ from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.findings import Joint
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 PARTNERS: Final = 0.5
 """|correlation| of two estimates from which one cause can take over what another explains."""

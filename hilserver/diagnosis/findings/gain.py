@@ -15,9 +15,8 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.diagnosis.thresholds import FEWEST_BLOCKS
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION, TAG, YAW
-
-Array = NDArray[np.float64]
 
 RESAMPLES = 400
 SEGMENTS_APART_S = 1e7

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import (
@@ -30,11 +29,9 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.names import signal_unit
-
-Array = NDArray[np.float64]
-
 
 COARSE_SHARE: Final = 0.002
 """Half the interval of a step that the spectrum tells, by the step."""

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.estimate import Estimate
 from hilserver.diagnosis.findings.gain import (
@@ -18,8 +17,8 @@ from hilserver.diagnosis.findings.gain import (
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
+from hilserver.measured.arrays import Array
 
-Array = NDArray[np.float64]
 Predictions = tuple[Array, ...]
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.trial import at_bound
 from hilserver.diagnosis.findings.estimate import Estimate, is_wave, priors, reported, with_priors
@@ -13,8 +12,6 @@ from hilserver.diagnosis.groups.deciding import Decided, with_rival
 from hilserver.diagnosis.groups.joint_fit import JointFit
 from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.schema.findings import Finding, InGroup, Parameter
-
-Array = NDArray[np.float64]
 
 
 def fitted_findings(decided: Decided) -> list[Finding]:

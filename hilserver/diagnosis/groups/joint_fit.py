@@ -16,9 +16,7 @@ from hilserver.diagnosis.regression.linear import sandwich
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import COMPARE_LEVEL
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from hilserver.measured.arrays import Array, Mask
 
 SILENT: Final = 1e-3
 """Whitened size of a cause's least effect below which a log knows nothing of it."""

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from hilserver.measured.arrays import Array, Mask
 
 
 @dataclass(frozen=True)

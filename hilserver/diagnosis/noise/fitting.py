@@ -13,13 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
-from hilserver.diagnosis.noise.whitening import (
-    SMALLEST_DOF,
-    Array,
-    NoiseModel,
-    Whitener,
-    robust_weights,
-)
+from hilserver.diagnosis.noise.whitening import SMALLEST_DOF, NoiseModel, Whitener, robust_weights
 from hilserver.diagnosis.noise.windows import Windows
 from hilserver.diagnosis.thresholds import (
     FAR_SD,
@@ -29,6 +23,7 @@ from hilserver.diagnosis.thresholds import (
     NOISE_WINDOW_S,
     SHORT_DOF,
 )
+from hilserver.measured.arrays import Array
 
 __all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
 

@@ -16,8 +16,7 @@ from hilserver.diagnosis.thresholds import (
     OUTLIER_SD,
     OUTLIERS_IN_A_ROW,
 )
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 AROUND_S: Final = 1.05
 """Width of the median that a spike leaves."""

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, NEGLIGIBLE, READING_CALM
+from hilserver.measured.arrays import Array
 from hilserver.measured.resolution import step_of
-
-Array = NDArray[np.float64]
 
 NOISE_BY_STEP: Final = (0.02, 50.0)
 """Where a noise is looked for: below rounding hides it, above nothing shows the rounding."""

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hilserver.compiled import kernel
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 SMALLEST_DOF: Final = 2.1
 """Degrees of freedom; at 2 there is no variance."""

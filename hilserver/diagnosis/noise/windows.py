@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
-from hilserver.diagnosis.noise.whitening import Array, NoiseModel
+from hilserver.diagnosis.noise.whitening import NoiseModel
+from hilserver.measured.arrays import Array
 
 _SAMPLES_MIN = 4  # in a window: level and slope are free
 _TRIMMED = 0.75

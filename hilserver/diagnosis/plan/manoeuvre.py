@@ -6,18 +6,16 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.config.loading import place
 from hilserver.errors import ConfigError, LogError
 from hilserver.faults.scenario import Scenario, load_scenario
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_HALF_TRACK, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
-
-Array = NDArray[np.float64]
 
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 ALL_WHEELS: Final = "wheels.setpoints_rpm"

@@ -10,7 +10,6 @@ from hilserver.diagnosis.checks.standstill import at_rest
 from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.plan.information import (
     Z_APART,
-    Array,
     Direction,
     alike,
     apart,
@@ -29,6 +28,7 @@ from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
+from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
 
 Tell = Callable[[str, float], None]

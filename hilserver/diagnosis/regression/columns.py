@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 RIDGE = 1e-3
 

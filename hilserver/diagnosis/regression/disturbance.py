@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
-
-Array = NDArray[np.float64]
 
 GRID_S = 0.02
 

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 DAMPED: Final = 1e-6
 """Damping of the steps of a fit, see `linear`."""

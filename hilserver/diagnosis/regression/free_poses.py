@@ -3,10 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from hilserver.measured.arrays import Array, Indices
+
 Bases = list[Array]
 AT_ONCE: Final = 32
 """Segments with equally many samples are solved together; of more the copies would fill memory."""

@@ -1,15 +1,13 @@
 """Intervals of fitted parameters that hold under autocorrelation: they count blocks."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import INEXACT
-
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 
 def own_share(cause: str) -> float:

@@ -7,9 +7,8 @@ of length one; a `damping` is a share of that length.
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilserver.measured.arrays import Array
 
 SHORTEST: Final = 1e-100
 """Length of a column that shows nowhere."""

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
+from hilserver.measured.arrays import Array
 
-Array = NDArray[np.float64]
 Real = NDArray[Any]
 """Of 32 or 64 bits."""
 LEAST_FREEDOM: Final = 0.5

@@ -3,13 +3,11 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilserver.measured.arrays import Array
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.units import NOMINAL_V
-
-Array = NDArray[np.float64]
 
 VOLTAGE: Final = "battery.voltage_v"
 SMOOTHING_S: Final = 2.0

@@ -16,6 +16,7 @@ from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_proc
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import NO_POSES, Stage
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -36,8 +37,6 @@ from hilserver.plant.layout import (
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V
-
-Array = NDArray[np.float64]
 
 INPUTS: Final[Mapping[str, int]] = {
     **{name: U_SETPOINT + i for i, name in enumerate(SETPOINTS)},

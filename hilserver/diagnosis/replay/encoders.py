@@ -3,17 +3,16 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import robot_with
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import P_ENCODER_GAIN
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
-Array = NDArray[np.float64]
 Driven = tuple[DriveStage, Array, Array]
 """A drive, and of its wheels at every tick the speed and what encoders of the right scale show."""
 

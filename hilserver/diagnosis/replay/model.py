@@ -5,12 +5,10 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from hilserver.diagnosis.replay.positions import begins_anew, driven_place, pair
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -32,8 +33,6 @@ from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_GYRO_BIAS, P_GYR
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
-
-Array = NDArray[np.float64]
 
 LEAD_S: Final = 0.7
 """Simulated before a segment begins: what the navigation shows late happened there."""

@@ -8,12 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 
 FOLD_RUNS: Final = 6
 """From so many runs, or else segments, on they are held out whole."""

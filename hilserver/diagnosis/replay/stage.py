@@ -5,17 +5,15 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import Block
 from hilserver.diagnosis.replay.stack import Stack
+from hilserver.measured.arrays import Array
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
-
-Array = NDArray[np.float64]
 
 NO_POSES: Final = np.zeros((0, 3))
 

@@ -6,18 +6,16 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
 from hilserver.diagnosis.replay.encoders import Driven
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of
 from hilserver.plant.units import RAD_S_PER_RPM
-
-Array = NDArray[np.float64]
 
 GOES_ON_S: Final = 0.11
 """Largest time between the last row of a segment and the first one of the next."""

@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
@@ -12,9 +11,7 @@ from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import Course
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from hilserver.measured.arrays import Array, Indices
 
 WINDOWS: Final = 8
 FEWEST_SEGMENTS: Final = 6

@@ -19,11 +19,10 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import CutRow
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.names import signal_unit
 from hilserver.plant.parameters import RobotParameters
-
-Array = NDArray[np.float64]
 
 CUTS: Final = ("setpoints", "duty", "speed")
 POSE_STEPS: Final = 2

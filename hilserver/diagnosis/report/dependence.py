@@ -16,10 +16,9 @@ from hilserver.diagnosis.replay.pose_stage import FORWARD, HEADING, TURN
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import Dependence
 from hilserver.diagnosis.thresholds import REST_LEVEL
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
-
-Array = NDArray[np.float64]
 
 MOST, EACH = 2, 2
 """Structures, and regressors of each, that are drawn."""

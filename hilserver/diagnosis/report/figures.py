@@ -23,7 +23,6 @@ from hilserver.diagnosis.report.svg import (
 )
 from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import (
-    Array,
     Course,
     Dependence,
     HorizonRow,
@@ -32,6 +31,7 @@ from hilserver.diagnosis.schema.evidence import (
     Similarity,
 )
 from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.measured.arrays import Array
 
 MAX_PATHS = 4
 SMALLEST_LIKENESS = 0.5

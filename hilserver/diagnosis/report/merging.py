@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from hilserver.diagnosis.schema.decisions import ScreenRow
-from hilserver.diagnosis.schema.evidence import Array, Evidence, FittedRange, Interval, Series
+from hilserver.diagnosis.schema.evidence import Evidence, FittedRange, Interval, Series
+from hilserver.measured.arrays import Array
 
 MOST_PATHS = 6
 

@@ -30,11 +30,10 @@ from hilserver.diagnosis.schema.evidence import (
     Series,
     Similarity,
 )
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.explain import MINUS, power_of_ten
+from hilserver.measured.arrays import Array
 
-Array = NDArray[np.float64]
 MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0
 MARGIN_TOP: Final = 14.0

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, span_of
-from hilserver.diagnosis.schema.evidence import Array, Series
+from hilserver.diagnosis.schema.evidence import Series
+from hilserver.measured.arrays import Array
 
 MAX_MARKS = 60
 """Beginnings of a run that are marked; more of them would be a bar."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.schema.findings import Findings, InGroup
+from hilserver.measured.arrays import Array
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 
 

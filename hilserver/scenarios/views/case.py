@@ -4,15 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Diagnosis, Series
+from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-Array = NDArray[np.float64]
 Legend = Sequence[tuple[str, str]]
 POINTS: Final = 600
 WIDTH: Final = 760.0

@@ -8,9 +8,10 @@ import numpy as np
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import MeasuredLog
-from hilserver.scenarios.views.case import HEIGHT, POINTS, Array, Case, Legend, axes
+from hilserver.scenarios.views.case import HEIGHT, POINTS, Case, Legend, axes
 from hilserver.scenarios.views.stretch import stretch
 
 UPPER, LOWER = 280.0, 190.0

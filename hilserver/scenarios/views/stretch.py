@@ -4,9 +4,10 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.measured.arrays import Array
 from hilserver.measured.clock import cut
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.scenarios.views.case import Array, Case
+from hilserver.scenarios.views.case import Case
 
 NEARLY: Final = 0.98
 """Of stretches whose difference is so nearly the largest the middle one is shown."""

@@ -8,9 +8,10 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.identify.rotation import identify_rotation
+from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
-from hilserver.scenarios.views.case import HEIGHT, WIDTH, Array, Case, Legend, axes
+from hilserver.scenarios.views.case import HEIGHT, WIDTH, Case, Legend, axes
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,9 @@ import numpy as np
 from hilserver.diagnosis.report.standalone import HEAD, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Path
+from hilserver.measured.arrays import Array
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.scenarios.views.case import POINTS, WIDTH, Array, Case, Legend
+from hilserver.scenarios.views.case import POINTS, WIDTH, Case, Legend
 from hilserver.scenarios.views.stretch import stretch
 
 
