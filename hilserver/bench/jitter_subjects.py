@@ -24,8 +24,8 @@ from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
 from hilserver.scheduler import Statistics, map_statistics
 
-START_WITHIN_S = 120.0
-SETTLE_S = 2.0
+PACING_WITHIN_S = 120.0
+SETTLES_S = 2.0
 N_CLIENTS, N_NODES, RATE_HZ = 10, 50, 20
 
 
@@ -150,10 +150,10 @@ def loaded_daemon(
             with contextlib.ExitStack() as stack, clients_of as clients:
                 others = [stack.enter_context(one.busy(place)) for one in beside]
                 subject = Subject(statistics, [text, *others])
-                time.sleep(SETTLE_S)
+                time.sleep(SETTLES_S)
                 began = time.monotonic()
                 yield subject
-                subject.load.append(_load_report(clients, time.monotonic() - began + SETTLE_S))
+                subject.load.append(_load_report(clients, time.monotonic() - began + SETTLES_S))
 
 
 def _settings(backend: str, period_us: int, priority: int, image: str, url: str) -> dict[str, Any]:
@@ -202,7 +202,7 @@ def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
 
 def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]") -> Statistics:
     """Attach to a process that starts; its pacing thread must be running."""
-    deadline = time.monotonic() + START_WITHIN_S
+    deadline = time.monotonic() + PACING_WITHIN_S
     while time.monotonic() < deadline:
         if process.poll() is not None:
             raise FailedError(f"the process to be measured ended with code {process.returncode}")
@@ -211,4 +211,4 @@ def _wait_for(attach: Callable[[], Statistics], process: "subprocess.Popen[str]"
             if statistics.thread_id and statistics.linear_counts.sum() > 0:
                 return statistics
         time.sleep(0.1)
-    raise FailedError(f"the process to be measured did not start within {START_WITHIN_S:.0f} s")
+    raise FailedError(f"the process to be measured did not start within {PACING_WITHIN_S:.0f} s")

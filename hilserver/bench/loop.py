@@ -34,8 +34,8 @@ from hilserver.program import children, event_loop
 DUTY = "duty_FL"
 PERIOD_S = 0.02
 SPEED_RPM = 20.0
-START_LIMIT_S = 120.0
-STOP_LIMIT_S = 20.0
+DAEMON_WITHIN_S = 120.0
+DAEMON_ENDS_WITHIN_S = 20.0
 ANSWER_LIMIT_S = 2.0
 SETTLE_S = (0.15, 0.25)
 
@@ -102,13 +102,13 @@ class Loop:
             If the daemon does not come up.
         """
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(START_LIMIT_S):
+            async with asyncio.timeout(DAEMON_WITHIN_S):
                 while not self.duty_pct * self.target_rpm > 0:
                     if (words := ended()) is not None:
                         raise FailedError(f"the daemon under test ended: {words}")
                     await asyncio.sleep(PERIOD_S)
                 return
-        raise FailedError(f"the daemon under test did not answer within {START_LIMIT_S:g} s")
+        raise FailedError(f"the daemon under test did not answer within {DAEMON_WITHIN_S:g} s")
 
     async def change(self) -> None:
         """Change the sign of the set-point and wait for the answer.
@@ -153,7 +153,7 @@ async def daemon(config: PeerConfig) -> AsyncIterator[Callable[[], str | None]]:
         with log.open("wb") as stderr:
             command = children.python("-m", "hilserver", "run", "-c", str(path))
             async with children.started(
-                command, name="hilserver run", stop_limit_s=STOP_LIMIT_S, stderr=stderr
+                command, name="hilserver run", stop_limit_s=DAEMON_ENDS_WITHIN_S, stderr=stderr
             ) as process:
 
                 def ended() -> str | None:

@@ -22,7 +22,7 @@ from hilserver.scheduler import (
 )
 from hilserver.scheduler.empty_step import empty_step
 
-BINS = 10_000
+HISTOGRAM_BINS = 10_000
 SLICES = (
     Slice("plant", 1, compiled=True),
     Slice("sensors", 10, compiled=True),
@@ -41,8 +41,8 @@ async def pace(backend: str, path: Path, period_us: int, priority: int) -> None:
         backend=backend,
         policy=OverrunPolicy("skip"),  # as cyclictest: one late wake-up is one sample
         realtime=RealtimeSettings(priority=priority),
-        statistics_array=map_statistics(path, words_needed(len(SLICES), BINS)),
-        linear_bins=BINS,
+        statistics_array=map_statistics(path, words_needed(len(SLICES), HISTOGRAM_BINS)),
+        linear_bins=HISTOGRAM_BINS,
     )
     await scheduler.start()
     work = [asyncio.create_task(_work()) for _ in range(3)]

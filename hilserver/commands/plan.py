@@ -14,7 +14,7 @@ from pathlib import Path
 from hilserver.commands.options import add_config, config_path, number_within
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.output import write_files
-from hilserver.diagnosis.plan.manoeuvre import LONGEST_S, SHORTEST_S
+from hilserver.diagnosis.plan.manoeuvre import LONGEST_PLAN_S, SHORTEST_S
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS
 from hilserver.diagnosis.plan.planning import ROOM_M, SCENARIO, Wish, plan
 from hilserver.diagnosis.plan.text import lines
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--duration",
-        type=partial(number_within, SHORTEST_S, LONGEST_S, what="duration (2 .. 3600 s)"),
+        type=partial(number_within, SHORTEST_S, LONGEST_PLAN_S, what="duration (2 .. 3600 s)"),
         metavar="S",
         help="of the better manoeuvre; default: that of MANOEUVRE",
     )

@@ -9,7 +9,7 @@ from hilserver.identify.rotation import RotationGain
 from hilserver.identify.wheels import at, per_span
 from hilserver.measured.data import MeasuredLog
 
-TOLERANCE = 0.01
+LEAST_DEVIATION = 0.01
 _SAMPLES_MIN = 20
 
 
@@ -56,6 +56,6 @@ def _front_is_rear(log: MeasuredLog, side: str) -> Check:
     block = blocks_of(log[front].t_s, log[front].span)
     ratio = regress(x[moving, None], y[moving], block[moving]).estimate(0)
     apart = float(np.sqrt(np.mean(np.square(y[moving] - x[moving]))))
-    passed = ratio.holds(1.0) or abs(ratio.value - 1.0) <= TOLERANCE
+    passed = ratio.holds(1.0) or abs(ratio.value - 1.0) <= LEAST_DEVIATION
     text = f"rear / front = {ratio.value:.4f}, {apart:.2g} rpm rms apart"
     return Check(name, bool(passed), text, ratio)

@@ -12,7 +12,7 @@ from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 RESTING_RPM: Final = 1.0
-SETTLE_S: Final = 0.5
+RESTED_S: Final = 0.5
 STAND_S: Final = 5.0
 _SAMPLES_MIN = 50
 _INPUTS = (".setpoint_rpm", ".duty_pct")
@@ -78,7 +78,7 @@ def _resting(log: MeasuredLog, span: int, t_s: Array, values: Array) -> list[tup
         turning = np.abs(speed) > RESTING_RPM
         last_s = np.maximum.accumulate(np.where(turning, own_s, -np.inf))
         index = np.searchsorted(own_s, t_s, side="right") - 1
-        still &= (index >= 0) & (t_s - last_s[np.maximum(index, 0)] >= SETTLE_S)
+        still &= (index >= 0) & (t_s - last_s[np.maximum(index, 0)] >= RESTED_S)
         if f"wheel.{wheel}.setpoint_rpm" in log:
             aim = at(log[f"wheel.{wheel}.setpoint_rpm"], span, t_s, hold=True)
             still &= ~(np.abs(aim) > 0.0)

@@ -21,7 +21,7 @@ from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 RISE: Final = 0.632
-FEWEST_SAMPLES: Final = 10
+FEWEST_FOR_A_RATE: Final = 10
 _CHANGES_MIN = 5
 
 
@@ -137,10 +137,10 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     end_s = float(setpoint.t_s[others & (setpoint.t_s > start_s)].min(initial=np.inf))
     step = (t_s >= start_s) & (t_s < end_s)
     t_s, values = t_s[step], values[step]
-    if len(values) < FEWEST_SAMPLES:
+    if len(values) < FEWEST_FOR_A_RATE:
         raise LogError(
             f"{files(log)}: {len(values)} samples of {wheel} until its set-point changes"
-            f" again; an update rate needs {FEWEST_SAMPLES}: hold the set-point longer"
+            f" again; an update rate needs {FEWEST_FOR_A_RATE}: hold the set-point longer"
         )
     settled = values[len(values) // 2 :]
     final = float(np.median(settled))

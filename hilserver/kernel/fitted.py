@@ -20,7 +20,7 @@ from hilserver.plant.terms import TERMS, main_part
 BLOCKS: Final = ("drive", "kinematics", "navigation", "inertial")
 N_ROW: Final = 6  # low and high of speed [m/s], turn rate [rad/s], wheel speed [rpm]
 N_LIMITS: Final = 1 + len(BLOCKS) * N_ROW  # the first says whether there is a patch
-TOLERANCE: Final = 0.02
+MARGIN: Final = 0.02
 """Share of a range by which it may be left: the plant's ripple is no other condition."""
 
 _NAVIGATION: Final = range(robot.Y_NAV, robot.Y_NAV + 3)
@@ -69,7 +69,7 @@ def _widened(interval: Interval | None) -> Interval:
     if interval is None:
         return -math.inf, math.inf
     low, high = interval
-    margin = TOLERANCE * (high - low)
+    margin = MARGIN * (high - low)
     return low - margin, high + margin
 
 

@@ -22,7 +22,7 @@ from hilserver.measured.data import MeasuredLog
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 
-WINDOW_S: Final = 2.0
+PIECE_S: Final = 2.0
 """Way and place are compared over so long."""
 
 
@@ -38,7 +38,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     """Tell when the robot was blocked, and leave that out: nothing here models what held it."""
     if not log.has(*POSITION, GYRO):
         return log, []
-    windows = windows_of(log, WINDOW_S)
+    windows = windows_of(log, PIECE_S)
     way_m = _asked_m(log, robot, windows)
     is_driven = way_m > BLOCKED_LEAST_WAY_M
     is_blocked = is_driven & _stands(log, windows, way_m)
@@ -92,4 +92,4 @@ def _left(span: int, start_s: float, end_s: float, spells: list[Spell]) -> Piece
     mine = [spell for spell in spells if spell.span == span]
     begins, ends = [start_s, *(s.end_s for s in mine)], [*(s.begin_s for s in mine), end_s]
     pieces = zip(begins, ends, strict=True)
-    return [(begin, end) for begin, end in pieces if end - begin > WINDOW_S]
+    return [(begin, end) for begin, end in pieces if end - begin > PIECE_S]

@@ -20,13 +20,13 @@ from hilserver.measured.arrays import Array
 
 STEPS_RPM: Final = (0.2, 6.0)
 """Steps that are looked for; finer ones are below the noise."""
-MOST: Final = 8
+MOST_LINES: Final = 8
 """Lines of the spectrum that are looked at."""
 NOTICEABLE: Final = 0.02
 """Coefficient of a line below which none is a candidate."""
 PADDED = 4
 SAMPLES = 6_000
-REACH = 8
+NEIGHBOURS = 8
 
 
 def coarse_step(channels: Sequence[Array], smooth: Sequence[Array]) -> float | None:
@@ -72,7 +72,7 @@ def _suspects(channels: Sequence[Array], smooth: Sequence[Array]) -> list[float]
     inside = (frequency >= 1.0 / STEPS_RPM[1]) & (frequency <= 1.0 / STEPS_RPM[0])
     line = np.where(inside, line, 0.0)
     found: list[float] = []
-    while len(found) < MOST and line.max(initial=0.0) > NOTICEABLE:
+    while len(found) < MOST_LINES and line.max(initial=0.0) > NOTICEABLE:
         peak = int(line.argmax())
         values = [v for v, _ in thinned]
         found.append(1.0 / _sharpened(values, float(frequency[peak]), float(frequency[1])))
@@ -114,8 +114,8 @@ def on_the_way(channels: Sequence[Array], step: float) -> float:
     """
     passing = []
     for values in channels:
-        here = values[REACH:-REACH]
-        before, after = here - values[: -2 * REACH], values[2 * REACH :] - here
+        here = values[NEIGHBOURS:-NEIGHBOURS]
+        before, after = here - values[: -2 * NEIGHBOURS], values[2 * NEIGHBOURS :] - here
         one_way = (np.minimum(before, after) > step) | (np.maximum(before, after) < -step)
         passing.append(here[one_way])
     found = np.concatenate(passing)

@@ -30,7 +30,7 @@ from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-MOST_PERIODS: Final = 12.0
+LONGEST_PERIODS: Final = 12.0
 """Longer durations tell nothing of their period."""
 
 
@@ -65,7 +65,7 @@ def _rate(channel: Channel) -> tuple[float, float] | None:
         return None
     if np.mean(lasted < 0.7 * period_s) > IRREGULAR:
         return None
-    some = lasted[lasted < MOST_PERIODS * period_s]
+    some = lasted[lasted < LONGEST_PERIODS * period_s]
     periods = np.rint(some / float(np.median(usual)))
     period_s = float(some.sum() / periods.sum())
     sd = float((some - periods * period_s).std()) * np.sqrt(len(some)) / float(periods.sum())

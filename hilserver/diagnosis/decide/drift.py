@@ -28,11 +28,11 @@ from hilserver.measured.arrays import Array
 
 RIVALS: Final = 3
 """Causes whose change is tried in full."""
-PARTS: Final = 4
+PARTS_OF_LOG: Final = 4
 """Of the log, each with a size and a trend of its own."""
-DAMPING: Final = 1e-6
+TREND_DAMPING: Final = 1e-6
 """Of a size beside its trend, see `linear`."""
-FEWEST_IN_PARTS: Final = 2 * PARTS
+FEWEST_IN_PARTS: Final = 2 * PARTS_OF_LOG
 """Blocks; of fewer nobody can tell a change from noise."""
 
 
@@ -62,11 +62,11 @@ def course(problem: Problem) -> Array:
 
 
 def parts(problem: Problem) -> list[NDArray[np.bool_]]:
-    """Return the blocks of each of `PARTS` equal parts of the log."""
+    """Return the blocks of each of `PARTS_OF_LOG` equal parts of the log."""
     stack, time = problem.stack, course(problem)[:, 0]
     middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
-    number = np.clip((0.5 * PARTS * (middle + 1.0)).astype(int), 0, PARTS - 1)
-    return [number == k for k in range(PARTS)]
+    number = np.clip((0.5 * PARTS_OF_LOG * (middle + 1.0)).astype(int), 0, PARTS_OF_LOG - 1)
+    return [number == k for k in range(PARTS_OF_LOG)]
 
 
 def inside(point: Point) -> bool:
@@ -224,7 +224,7 @@ def _left_in(problem: Problem, model: Model, start: Point, mask: NDArray[np.bool
     if columns is None or not rows.any():
         return left
     trend = columns[rows] * course(problem)[rows]
-    return left - saved(orthogonal(trend, columns[rows]), point.left[rows], DAMPING)
+    return left - saved(orthogonal(trend, columns[rows]), point.left[rows], TREND_DAMPING)
 
 
 def _without_stand_ins(
@@ -290,7 +290,7 @@ def _by_change(library: Library, target: Array, others: Array | None) -> list[Ca
     chosen, columns = _singles(library)
     time = course(library.problem)
     gains = [
-        (saved(orthogonal(np.column_stack([own, own * time]), others), target, DAMPING), i)
+        (saved(orthogonal(np.column_stack([own, own * time]), others), target, TREND_DAMPING), i)
         for i, own in zip(chosen, columns.T[:, :, None], strict=True)
     ]
     return [library.candidates[i] for _, i in sorted(gains, reverse=True)]

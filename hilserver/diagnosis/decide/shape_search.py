@@ -15,7 +15,7 @@ from hilserver.diagnosis.thresholds import GROSS
 
 PROMISING: Final = 0.5
 """Share of the best trial's gain from which another shape is worth a search."""
-NEARLY: Final = 1.1
+NOISE_ERROR: Final = 1.1
 """Variance of whitened residuals that is the noise model's own error."""
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 FAR_OFF: Final = 3.0
@@ -61,7 +61,7 @@ def refined(problem: Problem, point: Point, trials: Sequence[Trial], pool: Execu
     """
     most = max((trial.gain for trial in trials), default=0.0)
     n = len(point.left)
-    whole = point.deviance > GROSS * n and point.deviance - most < NEARLY * n
+    whole = point.deviance > GROSS * n and point.deviance - most < NOISE_ERROR * n
     least = most if whole else PROMISING * most
 
     def best_shape(trial: Trial) -> Trial | None:

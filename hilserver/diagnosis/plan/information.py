@@ -25,8 +25,8 @@ Z_APART: Final = 3.28
 tells them apart with good power: 2.33 (`identifiability.CLEAR_Z`) and 0.95."""
 SEEN: Final = 0.5
 """Worth of seeing a cause, by the worth of telling it from all others."""
-ENOUGH: Final = 3.0
-REACH: Final = 1.5
+ENOUGH_TIMES: Final = 3.0
+LINEAR_REACH: Final = 1.5
 """How far a column of an effect that is not linear may be extrapolated, in its own size."""
 
 
@@ -120,7 +120,7 @@ def sizes_of(directions: Sequence[Direction], gram: Array, needed: float = T_NEE
             if squares[row] <= 1e-12 or size is None:
                 continue
             steps = needed / np.sqrt(squares[row])
-            if d.candidate.linear or steps <= REACH:
+            if d.candidate.linear or steps <= LINEAR_REACH:
                 out[i] = min(out[i], steps * unit / size)
     return out
 
@@ -183,7 +183,7 @@ def score(directions: Sequence[Direction], gram: Array) -> float:
 
 def _worth(times: float) -> float:
     """Return 1 for what is just enough; more is worth less and less."""
-    return float(np.log2(1.0 + min(max(times, 0.0), ENOUGH)))
+    return float(np.log2(1.0 + min(max(times, 0.0), ENOUGH_TIMES)))
 
 
 def nearest(directions: Sequence[Direction]) -> dict[str, list[int]]:

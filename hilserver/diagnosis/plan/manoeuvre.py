@@ -22,7 +22,7 @@ ALL_WHEELS: Final = "wheels.setpoints_rpm"
 MODE, ENABLE = "control.mode", "drive.enable"
 AFTER_S: Final = 1.0
 """How long a scenario is watched after its last step."""
-LONGEST_S: Final = 3600.0
+LONGEST_PLAN_S: Final = 3600.0
 SHORTEST_S: Final = 2.0
 
 
@@ -86,10 +86,10 @@ def of_log(log: MeasuredLog, robot: RobotParameters) -> list[Manoeuvre]:
         rpm = _to_wheels(columns, robot, names is TWIST)
         found.append(Manoeuvre(t - span.start_s, rpm, span.end_s - span.start_s).changes())
     total_s = sum(m.duration_s for m in found)
-    if not SHORTEST_S <= total_s <= LONGEST_S:
+    if not SHORTEST_S <= total_s <= LONGEST_PLAN_S:
         raise LogError(
             f"{_files(log)}: lasts {total_s:.3g} s; a plan is made for {SHORTEST_S:g} to"
-            f" {LONGEST_S:g} s"
+            f" {LONGEST_PLAN_S:g} s"
         )
     return found
 
@@ -149,9 +149,10 @@ def of_scenario(
     if not commands:
         raise ConfigError(f"{path}: writes no set-points; a plan needs {ALL_WHEELS} or a twist")
     last_s = at_s[-1] + AFTER_S if duration_s is None else max(duration_s, at_s[-1])
-    if not SHORTEST_S <= last_s <= LONGEST_S:
+    if not SHORTEST_S <= last_s <= LONGEST_PLAN_S:
         raise ConfigError(
-            f"{path}: lasts {last_s:.3g} s; a plan is made for {SHORTEST_S:g} to {LONGEST_S:g} s"
+            f"{path}: lasts {last_s:.3g} s; a plan is made for {SHORTEST_S:g}"
+            f" to {LONGEST_PLAN_S:g} s"
         )
     return [_last_of_each(np.array(at_s), np.array(rpm), last_s).changes()]
 

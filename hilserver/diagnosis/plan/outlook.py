@@ -34,7 +34,7 @@ from hilserver.plant.parameters import RobotParameters
 Tell = Callable[[str, float], None]
 
 OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"
-LEAST_SHARE = 0.1
+LEAST_SHOWN = 0.1
 """A limit that only shows below a tenth of its reference effect is not worth a name."""
 NOT_SEEN = "the manoeuvre does not excite it"
 
@@ -145,7 +145,7 @@ def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable
     found: dict[str, Detectable] = {}
     for d, share in zip(directions, sizes_of(directions, gram), strict=True):
         if is_limit(d.cause) and d.sizes[0] and share <= HOPELESS:
-            size = d.sizes[0] / max(float(share), LEAST_SHARE)
+            size = d.sizes[0] / max(float(share), LEAST_SHOWN)
             if d.cause not in found or size > found[d.cause].size:
                 found[d.cause] = Detectable(cause=d.cause, size=size, unit=CAUSES[d.cause].unit)
     return found

@@ -23,7 +23,7 @@ Move = tuple[float, float, float]
 PAUSE: Final[Move] = (0.4, 0.0, 0.0)
 STAY: Final[Move] = (1.2, 0.0, 0.0)
 """Long enough to see where the robot is, in spite of the navigation's correlated error."""
-LONGEST_S: Final = 2.5
+LONGEST_PIECE_S: Final = 2.5
 ACROSS_S: Final = 5.0
 MARGIN_M: Final = 0.4
 """Kept between the robot's centre and the edge of the room."""
@@ -80,7 +80,7 @@ def _straights(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, li
     top, m_s = robot.max_rpm, robot.wheel_radius_m * RAD_S_PER_RPM
     for share in (0.25, 0.5, 0.85):
         rpm = share * top
-        seconds = min(LONGEST_S, 0.95 * reach_m / (rpm * m_s))
+        seconds = min(LONGEST_PIECE_S, 0.95 * reach_m / (rpm * m_s))
         yield f"straight there and back, {rpm:.0f} rpm", there_and_back([(seconds, rpm, rpm)])
         across_s = 0.95 * reach_m / (rpm * m_s)
         if across_s <= ACROSS_S:
@@ -113,7 +113,7 @@ def _arcs(robot: RobotParameters, reach_m: float) -> Iterator[tuple[str, list[Mo
     for share in (0.4, 0.85):
         for inner in (0.0, 0.4, 0.75):
             rpm = share * top
-            seconds = min(LONGEST_S, 0.95 * reach_m / (0.5 * (1.0 + inner) * rpm * m_s))
+            seconds = min(LONGEST_PIECE_S, 0.95 * reach_m / (0.5 * (1.0 + inner) * rpm * m_s))
             for side, move in _sides((seconds, inner * rpm, rpm)):
                 name = f"{side} arc, {inner * rpm:.0f} and {rpm:.0f} rpm, there and back"
                 yield name, there_and_back([move])

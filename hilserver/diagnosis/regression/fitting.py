@@ -12,7 +12,7 @@ from hilserver.measured.arrays import Array
 
 DAMPED: Final = 1e-6
 """Damping of the steps of a fit, see `linear`."""
-ENOUGH: Final = 0.01
+LEAST_EXPECTED: Final = 0.01
 """Deviance; a step from which less is expected is not taken."""
 AS_EXPECTED: Final = 0.1
 """Share by which a step's gain may miss the linear one, for the same sensitivities to serve on."""
@@ -45,7 +45,7 @@ def fit(
     fresh = np.array_equal(point.predicted, start.predicted)
     for _ in range(iterations):
         best, expected = _step(problem, point, raw, used)
-        if expected < ENOUGH or (best is None and fresh):
+        if expected < LEAST_EXPECTED or (best is None and fresh):
             break
         gained = 0.0 if best is None else float((point.loss - best.loss)[used].sum())
         point = best or point
@@ -92,7 +92,7 @@ def _step(
         astray &= steering
         steering = steering & ~astray
         few = 2 * steering.sum() < used.sum()
-        if found is not None or expected < ENOUGH or few or not astray.any():
+        if found is not None or expected < LEAST_EXPECTED or few or not astray.any():
             break
     return found, expected
 
@@ -117,7 +117,7 @@ def _attempted(
         explained = white @ away
         gains = problem.stack.block_sums(explained * (2.0 * point.left - explained))
         expected = float(gains[steering].sum())
-        if expected < ENOUGH:
+        if expected < LEAST_EXPECTED:
             break
         if nuisance is not None:
             poses = poses + problem.pose_step(point.white - raw @ away, nuisance)

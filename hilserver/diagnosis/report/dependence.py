@@ -25,7 +25,7 @@ MOST, EACH = 2, 2
 BASE_S: Final = 1.0
 """Over which the growth of a pose's error is taken."""
 BINS: Final = 24
-FEWEST_BLOCKS: Final = 3
+FEWEST_IN_A_BIN: Final = 3
 ALIKE: Final = 0.98
 PERIODS: Final = 4.0
 """A log so many periods long is folded over the strongest one."""
@@ -65,7 +65,7 @@ def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> l
             label, unit, x = name, signal_unit(name), known[name]
             if name == "t_s":
                 label, unit, x = _folded(problem, point, x)
-            bins = min(BINS, problem.stack.n_blocks // FEWEST_BLOCKS) if label == "t_s" else BINS
+            bins = min(BINS, problem.stack.n_blocks // FEWEST_IN_A_BIN) if label == "t_s" else BINS
             block = problem.stack.block[left.edge]
             parts = binned(x[left.used], left.values[left.used], block[left.used], bins)
             if any(_alike(x, other) for other in drawn) or len(parts) < 2:
@@ -190,7 +190,7 @@ def binned(
         mine = index == k
         _, inside = np.unique(block[mine], return_inverse=True)
         n = int(inside.max(initial=-1)) + 1
-        if n < FEWEST_BLOCKS:
+        if n < FEWEST_IN_A_BIN:
             continue
         mean = float(residual[mine].mean())
         sums = np.bincount(inside, residual[mine] - mean)

@@ -7,7 +7,7 @@ from typing import Final
 
 from hilserver.diagnosis.report.svg import MARGIN_LEFT, Plot
 
-HEAD: Final = 66.0
+HEAD_HEIGHT: Final = 66.0
 """Where the first plot begins: title and legend stand above."""
 _TITLE_Y, _LEGEND_Y = 24.0, 50.0
 _SAMPLE, _GAP, _LETTER = 28.0, 22.0, 6.5
@@ -24,7 +24,7 @@ def document(plots: Sequence[Plot], title: str, legend: Sequence[tuple[str, str]
     Parameters
     ----------
     plots : sequence of Plot
-        The first begins at `HEAD`.
+        The first begins at `HEAD_HEIGHT`.
     legend : sequence of (str, str)
         Roles of lines and their words.
     """

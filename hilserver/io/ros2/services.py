@@ -17,7 +17,7 @@ from hilserver.ros.qos import Qos
 from hilserver.ros.robot import Robot
 from hilserver.ros.types import Types
 
-HEAD: Final = 4
+HEADER_BYTES: Final = 4
 IDENTITY: Final = struct.calcsize("<Qq")
 
 
@@ -55,7 +55,7 @@ class Service:
         ValueError
             If it is no request of this service.
         """
-        body = request.cdr[:HEAD] + request.cdr[HEAD + self._identity :]
+        body = request.cdr[:HEADER_BYTES] + request.cdr[HEADER_BYTES + self._identity :]
         message = self._types.decode(body, f"{self._served.type}_Request")
         return self._served.serve(robot, message)
 
@@ -63,5 +63,5 @@ class Service:
         """Reply, where the host can take it."""
         if self._identity:
             cdr = self._types.encode(response)
-            identity = request.cdr[HEAD : HEAD + self._identity]
-            self._writer.write(cdr[:HEAD] + identity + cdr[HEAD:])
+            identity = request.cdr[HEADER_BYTES : HEADER_BYTES + self._identity]
+            self._writer.write(cdr[:HEADER_BYTES] + identity + cdr[HEADER_BYTES:])

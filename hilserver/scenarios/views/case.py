@@ -12,7 +12,7 @@ from hilserver.plant.parameters import RobotParameters
 
 Legend = Sequence[tuple[str, str]]
 POINTS: Final = 600
-WIDTH: Final = 760.0
+PICTURE_WIDTH: Final = 760.0
 HEIGHT: Final = 380.0
 
 
@@ -45,7 +45,7 @@ class View(Protocol):
     """Draws a case."""
 
     def draw(self, case: Case) -> tuple[list[Plot], Legend]:
-        """Return plots below each other, the first at `HEAD`, and their legend."""
+        """Return plots below each other, the first at `HEAD_HEIGHT`, and their legend."""
 
 
 def axes(
@@ -53,4 +53,4 @@ def axes(
 ) -> Plot:
     """Return a plot over the range of `t`, high enough for all values."""
     x, y = span_of(t, margin=0.0), span_of(*values)
-    return Plot(x, y, x_label, y_label, width=WIDTH, height=height, top=top)
+    return Plot(x, y, x_label, y_label, width=PICTURE_WIDTH, height=height, top=top)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.report.standalone import HEAD, MODELS
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
 from hilserver.diagnosis.report.svg import Plot
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS, SPEEDS
@@ -54,14 +54,14 @@ class OverTime:
         if setpoint is not None:
             legend.append(("setpoint", "set-point"))
         spans = [y for _, y in curves] + ([setpoint[1]] if setpoint is not None else [])
-        above = axes(t, spans, "", f"{self.words} [{s.unit}]", UPPER, HEAD)
+        above = axes(t, spans, "", f"{self.words} [{s.unit}]", UPPER, HEAD_HEIGHT)
         below = axes(
             t,
             [y for _, y in rest],
             "time [s]",
             f"residual [{s.unit}]",
             LOWER,
-            HEAD + UPPER - OVERLAP,
+            HEAD_HEIGHT + UPPER - OVERLAP,
         )
         if setpoint is not None:
             above.line(*setpoint, "setpoint", "set-point", points=POINTS)
@@ -105,7 +105,7 @@ class AsRecorded:
         if rows is not None:
             ranges.append(rows[1])
             legend.append(("setpoint", "recorded set-point"))
-        plot = axes(x, ranges, "time [s]", f"{self.words} [{self.unit}]", HEIGHT, HEAD)
+        plot = axes(x, ranges, "time [s]", f"{self.words} [{self.unit}]", HEIGHT, HEAD_HEIGHT)
         if rows is not None:
             plot.line(*rows, "setpoint", "recorded set-point", points=POINTS)
             plot.dots(*rows, "row", [f"{v:.4g} {self.unit}" for v in rows[1]])

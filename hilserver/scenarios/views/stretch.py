@@ -9,7 +9,7 @@ from hilserver.measured.clock import cut
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.scenarios.views.case import Case
 
-NEARLY: Final = 0.98
+NEARLY_LARGEST: Final = 0.98
 """Of stretches whose difference is so nearly the largest the middle one is shown."""
 
 
@@ -35,7 +35,7 @@ def stretch(
         if sums[k] > best:
             best = float(sums[k])
             around = slice(max(k - n, 0), k + n)
-            k = around.start + int(np.median(np.flatnonzero(sums[around] >= NEARLY * best)))
+            k = around.start + int(np.median(np.flatnonzero(sums[around] >= NEARLY_LARGEST * best)))
             last = rows[min(k + n, len(rows)) - 1]
             found = (float(t_s[rows[k]]), float(t_s[last]))
     return found

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.diagnosis.replay.drive_stage import DriveStage
-from hilserver.diagnosis.report.standalone import HEAD, MODELS
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.identify.rotation import identify_rotation
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
-from hilserver.scenarios.views.case import HEIGHT, WIDTH, Case, Legend, axes
+from hilserver.scenarios.views.case import HEIGHT, PICTURE_WIDTH, Case, Legend, axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class AgainstHeading:
             "measured heading [rad]",
             "mean residual [rad]",
             HEIGHT,
-            HEAD,
+            HEAD_HEIGHT,
         )
         plot.level(0.0)
         for role, mean in means.items():
@@ -68,7 +68,15 @@ class OverHorizon:
         }
         label = f"{self.words} [{self.unit}]"
         y = span_of(*curves.values(), np.zeros(1))
-        plot = Plot(span_of(t), y, "free run [s]", label, width=WIDTH, height=HEIGHT, top=HEAD)
+        plot = Plot(
+            span_of(t),
+            y,
+            "free run [s]",
+            label,
+            width=PICTURE_WIDTH,
+            height=HEIGHT,
+            top=HEAD_HEIGHT,
+        )
         for role, error in curves.items():
             plot.line(t, error, role, role)
             plot.dots(t, error, role, [f"{v:.3g} {self.unit}" for v in error])
@@ -94,7 +102,13 @@ class TurnGains:
         model = np.full(2, case.robot.k_om) if self.with_model else None
         y = span_of(low, high, model, margin=0.12)
         plot = Plot(
-            (0.5, len(runs) + 0.5), y, "run", "K_om [1/m]", width=WIDTH, height=HEIGHT, top=HEAD
+            (0.5, len(runs) + 0.5),
+            y,
+            "run",
+            "K_om [1/m]",
+            width=PICTURE_WIDTH,
+            height=HEIGHT,
+            top=HEAD_HEIGHT,
         )
         if model is not None:
             plot.line(np.array(plot.x), model, "simulated", "configured")
@@ -125,7 +139,15 @@ class DutyOverSpeed:
         curves = {"measured": air, "extended": floor, "simulated": simulated}
         x = span_of(*(c[0] for c in curves.values()))
         y = span_of(*(c[1] for c in curves.values()))
-        plot = Plot(x, y, "wheel speed [rpm]", "duty [%]", width=WIDTH, height=HEIGHT, top=HEAD)
+        plot = Plot(
+            x,
+            y,
+            "wheel speed [rpm]",
+            "duty [%]",
+            width=PICTURE_WIDTH,
+            height=HEIGHT,
+            top=HEAD_HEIGHT,
+        )
         for role, (speed, duty) in curves.items():
             plot.line(speed, duty, role, role)
             plot.dots(speed, duty, role, [f"{d:.3g} %" for d in duty])

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.diagnosis.report.standalone import HEAD, MODELS
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Path
 from hilserver.measured.arrays import Array
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.scenarios.views.case import POINTS, WIDTH, Case, Legend
+from hilserver.scenarios.views.case import PICTURE_WIDTH, POINTS, Case, Legend
 from hilserver.scenarios.views.stretch import stretch
 
 
@@ -22,7 +22,7 @@ class Way:
         tracks = self._tracks(case)
         height = 520.0
         x, y = (span_of(*(track[:, i] for track in tracks), margin=0.05) for i in (0, 1))
-        plot = Plot(x, y, "x [m]", "y [m]", width=WIDTH, height=height, top=HEAD)
+        plot = Plot(x, y, "x [m]", "y [m]", width=PICTURE_WIDTH, height=height, top=HEAD_HEIGHT)
         per_x = (x[1] - x[0]) / abs(plot.to_x.last - plot.to_x.first)
         per_y = (y[1] - y[0]) / abs(plot.to_y.last - plot.to_y.first)
         scale = max(per_x, per_y)
