@@ -20,7 +20,7 @@ from hilserver.plant.units import RAD_S_PER_RPM
 GOES_ON_S: Final = 0.11
 """Largest time between the last row of a segment and the first one of the next."""
 MARGIN_S: Final = 1.0
-SPEEDS_ALONE_S: Final = 0.4
+STEADY_WINDOW_S: Final = 0.4
 NOISE_MEMORY: Final = 0.15
 SIDES: Final = ((0, 1), (2, 3))
 
@@ -159,7 +159,7 @@ def steadied(t_s: Array, difference: Array) -> Array:
     them between the samples, or takes them out where the robot does not turn, would explain them.
     What has a memory is no noise, and stays.
     """
-    n = round(SPEEDS_ALONE_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
+    n = round(STEADY_WINDOW_S * (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-9)) if len(t_s) else 0
     if n < 3 or len(t_s) < 2 * n:
         return difference
     swing = difference - difference.mean()
