@@ -13,6 +13,7 @@ from hilserver.scheduler.exchange import HEARTBEAT, NEXT_TICK
 from hilserver.scheduler.faults import fault_of
 from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN, OK, STOP
 from hilserver.scheduler.machine import Machine
+from hilserver.scheduler.period import Period
 
 PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
@@ -81,7 +82,7 @@ class Overruns:
         self._machine = machine
         self._callbacks = callbacks
         self._finder: CauseFinder | None = None
-        self._timer: asyncio.TimerHandle | None = None
+        self._period = Period(self._look)
         self._watches_signal = False
         self._heartbeat_ns = 0
         self._stalled = False
@@ -91,14 +92,13 @@ class Overruns:
         self._finder = finder
         self._loop = asyncio.get_running_loop()
         self._watch_sigcont(finder)
-        self._timer = self._loop.call_later(PERIOD_S, self._again)
+        self._period.start(PERIOD_S, PERIOD_S)
 
     def stop(self) -> None:
         """Report what is left and end; may be called twice."""
-        if self._timer is None:
+        if not self._period.is_running:
             return
-        self._timer.cancel()
-        self._timer = None
+        self._period.stop()
         self._report(time.monotonic_ns() + 1)
         if self._watches_signal:
             self._loop.remove_signal_handler(signal.SIGCONT)
@@ -117,8 +117,7 @@ class Overruns:
             OverrunReport(name, KIND_NAMES[kind], tick, latency_ns, execution_ns, missed, cause)
         )
 
-    def _again(self) -> None:
-        self._timer = self._loop.call_later(PERIOD_S, self._again)
+    def _look(self) -> None:
         self._report(time.monotonic_ns() - _SETTLE_NS)
         self._watch_heartbeat(time.monotonic_ns())
 

@@ -233,8 +233,8 @@ class MonitoredItems:
         self._look_at(self._each_frame, now_s)
 
     def before_publishing(self, now_s: float) -> None:
-        """Look at everything that is due."""
-        self._look_at(self._all, now_s)
+        """Look at everything that is due, or nearer to this publishing interval than to the next."""
+        self._look_at(self._all, now_s, self._publishing_ms() / 2e3)
 
     @property
     def has_each_frame(self) -> bool:
@@ -252,12 +252,12 @@ class MonitoredItems:
         for item in self._all:
             item.forget()
 
-    def _look_at(self, items: list[ValueItem], now_s: float) -> None:
+    def _look_at(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> None:
         # All are sampled before any is noted: one may trigger another further back.
         news = [
             item
             for item in items
-            if (value := item.place.value) is not item.seen and item.sample(value, now_s)
+            if (value := item.place.value) is not item.seen and item.sample(value, now_s, slack_s)
         ]
         for item in news:
             self._note(item)

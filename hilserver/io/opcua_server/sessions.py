@@ -27,6 +27,7 @@ _TOKEN_BYTES = 32
 _LEAST_RESPONSE_BYTES = 8192
 _MAX_FAREWELLS = 10
 _SPARE_PUBLISH_REQUESTS = 10
+"""Beside two for each subscription, which python-opcua sends at once."""
 _Codes = ua.StatusCodes
 _numbers = iter(range(1000, 2**31))
 
@@ -195,7 +196,7 @@ class RobotSession:
         )
         now_s = time.monotonic()
         expires_s = now_s + head.timeout_ms / 1e3 if head.timeout_ms else math.inf
-        if len(self._requests) >= n_own + _SPARE_PUBLISH_REQUESTS:
+        if len(self._requests) >= 2 * n_own + _SPARE_PUBLISH_REQUESTS:
             oldest = self._requests.popleft()
             is_late = oldest.expires_s < now_s
             self._refuse(oldest, _Codes.BadTimeout if is_late else _Codes.BadTooManyPublishRequests)

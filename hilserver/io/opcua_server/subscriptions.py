@@ -4,7 +4,6 @@ The states are those of OPC 10000-4, 5.13.1.2. A subscription has turns like eve
 server (`rotation`): one message per turn, so that a long queue keeps nobody waiting.
 """
 
-import asyncio
 import time
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from hilserver.io.opcua_server.items import Room
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.monitored_items import MonitoredItems
 from hilserver.io.opcua_server.rotation import Rotation
+from hilserver.scheduler.period import Period
 
 LONGEST_PUBLISHING_MS = 3_600_000.0
 MAX_NOTIFICATIONS = 1000
@@ -60,11 +60,10 @@ class Subscription:
         self._retained_bytes = 0
         self._service = service
         self._sequence = 1
-        self._due_s = time.monotonic()
-        self._is_owed = self._has_frame = False
+        self._period = Period(self._tick)
+        self._is_due = self._is_owed = self._has_frame = False
         self._is_first = True
         self._idle_cycles = self._unserved_cycles = 0
-        self._timer: asyncio.TimerHandle | None = None
 
     # --- services ---------------------------------------------------------------------------------
 
@@ -87,17 +86,17 @@ class Subscription:
 
     def start(self) -> None:
         """Begin a publishing interval now."""
-        self._due_s = time.monotonic()
-        if not self._is_first:
-            self._due_s += self.revised.RevisedPublishingInterval / 1e3
-        self._plan()
+        interval_s = self.revised.RevisedPublishingInterval / 1e3
+        self._period.start(interval_s, 0.0 if self._is_first else interval_s)
 
     def stop(self) -> None:
         """Have no more turns."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._period.stop()
         self._service.rotation.drop(self)
+
+    def _tick(self) -> None:
+        self._is_due = True
+        self._service.rotation.add(self)
 
     def acknowledge(self, sequence: int) -> bool:
         """Forget a message that has arrived; False if it is not known."""
@@ -124,14 +123,12 @@ class Subscription:
         if self._has_frame:
             self._has_frame = False
             self.items.after_frame(now_s)
-        if now_s >= self._due_s:
+        if self._is_due:
+            self._is_due = False
             self._cycle(now_s)
         return self._is_owed and self._send()
 
     def _cycle(self, now_s: float) -> None:
-        interval_s = self.revised.RevisedPublishingInterval / 1e3
-        # What a late turn has missed is not caught up.
-        self._due_s = max(self._due_s + interval_s, now_s)
         self.items.before_publishing(now_s)
         if self._is_owed:
             self._unserved_cycles += 1
@@ -143,14 +140,6 @@ class Subscription:
         is_idle = self._idle_cycles >= self.revised.RevisedMaxKeepAliveCount
         if self._is_first or self._has_news() or is_idle:
             self._is_owed = True
-        self._plan()
-
-    def _plan(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        delay_s = max(0.0, self._due_s - time.monotonic())
-        loop = asyncio.get_running_loop()
-        self._timer = loop.call_later(delay_s, self._service.rotation.add, self)
 
     def _has_news(self) -> bool:
         return self.is_enabled and bool(self.items.ready)

@@ -1,0 +1,82 @@
+"""Periods on the event loop.
+
+Timers of an event loop are not exact: uvloop counts whole milliseconds and fires up to one too
+early, a busy loop fires late, and a handle that was due already can still fire after it was
+replaced. Whoever compares with a clock of its own then finds that it is not due, and waits for a
+call that never comes. Here the clock is asked in one place.
+"""
+
+import asyncio
+import math
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+_EARLY_S = 0.001
+"""A loop's timers are early by at most this; waited for in addition, once one was."""
+
+
+class Handle(Protocol):
+    """What `loop.call_later` returns."""
+
+    def cancel(self) -> None:
+        """Do not call."""
+
+
+class Period:
+    """Calls once in every period, on a grid that stays.
+
+    A timer that fires too early waits for the rest, one that fires twice calls once, and periods
+    that a late one has missed are not made up for.
+
+    Parameters
+    ----------
+    call : callable
+    clock : callable
+        Seconds.
+    call_later : callable
+        ``(delay_s, callback) -> Handle``; that of the running loop by default.
+    """
+
+    def __init__(
+        self,
+        call: Callable[[], object],
+        clock: Callable[[], float] = time.monotonic,
+        call_later: Callable[[float, Callable[[], None]], Handle] | None = None,
+    ) -> None:
+        self._call, self._clock, self._call_later = call, clock, call_later
+        self._handle: Handle | None = None
+        self._period_s = self._due_s = 0.0
+
+    @property
+    def is_running(self) -> bool:
+        """Whether there will be another call."""
+        return self._handle is not None
+
+    def start(self, period_s: float, first_s: float) -> None:
+        """Call in `first_s`, and every `period_s` from then on; replaces what was planned."""
+        self._period_s, self._due_s = period_s, self._clock() + first_s
+        self._plan(first_s)
+
+    def stop(self) -> None:
+        """Call no more."""
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
+
+    def _plan(self, delay_s: float) -> None:
+        self.stop()
+        later = self._call_later or asyncio.get_running_loop().call_later
+        self._handle = later(delay_s, self._fire)
+
+    def _fire(self) -> None:
+        if self._handle is None:
+            return
+        late_s = self._clock() - self._due_s
+        if late_s < 0:
+            self._plan(-late_s + _EARLY_S)
+            return
+        periods = math.floor(late_s / self._period_s) + 1
+        self._due_s += periods * self._period_s
+        self._plan(self._due_s - self._clock())
+        self._call()
