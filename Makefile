@@ -82,6 +82,10 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m hilserver.diagnosis.schema.json_schema patch > hilserver/diagnosis/schema/model_patch.schema.json
 	@$(BIN)/hilserver check --schema config.schema.json
 
+.PHONY: pictures
+pictures: test-tools ## Take the pictures of the page anew, on a quiet computer (a few minutes)
+	@$(BIN)/python -m tests.page.pictures docs/how-to/page
+
 .PHONY: clean
 clean: ## Remove everything that make has made
 	@rm -rf $(VENV) build dist *.egg-info $(addsuffix /node_modules,$(NPM_FOLDERS))

@@ -255,3 +255,9 @@ def test_a_ceiling_is_explained_where_it_stands(page):
     assert "regression: 3.9&times;" in page
     assert "what a fit reaches that may use everything measured" in text
     assert "flexible" not in text
+
+
+def test_a_regression_that_reaches_nothing_is_left_out():
+    page = render(findings(ceiling={"position_m": 0.39}), Evidence())
+    assert "regression: 0.39" not in page
+    assert "Regression, for comparison" not in page
