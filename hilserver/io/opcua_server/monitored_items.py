@@ -233,7 +233,7 @@ class MonitoredItems:
         self._look_at(self._each_frame, now_s)
 
     def before_publishing(self, now_s: float) -> None:
-        """Look at everything that is due, or nearer to this publishing interval than to the next."""
+        """Look at all that is due, or nearer to this publishing interval than to the next."""
         self._look_at(self._all, now_s, self._publishing_ms() / 2e3)
 
     @property
