@@ -2,35 +2,48 @@
 
 import sqlite3
 import struct
-import zlib
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO, Final, cast
 
 import zstandard
 from mcap import records as rec
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from hilserver.errors import LogError
 from hilserver.logs.mcap_reader import records_of
+from hilserver.logs.unpacking import PIECE_BYTES, ZSTD_MAGIC, Budget
 
 SUFFIXES = (".db3", ".mcap")
-_BROKEN = (ValueError, KeyError, struct.error, zlib.error, EndOfFile, McapError)
+PACKED = tuple(f"{suffix}.zstd" for suffix in SUFFIXES)
+STEPS_PER_BYTE: Final = 10
+"""Of the machine in sqlite: what a table of this size cannot take."""
+_BROKEN = (ValueError, KeyError, struct.error, EndOfFile, McapError, RuntimeError)
 _TORN = "the recorder did not close the file; its contents were read"
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What a bag says of a topic; the definition is empty where it holds none."""
+    """What a bag says of a topic; the definition is empty where it holds none.
+
+    Attributes
+    ----------
+    encoding : str
+        Of the definition: ``ros2msg``, ``ros2idl``, ``ros1msg``, ``jsonschema``.
+    serialization : str
+        Of the messages: ``cdr``, ``ros1``, ``json``.
+    """
 
     type: str
     definition: str = ""
     encoding: str = "ros2msg"
+    serialization: str = "cdr"
 
 
 @dataclass
@@ -41,7 +54,7 @@ class Bag:
     ----------
     topics : mapping of str to Topic
     messages : mapping of str to list of (int, bytes)
-        Stamp of reception [ns] and CDR, of the topics that were asked for.
+        Stamp of reception [ns] and the message, of the topics that were asked for.
     """
 
     path: Path
@@ -49,10 +62,17 @@ class Bag:
     messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
 
+    def take(self, name: str, stamp_ns: int, data: bytes, budget: Budget) -> None:
+        """Keep a message; one that was packed by itself is unpacked."""
+        if data.startswith(ZSTD_MAGIC):
+            data = budget.unzstd(data)
+        budget.keep(len(data))
+        self.messages.setdefault(name, []).append((stamp_ns, data))
+
 
 def is_bag(path: Path) -> bool:
     """Return whether a path looks like a bag."""
-    return path.suffix in SUFFIXES or path.is_dir()
+    return path.name.endswith((*SUFFIXES, *PACKED)) or path.is_dir()
 
 
 def read_messages(path: Path, wanted: set[str]) -> list[Bag]:
@@ -74,74 +94,111 @@ def read_messages(path: Path, wanted: set[str]) -> list[Bag]:
 def _files(path: Path) -> Sequence[Path]:
     if not path.is_dir():
         return [path]
-    files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
+    files = {file.name: file for file in sorted(path.iterdir()) if is_bag(file) and file.is_file()}
+    twice = {name for name in files if name.removesuffix(".zstd") in files.keys() - {name}}
     if not files:
         raise LogError(f"{path}: is a folder without a bag (.db3 or .mcap); name the log itself")
-    return files
+    return [file for name, file in files.items() if name not in twice]
 
 
 def _read_file(path: Path, wanted: set[str]) -> Bag:
-    return _read_sqlite(path, wanted) if path.suffix == ".db3" else _read_mcap(path, wanted)
+    budget = Budget(path)
+    if not path.name.endswith(PACKED):
+        return _read_plain(path, path, wanted, budget)
+    with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
+        plain = Path(folder) / path.stem
+        try:
+            budget.unzstd_file(path, plain)
+        except zstandard.ZstdError as error:
+            raise LogError(f"{path}: cannot be unpacked ({error}); copy it again") from None
+        return _read_plain(path, plain, wanted, budget)
 
 
-def _read_sqlite(path: Path, wanted: set[str]) -> Bag:
+def _read_plain(path: Path, plain: Path, wanted: set[str], budget: Budget) -> Bag:
+    read = _read_sqlite if plain.suffix == ".db3" else _read_mcap
     bag = Bag(path)
-    path.open("rb").close()  # the system's own words for what cannot be opened
-    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
-    try:
-        _take_sqlite(connection, bag, wanted)
-    except sqlite3.Error as error:
-        if not any(bag.messages.values()):
-            raise LogError(
-                f"{path}: is no readable bag ({error}); copy it again, or run 'ros2 bag reindex'"
-            ) from None
-        bag.notices.append(f"{path}: is damaged ({error}); everything before that was read")
-    finally:
-        connection.close()
+    read(bag, plain, wanted, budget)
     return bag
 
 
-def _take_sqlite(connection: sqlite3.Connection, bag: Bag, wanted: set[str]) -> None:
-    tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+def _read_sqlite(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None:
+    size = file.stat().st_size
+    file.open("rb").close()  # the system's own words for what cannot be opened
+    connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, PIECE_BYTES)
+    connection.text_factory = lambda text: text.decode(errors="replace")
+    calls = iter(range(STEPS_PER_BYTE * size // 1000 + 1000))
+    connection.set_progress_handler(lambda: next(calls, None) is None, 1000)
+    try:
+        _take_sqlite(connection, bag, wanted, budget)
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in a complaint of sqlite
+        if not any(bag.messages.values()):
+            raise LogError(
+                f"{bag.path}: is no readable bag ({error}); copy it again, or run 'ros2 bag"
+                " reindex'"
+            ) from None
+        bag.notices.append(f"{bag.path}: is damaged ({error}); everything before that was read")
+    finally:
+        connection.close()
+
+
+def _take_sqlite(
+    connection: sqlite3.Connection, bag: Bag, wanted: set[str], budget: Budget
+) -> None:
+    query = "SELECT name, type, sql FROM sqlite_master"
+    tables = {
+        name for name, kind, sql in connection.execute(query)
+        if kind == "table" and "VIRTUAL" not in str(sql).upper()
+    }  # fmt: skip
+    if missing := {"topics", "messages"} - tables:
+        raise sqlite3.DatabaseError(f"no table {min(missing)}")
     definitions: dict[str, tuple[str, str]] = {}
     if "message_definitions" in tables:
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        definitions = {row[0]: (row[2], row[1]) for row in connection.execute(query)}
+        definitions = {row[0]: (str(row[2]), str(row[1])) for row in connection.execute(query)}
     names = {}
-    for number, name, kind in connection.execute("SELECT id, name, type FROM topics"):
-        bag.topics[name] = Topic(kind, *definitions.get(kind, ()))
-        names[number] = name
+    query = "SELECT id, name, type, serialization_format FROM topics"
+    for number, name, kind, serialization in connection.execute(query):
+        given = definitions.get(kind, ("", "ros2msg"))
+        bag.topics[str(name)] = Topic(str(kind), *given, serialization=str(serialization))
+        names[number] = str(name)
     query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
+    damaged = 0
     for number, stamp_ns, data in connection.execute(query):
         name = names.get(number)
-        if name in wanted:
-            bag.messages.setdefault(name, []).append((stamp_ns, data))
+        if name not in wanted:
+            continue
+        if isinstance(stamp_ns, int) and isinstance(data, bytes):
+            try:
+                bag.take(str(name), stamp_ns, data, budget)
+                continue
+            except zstandard.ZstdError:
+                pass
+        damaged += 1
+    if damaged:
+        bag.notices.append(f"{bag.path}: {damaged} damaged messages were left out")
 
 
-def _read_mcap(path: Path, wanted: set[str]) -> Bag:
-    bag = Bag(path)
+def _read_mcap(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None:
     schemas: dict[int, rec.Schema] = {}
     names: dict[int, str] = {}
-    ended = False
-    with path.open("rb") as file:
-        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise LogError(f"{path}: is not an MCAP file; is its beginning missing?")
-        for offset, opcode, body in records_of(file):
+    with file.open("rb") as opened:
+        if opened.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+            raise LogError(f"{bag.path}: is not an MCAP file; is its beginning missing?")
+        for offset, opcode, body in records_of(opened):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                ended = True
-                break
+                return
             try:
-                for record in _opened(opcode, body):
-                    _take_mcap(record, bag, wanted, schemas, names)
+                for record in _opened(opcode, body, budget):
+                    _take_mcap(record, bag, wanted, schemas, names, budget)
             except (*_BROKEN, zstandard.ZstdError) as error:
+                why = str(error) if isinstance(error, ValueError) else type(error).__name__
                 bag.notices.append(
-                    f"{path}: the record at byte {offset} is damaged"
-                    f" ({type(error).__name__}); everything before it was read"
+                    f"{bag.path}: the record at byte {offset} is damaged ({why:.80});"
+                    " everything before it was read"
                 )
-                return bag
-    if not ended:
-        bag.notices.append(f"{path}: {_TORN}")
-    return bag
+                return
+    bag.notices.append(f"{bag.path}: {_TORN}")
 
 
 _READ: Mapping[int, Callable[[ReadDataStream], rec.McapRecord]] = {
@@ -150,11 +207,14 @@ _READ: Mapping[int, Callable[[ReadDataStream], rec.McapRecord]] = {
 }
 
 
-def _opened(opcode: int, body: bytes) -> Iterator[rec.McapRecord]:
+def _opened(opcode: int, body: bytes, budget: Budget) -> Iterator[rec.McapRecord]:
     """Yield a record, or those inside a chunk."""
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.CHUNK:
-        yield from breakup_chunk(rec.Chunk.read(stream), validate_crc=True)
+        inside = BytesIO(budget.unpack(rec.Chunk.read(stream)))
+        for _, inner, part in records_of(cast("BinaryIO", inside)):
+            if inner != Opcode.CHUNK:
+                yield from _opened(inner, part, budget)
     elif opcode == Opcode.MESSAGE:
         yield rec.Message.read(stream, len(body))
     elif opcode in _READ:
@@ -167,15 +227,18 @@ def _take_mcap(
     wanted: set[str],
     schemas: dict[int, rec.Schema],
     names: dict[int, str],
+    budget: Budget,
 ) -> None:
     if isinstance(record, rec.Schema):
         schemas[record.id] = record
     elif isinstance(record, rec.Channel):
-        schema = schemas.get(record.schema_id)
+        schema = schemas.get(record.schema_id) or rec.Schema(0, b"", "", "")
         names[record.id] = record.topic
-        bag.topics[record.topic] = (
-            Topic("") if schema is None
-            else Topic(schema.name, schema.data.decode(), schema.encoding)
-        )  # fmt: skip
+        bag.topics[record.topic] = Topic(
+            schema.name,
+            schema.data.decode(errors="replace"),
+            schema.encoding,
+            record.message_encoding,
+        )
     elif isinstance(record, rec.Message) and (name := names.get(record.channel_id)) in wanted:
-        bag.messages.setdefault(str(name), []).append((record.log_time, record.data))
+        bag.take(str(name), record.log_time, record.data, budget)

@@ -1,6 +1,7 @@
 """MCAP recordings of hilserver, complete or torn: every whole chunk is read, index or not."""
 
 import json
+import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,6 @@ from mcap import records as rec
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
@@ -30,6 +30,7 @@ from hilserver.logs.mcap_writer import (
 )
 from hilserver.logs.provenance import SCHEMA
 from hilserver.logs.table import BLOCK, TIME
+from hilserver.logs.unpacking import PIECE_BYTES, Budget
 
 BAD = 0x8000_0000
 _TEXTS = (
@@ -59,12 +60,12 @@ class Contents:
     states: list[State] = field(default_factory=list)
     ended: bool = False
 
-    def take(self, record: rec.McapRecord) -> None:
+    def take(self, record: rec.McapRecord, budget: Budget) -> None:
         """Take one record; those of others do not matter."""
         if isinstance(record, rec.Channel) and record.topic == TOPIC:
             self.names = list(json.loads(record.metadata["signals"]))
         elif isinstance(record, rec.Chunk) and self.names:
-            self.tables.append(_messages(record, len(self.names)))
+            self.tables.append(_messages(budget.unpack(record), len(self.names)))
         elif isinstance(record, rec.Metadata) and record.name == METADATA:
             self.run = {
                 key: text if key in _TEXTS else json.loads(text)
@@ -78,9 +79,8 @@ class Contents:
             self.states.append(State(int(segment), int(tick), words))
 
 
-def _messages(chunk: rec.Chunk, n_signals: int) -> NDArray[np.void]:
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    table = np.frombuffer(stream.read(length), dtype=record_dtype(n_signals))
+def _messages(data: bytes, n_signals: int) -> NDArray[np.void]:
+    table = np.frombuffer(data, dtype=record_dtype(n_signals))
     if not (table["opcode"] == Opcode.MESSAGE).all():
         raise ValueError("foreign records in a chunk")
     payload: NDArray[np.void] = table["payload"]
@@ -89,7 +89,7 @@ def _messages(chunk: rec.Chunk, n_signals: int) -> NDArray[np.void]:
 
 def read_mcap(path: Path) -> Log:
     """Read a recording; see `reading.read_log`."""
-    contents = Contents()
+    contents, budget = Contents(), Budget(path)
     with path.open("rb") as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise LogError(f"{path}: is not an MCAP file; is its beginning missing?")
@@ -99,7 +99,7 @@ def read_mcap(path: Path) -> Log:
                 break
             try:
                 if opcode in _READ:
-                    contents.take(_READ[Opcode(opcode)](ReadDataStream(BytesIO(body))))
+                    contents.take(_READ[Opcode(opcode)](ReadDataStream(BytesIO(body))), budget)
             except (ValueError, KeyError, struct.error, zstandard.ZstdError, EndOfFile, zlib.error):
                 raise LogError(
                     f"{path}: the record at byte {offset} is damaged; cut the file off there, what"
@@ -109,19 +109,26 @@ def read_mcap(path: Path) -> Log:
 
 
 def records_of(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
-    """Yield offset, opcode and body of every whole record; a torn last one ends it."""
+    """Yield offset, opcode and body of every whole record; a torn last one ends it.
+
+    What is larger than a piece may be comes without its body.
+    """
+    begin = file.tell()
+    size = file.seek(0, os.SEEK_END)
+    file.seek(begin)
     while True:
         offset = file.tell()
         head = file.read(9)
         if len(head) < 9:
             return
         opcode, length = struct.unpack("<BQ", head)
-        if opcode == 0 or length > 1 << 32:
+        if opcode == 0 or length > size - offset - len(head):
             return
-        body = file.read(length)
-        if len(body) < length:
-            return
-        yield offset, opcode, body
+        if length > PIECE_BYTES:
+            yield offset, opcode, b""
+            file.seek(offset + len(head) + length)
+            continue
+        yield offset, opcode, file.read(length)
 
 
 def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
@@ -129,7 +136,8 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
     run = contents.run
     if not contents.names or run.get("schema") != SCHEMA:
         raise LogError(
-            f"{path}: holds no recording of hilserver (no topic {TOPIC}); convert it to CSV"
+            f"{path}: holds no recording of hilserver (no topic {TOPIC}); name a mapping of its"
+            " topics"
         )
     run["configuration"] = contents.configuration
     table = (

@@ -4,6 +4,7 @@ from collections.abc import Container
 from pathlib import Path
 
 from hilserver.errors import LogError
+from hilserver.logs.bag_messages import PACKED
 from hilserver.logs.bag_reader import read_own_bag
 from hilserver.logs.csv_reader import read_csv
 from hilserver.logs.log import Log
@@ -11,6 +12,7 @@ from hilserver.logs.mcap_reader import read_mcap
 
 ROS2_BEGINNING = b"\x89MCAP0\r\n\x01" + bytes(8) + b"\x04\x00\x00\x00ros2"
 """Of a file; the eight bytes are the length of its header."""
+ROS1_BEGINNING = b"#ROSBAG V"
 
 
 def read_log(path: Path, known: Container[str] | None = None) -> Log:
@@ -26,7 +28,7 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     LogError
         One sentence that names file, row, column and remedy.
     """
-    refuse_endless(path)
+    refuse_others(path)
     try:
         if is_bag_of_ros(path):
             return read_own_bag(path)
@@ -41,7 +43,7 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
 
 def is_bag_of_ros(path: Path) -> bool:
     """Return whether a path is a bag: a folder, sqlite3, or MCAP with the profile of ROS 2."""
-    if path.is_dir() or path.suffix == ".db3":
+    if path.is_dir() or path.name.endswith((".db3", *PACKED)):
         return True
     if path.suffix != ".mcap" or not path.is_file():
         return False
@@ -49,8 +51,8 @@ def is_bag_of_ros(path: Path) -> bool:
         return file.read(len(ROS2_BEGINNING)).endswith(ROS2_BEGINNING[-8:])
 
 
-def refuse_endless(path: Path) -> None:
-    """Refuse devices and pipes, which may never end.
+def refuse_others(path: Path) -> None:
+    """Refuse devices and pipes, which may never end, and bags of ROS 1.
 
     Raises
     ------
@@ -58,3 +60,11 @@ def refuse_endless(path: Path) -> None:
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise LogError(f"{path}: is a device or a pipe, not a file; save the log as a file first")
+    if path.is_file():
+        with path.open("rb") as file:
+            is_ros1 = file.read(len(ROS1_BEGINNING)) == ROS1_BEGINNING
+        if is_ros1:
+            raise LogError(
+                f"{path}: is a bag of ROS 1; convert it with 'rosbags-convert --src {path.name}"
+                f" --dst {path.stem}' and read the folder {path.stem}"
+            )

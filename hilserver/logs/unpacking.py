@@ -1,8 +1,10 @@
 """What unpacks is bounded, in one piece and in all: what a file declares is no proof."""
 
 import zlib
+from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 import lz4.frame
 import zstandard
@@ -12,9 +14,11 @@ from hilserver.errors import LogError
 
 PIECE_BYTES: Final = 1 << 28
 """Of a chunk, a message, a blob; recorders write chunks of a few MB."""
-FREE_BYTES: Final = 1 << 30
-RATIO: Final = 200
-"""Beyond them a file may become so many times its size; a robot at rest packs 100 to 1."""
+FREE_BYTES: Final = 1 << 28
+KEPT_BYTES: Final = 1 << 31
+"""Of messages at once; a diagnosis of eight hours at 100 Hz needs less."""
+RATIO: Final = 1000
+"""Beyond the free ones a file may become so many times its size; a robot at rest packs 350 to 1."""
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
@@ -25,6 +29,7 @@ class Budget:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._left = FREE_BYTES + RATIO * path.stat().st_size
+        self._kept = 0
 
     def take(self, n_bytes: int) -> None:
         """Count what was or would be unpacked.
@@ -42,12 +47,39 @@ class Budget:
                 " if it is one, cut it into shorter files"
             )
 
+    def keep(self, n_bytes: int) -> None:
+        """Count what stays in memory.
+
+        Raises
+        ------
+        LogError
+            If it is too much.
+        """
+        self._kept += n_bytes
+        if self._kept > KEPT_BYTES or n_bytes > PIECE_BYTES:
+            raise LogError(
+                f"{self._path}: its mapped topics hold more than {KEPT_BYTES >> 30} GB, or a"
+                f" message more than {PIECE_BYTES >> 20} MB; map topics of numbers, or cut the bag"
+            )
+
+    def unzstd_file(self, path: Path, plain: Path) -> None:
+        """Unpack a file."""
+        with path.open("rb") as packed, plain.open("wb") as out:
+            out.writelines(self._pieces(packed))
+
     def unzstd(self, data: bytes, most: int = PIECE_BYTES) -> bytes:
-        """Unpack zstd, one byte more than `most` at most, whatever size the frame declares."""
-        with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
-            result = stream.read(most + 1)
-        self.take(len(result))
-        return result
+        """Unpack zstd, hardly more than `most` bytes, whatever size the frame declares."""
+        result = bytearray()
+        for piece in self._pieces(BytesIO(data)):
+            result += piece
+            if len(result) > most:
+                break
+        return bytes(result)
+
+    def _pieces(self, packed: IO[bytes]) -> Iterator[bytes]:
+        for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
+            self.take(len(piece))
+            yield piece
 
     def unpack(self, chunk: Chunk) -> bytes:
         """Return the records in a chunk of MCAP.

@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant
 from hilserver.logs.bag_messages import Topic, is_bag, read_messages
+from hilserver.logs.table import first_of_equal, repeated_stamps
 from hilserver.measured.arrays import Array
 from hilserver.measured.mapping import LogMapping
-from hilserver.measured.messages import Decoder
-from hilserver.measured.tables import Recording, Stamped, refuse_absurd
+from hilserver.measured.messages import Decoder, TopicError
+from hilserver.measured.tables import Recording, Stamped, as_signal
 
 __all__ = ["is_bag", "read_bag"]
 
@@ -43,12 +44,20 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
                 f" {meant(str(channel.topic), topics, known)}"
             )
     notices = [notice for bag in bags for notice in bag.notices]
-    parts = []
+    parts, failed = [], []
     for name, sent in sorted(messages.items()):
-        if sent:
-            parts.append(_part(path, name, topics[name], sent, mapping, notices))
+        try:
+            if sent:
+                parts.append(_part(path, name, topics[name], sent, mapping, notices))
+            else:
+                notices.append(_empty(path, name, mapping))
+        except TopicError as error:
+            failed.append(error)
+    if not parts and failed:
+        raise failed[0]
     if not parts:
         raise LogError(f"{path}: the mapped topics hold no message; record them")
+    notices += map(str, failed)
     start_ns = min(int(stamps_ns[0]) for stamps_ns, _ in parts)
     stamped = [
         Stamped(
@@ -71,19 +80,23 @@ def _part(
 ) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """Return stamps [ns] and channels of one topic, sorted; of equal stamps the first counts."""
     where = f"{path}: topic '{name}'"
-    decoder = Decoder(where, topic.type, topic.definition, topic.encoding)
+    decoder = Decoder(where, topic)
     channels = {s: str(c.field) for s, c in mapping.channels.items() if c.topic == name}
     stamps, values = decoder.numbers(
         messages, list(channels.values()), from_header=mapping.time.stamp == "header"
     )
+    converted = [
+        as_signal(mapping, signal, column, at, lambda row, at: f"{where}: message {row + 1}, {at}")
+        for (signal, at), column in zip(channels.items(), values.T, strict=True)
+    ]
     order = np.argsort(stamps, kind="stable")
-    fresh = np.diff(stamps[order], prepend=stamps[order][:1] - 1) > 0
-    if not fresh.all():
-        notices.append(f"{where}: {int((~fresh).sum())} messages with a repeated stamp dropped")
-    kept = order[fresh]
-    columns: dict[str, Array] = {}
-    for (signal, at), column in zip(channels.items(), values.T, strict=True):
-        refuse_absurd(column, at, lambda row, at: f"{where}: message {row + 1}, field '{at}'")
-        converted = column[kept] * mapping.factor(signal) + mapping.channels[signal].offset
-        columns[signal] = converted
-    return stamps[kept], columns
+    values, first, repeated = first_of_equal(
+        stamps[order], np.zeros(len(order), dtype=np.int64), np.stack(converted, axis=1)[order]
+    )
+    notices += [*decoder.notices, *repeated_stamps(where, repeated, "messages")]
+    return stamps[order][first], dict(zip(channels, values.T, strict=True))
+
+
+def _empty(path: Path, name: str, mapping: LogMapping) -> str:
+    signals = ", ".join(s for s, channel in mapping.channels.items() if channel.topic == name)
+    return f"{path}: topic '{name}' holds no messages; nothing is known of {signals}"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hilserver.errors import LogError
 from hilserver.logs import Log, read_log
 from hilserver.logs.bag_reader import is_own_bag
-from hilserver.logs.reading import is_bag_of_ros, refuse_endless
+from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, in_time
 from hilserver.measured.bag import read_bag
@@ -26,7 +26,7 @@ def read_any(path: Path, mapping: str | None = None) -> Log:
     LogError
         One sentence that names file, place and remedy.
     """
-    refuse_endless(path)
+    refuse_others(path)
     try:
         if mapping is not None:
             table = load_mapping(mapping)

@@ -11,7 +11,7 @@ from hilserver.config.loading import load, place
 from hilserver.config.plant import PlantConfig
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError, LogError, meant
-from hilserver.logs.reading import refuse_endless
+from hilserver.logs.reading import refuse_others
 from hilserver.measured.names import conversion, known_signals, units_of
 
 PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -50,7 +50,8 @@ class ChannelMap(Section):
     column: str | None = Field(None, description="column of a table")
     topic: str | None = Field(None, description="topic of a bag, instead of a column")
     field: str | None = Field(
-        None, description="number in its message: a.b.c or list[2]; quaternion.yaw is computed"
+        None,
+        description="number in its message: a.b.c, list[2] or list[name]; quaternion.yaw is computed",
     )
     unit: str | None = Field(None, description="default: the signal's own; 1: any, see scale")
     sign: Literal[-1, 1] = Field(1, description="-1 turns it around")
@@ -140,7 +141,7 @@ def load_mapping(mapping: Path | str) -> LogMapping:
     if not path.exists():
         known = ", ".join(builtin_mappings())
         raise LogError(f"{path}: no such mapping file; built in are {known}")
-    refuse_endless(path)
+    refuse_others(path)
     return _load(path)
 
 

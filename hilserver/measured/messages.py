@@ -1,17 +1,18 @@
-"""ROS 2 messages to numbers: CDR decoded by the definitions of the bag or of the distribution."""
+"""Messages of a topic to numbers: decoded by the definition in the bag or the distribution's."""
 
-import dataclasses
-import math
-import re
+import json
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, Final
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.errors import LogError, meant
+from hilserver.errors import LogError
+from hilserver.logs.bag_messages import Topic
 from hilserver.measured.arrays import Array
+from hilserver.measured.fields import Field
 
 _EDUART = {
     "iotbot_interface/msg/RotationSpeed": (
@@ -22,10 +23,9 @@ _EDUART = {
 }
 """Bags of older recorders hold no definitions, and no distribution has these."""
 
-NOT_MEASURED: Final = -1.0
-"""First element of a covariance of sensor_msgs/Imu if the sensor does not measure the quantity."""
 
-_STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)\Z")
+class TopicError(LogError):
+    """A topic that cannot be decoded; the rest of its bag can."""
 
 
 @cache
@@ -45,141 +45,138 @@ class Decoder:
     ----------
     where : str
         File and topic, for complaints.
-    type_name : str
-        ``package/msg/Name``.
-    definition : str
-        As the bag holds it, empty if it holds none.
-    encoding : str
-        ``ros2msg`` or ``ros2idl``.
+
+    Attributes
+    ----------
+    notices : list of str
+        What could not be read.
 
     Raises
     ------
-    LogError
-        When the type is neither in the bag nor in the distribution.
+    TopicError
+        When nothing can be decoded: an unknown type, a foreign serialization.
     """
 
-    def __init__(self, where: str, type_name: str, definition: str, encoding: str) -> None:
-        self._where, self._type = where, type_name
-        self._store = _with_definition(where, type_name, definition, encoding)
-        if type_name not in self._store.fielddefs:
-            raise LogError(
-                f"{where}: the definition of its type '{type_name}' is not in the bag; record it"
-                " with ROS 2 Iron or newer, or convert the topic to CSV"
+    def __init__(self, where: str, topic: Topic) -> None:
+        self._where, self._topic = where, topic
+        self.notices: list[str] = []
+        self._decode = self._decoder()
+
+    def _decoder(self) -> Callable[[bytes], Any]:
+        topic = self._topic
+        if topic.serialization == "json":
+            return lambda data: json.loads(data, object_hook=lambda d: SimpleNamespace(**d))
+        if topic.serialization not in ("cdr", "ros1"):
+            raise TopicError(
+                f"{self._where}: its messages are {topic.serialization or 'of no known kind'}; cdr,"
+                " ros1 and json can be read: convert the topic to CSV"
             )
+        store, name = self._store(), _full(topic.type)
+        if name not in store.fielddefs:
+            raise TopicError(
+                f"{self._where}: the definition of its type '{topic.type}' is not in the bag;"
+                " record it with ROS 2 Iron or newer, or convert the topic to CSV"
+            )
+        decode = store.deserialize_ros1 if topic.serialization == "ros1" else store.deserialize_cdr
+        return lambda data: decode(data, name)
+
+    def _store(self) -> Any:
+        """Return the types of the bag's definition, those of the distribution where it has none."""
+        from rosbags.typesys import (  # noqa: PLC0415 -- slow to import
+            Stores,
+            TypesysError,
+            get_types_from_idl,
+            get_types_from_msg,
+            get_typestore,
+        )
+
+        topic, known = self._topic, _distribution()
+        if not topic.definition:
+            return known
+        try:
+            types = (
+                get_types_from_idl(topic.definition)
+                if topic.encoding == "ros2idl"
+                else get_types_from_msg(topic.definition, _full(topic.type))
+            )
+            store = get_typestore(Stores.EMPTY)
+            store.register({**known.fielddefs, **types})
+        except (TypesysError, ValueError, LookupError, TypeError, RecursionError) as error:
+            self.notices.append(
+                f"{self._where}: the definition of its type '{topic.type}' cannot be read"
+                f" ({type(error).__name__}); that of ROS 2 Humble is taken"
+            )
+            return known
+        return store
 
     def numbers(
         self, messages: Sequence[tuple[int, bytes]], fields: Sequence[str], *, from_header: bool
     ) -> tuple[NDArray[np.int64], Array]:
-        """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields)."""
-        from rosbags.serde import SerdeError  # noqa: PLC0415 -- slow to import
+        """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields).
 
-        readers = [_reader(text) for text in fields]
-        stamps = np.empty(len(messages), dtype=np.int64)
-        values = np.empty((len(messages), len(fields)))
+        NaN where a message does not hold a field.
+
+        Raises
+        ------
+        TopicError
+            If no message can be decoded.
+        LogError
+            If no message holds a field.
+        """
+        readers = [Field(path) for path in fields]
+        stamps = np.zeros(len(messages), dtype=np.int64)
+        values = np.full((len(messages), len(fields)), np.nan)
+        decoded = np.zeros(len(messages), dtype=np.bool_)
+        failed = ""
         for row, (received_ns, data) in enumerate(messages):
             try:
-                message = self._store.deserialize_cdr(data, self._type)
-                stamps[row] = _header_ns(message) if from_header else received_ns
-            except (SerdeError, ValueError, IndexError, TypeError) as error:
-                raise LogError(
-                    f"{self._where}: message {row + 1} cannot be decoded as '{self._type}'"
-                    f" ({type(error).__name__}); was the type changed while recording?"
-                ) from None
-            except AttributeError:
-                raise LogError(
-                    f"{self._where}: its messages have no header; take 'stamp: received'"
-                ) from None
+                message = self._decode(data)
+                stamps[row] = _header_ns(self._where, message) if from_header else received_ns
+            except LogError:
+                raise
+            except Exception as error:  # noqa: BLE001 -- foreign bytes fail decoders in many ways
+                failed = type(error).__name__
+                continue
+            decoded[row] = True
             for column, read in enumerate(readers):
-                values[row, column] = self._read(read, message, fields[column])
-        return stamps, values
+                values[row, column] = read(message)
+        if not decoded.any():
+            raise TopicError(
+                f"{self._where}: none of its messages can be decoded as '{self._topic.type}'"
+                f" ({failed}); was the type changed while recording?"
+            )
+        self._leave_out(int((~decoded).sum()), f"messages that cannot be decoded ({failed})")
+        self._complain(readers, int(decoded.sum()))
+        if from_header:
+            decoded &= stamps != 0
+            if not decoded.any():
+                raise LogError(f"{self._where}: its headers have no stamps; take 'stamp: received'")
+            self._leave_out(int((stamps == 0).sum()), "messages without a stamp in their header")
+        return stamps[decoded], values[decoded]
 
-    def _read(self, read: Callable[[Any], float], message: Any, text: str) -> float:
-        try:
-            return read(message)
-        except AttributeError:
-            known = _fields(message)
-            hint = meant(text, known, f"it has {', '.join(known):.200}")
-            raise LogError(f"{self._where}: there is no field '{text}'; {hint}") from None
-        except IndexError:
-            raise LogError(
-                f"{self._where}: the list in field '{text}' is shorter; count from 0"
-            ) from None
-        except (TypeError, ValueError):
-            raise LogError(f"{self._where}: field '{text}' is no number; name one") from None
+    def _leave_out(self, count: int, what: str) -> None:
+        if count:
+            self.notices.append(f"{self._where}: {count} {what} were left out")
+
+    def _complain(self, readers: Sequence[Field], n: int) -> None:
+        """Refuse a path that fits no message; count the messages that do not hold it."""
+        for read in readers:
+            if (mistake := read.mistake(n)) is not None:
+                raise LogError(f"{self._where}: {mistake}")
+        for absent, reason in dict.fromkeys((r.absent, r.reason) for r in readers if r.absent):
+            self.notices.append(f"{self._where}: {absent} of {n} messages are no samples: {reason}")
 
 
-def _with_definition(where: str, type_name: str, definition: str, encoding: str) -> Any:
-    from rosbags.typesys import (  # noqa: PLC0415 -- slow to import
-        TypesysError,
-        get_types_from_idl,
-        get_types_from_msg,
-    )
+def _full(name: str) -> str:
+    """Return a type as ROS 2 names it: ROS 1 leaves the ``msg`` out."""
+    package, _, rest = name.partition("/")
+    return name if "/" in rest or not rest else f"{package}/msg/{rest}"
 
-    store = _distribution()
-    if type_name in store.fielddefs or not definition:
-        return store
+
+def _header_ns(where: str, message: Any) -> int:
     try:
-        types = (
-            get_types_from_idl(definition)
-            if encoding == "ros2idl"
-            else get_types_from_msg(definition, type_name)
-        )
-        store.register(
-            {name: fields for name, fields in types.items() if name not in store.fielddefs}
-        )
-    except (TypesysError, ValueError, KeyError) as error:
-        raise LogError(
-            f"{where}: the definition of its type '{type_name}' is damaged"
-            f" ({type(error).__name__}); convert the topic to CSV"
-        ) from None
-    return store
-
-
-def _header_ns(message: Any) -> int:
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def _reader(text: str) -> Callable[[Any], float]:
-    """Return a function that takes a number out of a message.
-
-    ``a.b.c`` and ``list[2]``; ``yaw`` of a quaternion, which has no such field, is computed. What
-    its covariance marks as not measured (sensor_msgs/Imu) is NaN.
-    """
-    steps: list[str | int] = []
-    for part in text.split("."):
-        match = _STEP.match(part)
-        steps.append(part if match is None else match[1])
-        if match is not None:
-            steps += [int(number) for number in re.findall(r"\d+", match[2])]
-
-    def read(message: Any) -> float:
-        covariance = getattr(message, f"{steps[0]}_covariance", (0.0,))
-        if covariance[0] == NOT_MEASURED:
-            return math.nan
-        for step in steps:
-            if isinstance(step, int):
-                message = message[step]
-            elif step == "yaw" and hasattr(message, "w"):
-                return _yaw(message)
-            else:
-                message = getattr(message, step)
-        return float(message)
-
-    return read
-
-
-def _yaw(q: Any) -> float:
-    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-
-
-def _fields(message: Any, prefix: str = "") -> list[str]:
-    """Return the numbers that a message has, by their paths."""
-    found = []
-    for item in dataclasses.fields(message):
-        value = getattr(message, item.name)
-        if dataclasses.is_dataclass(value):
-            found += _fields(value, f"{prefix}{item.name}.")
-        elif not item.name.startswith("__"):
-            found.append(f"{prefix}{item.name}")
-    return found
+        stamp = message.header.stamp
+        rest = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
+        return int(stamp.sec) * 1_000_000_000 + int(rest)
+    except AttributeError:
+        raise LogError(f"{where}: its messages have no header; take 'stamp: received'") from None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs.bag_reader import is_own_bag
-from hilserver.logs.reading import is_bag_of_ros, refuse_endless
+from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
@@ -87,7 +87,7 @@ def read_measured(
 
 def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:
     try:
-        refuse_endless(path)
+        refuse_others(path)
         recording = _by_kind(path, mapping, sampling)
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None

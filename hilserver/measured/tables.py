@@ -200,11 +200,23 @@ def _demand(table: Table, column: str, key: str) -> None:
 def _mapped(table: Table, mapping: LogMapping, name: str) -> Array:
     column = str(mapping.channels[name].column)
     _demand(table, column, name)
-    values = table.column(column)
-    refuse_absurd(values, column, table.where)
+    return as_signal(mapping, name, table.column(column), column, table.where)
+
+
+def as_signal(
+    mapping: LogMapping, name: str, values: Array, at: str, where: Callable[[int, str], str]
+) -> Array:
+    """Return the numbers of a foreign log as a signal, in its unit.
+
+    Raises
+    ------
+    LogError
+        If one is impossibly large; `where` names the place of a row and `at`.
+    """
+    refuse_absurd(values, at, where)
     with np.errstate(over="ignore"):
         converted: Array = values * mapping.factor(name) + mapping.channels[name].offset
-    refuse_absurd(converted, column, lambda row, at: f"{table.where(row, at)}, as {name}")
+    refuse_absurd(converted, at, lambda row, at: f"{where(row, at)}, as {name}")
     return converted
 
 

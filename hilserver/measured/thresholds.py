@@ -12,6 +12,7 @@ SHORTEST_LOG_S: Final = 1.0  # s
 LONGEST_LOG_S: Final = 28_800.0  # s
 FEWEST_VALUES: Final = 20  # different ones; fewer do not tell how often a new one comes
 ENOUGH_ROWS: Final = 20_000  # the simulation's wheels show no noise that more rows would average
+UNIT_NORM: Final = 0.1  # a quaternion whose norm is further from 1 is no orientation
 
 # Where a segment ends
 PAUSE_S: Final = 3.0  # s: the replay bridges shorter gaps, by the set-points; ...
