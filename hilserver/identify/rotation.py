@@ -23,12 +23,13 @@ from hilserver.identify.wheels import (
     side_sum_rpm,
 )
 from hilserver.measured.arrays import Array, Mask
+from hilserver.measured.channels import GYRO, IMU_YAW, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
-YAW_RATES: Final = ("imu.gyro_z_rad_s", "imu.yaw_rad", "nav.yaw_rad")
+YAW_RATES: Final = (GYRO, IMU_YAW, YAW)
 _LAGS_S: Final = (-0.2, 0.6)
 _LAG_STEP_S: Final = 0.02
 _LAG_SMALLEST_S: Final = 0.005

@@ -12,7 +12,11 @@ TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 OF_MODE: Final = (SETPOINTS, (*TWIST, "twist.lateral_m_s"), DUTY_COMMANDS)
 """The set-points that are in force, by the value of `MODE`."""
 MODE: Final = "control.mode"
-POSITION: Final = ("nav.x_m", "nav.y_m")
+NAV_X: Final = "nav.x_m"
+NAV_Y: Final = "nav.y_m"
+POSITION: Final = (NAV_X, NAV_Y)
 YAW: Final = "nav.yaw_rad"
 GYRO: Final = "imu.gyro_z_rad_s"
+IMU_YAW: Final = "imu.yaw_rad"
+VOLTAGE: Final = "battery.voltage_v"
 TAG: Final = (*POSITION, YAW)

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Final
 
 from hilserver.errors import LogError
+from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, VOLTAGE, YAW
 from hilserver.measured.names import conversion, known_signals
 
 FILE: Final = "mapping.yaml"
@@ -101,14 +102,14 @@ def _signals(words: set[str]) -> list[str]:
     if words & _SENT and words & {"angular", "w", "z", "omega"}:
         return ["twist.angular_rad_s"]
     if words & _GYRO and not words & {"accel", "acc", "x", "y"}:
-        return ["imu.gyro_z_rad_s"]
+        return [GYRO]
     if words & _TURN:
-        return ["nav.yaw_rad"]
+        return [YAW]
     if words & _VOLTAGE:
-        return ["battery.voltage_v"]
+        return [VOLTAGE]
     if words & {"x", "px", "posx"}:
-        return ["nav.x_m"]
-    return ["nav.y_m"] if words & {"y", "py", "posy"} else []
+        return [NAV_X]
+    return [NAV_Y] if words & {"y", "py", "posy"} else []
 
 
 def _unit(name: str, signal: str) -> str:

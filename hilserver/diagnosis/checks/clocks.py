@@ -14,6 +14,7 @@ from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import CLOCK_FEWEST_CHUNKS, CLOCK_LEAST_S, OUTLIER_SD
 from hilserver.measured.arrays import Array
+from hilserver.measured.channels import GYRO, TAG, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -77,9 +78,9 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         return log, []
     speed, rate = wheels
     findings: list[Finding] = []
-    yaw = _lag(rate, log.channels.get("nav.yaw_rad"), is_angle=True)
+    yaw = _lag(rate, log.channels.get(YAW), is_angle=True)
     position = _lag(speed, _path(log), is_angle=False)
-    gyro = _lag(rate, _integral(log.channels.get("imu.gyro_z_rad_s")), is_angle=False)
+    gyro = _lag(rate, _integral(log.channels.get(GYRO)), is_angle=False)
     for source, prefix, lags in (
         ("navigation", "nav.", [lag for lag in (yaw, position) if lag is not None]),
         ("inertial unit", "imu.", [gyro] if gyro is not None else []),
@@ -174,7 +175,7 @@ def _integral(channel: Channel | None) -> Channel | None:
 
 def _path(log: MeasuredLog) -> Channel | None:
     """Return the distance along the heading that the tag has gone."""
-    if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+    if not log.has(*TAG):
         return None
     x, y, yaw = (log[f"nav.{what}"] for what in ("x_m", "y_m", "yaw_rad"))
     heading = _at(x, yaw, np.unwrap(yaw.values))

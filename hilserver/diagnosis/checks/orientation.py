@@ -30,6 +30,7 @@ from hilserver.diagnosis.thresholds import (
     SLOWEST_TURN_RAD_S,
 )
 from hilserver.measured.arrays import Array
+from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TAG, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -141,12 +142,12 @@ def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Arr
 
 def _moved(log: MeasuredLog) -> tuple[Array, Array, Array, Array, Array] | None:
     """Return the way along x and y, its time, and mean cosine and sine of the heading by window."""
-    if not log.has("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+    if not log.has(*TAG):
         return None
     windows = windows_of(log)
-    x0, x1, dt = ends_in(log["nav.x_m"], windows)
-    y0, y1, _ = ends_in(log["nav.y_m"], windows)
-    yaw = log["nav.yaw_rad"]
+    x0, x1, dt = ends_in(log[NAV_X], windows)
+    y0, y1, _ = ends_in(log[NAV_Y], windows)
+    yaw = log[YAW]
     cosine = mean_in(yaw.with_values(np.cos(yaw.values)), windows)
     sine = mean_in(yaw.with_values(np.sin(yaw.values)), windows)
     return x1 - x0, y1 - y0, dt, cosine, sine
@@ -165,14 +166,14 @@ def _frame(log: MeasuredLog, robot: RobotParameters) -> Found:
     mirrored = _resultant(2.0 * (course + yaw), speed)
     if mirrored < SIGN_SURE or mirrored < alike + 0.3:
         return log, []
-    rate = rate_in(log["nav.yaw_rad"], windows_of(log))
+    rate = rate_in(log[YAW], windows_of(log))
     others = [line(rate, other, SLOWEST_TURN_RAD_S) for other in _other_rates(log, robot)]
     votes = [np.sign(o.slope) for o in others if o is not None and abs(o.correlation) > SIGN_SURE]
     if sum(votes) > 0:
         text = "the tag's y axis points right: its course turns against its heading"
-        return _flipped(log, ["nav.y_m"], mirrored, text)
+        return _flipped(log, [NAV_Y], mirrored, text)
     text = "the heading turns against the course over ground"
-    return _flipped(log, ["nav.yaw_rad"], mirrored, text)
+    return _flipped(log, [YAW], mirrored, text)
 
 
 def _resultant(angle: Array, weight: Array) -> float:
@@ -182,8 +183,8 @@ def _resultant(angle: Array, weight: Array) -> float:
 def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
     """Return the turn rates that gyro and wheels say."""
     windows, rates = windows_of(log), []
-    if "imu.gyro_z_rad_s" in log:
-        rates.append(mean_in(log["imu.gyro_z_rad_s"], windows))
+    if GYRO in log:
+        rates.append(mean_in(log[GYRO], windows))
     wheels = _wheel_rate(log, robot)
     return rates if wheels is None else [*rates, wheels]
 
@@ -245,30 +246,27 @@ def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
     if moved is None:
         return None
     dx, dy, dt, cosine, sine = moved
-    return (dx * cosine + dy * sine) / dt, rate_in(log["nav.yaw_rad"], windows_of(log))
+    return (dx * cosine + dy * sine) / dt, rate_in(log[YAW], windows_of(log))
 
 
 def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Judge what is left: who turns against the others."""
     windows = windows_of(log)
     wheels = _wheel_rate(log, robot)
-    gyro_name, yaw_name = "imu.gyro_z_rad_s", "nav.yaw_rad"
-    gyro = mean_in(log[gyro_name], windows) if gyro_name in log else None
-    yaw = rate_in(log[yaw_name], windows) if yaw_name in log else None
-    by_wheels = {
-        name: _against(rate, wheels) for name, rate in ((gyro_name, gyro), (yaw_name, yaw))
-    }
+    gyro = mean_in(log[GYRO], windows) if GYRO in log else None
+    yaw = rate_in(log[YAW], windows) if YAW in log else None
+    by_wheels = {name: _against(rate, wheels) for name, rate in ((GYRO, gyro), (YAW, yaw))}
     between = _against(gyro, yaw)
-    if by_wheels[gyro_name] and by_wheels[yaw_name]:
-        world = [n for n in ("nav.y_m", yaw_name, gyro_name, "imu.yaw_rad") if n in log]
+    if by_wheels[GYRO] and by_wheels[YAW]:
+        world = [n for n in (NAV_Y, YAW, GYRO, IMU_YAW) if n in log]
         return _flipped(log, world, 0.99, "the base's yaw runs against the measurement")
-    if by_wheels[gyro_name] and (yaw is None or between):
-        return _flipped(log, [gyro_name], 0.99, "the gyro turns against the wheels")
-    if by_wheels[yaw_name] and (gyro is None or between):
-        world = [n for n in ("nav.y_m", yaw_name) if n in log]
+    if by_wheels[GYRO] and (yaw is None or between):
+        return _flipped(log, [GYRO], 0.99, "the gyro turns against the wheels")
+    if by_wheels[YAW] and (gyro is None or between):
+        world = [n for n in (NAV_Y, YAW) if n in log]
         return _flipped(log, world, 0.99, "the base's yaw runs against the measurement")
     if wheels is None and between:
-        return _flipped(log, [gyro_name], 0.99, "the gyro turns against the heading")
+        return _flipped(log, [GYRO], 0.99, "the gyro turns against the heading")
     return log, []
 
 

@@ -8,12 +8,13 @@ import numpy as np
 from hilserver.diagnosis.checks.support import alternates, data_fault, listed, measured_channels
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, LARGE_STEP_RPM
+from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 
-AXES: Final = {"nav.x_m": "nav.y_m", "nav.y_m": "nav.x_m"}
-TURNS: Final = ("nav.yaw_rad", "imu.gyro_z_rad_s")
+AXES: Final = {NAV_X: NAV_Y, NAV_Y: NAV_X}
+TURNS: Final = (YAW, GYRO)
 
 
 def find(log: MeasuredLog, _robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:

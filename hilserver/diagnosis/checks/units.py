@@ -18,6 +18,7 @@ from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
 from hilserver.measured.arrays import Array
+from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, POSITION, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
@@ -131,11 +132,11 @@ def _there(log: MeasuredLog, names: Iterable[str]) -> list[str]:
 
 def _chord(log: MeasuredLog) -> Array | None:
     """Return the distance per second that the tag moved [m/s]."""
-    if not log.has("nav.x_m", "nav.y_m"):
+    if not log.has(*POSITION):
         return None
     windows = windows_of(log)
-    x0, x1, dt = ends_in(log["nav.x_m"], windows)
-    y0, y1, _ = ends_in(log["nav.y_m"], windows)
+    x0, x1, dt = ends_in(log[NAV_X], windows)
+    y0, y1, _ = ends_in(log[NAV_Y], windows)
     result: Array = np.hypot(x1 - x0, y1 - y0) / dt
     return result
 
@@ -152,12 +153,12 @@ def _turned(log: MeasuredLog, robot: RobotParameters) -> Array | None:
 
 
 def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
-    name, windows = "imu.gyro_z_rad_s", windows_of(log)
+    name, windows = GYRO, windows_of(log)
     if name not in log:
         return [], None
     gyro = mean_in(log[name], windows)
-    if "nav.yaw_rad" in log:
-        fault = _known(line(gyro, rate_in(log["nav.yaw_rad"], windows), 0.02), ANGLE, 1.5)
+    if YAW in log:
+        fault = _known(line(gyro, rate_in(log[YAW], windows), 0.02), ANGLE, 1.5)
     else:
         fault = _known(line(gyro, _turned(log, robot), 0.02), ANGLE, 2.2)
     return [name], fault
@@ -166,13 +167,13 @@ def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | 
 def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
     """Judge headings in degrees: rows of a heading in radians never differ by that much."""
     windows = windows_of(log)
-    for name in ("nav.yaw_rad", "imu.yaw_rad"):
+    for name in (YAW, IMU_YAW):
         if name not in log or np.ptp(log[name].values) < 4.0 * np.pi:
             continue
         rate = rate_in(log[name], windows, 360.0)
         turned = _turned(log, robot)
-        if turned is None and "imu.gyro_z_rad_s" in log:
-            turned = mean_in(log["imu.gyro_z_rad_s"], windows)
+        if turned is None and GYRO in log:
+            turned = mean_in(log[GYRO], windows)
         fault = _known(line(rate, turned, 0.02), ANGLE, 2.5)
         if fault is not None:
             return [name], fault
@@ -184,7 +185,7 @@ def _position(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Faul
     for what in ("speed_rpm", "setpoint_rpm"):
         way = rolled(log, what, windows, robot) if way is None else way
     fault = _known(line(_chord(log), way, 0.02), LENGTH, 2.0)
-    return _there(log, ("nav.x_m", "nav.y_m")), fault
+    return _there(log, POSITION), fault
 
 
 def _duty(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:

@@ -30,7 +30,7 @@ from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
 from hilserver.measured.arrays import Array
-from hilserver.measured.channels import SETPOINTS
+from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
 COARSE_SHARE: Final = 0.002
@@ -268,9 +268,9 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
     An outlier stands out from its neighbours: where all of them are off, the model is.
     """
     stack = problem.stack
-    if not all(n in stack.edges for n in ("nav.x_m", "nav.y_m")):
+    if not all(n in stack.edges for n in POSITION):
         return None
-    x, y = (stack.edges[n] for n in ("nav.x_m", "nav.y_m"))
+    x, y = (stack.edges[n] for n in POSITION)
     if x.stop - x.start != y.stop - y.start:
         return None
     away = problem.residual(point.predicted)
@@ -278,8 +278,7 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
         away[part] = aside(stack.t_s[part], away[part])
     size = np.hypot(away[x], away[y])
     noise = max(
-        float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd))
-        for n in ("nav.x_m", "nav.y_m")
+        float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd)) for n in POSITION
     )
     left_out = ((problem.weights[x] == 0.0) | (problem.weights[y] == 0.0)) & (
         size > max(0.3, 5.0 * noise)

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
-from hilserver.diagnosis.replay.battery import VOLTAGE
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.measured.arrays import Array
-from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
+from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V

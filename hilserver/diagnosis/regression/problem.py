@@ -27,8 +27,7 @@ from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import NEGLIGIBLE, NOISE_TAU_MAX_S
 from hilserver.measured.arrays import Array
-
-OUTLIER_CHANNELS = ("nav.x_m", "nav.y_m")
+from hilserver.measured.channels import POSITION
 
 
 @dataclass(frozen=True)
@@ -246,12 +245,12 @@ class Problem:
         self.noise = {name: self._noise_of(name, raw) for name in self.stack.channels}
         weights = np.ones(len(self.stack))
         for name, _, part in self._runs:
-            if name in OUTLIER_CHANNELS:
+            if name in POSITION:
                 weights[part] = ~spikes(self.stack.t_s[part], raw[part])
         self.weights = weights
         for _ in range(2):
             white, weights = self.whiten(raw), self.weights.copy()
-            for name in OUTLIER_CHANNELS:
+            for name in POSITION:
                 if name in self.stack.edges:
                     edge = self.stack.edges[name]
                     weights[edge] *= ~isolated(white[edge])

@@ -5,11 +5,11 @@ from typing import Final
 import numpy as np
 
 from hilserver.measured.arrays import Array
+from hilserver.measured.channels import VOLTAGE
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.units import NOMINAL_V
 
-VOLTAGE: Final = "battery.voltage_v"
 SMOOTHING_S: Final = 2.0
 LATELY_S: Final = 0.02
 """A voltage is used where the load did not change for so long: the sensor may lag."""

@@ -11,13 +11,13 @@ from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES, SPEED_STEP
-from hilserver.diagnosis.replay.battery import VOLTAGE, voltage
+from hilserver.diagnosis.replay.battery import voltage
 from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_process, sample
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import NO_POSES, Stage
 from hilserver.measured.arrays import Array
-from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST
+from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST, VOLTAGE
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of

@@ -12,7 +12,6 @@ from hilserver.diagnosis.findings.gain import HORIZONS_S, compare, free_run_erro
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared
-from hilserver.diagnosis.replay.battery import VOLTAGE
 from hilserver.diagnosis.replay.pose_stage import FORWARD, TURN
 from hilserver.diagnosis.report import cuts
 from hilserver.diagnosis.report.course import courses
@@ -31,7 +30,7 @@ from hilserver.diagnosis.schema.evidence import (
     Similarity,
 )
 from hilserver.measured.arrays import Array
-from hilserver.measured.channels import POSITION, SPEEDS, YAW
+from hilserver.measured.channels import POSITION, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
 

@@ -9,7 +9,7 @@ from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.identify.rotation import identify_rotation
 from hilserver.measured.arrays import Array
-from hilserver.measured.channels import DUTIES, SPEEDS
+from hilserver.measured.channels import DUTIES, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.scenarios.views.case import HEIGHT, PICTURE_WIDTH, Case, Legend, axes
 
@@ -22,7 +22,7 @@ class AgainstHeading:
 
     def draw(self, case: Case) -> tuple[list[Plot], Legend]:
         """Draw what both models leave, over one turn."""
-        s = case.series("nav.yaw_rad")
+        s = case.series(YAW)
         edges = np.linspace(-np.pi, np.pi, self.bins + 1)
         place = np.digitize(np.angle(np.exp(1j * s.measured)), edges) - 1
         middle = 0.5 * (edges[1:] + edges[:-1])

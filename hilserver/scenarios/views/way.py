@@ -8,6 +8,7 @@ from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, MODELS
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Path
 from hilserver.measured.arrays import Array
+from hilserver.measured.channels import NAV_X
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from hilserver.scenarios.views.case import PICTURE_WIDTH, POINTS, Case, Legend
 from hilserver.scenarios.views.stretch import stretch
@@ -35,10 +36,10 @@ class Way:
 
     def _tracks(self, case: Case) -> list[Array]:
         way: Path = case.diagnosis.evidence.paths[0]
-        t_s = case.series("nav.x_m").t_s[: len(way.measured)]
+        t_s = case.series(NAV_X).t_s[: len(way.measured)]
         other = way.measured if way.extended is None else way.extended
         apart = np.hypot(*(other - way.simulated).T)
-        begin, end = stretch(case, "nav.x_m", t_s, apart, LONGEST_SEGMENT_S)
+        begin, end = stretch(case, NAV_X, t_s, apart, LONGEST_SEGMENT_S)
         part = (t_s >= begin) & (t_s <= end)
         tracks = [way.measured, way.simulated, way.extended]
         return [track[part] for track in tracks if track is not None]

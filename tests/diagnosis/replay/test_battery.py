@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from hilserver.diagnosis.replay.battery import VOLTAGE, voltage
+from hilserver.diagnosis.replay.battery import voltage
+from hilserver.measured.channels import VOLTAGE
 from hilserver.measured.clock import cut
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 
