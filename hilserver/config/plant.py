@@ -201,32 +201,34 @@ def to_parameters(
         When a slice is unknown or the robot cannot run with these values.
     """
 
-    def period_s(key: str, name: str) -> float:
-        if name not in periods:
-            known = ", ".join(periods)
-            msg = f"{key}: there is no slice {name!r}; the slices are {known}."
-            raise PlantError(msg)
-        return periods[name]
-
-    def part(key: str, section: Any, **dropped: Any) -> dict[str, Any]:
-        values: dict[str, Any] = section.model_dump(exclude={"slice", *dropped})
-        return {**values, "period_s": period_s(f"sensors.{key}.slice", section.slice)}
+    def part(key: str) -> dict[str, Any]:
+        section = getattr(sensors, key)
+        values: dict[str, Any] = section.model_dump(exclude={"slice", "hall"})
+        return {**values, "period_s": _period_s(periods, f"sensors.{key}.slice", section.slice)}
 
     values = plant.model_dump(exclude={"slice", "controller", "process"})
     hall = load_hall(sensors.tof.hall, folder or Path())
     robot = RobotParameters(
         **values,
         **kinematics.model_dump(),
-        period_s=period_s("plant.slice", plant.slice),
+        period_s=_period_s(periods, "plant.slice", plant.slice),
         slice_name=plant.slice,
         controller=parts.Controller(**plant.controller.model_dump()),
         process=parts.Process(**plant.process.model_dump()),
-        imu=parts.Imu(**part("imu", sensors.imu)),
-        battery=parts.Battery(**part("battery", sensors.battery)),
-        tof=parts.RangeFinders(**part("tof", sensors.tof, hall=None)),
-        nav=parts.Navigation(**part("nav", sensors.nav)),
+        imu=parts.Imu(**part("imu")),
+        battery=parts.Battery(**part("battery")),
+        tof=parts.RangeFinders(**part("tof")),
+        nav=parts.Navigation(**part("nav")),
         hall=hall.walls,
         solids=hall.solids,
     )
     pack(robot)  # refuses terms that do not fit the robot
     return robot
+
+
+def _period_s(periods: Mapping[str, float], key: str, name: str) -> float:
+    if name not in periods:
+        known = ", ".join(periods)
+        msg = f"{key}: there is no slice {name!r}; the slices are {known}."
+        raise PlantError(msg)
+    return periods[name]

@@ -1,7 +1,7 @@
 """Order, time constants and gain from step responses: Strejc's method, then least squares."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -83,17 +83,8 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     LogError
         When no input jumps and holds.
     """
-    for quantity in INPUTS if source is None else (source,):
-        wheels = [w for w in present(log, quantity) if f"wheel.{w}.speed_rpm" in log]
-        by_wheel = {wheel: find_steps(log, wheel, quantity) for wheel in wheels}
-        steps = [step for wheel in wheels for step in by_wheel[wheel]]
-        if steps:
-            break
-    else:
-        raise LogError(
-            f"{files(log)}: no wheel has a step that holds 0.1 s before and 0.15 s after, with "
-            f"its speed; record steps of {' or '.join(INPUTS if source is None else (source,))}"
-        )
+    quantity, by_wheel = _steps(log, INPUTS if source is None else (source,))
+    steps = [step for own in by_wheel.values() for step in own]
     flags = _flags(log, quantity, by_wheel)
     t_s, mean = averaged(steps)
     final = float(np.median(mean[-max(3, len(mean) // 4) :]))
@@ -108,7 +99,7 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     two = fits.pair(pair)
     return StepResponse(
         quantity,
-        tuple(wheel for wheel in wheels if by_wheel[wheel]),
+        tuple(wheel for wheel, own in by_wheel.items() if own),
         len(steps),
         tangent,
         read_tangent(tangent),
@@ -121,6 +112,19 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
         two.gain,
         (chain.rms, two.rms),
         tuple(flags),
+    )
+
+
+def _steps(log: MeasuredLog, inputs: Sequence[str]) -> tuple[str, dict[str, list[Step]]]:
+    """Return the first input that has steps, and those of each wheel."""
+    for quantity in inputs:
+        wheels = [w for w in present(log, quantity) if f"wheel.{w}.speed_rpm" in log]
+        by_wheel = {wheel: find_steps(log, wheel, quantity) for wheel in wheels}
+        if any(by_wheel.values()):
+            return quantity, by_wheel
+    raise LogError(
+        f"{files(log)}: no wheel has a step that holds 0.1 s before and 0.15 s after, with its"
+        f" speed; record steps of {' or '.join(inputs)}"
     )
 
 
