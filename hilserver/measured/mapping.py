@@ -51,7 +51,8 @@ class ChannelMap(Section):
     topic: str | None = Field(None, description="topic of a bag, instead of a column")
     field: str | None = Field(
         None,
-        description="number in its message: a.b.c, list[2] or list[name]; quaternion.yaw is computed",
+        description="number in its message: a.b.c, list[2] or list[name]; quaternion.yaw is"
+        " computed",
     )
     unit: str | None = Field(None, description="default: the signal's own; 1: any, see scale")
     sign: Literal[-1, 1] = Field(1, description="-1 turns it around")
