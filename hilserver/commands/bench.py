@@ -55,9 +55,9 @@ def _of_checkout() -> dict[str, str]:
     if not Path(root, "benchmarks", "__main__.py").is_file():
         return {}
     if root not in sys.path:
-        sys.path.append(root)
+        sys.path.insert(0, root)
         known = os.environ.get("PYTHONPATH")  # for the processes that they start
-        os.environ["PYTHONPATH"] = f"{known}{os.pathsep}{root}" if known else root
+        os.environ["PYTHONPATH"] = f"{root}{os.pathsep}{known}" if known else root
     benches: dict[str, str] = importlib.import_module("benchmarks").BENCHES
     return benches
 

@@ -89,9 +89,9 @@ def _end_error(measured: Array, track: Array) -> float:
 
 
 def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
-    """Draw the gain over the length of a free run, a line for each quantity."""
+    """Draw the gain over the length of a free run, a line for each quantity; none without any."""
     runs = [r for r in rows if r.horizon_s > 0 and math.isfinite(r.ratio) and r.ratio > 0]
-    if not runs:
+    if all(Change.of(r).is_none for r in runs):
         return None
     length_s, ratios = np.array([r.horizon_s for r in runs]), np.array([r.ratio for r in runs])
     ends = np.array([e for r in runs for e in r.ci95 or () if math.isfinite(e) and e > 0])

@@ -18,6 +18,7 @@ from hilserver.diagnosis.report.svg import Figure
 from hilserver.diagnosis.report.time_series import improvement, series
 from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
 from hilserver.diagnosis.schema.findings import Findings, Verdict
+from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
 LEAST_CHANGE: Final = 0.03
 """Share of a residual below which a channel counts as not changed."""
@@ -135,6 +136,7 @@ def environment() -> Environment:
         "badges": words.BADGES,
         "cut_points": tables.CUT_POINTS,
         "quantity": words.quantity,
+        "screen_level": SCREEN_LEVEL,
     }
     made.filters |= {
         "number": number,

@@ -28,7 +28,8 @@ BADGES = {
     Verdict.NO_DIFFERENCE: "No difference",
 }
 LARGE = 1.5
-"""Residual, by what the noise alone would give, from which a replay is clearly wrong."""
+"""Residual, by what the noise alone would give, from which a replay is clearly wrong; and error
+before, by that after, from which a model is clearly better."""
 MOST_TIMES = 1000
 """By which an error shrinks or grows; more is an error of next to nothing, before or after."""
 FREE_RUNS = ("position_m", "yaw_rad")
@@ -84,10 +85,9 @@ class Gained:
     ceiling: float | None
 
     @property
-    def is_sure(self) -> bool:
-        """Whether the whole interval is on the better side."""
-        ends = self.gain.ci95 or (self.gain.ratio, self.gain.ratio)
-        return ends[0] > 1.0 and not is_unchanged(self.gain)
+    def is_clear(self) -> bool:
+        """Whether the whole interval says that the error is much smaller."""
+        return (self.gain.ci95 or (self.gain.ratio,))[0] > LARGE
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,10 +145,10 @@ def when(key: str, gain: Gain) -> str:
 
 
 def best(gained: Sequence[Gained]) -> Gained | None:
-    """Return the gain that the page begins with: the first that is sure, or else the largest."""
+    """Return the gain that the page begins with: the first that is clear, or else the largest."""
     better = [g for g in gained if g.gain.ratio > 1.0]
     largest = max(better, key=lambda g: g.gain.ratio, default=None)
-    return next((g for g in gained if g.is_sure), largest)
+    return next((g for g in gained if g.is_clear), largest)
 
 
 def quantity(key: str) -> tuple[str, str]:

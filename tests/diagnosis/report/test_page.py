@@ -232,9 +232,9 @@ def test_the_page_begins_with_where_the_robot_is_not_with_the_largest_ratio(page
     assert tiles == ["Position after 5\u00a0s", "Heading after 5\u00a0s", "Wheel speed on average"]
 
 
-def test_what_is_not_surely_better_is_not_the_headline():
+def test_what_is_not_clearly_better_is_not_the_headline():
     unsure = findings(total_gain={
-        "position_m": gain(0.3, 0.28, 0.8, 1.3), "gyro_z_rad_s": gain(0.8, 0.1, 6.0, 9.0),
+        "position_m": gain(0.3, 0.25, 1.18, 1.22), "gyro_z_rad_s": gain(0.8, 0.1, 6.0, 9.0),
     })  # fmt: skip
     text = Reader(render(unsure, Evidence())).text
     assert "the error in turn rate falls" in " ".join(text.split())
@@ -261,3 +261,16 @@ def test_a_regression_that_reaches_nothing_is_left_out():
     page = render(findings(ceiling={"position_m": 0.39}), Evidence())
     assert "regression: 0.39" not in page
     assert "Regression, for comparison" not in page
+
+
+def test_without_an_extension_there_is_no_gain():
+    given = evidence(500)
+    same = tuple(replace(r, after=r.before, ratio=1.0, ci95=None) for r in given.gain_by_horizon)
+    page = render(nothing_found(), replace(given, gain_by_horizon=same))
+    assert 'id="gain"' not in page
+    assert 'id="sizes"' in page
+
+
+def test_levels_are_those_of_the_screen(page):
+    assert "in at most one of 500, over all causes" in page
+    assert "at most 0.002; its size" in page
