@@ -33,7 +33,6 @@ from hilserver.diagnosis.schema.evidence import (
 from hilserver.diagnosis.schema.findings import Parameter
 from hilserver.measured.arrays import Array
 
-MAX_PATHS = 4
 SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22
 INTERVAL_WIDTH = 260.0
@@ -66,9 +65,10 @@ def path(way: Path) -> Figure:
     ends = ", ".join(
         f"{name} {number(_end_error(way.measured, track), 'm', digits=2)}" for name, track in models
     )
+    title = f"Path, {way.group}, segment {way.span}" if way.group else f"Path, segment {way.span}"
     return Figure(
-        picture([plot], f"Path of segment {way.span}"),
-        f"Path, segment {way.span}",
+        picture([plot], title),
+        title,
         f"Distance from the measured end: {ends}. {_beginnings(way)}",
     )
 
@@ -252,13 +252,8 @@ def course(item: Course) -> Figure:
 
 
 def paths(ways: Iterable[Path]) -> list[Figure]:
-    """Draw the longest ways."""
-    longest = sorted(ways, key=lambda w: -_length(w.measured))[:MAX_PATHS]
-    return [path(way) for way in sorted(longest, key=lambda w: w.span)]
-
-
-def _length(track: Array) -> float:
-    return float(np.nansum(np.hypot(*np.diff(track, axis=0).T)))
+    """Draw the ways, in the order of their groups and segments."""
+    return [path(way) for way in sorted(ways, key=lambda w: (w.group, w.span))]
 
 
 def interval(parameter: Parameter, name: str) -> Markup:

@@ -9,7 +9,8 @@ from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import Evidence, FittedRange, Interval, Series
 from hilserver.measured.arrays import Array
 
-MOST_PATHS = 6
+PATHS_EACH = 2
+"""Paths of every group that are drawn."""
 
 
 def merged(parts: Mapping[str, Evidence]) -> Evidence:
@@ -18,7 +19,7 @@ def merged(parts: Mapping[str, Evidence]) -> Evidence:
     many = parts.items()
     return Evidence(
         series=_series(parts.values()),
-        paths=tuple(p for _, e in many for p in e.paths)[:MOST_PATHS],
+        paths=tuple(replace(p, group=g) for g, e in many for p in e.paths[:PATHS_EACH]),
         cuts=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.cuts),
         noise=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.noise),
         screen=_screen(parts.values()),

@@ -34,6 +34,10 @@ from hilserver.measured.channels import POSITION, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
 
+MOST_PATHS = 4
+"""Paths that are drawn: evenly from those that cover about as much ground as the largest."""
+HALF_AS_LARGE = 0.5
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -215,14 +219,16 @@ def _paths(s: Shown, extended: bool) -> tuple[Path, ...]:
     segment = stack.segment[x]
     span = s.prepared.problem.stage.segments.span[segment]
     out = []
-    for k in np.unique(span)[:4]:
+    for k in np.unique(span):
         rows = span == k
         tracks = [
             np.stack([v[x][rows], v[y][rows]], axis=1) for v in (stack.values, s.before, s.after)
         ]
         begins = tuple((np.flatnonzero(np.diff(segment[rows])) + 1).tolist())
         out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None, begins))
-    return tuple(out)
+    least_m = HALF_AS_LARGE * max(way.size_m for way in out)
+    large = [way for way in out if way.size_m >= least_m]
+    return tuple(large[:: -(-len(large) // MOST_PATHS)])
 
 
 def _similarity(s: Shown) -> Similarity:

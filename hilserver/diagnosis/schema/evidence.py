@@ -55,6 +55,8 @@ class Path:
     ----------
     begins : tuple of int
         Rows at which the models begin anew, the first left out.
+    group : str
+        Of logs; empty without groups.
     """
 
     span: int
@@ -62,6 +64,13 @@ class Path:
     simulated: Array
     extended: Array | None
     begins: tuple[int, ...] = ()
+    group: str = ""
+
+    @property
+    def size_m(self) -> float:
+        """Diagonal of the ground that it covers."""
+        across_m = np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
+        return float(np.hypot(*across_m))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.report import figures, render
+from hilserver.diagnosis.report.merging import merged
 from hilserver.diagnosis.report.page import MODELS
 from hilserver.diagnosis.report.svg import MAX_RUNS, thinned
 from hilserver.diagnosis.report.time_series import MAX_MARKS, series
@@ -219,3 +220,15 @@ def test_the_legend_of_the_page_names_each_role_once(given):
         for svg in SVG.findall(legend):
             assert all(mark.colour("stroke") for mark in Drawing(svg).marks)
     assert render(findings(), Evidence()).count('class="legend"') == 0
+
+
+def test_paths_of_groups_say_whose_they_are(given):
+    merged_paths = merged({"tiles": given, "carpet": given}).paths
+    titles = [figure.title for figure in figures.paths(merged_paths)]
+    assert titles == ["Path, carpet, segment 0", "Path, tiles, segment 0"]
+
+
+def test_the_size_of_a_path_is_its_ground_not_its_noise():
+    noise = 0.01 * np.random.default_rng(0).normal(size=(5000, 2))
+    assert Path(0, noise, noise, None).size_m < 0.2
+    assert Path(0, track(50), track(50), None).size_m > 3.0
