@@ -140,7 +140,7 @@ def judge(
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = vocabulary_reasons(judged_causes, examined.reasons, set(judged))
     findings = Findings(
-        verdict=overall(found),
+        verdict=overall(found, is_judged=bool(judged)),
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
         seed=seed,
         version=__version__,

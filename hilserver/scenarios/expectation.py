@@ -26,7 +26,7 @@ class Expectation:
     must_not_say : frozenset of str
         Causes that no finding may hold.
     verdict : str or None
-        The verdict on the whole: findings, nothing_found, differs, no_difference.
+        The verdict on the whole: findings, nothing_found, not_judged, differs, no_difference.
     or_structure : bool
         True: ``structure_not_in_library`` is right too.
     """

@@ -7,10 +7,11 @@ from dataclasses import replace
 import pytest
 
 from hilserver.config.patch import load_patch
+from hilserver.diagnosis.checks.standstill import too_little_motion
 from hilserver.diagnosis.output import documents, findings_text, write
 from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
-from hilserver.diagnosis.schema.findings import Findings
+from hilserver.diagnosis.schema.findings import Findings, Overall, overall
 from hilserver.errors import FailedError
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
@@ -81,7 +82,21 @@ def test_one_line_per_log():
     )
 
 
-@pytest.mark.parametrize("verdict", ["nothing_found", "no_difference"])
+def test_too_little_motion_is_not_nothing_found_in_any_output():
+    still = nothing_found().model_copy(update={"findings": (too_little_motion(),)})
+    assert one_line(still) == "insufficient_excitation"
+    assert summary(still).startswith("The robot stood still")
+    page = documents(Diagnosis(still, evidence(300)))["report.html"]
+    assert "nothing was found" not in page
+    assert "is the sensors' noise" not in page
+
+
+def test_what_could_not_be_judged_is_not_nothing_found():
+    assert overall(()) == Overall.NOTHING_FOUND
+    assert overall((), is_judged=False) == Overall.NOT_JUDGED
+
+
+@pytest.mark.parametrize("verdict", ["nothing_found", "no_difference", "not_judged"])
 def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict):
     found = nothing_found().model_copy(update={"verdict": verdict, "smallest_detectable": ()})
     assert found.not_judged

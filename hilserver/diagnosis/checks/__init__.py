@@ -23,6 +23,7 @@ from hilserver.diagnosis.checks import (
     sparse,
     stuck,
     too_fast,
+    turned,
     units,
     wrapped,
 )
@@ -44,6 +45,7 @@ ORDER: Final[tuple[Check, ...]] = (
     held.find,
     repeated.find,
     wrapped.find,
+    turned.find,
     units.find,
     too_fast.find,
     orientation.find,

@@ -35,10 +35,13 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     jumps = jumps[(jumps > 0) & (jumps < len(step) - 1)]
     if not len(jumps):
         return 0.0
-    turned = (step[jumps - 1] + step[jumps + 1]) / 2.0
-    sizes = np.abs(step[jumps] - turned)
+    beside = step[1:-1] - 0.5 * (step[:-2] + step[2:])  # what a steady turn does not explain
+    sizes = np.abs(beside[jumps - 1])
     size = float(np.median(sizes))
-    if abs(size / (2.0 * np.pi) - 1.0) < 0.2:
+    near = np.unique(np.concatenate([jumps - 2, jumps - 1, jumps]).clip(0, len(beside) - 1))
+    usual = np.abs(np.delete(beside, near))
+    unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(jumps)) if usual.size else 0.0
+    if abs(size - 2.0 * np.pi) <= unsure + 1e-9:
         size = 2.0 * np.pi
     return size if np.all(np.abs(sizes / size - 1.0) < 0.2) else 0.0
 

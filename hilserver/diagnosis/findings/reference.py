@@ -25,7 +25,7 @@ it is.
 
 | key | says |
 |---|---|
-| `verdict` | `findings`, `nothing_found`; with `--compare` `differs` or `no_difference` |
+| `verdict` | `findings`, `nothing_found`, `not_judged`; of `--compare` `differs`, `no_difference` |
 | `logs`, `seed`, `version`, `config_sha256` | what was judged, by what |
 | `baseline` | mean absolute error of the configured plant, data faults corrected |
 | `findings` | one entry per finding, below |

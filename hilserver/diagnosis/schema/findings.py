@@ -33,6 +33,7 @@ class Overall(StrEnum):
 
     FINDINGS = "findings"
     NOTHING_FOUND = "nothing_found"
+    NOT_JUDGED = "not_judged"
     DIFFERS = "differs"
     NO_DIFFERENCE = "no_difference"
 
@@ -192,7 +193,14 @@ class Findings(_Model):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-def overall(found: Iterable[Finding]) -> Overall:
-    """Return the verdict on a log with these findings; too little motion to say is none."""
+def overall(found: Iterable[Finding], *, is_judged: bool = True) -> Overall:
+    """Return the verdict on a log with these findings; too little motion to say is none.
+
+    Parameters
+    ----------
+    is_judged : bool
+        False: the log lacks the channels that any cause shows in.
+    """
     named = [one for one in found if one.verdict is not Verdict.INSUFFICIENT_EXCITATION]
-    return Overall.FINDINGS if named else Overall.NOTHING_FOUND
+    silent = Overall.NOTHING_FOUND if is_judged else Overall.NOT_JUDGED
+    return Overall.FINDINGS if named else silent

@@ -367,10 +367,11 @@ def test_no_log_is_too_odd_to_be_checked(channels, spans):
     columns = {name: np.array(values * 3)[:100] for name, values in channels}
     log = log_of(np.arange(120) / 50, {n: pad(v) for n, v in columns.items()}, spans)
     checked = check(log, ROBOT)
-    assert set(checked.log.channels) <= set(log.channels)
+    made = {n.replace("angle_rad", "speed_rpm"): n for n in log.channels if "angle_rad" in n}
+    assert set(checked.log.channels) <= {*log.channels, *made}
     for name, channel in checked.log.channels.items():
         assert np.isfinite(channel.values).all()
-        assert 0 < len(channel) <= len(log[name])
+        assert 0 < len(channel) <= len(log[name] if name in log else log[made[name]])
 
 
 def pad(values):
@@ -381,7 +382,7 @@ def move(channel, offset_s, drift):
     return type(channel)(channel.t_s * (1 + drift) + offset_s, channel.values, channel.span)
 
 
-@pytest.mark.parametrize("size", [2 * math.pi, 50.0])
+@pytest.mark.parametrize("size", [2 * math.pi, 50.0, 6.4, 6.0, 5.5])
 def test_wheel_angles_that_wrap_are_made_continuous(table, size):
     t, columns = table
     angle = np.cumsum(columns[SPEEDS[0]]) * 0.02 * math.pi / 30
@@ -391,6 +392,32 @@ def test_wheel_angles_that_wrap_are_made_continuous(table, size):
     found = checked.log["wheel.fl.angle_rad"].values
     assert found - found[0] == pytest.approx(angle - angle[0], abs=0.02)
     assert "the angle wraps at" in checked.log.notices[0]
+
+
+@pytest.mark.parametrize("size", [2 * math.pi, 6.4])
+def test_the_size_of_a_counter_is_measured_to_its_noise(table, size):
+    """Many turns behind the start no error has grown: 6.4 rad are no turn, nor are 6.283."""
+    rng = np.random.default_rng(4)
+    t = np.arange(6000) * 0.02
+    angle = np.cumsum(rng.normal(0.15, 0.01, len(t))) + rng.normal(0.0, 0.001, len(t))
+    for seen in (angle % size, np.round(angle % size / 0.01) * 0.01):
+        checked = check(log_of(t, {"wheel.fl.angle_rad": seen, SPEEDS[0]: 0 * t + 1}), ROBOT)
+        found = checked.log["wheel.fl.angle_rad"].values
+        assert found[-1] - found[0] == pytest.approx(angle[-1] - angle[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [None, 2 * math.pi])
+def test_angles_of_wheels_alone_are_differentiated(table, size):
+    t, columns = table
+    whole = np.cumsum(columns[SPEEDS[0]]) * 0.02 * math.pi / 30
+    wheel = {n: c for n, c in columns.items() if n != SPEEDS[0]}
+    seen = whole if size is None else whole % size
+    checked = check(log_of(t, {**wheel, "wheel.fl.angle_rad": seen}), ROBOT)
+    channel = checked.log[SPEEDS[0]]
+    assert "wheel.fl.angle_rad" not in checked.log
+    assert channel.values == pytest.approx(columns[SPEEDS[0]][1:], abs=0.05)
+    assert channel.t_s == pytest.approx(t[1:] - 0.01)
+    assert "no speed was recorded of wheel.fl.angle_rad" in checked.log.notices[-1]
 
 
 def test_setpoints_above_the_top_speed_are_told(table):
