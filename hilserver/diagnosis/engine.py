@@ -14,6 +14,7 @@ from hilserver.diagnosis.decide.settling import Judged
 from hilserver.diagnosis.examine import Tell, beside, examine, noise_of_all, smallest_of
 from hilserver.diagnosis.findings.ceiling import ceilings
 from hilserver.diagnosis.findings.estimate import estimate_of, joint
+from hilserver.diagnosis.findings.explain import of_two_wheels
 from hilserver.diagnosis.findings.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, named
@@ -137,6 +138,8 @@ def judge(
         sizes, unseen = at_rest(sizes, unseen)
         found.append(too_little_motion())
     lap("gain")
+    if robot.wheelbase_m is None:
+        found = [of_two_wheels(finding) for finding in found]
     judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = vocabulary_reasons(judged_causes, examined.reasons, set(judged))
     findings = Findings(

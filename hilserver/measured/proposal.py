@@ -21,9 +21,19 @@ _WHEELS: Final = (
 )
 _TIMES: Final = {"t", "time", "timestamp", "stamp", "secs", "seconds", "nsecs"}
 _TIME_UNITS: Final = {"ms": "ms", "us": "us", "ns": "ns", "nsecs": "ns"}
+_TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}
+"""Of whole numbers that count from 1970."""
 _SENT: Final = {"setpoint", "set", "cmd", "command", "target", "ref", "desired", "sp", "goal"}
-_SPEED: Final = {"speed", "vel", "velocity", "rpm", "omega", "w", "encoder"}
 _DUTY: Final = {"duty", "pwm", "effort"}
+_SPEED: Final = {"speed", "vel", "velocity", "rpm", "omega", "w"}
+_COUNTS: Final = {"tick", "ticks", "count", "counts", "counter", "enc", "encoder", "pulses"}
+_ANGLE: Final = {"angle", "position", "pos"}
+_OTHER: Final = {"current", "torque", "temp", "temperature", "force", "amps", "acc", "name", "id"}
+"""What a wheel has besides, and no signal is."""
+_ODOMETRY: Final = {"odom", "odometry", "wheelodom"}
+_NUMBERED: Final = re.compile(r"(.*?)\[?(\d)\]?(\D*)")
+_OF_WHEELS: Final = {*_SPEED, *_COUNTS, *_ANGLE, *_DUTY, "wheel", "motor", "joint"}
+_ORDER: Final = {2: ("left", "right"), 4: ("fl", "fr", "rl", "rr")}
 _TURN: Final = {"yaw", "theta", "heading", "psi"}
 _GYRO: Final = {"gyro", "yawrate", "wz", "gz", "imu"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
@@ -47,27 +57,34 @@ class ForeignTable(LogError):
         Text of a mapping file; empty where no column looks like a signal.
     """
 
-    def __init__(self, path: object, header: Sequence[str]) -> None:
+    def __init__(self, path: object, header: Sequence[str], row: Sequence[str] = ()) -> None:
         columns = ", ".join(f"'{name}'" for name in header)
-        self.proposal = propose(header)
+        self.proposal = propose(header, row)
         super().__init__(
             f"{path}: row 1: none of the columns {columns:.600} is a signal of hilserver; name them"
             " in a mapping file and give it with --mapping"
         )
 
 
-def propose(header: Sequence[str]) -> str:
-    """Return the text of a mapping file for a table with these columns; empty without a guess."""
+def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
+    """Return the text of a mapping file for a table with these columns; empty without a guess.
+
+    Parameters
+    ----------
+    row : sequence of str
+        The first row: names of joints stand in it where columns are numbered.
+    """
     time = ""
-    channels: dict[str, tuple[str, str]] = {}
-    for name in header:
-        words = _words(name)
+    channels: dict[str, str] = {}
+    for name, words in zip(header, _meanings(header, row), strict=True):
         if not time and words & _TIMES:
-            unit = next((u for word, u in _TIME_UNITS.items() if word in words), "s")
+            first = dict(zip(header, row, strict=False)).get(name, "").strip()
+            unit = _TIME_DIGITS.get(len(first) if first.isdecimal() else 0, "s")
+            unit = next((u for word, u in _TIME_UNITS.items() if word in words), unit)
             time = f"time: {{column: {_quoted(name)}, unit: {unit}}}"
             continue
-        for signal in _signals(words):
-            channels.setdefault(signal, (name, _unit(name, signal)))
+        for signal in _signals(words, _unit(name, "wheel.fl.speed_rpm")):
+            channels.setdefault(signal, _line(signal, name, words))
     if not channels:
         return ""
     lines = [
@@ -75,13 +92,49 @@ def propose(header: Sequence[str]) -> str:
         "# Right wheels turn backwards when the robot drives forward: where they count forward as",
         "# positive, 'sign: -1' turns them round.",
         time or "time: {rate_hz: 50}   # no column of times was seen: write the rate of the rows",
+        "# The machine that was recorded; without it the configured one. Two wheels: no wheelbase_m.",
+        "# plant: {wheel_radius_m: 0.1, track_m: 0.4, wheelbase_m: 0.3}",
+        "plant: {}",
         "channels:",
+        *(channels[signal] for signal in sorted(channels)),
     ]
-    for signal in sorted(channels):
-        name, unit = channels[signal]
-        sign = ", sign: -1" if signal.startswith(("wheel.fr", "wheel.rr")) else ""
-        lines.append(f"  {signal}: {{column: {_quoted(name)}{unit}{sign}}}")
     return "\n".join(lines) + "\n"
+
+
+def _line(signal: str, name: str, words: set[str]) -> str:
+    unit, note = _unit(name, signal), ""
+    if signal.endswith("angle_rad") and words & _COUNTS:
+        unit = ', unit: "1", scale: 0.001'
+        note = "   # counts: write 2 pi / counts per turn as the scale"
+    elif signal.endswith("speed_rpm") and not unit and "rpm" not in words:
+        note = "   # rpm? Counts are an angle: wheel.fl.angle_rad, with a scale"
+    elif signal.startswith("nav.") and words & _ODOMETRY:
+        note = "   # made of the wheels' speeds? Then it shows none of their errors: leave it out"
+    sign = ", sign: -1" if signal.startswith(("wheel.fr", "wheel.rr")) else ""
+    return f"  {signal}: {{column: {_quoted(name)}{unit}{sign}}}{note}"
+
+
+def _meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
+    """Return the words of every column; numbered ones are wheels, named by the row or in order."""
+    numbered = {name: match for name in header if (match := _NUMBERED.fullmatch(name))}
+    names = {
+        numbered[name][2]: text
+        for name, text in zip(header, row, strict=False)
+        if name in numbered and numbered[name][1].lower().endswith("name")
+    }
+    alike: dict[tuple[str, str], list[str]] = {}
+    for match in numbered.values():
+        alike.setdefault((match[1], match[3]), []).append(match[2])
+    meanings = []
+    for name in header:
+        words = _words(name)
+        if name in numbered and words & _OF_WHEELS:
+            match = numbered[name]
+            digits = sorted(alike[match[1], match[3]])
+            order = _ORDER.get(len(digits), ("",) * len(digits))
+            words |= _words(names.get(match[2]) or order[digits.index(match[2])])
+        meanings.append(words)
+    return meanings
 
 
 def _words(name: str) -> set[str]:
@@ -89,14 +142,17 @@ def _words(name: str) -> set[str]:
     return {*words, *("".join(pair) for pair in pairwise(words))}
 
 
-def _signals(words: set[str]) -> list[str]:
-    """Return the signals that a column with these words may be."""
+def _signals(words: set[str], unit: str) -> list[str]:
+    """Return the signals that a column with these words may be; `unit` is that of a speed."""
     wheels = next((found for names, found in _WHEELS if words & names), ())
     if wheels:
         for names, quantity in ((_SENT, "setpoint_rpm"), (_DUTY, "duty_pct")):
             if words & names:
                 return [f"wheel.{wheel}.{quantity}" for wheel in wheels]
-        return [f"wheel.{wheel}.speed_rpm" for wheel in wheels]
+        if words & _OTHER:
+            return []
+        is_angle = words & {*_COUNTS, *_ANGLE} and not words & _SPEED and not unit
+        return [f"wheel.{wheel}.{'angle_rad' if is_angle else 'speed_rpm'}" for wheel in wheels]
     if words & _SENT and words & {"linear", "v", "x"}:
         return ["twist.linear_m_s"]
     if words & _SENT and words & {"angular", "w", "z", "omega"}:

@@ -83,20 +83,20 @@ def refuse_foreign(path: Path) -> None:
     ForeignTable
     """
     if path.suffix == ".parquet":
-        header = read_parquet(path).header
+        header, first = read_parquet(path, ()).header, []
     elif path.suffix == ".csv":
         with path.open("rb") as file:
-            row = file.readline(1 << 20)
+            rows = file.readline(1 << 20), file.readline(1 << 20)
         try:
-            names = row.decode("utf-8-sig").strip().split(",")
+            texts = [row.decode("utf-8-sig").strip().split(",") for row in rows]
         except UnicodeDecodeError:
             return  # the reader says what it is
-        header = [name.strip().strip('"') for name in names]
+        header, first = ([text.strip().strip('"') for text in row] for row in texts)
     else:
         return
     is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
     if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):
-        foreign = ForeignTable(path, header)
+        foreign = ForeignTable(path, header, first)
         if foreign.proposal:  # else the reader says what is wrong
             raise foreign
 

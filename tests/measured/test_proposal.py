@@ -1,11 +1,12 @@
 """A foreign table without a mapping: its columns are listed and a mapping file is proposed."""
 
 import pytest
+import yaml
 
 from hilserver.commands import main
 from hilserver.errors import LogError
 from hilserver.measured.mapping import load_mapping
-from hilserver.measured.proposal import propose
+from hilserver.measured.proposal import ForeignTable, propose
 from hilserver.measured.reading import read_measured
 
 FOREIGN = "time_ms,left_rad_s,right_rad_s,cmd_left_rpm,cmd_right_rpm,x,y,heading_deg,gyro_z,vbat"
@@ -49,6 +50,11 @@ def test_the_proposal_is_a_mapping_that_reads_the_table(tmp_path):
         ("cmd_vel.angular.z", ["twist.angular_rad_s"]),
         ("theta", ["nav.yaw_rad"]),
         ("humidity", []),
+        ("left_ticks", ["wheel.fl.angle_rad", "wheel.rl.angle_rad"]),
+        ("encoder_count_rl", ["wheel.rl.angle_rad"]),
+        ("left_encoder_rad_s", ["wheel.fl.speed_rpm", "wheel.rl.speed_rpm"]),
+        ("left_motor_current", []),
+        ("wheel_position_fr", ["wheel.fr.angle_rad"]),
     ],
 )
 def test_names_of_others(column, signals):
@@ -76,3 +82,51 @@ def test_a_name_of_ours_that_is_mistyped_is_still_said(tmp_path):
 
 def test_without_a_guess_there_is_no_proposal():
     assert propose(["a", "b"]) == ""
+
+
+def channels_of(text):
+    mapping = yaml.safe_load(text)
+    return {name: channel["column"] for name, channel in mapping["channels"].items()}
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["field.velocity0", "field.velocity1"], ("field.velocity0", "field.velocity1")),
+        (["vel[0]", "vel[1]", "vel[2]", "vel[3]"], ("vel[0]", "vel[1]")),
+        (["motor1_rpm", "motor2_rpm"], ("motor1_rpm", "motor2_rpm")),
+    ],
+)
+def test_numbered_columns_are_wheels_in_order(names, expected):
+    found = channels_of(propose(["time", *names]))
+    assert (found["wheel.fl.speed_rpm"], found["wheel.fr.speed_rpm"]) == expected
+
+
+def test_numbers_that_are_no_wheels_stay_what_they_are():
+    assert channels_of(propose(["t", "x1", "x2"])) == {"nav.x_m": "x1"}
+
+
+def test_the_first_row_names_the_joints_and_the_unit_of_time(tmp_path):
+    header = ["%time", "field.name0", "field.name1", "field.velocity0", "field.velocity1"]
+    row = ["1700000000000000000", "right_wheel_joint", "left_wheel_joint", "1.0", "2.0"]
+    lines = [header, *([str(int(row[0]) + i * 10**7), *row[1:]] for i in range(200))]
+    (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)) + "\n")
+    with pytest.raises(ForeignTable) as error:
+        read_measured([tmp_path / "log.csv"])
+    (tmp_path / "map.yaml").write_text(error.value.proposal)
+    mapping = load_mapping(tmp_path / "map.yaml")
+    assert mapping.time.unit == "ns"
+    assert mapping.channels["wheel.fl.speed_rpm"].column == "field.velocity1"
+    assert read_measured([tmp_path / "log.csv"], tmp_path / "map.yaml")["wheel.fr.speed_rpm"]
+
+
+def test_the_proposal_has_a_plant_and_warns_of_what_it_cannot_know():
+    text = propose(["time", "left_ticks", "right", "right_rpm", "odom.x", "odom.y", "tag.yaw"])
+    assert yaml.safe_load(text)["plant"] == {}
+    assert "plant: {wheel_radius_m: 0.1, track_m: 0.4, wheelbase_m: 0.3}" in text
+    said = {line.split(":")[0].strip(): line.partition("#")[2] for line in text.splitlines()}
+    assert "2 pi / counts per turn" in said["wheel.fl.angle_rad"]
+    assert "rpm?" in said["wheel.fr.speed_rpm"]
+    assert "made of the wheels' speeds?" in said["nav.x_m"]
+    assert not said["nav.yaw_rad"]
+    assert not said["time"]

@@ -112,6 +112,14 @@ def explain_finding(finding: Finding) -> str:
     return text
 
 
+def of_two_wheels(finding: Finding) -> Finding:
+    """Return a finding of a robot with one wheel a side: not front, not rear."""
+    text = finding.explanation
+    for side in ("left", "right"):
+        text = text.replace(f"front {side} or rear {side}", side)
+    return finding.model_copy(update={"explanation": text})
+
+
 def remedy(cause: str) -> str:
     """Return what to do about a cause."""
     return sentences()[cause_of(cause).name].remedy
