@@ -9,22 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+import hilserver.plant.layout as at
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    GOOD,
-    N_WHEELS,
-    P_BATTERY_ENABLED,
-    P_CHARGE_PER_A,
-    P_DUTY_CURRENT,
-    P_IDLE_CURRENT,
-    P_RESISTANCE,
-    X_BATTERY_V,
-    X_CHARGE,
-    Y_BATTERY,
-    Y_CURRENT,
-    Y_DUTY,
-)
 
 LOWEST_V: Final = 17.5
 HIGHEST_V: Final = 23.5
@@ -46,21 +32,21 @@ def open_circuit_voltage(charge: float) -> float:
 @part
 def drawn_current(p: Any, y: Any) -> float:
     """Return the current [A] of electronics and wheels under the duties of this tick."""
-    current = p[P_IDLE_CURRENT]
-    for i in range(N_WHEELS):
-        current += p[P_DUTY_CURRENT] * abs(y[Y_DUTY + i])
+    current = p[at.P_IDLE_CURRENT]
+    for i in range(at.N_WHEELS):
+        current += p[at.P_DUTY_CURRENT] * abs(y[at.Y_DUTY + i])
     return float(current)
 
 
 @part
 def battery_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Publish the voltage under the load of this tick and take the charge of one run."""
-    if p[P_BATTERY_ENABLED] == 0.0:
-        q[Y_BATTERY] = q[Y_CURRENT] = BAD_OUT_OF_SERVICE
+    if p[at.P_BATTERY_ENABLED] == 0.0:
+        q[at.Y_BATTERY] = q[at.Y_CURRENT] = at.BAD_OUT_OF_SERVICE
         return
     current = drawn_current(p, y)
-    voltage = open_circuit_voltage(x[X_CHARGE]) - p[P_RESISTANCE] * current
-    x[X_BATTERY_V] = min(max(voltage, LOWEST_V), HIGHEST_V)
-    y[Y_BATTERY], y[Y_CURRENT] = x[X_BATTERY_V], current
-    q[Y_BATTERY] = q[Y_CURRENT] = GOOD
-    x[X_CHARGE] = max(x[X_CHARGE] - p[P_CHARGE_PER_A] * current, 0.0)
+    voltage = open_circuit_voltage(x[at.X_CHARGE]) - p[at.P_RESISTANCE] * current
+    x[at.X_BATTERY_V] = min(max(voltage, LOWEST_V), HIGHEST_V)
+    y[at.Y_BATTERY], y[at.Y_CURRENT] = x[at.X_BATTERY_V], current
+    q[at.Y_BATTERY] = q[at.Y_CURRENT] = at.GOOD
+    x[at.X_CHARGE] = max(x[at.X_CHARGE] - p[at.P_CHARGE_PER_A] * current, 0.0)

@@ -8,60 +8,8 @@ acceleration at t_k.
 import math
 from typing import Any
 
+import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.layout import (
-    N_WHEELS,
-    P_A00,
-    P_A01,
-    P_A10,
-    P_A11,
-    P_ANTI_WINDUP_STEP,
-    P_B0,
-    P_B1,
-    P_BACKLASH,
-    P_BODY_WHEELS,
-    P_CONTROL_TICKS,
-    P_COULOMB,
-    P_DEAD_ZONE,
-    P_DERIVATIVE_GAIN,
-    P_DERIVATIVE_KEEP,
-    P_DT,
-    P_ENCODER_GAIN,
-    P_ENCODER_KEEP,
-    P_ENCODER_SHARE,
-    P_EULER,
-    P_GAIN,
-    P_INVERSE_T2,
-    P_KI_STEP,
-    P_KP,
-    P_LIMIT,
-    P_LOAD,
-    P_QUANTUM,
-    P_SAG,
-    P_STRIBECK,
-    P_STRIBECK_SPEED,
-    P_T1,
-    P_T2,
-    P_VISCOUS,
-    X_ANGLE,
-    X_BATTERY_V,
-    X_CONTROL_PHASE,
-    X_DERIVATIVE,
-    X_DIRECT,
-    X_DUTY,
-    X_DUTY_COMMAND,
-    X_ENCODER,
-    X_GAINS,
-    X_GAP,
-    X_INTEGRAL,
-    X_LAST_ERROR,
-    X_MOTOR,
-    X_SETPOINT,
-    X_SPEED,
-    Y_ANGLE,
-    Y_DUTY,
-    Y_SPEED,
-)
 from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
 REST_RPM = 0.05
@@ -72,29 +20,31 @@ Sums = tuple[float, float, float, float, float, float]
 @inlined
 def drive_base(p: Any, x: Any, y: Any) -> Sums:
     """All drive terms at null: the controller at the plant slice, the exact joint solution."""
-    if x[X_DIRECT] + x[X_GAINS] != 0.0:
+    if x[at.X_DIRECT] + x[at.X_GAINS] != 0.0:
         return drive_terms(p, x, y)  # type: ignore[no-any-return]
-    kp, ki_step, anti_windup, limit = p[P_KP], p[P_KI_STEP], p[P_ANTI_WINDUP_STEP], p[P_LIMIT]
-    a00, a01, a10, a11, b0, b1 = p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0], p[P_B1]
-    half_turn = p[P_DT] * (0.5 * RAD_S_PER_RPM)
-    left, right = x[X_SPEED] + x[X_SPEED + 1], x[X_SPEED + 2] + x[X_SPEED + 3]
-    accel_left = (x[X_MOTOR] + x[X_MOTOR + 1] - left) * p[P_INVERSE_T2]
-    accel_right = (x[X_MOTOR + 2] + x[X_MOTOR + 3] - right) * p[P_INVERSE_T2]
-    for i in range(N_WHEELS):
-        speed, motor, integral = x[X_SPEED + i], x[X_MOTOR + i], x[X_INTEGRAL + i]
-        error = x[X_SETPOINT + i] - speed
+    kp, ki_step = p[at.P_KP], p[at.P_KI_STEP]
+    anti_windup, limit = p[at.P_ANTI_WINDUP_STEP], p[at.P_LIMIT]
+    a00, a01, b0 = p[at.P_A00], p[at.P_A01], p[at.P_B0]
+    a10, a11, b1 = p[at.P_A10], p[at.P_A11], p[at.P_B1]
+    half_turn = p[at.P_DT] * (0.5 * RAD_S_PER_RPM)
+    left, right = x[at.X_SPEED] + x[at.X_SPEED + 1], x[at.X_SPEED + 2] + x[at.X_SPEED + 3]
+    accel_left = (x[at.X_MOTOR] + x[at.X_MOTOR + 1] - left) * p[at.P_INVERSE_T2]
+    accel_right = (x[at.X_MOTOR + 2] + x[at.X_MOTOR + 3] - right) * p[at.P_INVERSE_T2]
+    for i in range(at.N_WHEELS):
+        speed, motor, integral = x[at.X_SPEED + i], x[at.X_MOTOR + i], x[at.X_INTEGRAL + i]
+        error = x[at.X_SETPOINT + i] - speed
         wanted = kp * error + integral
         duty = min(max(wanted, -limit), limit)
         speed_next = a10 * motor + a11 * speed + b1 * duty
-        y[Y_SPEED + i] = speed
-        y[Y_DUTY + i] = duty
-        y[Y_ANGLE + i] = x[X_ANGLE + i]
-        x[X_INTEGRAL + i] = integral + (ki_step * error + anti_windup * (duty - wanted))
-        x[X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
-        x[X_SPEED + i] = speed_next
-        x[X_ANGLE + i] += half_turn * (speed + speed_next)
-    mean_left = 0.5 * (left + (x[X_SPEED] + x[X_SPEED + 1]))
-    mean_right = 0.5 * (right + (x[X_SPEED + 2] + x[X_SPEED + 3]))
+        y[at.Y_SPEED + i] = speed
+        y[at.Y_DUTY + i] = duty
+        y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
+        x[at.X_INTEGRAL + i] = integral + (ki_step * error + anti_windup * (duty - wanted))
+        x[at.X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
+        x[at.X_SPEED + i] = speed_next
+        x[at.X_ANGLE + i] += half_turn * (speed + speed_next)
+    mean_left = 0.5 * (left + (x[at.X_SPEED] + x[at.X_SPEED + 1]))
+    mean_right = 0.5 * (right + (x[at.X_SPEED + 2] + x[at.X_SPEED + 3]))
     return left, right, mean_left, mean_right, accel_left, accel_right
 
 
@@ -105,56 +55,56 @@ def encoder(p: Any, x: Any, i: int) -> float:
     The filter is exact for a speed that changes evenly over a tick. Held speeds would make it half
     a tick too quick.
     """
-    speed = float(x[X_SPEED + i])
+    speed = float(x[at.X_SPEED + i])
     seen = speed
-    if p[P_ENCODER_SHARE] != 1.0:
-        seen = x[X_ENCODER + i] + p[P_ENCODER_SHARE] * speed
-        rest = 1.0 - p[P_ENCODER_SHARE] - p[P_ENCODER_KEEP]
-        x[X_ENCODER + i] = p[P_ENCODER_KEEP] * seen + rest * speed
-    seen *= p[P_ENCODER_GAIN + i]
-    if p[P_QUANTUM] != 0.0:
-        seen = p[P_QUANTUM] * math.floor(seen / p[P_QUANTUM] + 0.5)
+    if p[at.P_ENCODER_SHARE] != 1.0:
+        seen = x[at.X_ENCODER + i] + p[at.P_ENCODER_SHARE] * speed
+        rest = 1.0 - p[at.P_ENCODER_SHARE] - p[at.P_ENCODER_KEEP]
+        x[at.X_ENCODER + i] = p[at.P_ENCODER_KEEP] * seen + rest * speed
+    seen *= p[at.P_ENCODER_GAIN + i]
+    if p[at.P_QUANTUM] != 0.0:
+        seen = p[at.P_QUANTUM] * math.floor(seen / p[at.P_QUANTUM] + 0.5)
     return float(seen)
 
 
 @part
 def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
     """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; sets the held duty."""
-    kp, ki_step = p[P_KP], p[P_KI_STEP]
-    if x[X_GAINS] != 0.0:
-        kp, ki_step = x[X_GAINS + 1], x[X_GAINS + 2] * p[P_CONTROL_TICKS] * p[P_DT]
-    error = x[X_SETPOINT + i] - seen_rpm
-    wanted = kp * error + x[X_INTEGRAL + i]
-    if p[P_DERIVATIVE_GAIN] != 0.0:
-        x[X_DERIVATIVE + i] = p[P_DERIVATIVE_KEEP] * x[X_DERIVATIVE + i] + p[P_DERIVATIVE_GAIN] * (
-            error - x[X_LAST_ERROR + i]
-        )
-        x[X_LAST_ERROR + i] = error
-        wanted += x[X_DERIVATIVE + i]
-    limit = p[P_LIMIT]
+    kp, ki_step = p[at.P_KP], p[at.P_KI_STEP]
+    if x[at.X_GAINS] != 0.0:
+        kp, ki_step = x[at.X_GAINS + 1], x[at.X_GAINS + 2] * p[at.P_CONTROL_TICKS] * p[at.P_DT]
+    error = x[at.X_SETPOINT + i] - seen_rpm
+    wanted = kp * error + x[at.X_INTEGRAL + i]
+    if p[at.P_DERIVATIVE_GAIN] != 0.0:
+        x[at.X_DERIVATIVE + i] = p[at.P_DERIVATIVE_KEEP] * x[at.X_DERIVATIVE + i] + p[
+            at.P_DERIVATIVE_GAIN
+        ] * (error - x[at.X_LAST_ERROR + i])
+        x[at.X_LAST_ERROR + i] = error
+        wanted += x[at.X_DERIVATIVE + i]
+    limit = p[at.P_LIMIT]
     duty = min(max(wanted, -limit), limit)
-    x[X_INTEGRAL + i] += ki_step * error + p[P_ANTI_WINDUP_STEP] * (duty - wanted)
-    x[X_DUTY + i] = duty
+    x[at.X_INTEGRAL + i] += ki_step * error + p[at.P_ANTI_WINDUP_STEP] * (duty - wanted)
+    x[at.X_DUTY + i] = duty
 
 
 @part
 def pass_duty(p: Any, x: Any, i: int) -> None:
     """Take the commanded duty of wheel `i` instead of the controller's, which takes note of it."""
-    limit = p[P_LIMIT]
-    duty = min(max(x[X_DUTY_COMMAND + i], -limit), limit)
-    x[X_DUTY + i] = x[X_INTEGRAL + i] = duty
-    x[X_DERIVATIVE + i] = x[X_LAST_ERROR + i] = 0.0
+    limit = p[at.P_LIMIT]
+    duty = min(max(x[at.X_DUTY_COMMAND + i], -limit), limit)
+    x[at.X_DUTY + i] = x[at.X_INTEGRAL + i] = duty
+    x[at.X_DERIVATIVE + i] = x[at.X_LAST_ERROR + i] = 0.0
 
 
 @part
 def load(p: Any, i: int, duty_pct: float, speed_rpm: float) -> float:
     """Return the duty [%] that dead zone and friction (steps 4, 5) leave to the process."""
-    if p[P_DEAD_ZONE] != 0.0:
-        duty_pct = math.copysign(max(abs(duty_pct) - p[P_DEAD_ZONE], 0.0), duty_pct)
-    friction = p[P_COULOMB] + p[P_LOAD + i]
-    if p[P_STRIBECK] != 0.0:
-        ratio = speed_rpm / p[P_STRIBECK_SPEED]
-        friction += p[P_STRIBECK] * math.exp(-ratio * ratio)
+    if p[at.P_DEAD_ZONE] != 0.0:
+        duty_pct = math.copysign(max(abs(duty_pct) - p[at.P_DEAD_ZONE], 0.0), duty_pct)
+    friction = p[at.P_COULOMB] + p[at.P_LOAD + i]
+    if p[at.P_STRIBECK] != 0.0:
+        ratio = speed_rpm / p[at.P_STRIBECK_SPEED]
+        friction += p[at.P_STRIBECK] * math.exp(-ratio * ratio)
     if friction == 0.0:
         return duty_pct
     if abs(speed_rpm) >= REST_RPM:
@@ -206,14 +156,28 @@ def process_matrices(
 def process_of_tick(p: Any, voltage_v: float) -> tuple[float, float, float, float, float, float]:
     """Return the process of this tick: battery_sag scales the gain, and with it the coupling."""
     sag = 1.0
-    if p[P_SAG] != 0.0:
-        sag = max(1.0 + p[P_SAG] * (voltage_v / NOMINAL_V - 1.0), 0.0)
-    if sag == 1.0 or p[P_VISCOUS] == 0.0:
-        return p[P_A00], p[P_A01], p[P_A10], p[P_A11], p[P_B0] * sag, p[P_B1] * sag
-    if p[P_EULER] != 0.0:
-        return p[P_A00], p[P_A01] * sag, p[P_A10], p[P_A11], p[P_B0] * sag, p[P_B1]
+    if p[at.P_SAG] != 0.0:
+        sag = max(1.0 + p[at.P_SAG] * (voltage_v / NOMINAL_V - 1.0), 0.0)
+    if sag == 1.0 or p[at.P_VISCOUS] == 0.0:
+        return (
+            p[at.P_A00],
+            p[at.P_A01],
+            p[at.P_A10],
+            p[at.P_A11],
+            p[at.P_B0] * sag,
+            p[at.P_B1] * sag,
+        )
+    if p[at.P_EULER] != 0.0:
+        return (
+            p[at.P_A00],
+            p[at.P_A01] * sag,
+            p[at.P_A10],
+            p[at.P_A11],
+            p[at.P_B0] * sag,
+            p[at.P_B1],
+        )
     return process_matrices(  # type: ignore[no-any-return]
-        p[P_GAIN] * sag, p[P_VISCOUS], p[P_T1], p[P_T2], p[P_DT]
+        p[at.P_GAIN] * sag, p[at.P_VISCOUS], p[at.P_T1], p[at.P_T2], p[at.P_DT]
     )
 
 
@@ -225,47 +189,47 @@ def through_backlash(
 
     The motor moves freely inside the play; the wheel follows while a flank is in contact.
     """
-    half = p[P_BACKLASH]
-    gap = x[X_GAP + i]
+    half = p[at.P_BACKLASH]
+    gap = x[at.X_GAP + i]
     engaged = (gap >= half and speed_rpm > 0.0) or (gap <= -half and speed_rpm < 0.0)
-    turned = mean_rpm * RAD_S_PER_RPM * p[P_DT]
+    turned = mean_rpm * RAD_S_PER_RPM * p[at.P_DT]
     free = gap + turned
-    x[X_GAP + i] = min(max(free, -half), half)
-    moved = free - x[X_GAP + i]  # exactly 0 inside the play
-    return speed_rpm if engaged else 0.0, moved / (RAD_S_PER_RPM * p[P_DT])
+    x[at.X_GAP + i] = min(max(free, -half), half)
+    moved = free - x[at.X_GAP + i]  # exactly 0 inside the play
+    return speed_rpm if engaged else 0.0, moved / (RAD_S_PER_RPM * p[at.P_DT])
 
 
 @part
 def drive_terms(p: Any, x: Any, y: Any) -> Sums:
     """Run the drive with its terms, in the order of the contract; a term at null adds nothing."""
-    runs = x[X_CONTROL_PHASE] <= 1e-9
+    runs = x[at.X_CONTROL_PHASE] <= 1e-9
     if runs:
-        x[X_CONTROL_PHASE] += p[P_CONTROL_TICKS]
-    x[X_CONTROL_PHASE] -= 1.0
-    a00, a01, a10, a11, b0, b1 = process_of_tick(p, x[X_BATTERY_V])
-    half_turn = p[P_DT] * (0.5 * RAD_S_PER_RPM)
+        x[at.X_CONTROL_PHASE] += p[at.P_CONTROL_TICKS]
+    x[at.X_CONTROL_PHASE] -= 1.0
+    a00, a01, a10, a11, b0, b1 = process_of_tick(p, x[at.X_BATTERY_V])
+    half_turn = p[at.P_DT] * (0.5 * RAD_S_PER_RPM)
     left, right, mean_left, mean_right, accel_left, accel_right = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(N_WHEELS):
-        speed, motor = x[X_SPEED + i], x[X_MOTOR + i]
+    for i in range(at.N_WHEELS):
+        speed, motor = x[at.X_SPEED + i], x[at.X_MOTOR + i]
         seen = encoder(p, x, i)
-        if x[X_DIRECT] != 0.0:
+        if x[at.X_DIRECT] != 0.0:
             pass_duty(p, x, i)
         elif runs:
             controller(p, x, i, seen)
-        y[Y_SPEED + i] = seen
-        y[Y_DUTY + i] = x[X_DUTY + i]
-        y[Y_ANGLE + i] = x[X_ANGLE + i]
-        duty = load(p, i, x[X_DUTY + i], speed)
-        if p[P_BODY_WHEELS] != 0.0:  # the body takes the duty and hands the speed back
-            x[X_MOTOR + i] = duty * (b0 / p[P_B0])
+        y[at.Y_SPEED + i] = seen
+        y[at.Y_DUTY + i] = x[at.X_DUTY + i]
+        y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
+        duty = load(p, i, x[at.X_DUTY + i], speed)
+        if p[at.P_BODY_WHEELS] != 0.0:  # the body takes the duty and hands the speed back
+            x[at.X_MOTOR + i] = duty * (b0 / p[at.P_B0])
             motor = speed
         else:
-            x[X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
-            x[X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
-        x[X_ANGLE + i] += half_turn * (speed + x[X_SPEED + i])
-        mean = 0.5 * (speed + x[X_SPEED + i])
-        accel = (motor - speed) * p[P_INVERSE_T2]
-        if p[P_BACKLASH] != 0.0:
+            x[at.X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
+            x[at.X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
+        x[at.X_ANGLE + i] += half_turn * (speed + x[at.X_SPEED + i])
+        mean = 0.5 * (speed + x[at.X_SPEED + i])
+        accel = (motor - speed) * p[at.P_INVERSE_T2]
+        if p[at.P_BACKLASH] != 0.0:
             speed, mean = through_backlash(p, x, i, speed, mean)
             if speed == 0.0:
                 accel = 0.0

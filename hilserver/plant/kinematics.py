@@ -8,35 +8,8 @@ derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 import math
 from typing import Any
 
+import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.layout import (
-    P_ACCELERATION_SLIP,
-    P_BASE_TURN,
-    P_GAIN_RADIUS,
-    P_GAIN_SPEED,
-    P_HALF_TRACK,
-    P_ICR,
-    P_INVERSE_T2,
-    P_LONGITUDINAL_SLIP,
-    P_MISALIGNMENT,
-    P_RADIUS_LEFT,
-    P_RADIUS_RIGHT,
-    P_REGION_X_MAX,
-    P_REGION_X_MIN,
-    P_REGION_Y_MAX,
-    P_REGION_Y_MIN,
-    P_ROLLER_KEEP,
-    P_RUNOUT,
-    P_RUNOUT_PHASE,
-    P_SIDE_SLIP,
-    P_SURFACE_GAIN,
-    P_SURFACE_SPEED,
-    P_TRACTION,
-    P_YAW_GAIN,
-    X_MOTOR,
-    X_POSE,
-    X_SPEED,
-)
 from hilserver.plant.units import RAD_S_PER_RPM
 
 Velocity = tuple[float, float, float, float, float, float]
@@ -45,34 +18,41 @@ Velocity = tuple[float, float, float, float, float, float]
 @inlined
 def velocity_base(p: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> Velocity:
     """Return the velocity of the base model for side speeds [rad/s] and their rates [rad/s2]."""
-    left, right = p[P_RADIUS_LEFT] * w_l, p[P_RADIUS_RIGHT] * w_r
-    dleft, dright = p[P_RADIUS_LEFT] * dw_l, p[P_RADIUS_RIGHT] * dw_r
-    om = p[P_YAW_GAIN] * (left + right)
-    dom = p[P_YAW_GAIN] * (dleft + dright)
-    return 0.5 * (left - right), -p[P_ICR] * om, om, 0.5 * (dleft - dright), -p[P_ICR] * dom, dom
+    left, right = p[at.P_RADIUS_LEFT] * w_l, p[at.P_RADIUS_RIGHT] * w_r
+    dleft, dright = p[at.P_RADIUS_LEFT] * dw_l, p[at.P_RADIUS_RIGHT] * dw_r
+    om = p[at.P_YAW_GAIN] * (left + right)
+    dom = p[at.P_YAW_GAIN] * (dleft + dright)
+    return (
+        0.5 * (left - right),
+        -p[at.P_ICR] * om,
+        om,
+        0.5 * (dleft - dright),
+        -p[at.P_ICR] * dom,
+        dom,
+    )
 
 
 @inlined
 def _apart(p: Any, x: Any, first: int) -> float:
     """Return by how much the wheels of each side turn apart, as speed to the left."""
-    left = p[P_RADIUS_LEFT] * (x[first] - x[first + 1])
-    right = p[P_RADIUS_RIGHT] * (x[first + 2] - x[first + 3])
-    return float(-0.25 * RAD_S_PER_RPM * p[P_ROLLER_KEEP] * (left + right))
+    left = p[at.P_RADIUS_LEFT] * (x[first] - x[first + 1])
+    right = p[at.P_RADIUS_RIGHT] * (x[first + 2] - x[first + 3])
+    return float(-0.25 * RAD_S_PER_RPM * p[at.P_ROLLER_KEEP] * (left + right))
 
 
 @part
 def sideways(p: Any, x: Any) -> tuple[float, float]:
     """Return lateral speed [m/s] and its rate [m/s2] of mecanum wheels that turn as `x` says."""
-    speed = _apart(p, x, X_SPEED)
-    return speed, (_apart(p, x, X_MOTOR) - speed) * p[P_INVERSE_T2]
+    speed = _apart(p, x, at.X_SPEED)
+    return speed, (_apart(p, x, at.X_MOTOR) - speed) * p[at.P_INVERSE_T2]
 
 
 @part
 def in_region(p: Any, x: Any) -> bool:
     """Return whether the centre of mass stands on the patch of `surface_change`."""
     return bool(
-        p[P_REGION_X_MIN] <= x[X_POSE] <= p[P_REGION_X_MAX]
-        and p[P_REGION_Y_MIN] <= x[X_POSE + 1] <= p[P_REGION_Y_MAX]
+        p[at.P_REGION_X_MIN] <= x[at.X_POSE] <= p[at.P_REGION_X_MAX]
+        and p[at.P_REGION_Y_MIN] <= x[at.X_POSE + 1] <= p[at.P_REGION_Y_MAX]
     )
 
 
@@ -82,15 +62,15 @@ def turning_gain(
 ) -> tuple[float, float]:
     """Return the factor on K_om that speed and path radius make, and its rate (step 9)."""
     speed, dspeed = abs(v0), dv0 if v0 >= 0.0 else -dv0
-    gain = 1.0 + p[P_GAIN_SPEED] * speed
-    dgain = p[P_GAIN_SPEED] * dspeed
-    turn = p[P_BASE_TURN] * abs(w_l + w_r) * p[P_HALF_TRACK]
+    gain = 1.0 + p[at.P_GAIN_SPEED] * speed
+    dgain = p[at.P_GAIN_SPEED] * dspeed
+    turn = p[at.P_BASE_TURN] * abs(w_l + w_r) * p[at.P_HALF_TRACK]
     whole = speed + turn
-    if p[P_GAIN_RADIUS] != 0.0 and whole > 0.0:
+    if p[at.P_GAIN_RADIUS] != 0.0 and whole > 0.0:
         dsum = dw_l + dw_r
-        dturn = p[P_BASE_TURN] * p[P_HALF_TRACK] * (dsum if w_l + w_r >= 0.0 else -dsum)
-        share = 1.0 + p[P_GAIN_RADIUS] * speed / whole
-        dshare = p[P_GAIN_RADIUS] * (dspeed * turn - speed * dturn) / (whole * whole)
+        dturn = p[at.P_BASE_TURN] * p[at.P_HALF_TRACK] * (dsum if w_l + w_r >= 0.0 else -dsum)
+        share = 1.0 + p[at.P_GAIN_RADIUS] * speed / whole
+        dshare = p[at.P_GAIN_RADIUS] * (dspeed * turn - speed * dturn) / (whole * whole)
         return gain * share, dgain * share + gain * dshare
     return gain, dgain
 
@@ -112,33 +92,33 @@ def velocity_terms(
     itself, which would need the wheels' jerk, is left out of `dv`.
     """
     wave, dwave = 1.0, 0.0
-    if p[P_RUNOUT] != 0.0:
-        wave = 1.0 + p[P_RUNOUT] * math.sin(angle_left + p[P_RUNOUT_PHASE])
-        dwave = p[P_RUNOUT] * math.cos(angle_left + p[P_RUNOUT_PHASE]) * w_l
-    left, right = p[P_RADIUS_LEFT] * wave * w_l, p[P_RADIUS_RIGHT] * w_r
-    dleft = p[P_RADIUS_LEFT] * (dwave * w_l + wave * dw_l)
-    dright = p[P_RADIUS_RIGHT] * dw_r
+    if p[at.P_RUNOUT] != 0.0:
+        wave = 1.0 + p[at.P_RUNOUT] * math.sin(angle_left + p[at.P_RUNOUT_PHASE])
+        dwave = p[at.P_RUNOUT] * math.cos(angle_left + p[at.P_RUNOUT_PHASE]) * w_l
+    left, right = p[at.P_RADIUS_LEFT] * wave * w_l, p[at.P_RADIUS_RIGHT] * w_r
+    dleft = p[at.P_RADIUS_LEFT] * (dwave * w_l + wave * dw_l)
+    dright = p[at.P_RADIUS_RIGHT] * dw_r
     v0, dv0 = 0.5 * (left - right), 0.5 * (dleft - dright)
     gain, dgain = turning_gain(p, v0, dv0, w_l, w_r, dw_l, dw_r)
-    gain = gain * p[P_SURFACE_GAIN] if inside else gain
-    dgain = dgain * p[P_SURFACE_GAIN] if inside else dgain
-    om = p[P_YAW_GAIN] * gain * (left + right)
-    dom = p[P_YAW_GAIN] * (dgain * (left + right) + gain * (dleft + dright))
-    keep = 1.0 - p[P_LONGITUDINAL_SLIP] * abs(om)
-    dkeep = -p[P_LONGITUDINAL_SLIP] * (dom if om >= 0.0 else -dom)
-    grip = p[P_TRACTION] * max(0.0, 1.0 - p[P_ACCELERATION_SLIP] * abs(dv0))
-    grip = grip * p[P_SURFACE_SPEED] if inside else grip
+    gain = gain * p[at.P_SURFACE_GAIN] if inside else gain
+    dgain = dgain * p[at.P_SURFACE_GAIN] if inside else dgain
+    om = p[at.P_YAW_GAIN] * gain * (left + right)
+    dom = p[at.P_YAW_GAIN] * (dgain * (left + right) + gain * (dleft + dright))
+    keep = 1.0 - p[at.P_LONGITUDINAL_SLIP] * abs(om)
+    dkeep = -p[at.P_LONGITUDINAL_SLIP] * (dom if om >= 0.0 else -dom)
+    grip = p[at.P_TRACTION] * max(0.0, 1.0 - p[at.P_ACCELERATION_SLIP] * abs(dv0))
+    grip = grip * p[at.P_SURFACE_SPEED] if inside else grip
     return v0 * keep * grip, om, (dv0 * keep + v0 * dkeep) * grip, dom
 
 
 @part
 def across(p: Any, v: float, om: float, dv: float, dom: float) -> tuple[float, float]:
     """Return the lateral velocity [m/s] of a body with these, and its rate [m/s2] (step 10)."""
-    vy, dvy = -p[P_ICR] * om, -p[P_ICR] * dom
-    if p[P_SIDE_SLIP] != 0.0:
-        vy += p[P_SIDE_SLIP] * v * om
-        dvy += p[P_SIDE_SLIP] * (dv * om + v * dom)
-    if p[P_MISALIGNMENT] != 0.0:
-        vy += p[P_MISALIGNMENT] * v
-        dvy += p[P_MISALIGNMENT] * dv
+    vy, dvy = -p[at.P_ICR] * om, -p[at.P_ICR] * dom
+    if p[at.P_SIDE_SLIP] != 0.0:
+        vy += p[at.P_SIDE_SLIP] * v * om
+        dvy += p[at.P_SIDE_SLIP] * (dv * om + v * dom)
+    if p[at.P_MISALIGNMENT] != 0.0:
+        vy += p[at.P_MISALIGNMENT] * v
+        dvy += p[at.P_MISALIGNMENT] * dv
     return vy, dvy

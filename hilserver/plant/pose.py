@@ -5,13 +5,8 @@ from typing import Any
 
 import numpy as np
 
+import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.layout import (
-    U_POSE,
-    U_POSE_REQUEST,
-    X_POSE,
-    X_POSE_REQUEST,
-)
 
 TURN = 2.0 * math.pi
 SERIES_LIMIT_RAD = 0.05  # below, the next term of the series is under half a unit in the last place
@@ -52,18 +47,18 @@ def move(x: Any, v: float, vy: float, om: float, dt_s: float) -> None:
     """
     half = 0.5 * om * dt_s
     chord = dt_s * sinc(half)
-    heading = x[X_POSE + 2] + half
+    heading = x[at.X_POSE + 2] + half
     cos, sin = math.cos(heading), math.sin(heading)
-    x[X_POSE] += chord * (v * cos - vy * sin)
-    x[X_POSE + 1] += chord * (v * sin + vy * cos)
-    x[X_POSE + 2] = wrap(heading + half)
+    x[at.X_POSE] += chord * (v * cos - vy * sin)
+    x[at.X_POSE + 1] += chord * (v * sin + vy * cos)
+    x[at.X_POSE + 2] = wrap(heading + half)
 
 
 @inlined
 def set_pose(x: Any, u: Any) -> None:
     """Place the robot where the hidden pose request asks, once per change of its counter."""
-    if u[U_POSE_REQUEST] != x[X_POSE_REQUEST]:
-        x[X_POSE_REQUEST] = u[U_POSE_REQUEST]
-        x[X_POSE] = u[U_POSE]
-        x[X_POSE + 1] = u[U_POSE + 1]
-        x[X_POSE + 2] = wrap(u[U_POSE + 2])
+    if u[at.U_POSE_REQUEST] != x[at.X_POSE_REQUEST]:
+        x[at.X_POSE_REQUEST] = u[at.U_POSE_REQUEST]
+        x[at.X_POSE] = u[at.U_POSE]
+        x[at.X_POSE + 1] = u[at.U_POSE + 1]
+        x[at.X_POSE + 2] = wrap(u[at.U_POSE + 2])

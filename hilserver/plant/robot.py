@@ -7,6 +7,7 @@ latched and every output of t_k is written; then the state moves to t_(k+1).
 import math
 from typing import Any
 
+import hilserver.plant.layout as at
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
@@ -16,24 +17,6 @@ from hilserver.plant.kinematics import (
     sideways,
     velocity_base,
     velocity_terms,
-)
-from hilserver.plant.layout import (
-    GOOD,
-    N_Y_ROBOT,
-    P_BODY_LAG,
-    P_DRIVE_TERMS,
-    P_DT,
-    P_KINEMATIC_TERMS,
-    P_MECANUM,
-    P_SLOPE_X,
-    P_SLOPE_Y,
-    X_ACCEL,
-    X_ANGLE,
-    X_BODY,
-    X_POSE,
-    Y_ANGLE,
-    Y_POSE,
-    Y_VELOCITY,
 )
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -45,19 +28,19 @@ SLOPE_REST_RAD_S = 0.05
 @inlined
 def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: float) -> None:
     """Write the velocity of t_k, and the acceleration of the centre of mass for the IMU."""
-    y[Y_VELOCITY] = v
-    y[Y_VELOCITY + 1] = vy
-    y[Y_VELOCITY + 2] = om
-    x[X_ACCEL] = dv - om * vy
-    x[X_ACCEL + 1] = dvy + om * v
+    y[at.Y_VELOCITY] = v
+    y[at.Y_VELOCITY + 1] = vy
+    y[at.Y_VELOCITY + 2] = om
+    x[at.X_ACCEL] = dv - om * vy
+    x[at.X_ACCEL + 1] = dvy + om * v
 
 
 @part
 def follow_wheels(p: Any, x: Any, y: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> None:
     """Let the body move as its wheels do [rad/s, rad/s2], without the lag of `body_lag`."""
-    angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
+    angle = 0.5 * (y[at.Y_ANGLE] + y[at.Y_ANGLE + 1])
     v, om, _, _ = velocity_terms(p, in_region(p, x), angle, w_l, w_r, dw_l, dw_r)
-    x[X_BODY], x[X_BODY + 1] = v, om
+    x[at.X_BODY], x[at.X_BODY + 1] = v, om
 
 
 @part
@@ -67,9 +50,9 @@ def lag_behind(x: Any, v: float, om: float, lag_s: float, dt_s: float) -> tuple[
     First order, exact for wheels that keep their mean speed of the tick.
     """
     closed = -math.expm1(-dt_s / lag_s)
-    behind_v, behind_om = x[X_BODY] - v, x[X_BODY + 1] - om
-    x[X_BODY] -= closed * behind_v
-    x[X_BODY + 1] -= closed * behind_om
+    behind_v, behind_om = x[at.X_BODY] - v, x[at.X_BODY + 1] - om
+    x[at.X_BODY] -= closed * behind_v
+    x[at.X_BODY + 1] -= closed * behind_om
     share = closed * lag_s / dt_s
     return v + share * behind_v, om + share * behind_om
 
@@ -94,19 +77,19 @@ def drive_on_with_terms(
     mecanum wheels at t_k with its rate. The means go with the wheel angle and the acceleration in
     the middle of the tick.
     """
-    dt, is_mecanum = p[P_DT], p[P_MECANUM] != 0.0
+    dt, is_mecanum = p[at.P_DT], p[at.P_MECANUM] != 0.0
     inside = in_region(p, x)
-    angle = 0.5 * (y[Y_ANGLE] + y[Y_ANGLE + 1])
+    angle = 0.5 * (y[at.Y_ANGLE] + y[at.Y_ANGLE + 1])
     v, om, dv, dom = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
-    lag_s = p[P_BODY_LAG]
+    lag_s = p[at.P_BODY_LAG]
     if lag_s != 0.0:
-        dv, dom = (v - x[X_BODY]) / lag_s, (om - x[X_BODY + 1]) / lag_s
-        v, om = x[X_BODY], x[X_BODY + 1]
+        dv, dom = (v - x[at.X_BODY]) / lag_s, (om - x[at.X_BODY + 1]) / lag_s
+        v, om = x[at.X_BODY], x[at.X_BODY + 1]
     vy, dvy = across(p, v, om, dv, dom)
     if is_mecanum:
         vy, dvy = vy + aside, dvy + daside
     publish(x, y, v, vy, om, dv, dvy)
-    angle = 0.5 * (angle + 0.5 * (x[X_ANGLE] + x[X_ANGLE + 1]))
+    angle = 0.5 * (angle + 0.5 * (x[at.X_ANGLE] + x[at.X_ANGLE + 1]))
     dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
     v, om, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
     if lag_s != 0.0:
@@ -116,8 +99,8 @@ def drive_on_with_terms(
         vy += 0.5 * (aside + sideways(p, x)[0])
     move(x, v, vy, om, dt)
     if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
-        x[X_POSE] += p[P_SLOPE_X] * dt
-        x[X_POSE + 1] += p[P_SLOPE_Y] * dt
+        x[at.X_POSE] += p[at.P_SLOPE_X] * dt
+        x[at.X_POSE + 1] += p[at.P_SLOPE_Y] * dt
 
 
 @part
@@ -139,23 +122,23 @@ def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
     """
     set_pose(x, u)
     command(p, x, u)
-    for i in range(N_Y_ROBOT):
-        q[i] = GOOD
+    for i in range(at.N_Y_ROBOT):
+        q[i] = at.GOOD
     for i in range(3):
-        y[Y_POSE + i] = x[X_POSE + i]
+        y[at.Y_POSE + i] = x[at.X_POSE + i]
     aside, daside = 0.0, 0.0
-    if p[P_MECANUM] != 0.0:
+    if p[at.P_MECANUM] != 0.0:
         aside, daside = sideways(p, x)
-    if p[P_DRIVE_TERMS] != 0.0:
+    if p[at.P_DRIVE_TERMS] != 0.0:
         left, right, mean_left, mean_right, dleft, dright = drive_terms(p, x, y)
     else:
         left, right, mean_left, mean_right, dleft, dright = drive_base(p, x, y)
     w_l, w_r, dw_l, dw_r = left * SIDE, right * SIDE, dleft * SIDE, dright * SIDE
     mean_l, mean_r = mean_left * SIDE, mean_right * SIDE
-    if p[P_KINEMATIC_TERMS] != 0.0:
+    if p[at.P_KINEMATIC_TERMS] != 0.0:
         drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, daside)
         return
     v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
     publish(x, y, v, vy, om, dv, dvy)
     v, vy, om, _, _, _ = velocity_base(p, mean_l, mean_r, 0.0, 0.0)
-    move(x, v, vy, om, p[P_DT])
+    move(x, v, vy, om, p[at.P_DT])

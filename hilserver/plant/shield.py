@@ -7,19 +7,9 @@ its lamps blink, is not published: the figures here are assumptions.
 import math
 from typing import Any, Final
 
+import hilserver.plant.layout as at
 from hilserver.plant.battery import drawn_current
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    GOOD,
-    P_SHIELD_KEEP,
-    P_SHIELD_PERIOD,
-    U_LIGHTS,
-    X_LIGHT_PATTERN,
-    X_LIGHT_TIME,
-    X_TEMPERATURE,
-    Y_LIGHTS,
-    Y_TEMPERATURE,
-)
 
 AMBIENT_DEGC: Final = 25.0
 WARMING_DEGC_PER_A: Final = 2.5
@@ -59,19 +49,19 @@ def brightness(pattern: float, lamp: int, time_s: float) -> float:
 @part
 def shield_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
     """Publish lamps and temperature, and move on by one run."""
-    pattern = u[U_LIGHTS]
-    if pattern != x[X_LIGHT_PATTERN]:
-        x[X_LIGHT_PATTERN], x[X_LIGHT_TIME] = pattern, 0.0
-    y[Y_LIGHTS] = pattern
-    q[Y_LIGHTS] = GOOD
+    pattern = u[at.U_LIGHTS]
+    if pattern != x[at.X_LIGHT_PATTERN]:
+        x[at.X_LIGHT_PATTERN], x[at.X_LIGHT_TIME] = pattern, 0.0
+    y[at.Y_LIGHTS] = pattern
+    q[at.Y_LIGHTS] = at.GOOD
     for lamp in range(4):
-        share = brightness(pattern, lamp, x[X_LIGHT_TIME])
+        share = brightness(pattern, lamp, x[at.X_LIGHT_TIME])
         for colour in range(3):
-            place = Y_LIGHTS + 1 + 3 * lamp + colour
-            y[place] = math.floor(u[U_LIGHTS + 1 + colour] * share + 0.5)
-            q[place] = GOOD
-    y[Y_TEMPERATURE] = x[X_TEMPERATURE]
-    q[Y_TEMPERATURE] = GOOD
-    x[X_LIGHT_TIME] += p[P_SHIELD_PERIOD]
+            place = at.Y_LIGHTS + 1 + 3 * lamp + colour
+            y[place] = math.floor(u[at.U_LIGHTS + 1 + colour] * share + 0.5)
+            q[place] = at.GOOD
+    y[at.Y_TEMPERATURE] = x[at.X_TEMPERATURE]
+    q[at.Y_TEMPERATURE] = at.GOOD
+    x[at.X_LIGHT_TIME] += p[at.P_SHIELD_PERIOD]
     warm = AMBIENT_DEGC + WARMING_DEGC_PER_A * drawn_current(p, y)
-    x[X_TEMPERATURE] = warm + (x[X_TEMPERATURE] - warm) * p[P_SHIELD_KEEP]
+    x[at.X_TEMPERATURE] = warm + (x[at.X_TEMPERATURE] - warm) * p[at.P_SHIELD_KEEP]

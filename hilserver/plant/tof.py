@@ -7,19 +7,8 @@ segment is cut to the cone and its nearest point taken, so no thin wall slips be
 import math
 from typing import Any, Final
 
+import hilserver.plant.layout as at
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import (
-    BAD_OUT_OF_SERVICE,
-    GOOD,
-    P_TOF_COS,
-    P_TOF_ENABLED,
-    P_TOF_SIN,
-    P_TOF_X,
-    P_TOF_Y,
-    UNCERTAIN,
-    Y_POSE,
-    Y_TOF,
-)
 
 NEAREST_M: Final = 0.01
 FARTHEST_M: Final = 5.0
@@ -62,8 +51,8 @@ def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> f
             ay * cos - ax * sin,
             bx * cos + by * sin,
             by * cos - bx * sin,
-            p[P_TOF_SIN],
-            p[P_TOF_COS],
+            p[at.P_TOF_SIN],
+            p[at.P_TOF_COS],
         )
         found = min(found, distance)
     return found
@@ -73,8 +62,8 @@ def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> f
 def seen_by(p: Any, hall: Any, k: int, x: float, y: float, yaw: float) -> float:
     """Return what range finder `k` (fl, fr, rl, rr) sees from a pose [m]; inf: nothing."""
     cos, sin = math.cos(yaw), math.sin(yaw)
-    along = p[P_TOF_X] if k < 2 else -p[P_TOF_X]
-    aside = p[P_TOF_Y] if k % 2 == 0 else -p[P_TOF_Y]
+    along = p[at.P_TOF_X] if k < 2 else -p[at.P_TOF_X]
+    aside = p[at.P_TOF_Y] if k % 2 == 0 else -p[at.P_TOF_Y]
     px = x + along * cos - aside * sin
     py = y + along * sin + aside * cos
     ahead = 1.0 if k < 2 else -1.0
@@ -92,11 +81,11 @@ def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa
     hall : ndarray of float64, shape (4 n,)
         Walls: x1, y1, x2, y2 [m] of each in the world frame, one after the other.
     """
-    if p[P_TOF_ENABLED] == 0.0:
+    if p[at.P_TOF_ENABLED] == 0.0:
         for k in range(4):
-            q[Y_TOF + k] = BAD_OUT_OF_SERVICE
+            q[at.Y_TOF + k] = at.BAD_OUT_OF_SERVICE
         return
-    show_ranges(p, hall, y[Y_POSE], y[Y_POSE + 1], y[Y_POSE + 2], y, q)
+    show_ranges(p, hall, y[at.Y_POSE], y[at.Y_POSE + 1], y[at.Y_POSE + 2], y, q)
 
 
 @part
@@ -104,5 +93,5 @@ def show_ranges(p: Any, hall: Any, x: float, y_m: float, yaw: float, y: Any, q: 
     """Publish the four ranges seen from a pose."""
     for k in range(4):
         distance = seen_by(p, hall, k, x, y_m, yaw)
-        y[Y_TOF + k] = min(max(distance, NEAREST_M), FARTHEST_M)
-        q[Y_TOF + k] = GOOD if distance <= FARTHEST_M else UNCERTAIN
+        y[at.Y_TOF + k] = min(max(distance, NEAREST_M), FARTHEST_M)
+        q[at.Y_TOF + k] = at.GOOD if distance <= FARTHEST_M else at.UNCERTAIN
