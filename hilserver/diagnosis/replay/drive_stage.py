@@ -7,6 +7,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import hilserver.plant.layout as plant
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
@@ -21,32 +22,19 @@ from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of
-from hilserver.plant.layout import (
-    N_U,
-    N_Y,
-    U_COMMAND,
-    U_DUTY,
-    U_ENABLE,
-    U_MODE,
-    U_SETPOINT,
-    U_TWIST_ANGULAR,
-    U_TWIST_LATERAL,
-    U_TWIST_LINEAR,
-    WHEELS,
-)
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V
 
 INPUTS: Final[Mapping[str, int]] = {
-    **{name: U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
-    **{name: U_DUTY + i for i, name in enumerate(DUTY_COMMANDS)},
-    "twist.linear_m_s": U_TWIST_LINEAR,
-    "twist.angular_rad_s": U_TWIST_ANGULAR,
-    "twist.lateral_m_s": U_TWIST_LATERAL,
-    "control.mode": U_MODE,
-    "drive.enable": U_ENABLE,
-    "internal.command": U_COMMAND,
+    **{name: plant.U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
+    **{name: plant.U_DUTY + i for i, name in enumerate(DUTY_COMMANDS)},
+    "twist.linear_m_s": plant.U_TWIST_LINEAR,
+    "twist.angular_rad_s": plant.U_TWIST_ANGULAR,
+    "twist.lateral_m_s": plant.U_TWIST_LATERAL,
+    "control.mode": plant.U_MODE,
+    "drive.enable": plant.U_ENABLE,
+    "internal.command": plant.U_COMMAND,
 }
 FULL_DUTY_PCT: Final = 100.0
 SETTLING_S: Final = 1.0
@@ -111,7 +99,7 @@ class DriveStage(Stage):
             self._volts,
             self._speed_0,
             phase,
-            np.zeros(N_Y),
+            np.zeros(plant.N_Y),
             speed,
             seen,
             duty,
@@ -140,7 +128,7 @@ class DriveStage(Stage):
         angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * self.segments.period_s)
         angle = np.mod(angle, 2.0 * np.pi)
         found: dict[str, Array] = {}
-        for w, wheel in enumerate(WHEELS):
+        for w, wheel in enumerate(plant.WHEELS):
             found |= {SPEEDS[w]: seen[:, w], DUTIES[w]: duty[:, w]}
             found[f"wheel.{wheel}.angle_rad"] = angle[:, w]
         return found
@@ -200,7 +188,7 @@ class DriveStage(Stage):
 
     def stepped(self, wheel: int) -> NDArray[np.bool_]:
         """Return at which ticks an input of a wheel changes, shape (ticks,)."""
-        others = [U_SETPOINT + w for w in range(4) if w != wheel]
+        others = [plant.U_SETPOINT + w for w in range(4) if w != wheel]
         own = np.delete(self._inputs, others, axis=1)
         differs = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
         changed = np.concatenate([[False], np.diff(self._row) != 0]) & differs[self._row]
@@ -268,10 +256,10 @@ class DriveStage(Stage):
         index = np.zeros(self.segments.ticks, dtype=np.int64)
         channels = {n: c for n, c in INPUTS.items() if n in self.log}
         for i, span in enumerate(self.segments.span):
-            now = np.zeros(N_U)
-            now[U_ENABLE] = 1.0
+            now = np.zeros(plant.N_U)
+            now[plant.U_ENABLE] = 1.0
             if not self.log.has(*SETPOINTS):
-                now[U_MODE] = 1.0
+                now[plant.U_MODE] = 1.0
             changes: dict[int, list[tuple[int, float]]] = {}
             for name, column in channels.items():
                 t, v = self.log[name].of(int(span))
@@ -313,7 +301,7 @@ class DriveStage(Stage):
             self._speed_0,
             is_row,
             measured,
-            np.zeros(N_Y),
+            np.zeros(plant.N_Y),
         )
         fresh = np.concatenate([[True], (dense[1:] != dense[:-1]).any(axis=1)])
         fresh[self.segments.first[:-1]] = True

@@ -8,37 +8,11 @@ from typing import Any
 
 import numpy as np
 
+import hilserver.plant.layout as plant
 from hilserver.compiled import kernel
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
 from hilserver.plant.kinematics import sideways
-from hilserver.plant.layout import (
-    P_DRIVE_TERMS,
-    P_DT,
-    P_ENCODER_GAIN,
-    P_ENCODER_SHARE,
-    P_KP,
-    P_MECANUM,
-    P_NAV_DELAY,
-    P_NAV_YAW_DELAY,
-    U_SETPOINT,
-    X_ANGLE,
-    X_BATTERY_V,
-    X_CONTROL_PHASE,
-    X_ENCODER,
-    X_INTEGRAL,
-    X_MOTOR,
-    X_NAV_COUNT,
-    X_NAV_HEAD,
-    X_NAV_RING,
-    X_POSE,
-    X_SETPOINT,
-    X_SPEED,
-    Y_ANGLE,
-    Y_DUTY,
-    Y_SPEED,
-    Y_VELOCITY,
-)
 from hilserver.plant.nav import shown_position, shown_yaw
 from hilserver.plant.pose import wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
@@ -75,32 +49,32 @@ def run_drive(
     x = x0.copy()
     for s in range(first.size - 1):
         x[:] = x0
-        x[X_CONTROL_PHASE] = phase_ticks
+        x[plant.X_CONTROL_PHASE] = phase_ticks
         _set_start(p, x, speed_0[s])
         for k in range(first[s], first[s + 1]):
-            x[X_BATTERY_V] = volts[k]
+            x[plant.X_BATTERY_V] = volts[k]
             for i in range(4):
-                speed[k, i] = x[X_SPEED + i]
+                speed[k, i] = x[plant.X_SPEED + i]
             command(p, x, inputs[input_row[k]])
-            if p[P_DRIVE_TERMS] != 0.0:
+            if p[plant.P_DRIVE_TERMS] != 0.0:
                 drive_terms(p, x, y)
             else:
                 drive_base(p, x, y)
             for i in range(4):
-                seen[k, i] = y[Y_SPEED + i]
-                duty[k, i] = y[Y_DUTY + i]
+                seen[k, i] = y[plant.Y_SPEED + i]
+                duty[k, i] = y[plant.Y_DUTY + i]
 
 
 @kernel()
 def _set_start(p: Any, x: Any, speed_0: Any) -> None:
     """Let the wheels turn in balance: shape (8,), shown speeds [rpm] and integrals."""
     for i in range(4):
-        turns = speed_0[i] / p[P_ENCODER_GAIN + i]
-        x[X_SPEED + i] = turns
-        x[X_MOTOR + i] = turns
-        x[X_SETPOINT + i] = speed_0[i]
-        x[X_INTEGRAL + i] = speed_0[4 + i] / p[P_ENCODER_GAIN + i]
-        x[X_ENCODER + i] = (1.0 - p[P_ENCODER_SHARE]) * turns
+        turns = speed_0[i] / p[plant.P_ENCODER_GAIN + i]
+        x[plant.X_SPEED + i] = turns
+        x[plant.X_MOTOR + i] = turns
+        x[plant.X_SETPOINT + i] = speed_0[i]
+        x[plant.X_INTEGRAL + i] = speed_0[4 + i] / p[plant.P_ENCODER_GAIN + i]
+        x[plant.X_ENCODER + i] = (1.0 - p[plant.P_ENCODER_SHARE]) * turns
 
 
 @kernel()
@@ -113,8 +87,8 @@ def _drive_to(p: Any, x: Any, y: Any, inputs: Any, first: int, end: int) -> None
 @kernel()
 def _miss(p: Any, y: Any, measured: Any, i: int) -> float:
     """Return by how much a wheel misses what was measured, squared [rpm^2]."""
-    speed = y[Y_SPEED + i] - measured[i]
-    duty = (y[Y_DUTY + i] - measured[4 + i]) / max(p[P_KP], 1e-9)
+    speed = y[plant.Y_SPEED + i] - measured[i]
+    duty = (y[plant.Y_DUTY + i] - measured[4 + i]) / max(p[plant.P_KP], 1e-9)
     return (0.0 if np.isnan(speed) else speed * speed) + (0.0 if np.isnan(duty) else duty * duty)
 
 
@@ -127,7 +101,7 @@ def _place(p: Any, x: Any, y: Any, inputs: Any, first: int, at: int, measured: A
     before, after = inputs[first - 1].copy(), inputs[at].copy()
     alone = True
     for c in range(after.size):
-        if before[c] != after[c] and not U_SETPOINT <= c < U_SETPOINT + 4:
+        if before[c] != after[c] and not plant.U_SETPOINT <= c < plant.U_SETPOINT + 4:
             alone = False
     least, best, miss = np.full(4, np.inf), np.full(4, at), np.empty(4)
     for change in range(at, first - 1, -1):
@@ -146,7 +120,7 @@ def _place(p: Any, x: Any, y: Any, inputs: Any, first: int, at: int, measured: A
         inputs[best[0] : at] = after
         return
     for i in range(4):
-        inputs[best[i] : at, U_SETPOINT + i] = after[U_SETPOINT + i]
+        inputs[best[i] : at, plant.U_SETPOINT + i] = after[plant.U_SETPOINT + i]
 
 
 @kernel()
@@ -202,23 +176,23 @@ def run_process(
     for s in range(first.size - 1):
         x[:] = x0
         for i in range(4):
-            x[X_SPEED + i] = speed_0[s, i]
-            x[X_MOTOR + i] = speed_0[s, i]
+            x[plant.X_SPEED + i] = speed_0[s, i]
+            x[plant.X_MOTOR + i] = speed_0[s, i]
         for k in range(first[s], first[s + 1]):
             a00, a01, a10, a11, b0, b1 = process_of_tick(p, volts[k])
             for i in range(4):
-                motor, n = x[X_MOTOR + i], x[X_SPEED + i]
+                motor, n = x[plant.X_MOTOR + i], x[plant.X_SPEED + i]
                 seen[k, i] = encoder(p, x, i)
                 u = load(p, i, duty[k, i], n)
-                x[X_MOTOR + i] = a00 * motor + a01 * n + b0 * u
-                x[X_SPEED + i] = a10 * motor + a11 * n + b1 * u
+                x[plant.X_MOTOR + i] = a00 * motor + a01 * n + b0 * u
+                x[plant.X_SPEED + i] = a10 * motor + a11 * n + b1 * u
 
 
 @kernel()
 def _turn_apart(x: Any, apart: Any, k: int) -> None:
     """Let the front wheels turn by the difference to the rear ones: `sideways` asks no more."""
-    x[X_SPEED] = apart[0, k]
-    x[X_SPEED + 2] = apart[1, k]
+    x[plant.X_SPEED] = apart[0, k]
+    x[plant.X_SPEED + 2] = apart[1, k]
 
 
 @kernel()
@@ -249,10 +223,10 @@ def run_pose(
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
     x = x0.copy()
-    dt, is_mecanum, aside = p[P_DT], p[P_MECANUM] != 0.0, 0.0
+    dt, is_mecanum, aside = p[plant.P_DT], p[plant.P_MECANUM] != 0.0, 0.0
     for s in range(first.size - 1):
         for i in range(3):
-            x[X_POSE + i] = pose_0[s, i]
+            x[plant.X_POSE + i] = pose_0[s, i]
         turned = pose_0[s, 2]
         angle = angle_0[s]
         last = first[s + 1] - 1
@@ -261,15 +235,15 @@ def run_pose(
             w_l, w_r = left[k] * SIDE, right[k] * SIDE
             next_l, next_r = left[following] * SIDE, right[following] * SIDE
             mean_l, mean_r = 0.5 * (w_l + next_l), 0.5 * (w_r + next_r)
-            y[Y_ANGLE] = angle
-            y[Y_ANGLE + 1] = angle
+            y[plant.Y_ANGLE] = angle
+            y[plant.Y_ANGLE + 1] = angle
             angle += mean_l * dt
-            x[X_ANGLE] = angle
-            x[X_ANGLE + 1] = angle
-            pose[k, 0] = x[X_POSE]
-            pose[k, 1] = x[X_POSE + 1]
+            x[plant.X_ANGLE] = angle
+            x[plant.X_ANGLE + 1] = angle
+            pose[k, 0] = x[plant.X_POSE]
+            pose[k, 1] = x[plant.X_POSE + 1]
             pose[k, 2] = turned
-            before = x[X_POSE + 2]
+            before = x[plant.X_POSE + 2]
             dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
             if k == first[s]:
                 follow_wheels(p, x, y, w_l, w_r, dw_l, dw_r)
@@ -278,8 +252,8 @@ def run_pose(
                 aside = sideways(p, x)[0]
                 _turn_apart(x, apart, following)
             drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, 0.0)
-            pose[k, 3] = y[Y_VELOCITY + 2]
-            turned += wrap(x[X_POSE + 2] - before)
+            pose[k, 3] = y[plant.Y_VELOCITY + 2]
+            turned += wrap(x[plant.X_POSE + 2] - before)
 
 
 @kernel()
@@ -308,21 +282,21 @@ def sample_tag(
     Ages are in ``at_position`` and ``at_yaw`` already, so the sensor's own are set to nothing. Yaw
     is not wrapped.
     """
-    p[P_NAV_DELAY] = 0.0
-    p[P_NAV_YAW_DELAY] = 0.0
-    x[X_NAV_HEAD] = 0.0
-    x[X_NAV_COUNT] = 1.0
+    p[plant.P_NAV_DELAY] = 0.0
+    p[plant.P_NAV_YAW_DELAY] = 0.0
+    x[plant.X_NAV_HEAD] = 0.0
+    x[plant.X_NAV_COUNT] = 1.0
     for j in range(at_position.size):
         where = min(max(at_position[j], float(low[j])), float(high[j]))
         k = int(where)
         following = min(k + 1, int(high[j]))
         share = where - k
         for c in range(3):
-            x[X_NAV_RING + c] = dense[k, c] + share * (dense[following, c] - dense[k, c])
+            x[plant.X_NAV_RING + c] = dense[k, c] + share * (dense[following, c] - dense[k, c])
         out[j, 0], out[j, 1] = shown_position(p, x)
         where = min(max(at_yaw[j], float(low[j])), float(high[j]))
         k = int(where)
         following = min(k + 1, int(high[j]))
         yaw = dense[k, 2] + (where - k) * (dense[following, 2] - dense[k, 2])
-        x[X_NAV_RING + 2] = yaw
+        x[plant.X_NAV_RING + 2] = yaw
         out[j, 2] = yaw + wrap(shown_yaw(p, x) - yaw)
