@@ -1,4 +1,4 @@
-"""``python -m benchmarks.page_clients URL N``: browsers without a screen, told what to do.
+"""``python -m benchmarks.page_clients URL N``: browsers without a screen, as they are asked.
 
 One word a line on standard input, one line of JSON as the answer: ``connect``, ``disconnect``,
 ``count`` (frames of each so far), ``stop`` and ``go`` (the first one stops reading, reads on).

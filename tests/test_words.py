@@ -1,4 +1,4 @@
-"""Words that we avoid, in documents and in every text of the package that a user may read."""
+"""Words that we avoid: in documents, in every text of the package, in docstrings and names."""
 
 import ast
 import re
@@ -18,25 +18,25 @@ AVOIDED = {
     "lest": "so that ... not",
     "whosoever": "anyone who",
     "fro": "back and forth",
+    "astray": "diverged, wrong",
 }
 WORD = re.compile(rf"\b({'|'.join(AVOIDED)})\b", re.IGNORECASE)
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("deploy/**/*.md")]
 TEXTS = [path for kind in ("yaml", "csv", "j2") for path in ROOT.glob(f"hilserver/**/*.{kind}")]
-MODULES = sorted(ROOT.glob("hilserver/**/*.py"))
+MODULES = sorted([*ROOT.glob("hilserver/**/*.py"), *ROOT.glob("benchmarks/*.py")])
 
 
-def literals(path: Path) -> Iterator[str]:
-    """Give every text of a module but its docstrings."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    docs = {ast.get_docstring(n, clean=False) for n in ast.walk(tree) if isinstance(n, documented)}
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Constant)
-            and isinstance(node.value, str)
-            and node.value not in docs
-        ):
+def texts(path: Path) -> Iterator[str]:
+    """Give every text of a module, its docstrings, and the words of the names that it makes."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value
+        elif isinstance(node, ast.arg):
+            yield node.arg.replace("_", " ")
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.name.replace("_", " ")
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id.replace("_", " ")
 
 
 def found(text: str) -> list[str]:
@@ -48,10 +48,16 @@ def test_documents_avoid_them() -> None:
     assert not {str(path): said for path, said in hints.items() if said}
 
 
-def test_messages_avoid_them() -> None:
-    hints = {path: [h for text in literals(path) for h in found(text)] for path in MODULES}
+def test_modules_avoid_them() -> None:
+    hints = {path: [h for text in texts(path) for h in found(text)] for path in MODULES}
     assert not {str(path): said for path, said in hints.items() if said}
 
 
 def test_the_search_finds_them() -> None:
     assert found("Its end is told.") == ["told: write reported, said"]
+
+
+def test_names_and_docstrings_are_read(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    module.write_text('def who_is_told(lonely: str) -> None:\n    """It went astray."""\n')
+    assert len([hint for text in texts(module) for hint in found(text)]) == 3

@@ -90,7 +90,7 @@ class InputGate:
     Attributes
     ----------
     on_setpoints : list of callable
-        Told the source whenever a set-point of it was accepted.
+        Called with the source whenever a set-point of it was accepted.
     """
 
     def __init__(

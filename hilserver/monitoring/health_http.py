@@ -29,7 +29,7 @@ TIMEOUT_S = 2.0
 LINGER_S = 0.2
 RENDER_EVERY_S = 0.05
 
-_MENDS = {
+_REMEDIES = {
     errno.EADDRINUSE: "end the program that uses it or set metrics.port to another one",
     errno.EADDRNOTAVAIL: "set metrics.host to an address of this computer",
     errno.EACCES: "set metrics.port to 1024 or more",
@@ -127,7 +127,7 @@ class HttpServer:
             what = os.strerror(error.errno) if error.errno else str(error)
             raise FailedError(
                 f"metrics: cannot listen on {self.host} port {self.port} ({what.lower()}); "
-                f"{_MENDS.get(error.errno or 0, 'check metrics.host and metrics.port')}"
+                f"{_REMEDIES.get(error.errno or 0, 'check metrics.host and metrics.port')}"
             ) from None
         self.port = self._server.sockets[0].getsockname()[1]
 

@@ -241,7 +241,12 @@ def log_overrun(overrun: Overrun) -> None:
     )
 
 
-_ALWAYS_TOLD = {EventKind.STATE, EventKind.SAFE_STATE, EventKind.PEER_LOST, EventKind.PEER_RESTORED}
+_ALWAYS_LOGGED = {
+    EventKind.STATE,
+    EventKind.SAFE_STATE,
+    EventKind.PEER_LOST,
+    EventKind.PEER_RESTORED,
+}
 
 
 def log_event(event: Event) -> None:
@@ -252,7 +257,7 @@ def log_event(event: Event) -> None:
     write = (
         log.error if event.severity >= 700 else log.warning if event.severity >= 300 else log.info
     )
-    allowed = 20 if event.kind in _ALWAYS_TOLD else 1
+    allowed = 20 if event.kind in _ALWAYS_LOGGED else 1
     write(event.message, kind=str(event.kind), source=event.source, repeat_allow=allowed)
 
 

@@ -101,7 +101,7 @@ def judge(evidence: Evidence) -> Cause:
 
 
 def read_run_delay_ns(thread_id: int, proc: Path = Path("/proc")) -> int:
-    """Return how long a thread of this process has waited, ready, for a core [ns]; 0: not told."""
+    """Return how long a thread of this process has waited, ready, for a core [ns]; 0: unknown."""
     try:
         return int((proc / f"self/task/{thread_id}/schedstat").read_text().split()[1])
     except (OSError, IndexError, ValueError):
@@ -109,7 +109,7 @@ def read_run_delay_ns(thread_id: int, proc: Path = Path("/proc")) -> int:
 
 
 def read_steal_ns(proc: Path = Path("/proc")) -> int:
-    """Return the steal time of all cores [ns]; 0: not told."""
+    """Return the steal time of all cores [ns]; 0: unknown."""
     try:
         with (proc / "stat").open() as stat:
             fields = stat.readline().split()

@@ -158,7 +158,7 @@ class Overruns:
         for callback in self._callbacks:
             try:
                 callback(report)
-            except Exception as error:  # noqa: BLE001 - the others are still to be told
+            except Exception as error:  # noqa: BLE001 - the others still get it
                 self._loop.call_exception_handler(
                     {"message": "an overrun callback failed", "exception": error}
                 )

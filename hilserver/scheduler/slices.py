@@ -2,7 +2,7 @@
 
 A slice runs in every tick whose number is a multiple of its period; all slices run in tick 0.
 Compiled slices run inside the tick, in the order in which they are given; communication slices run
-on the event loop, which is told by a doorbell.
+on the event loop, which a doorbell wakes.
 """
 
 from collections.abc import Sequence

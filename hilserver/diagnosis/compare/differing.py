@@ -58,7 +58,7 @@ def difference_findings(
 
 
 def _imitators(
-    library: Library, point: Point, best: Difference, told: Collection[str]
+    library: Library, point: Point, best: Difference, named: Collection[str]
 ) -> list[Difference]:
     """Return twins of a cause that both sets share: beside it they have nothing left to explain."""
     index = next(
@@ -73,7 +73,7 @@ def _imitators(
     for rival in rivals(library, point, index):
         c = rival.candidate
         alike = rival.close and rival.cosine > GROUP_COSINE  # what is left is the difference itself
-        if not alike or c.n > 1 or c.cause in told:
+        if not alike or c.n > 1 or c.cause in named:
             continue
         share = (rival.fitted.theta[0] - c.null[0]) / away
         values = (best.values[0] * share, best.values[1] * share)

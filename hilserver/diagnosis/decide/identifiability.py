@@ -65,7 +65,7 @@ class Rival:
     def ties(self) -> bool:
         """Whether the data cannot tell it from the accepted cause.
 
-        What is less alike can be told apart where only noise is left. Where far more is left,
+        What is less alike can be distinguished where only noise is left. Where far more is left,
         something unknown moves the robot as well, and may be what makes one of the two fit.
         """
         return self.close and self.cosine > (RIVAL_COSINE if self.gross else GROUP_COSINE)

@@ -96,5 +96,5 @@ def _unexplained(point: Point) -> float:
 
     Where the robot nearly missed an edge, a centimetre decides whether its replay crosses it.
     """
-    heard = point.loss[point.loss > 0.0]
-    return float(np.minimum(heard, FAR_OFF * np.median(heard)).sum())
+    used = point.loss[point.loss > 0.0]
+    return float(np.minimum(used, FAR_OFF * np.median(used)).sum())

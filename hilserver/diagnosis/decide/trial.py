@@ -105,23 +105,23 @@ def wald(problem: Problem, point: Point, index: int) -> float:
     columns = problem.accepted(point)
     assert columns is not None
     others, own = apart(point, columns, index)[0], problem.effect(point, index)
-    told = problem.stack.block_sums(orthogonal(own, others) ** 2)
-    heard = not_alone(told)[problem.stack.block]
-    cov, _ = covariance(problem, point, np.column_stack([others, own]) * heard[:, None])
-    return float(normal(cov[-1, -1] ** -0.5, freedom_of(told[not_alone(told)]))[()])
+    information = problem.stack.block_sums(orthogonal(own, others) ** 2)
+    used = not_alone(information)[problem.stack.block]
+    cov, _ = covariance(problem, point, np.column_stack([others, own]) * used[:, None])
+    return float(normal(cov[-1, -1] ** -0.5, freedom_of(information[not_alone(information)]))[()])
 
 
-def not_alone(told: Array) -> NDArray[np.bool_]:
+def not_alone(said: Array) -> NDArray[np.bool_]:
     """Return which blocks count: one that says more than all others together is no evidence.
 
     It would hide what the others say.
 
     Parameters
     ----------
-    told : ndarray, shape (blocks,)
+    said : ndarray, shape (blocks,)
         Information of each block.
     """
-    heard = np.ones(len(told), dtype=bool)
-    while 2.0 * told[heard].max() > told[heard].sum() and np.count_nonzero(told[heard]) > 1:
-        heard &= told < told[heard].max()
-    return heard
+    used = np.ones(len(said), dtype=bool)
+    while 2.0 * said[used].max() > said[used].sum() and np.count_nonzero(said[used]) > 1:
+        used &= said < said[used].max()
+    return used

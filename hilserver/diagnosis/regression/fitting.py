@@ -17,7 +17,7 @@ LEAST_EXPECTED: Final = 0.01
 AS_EXPECTED: Final = 0.1
 """Share by which a step's gain may miss the linear one, for the same sensitivities to serve on."""
 ATTEMPTS: Final = 4
-"""Steps that are tried, each without the blocks in which the one before went astray."""
+"""Steps that are tried, each without the blocks in which the one before diverged."""
 
 
 def fit(
@@ -88,11 +88,11 @@ def _step(
     nuisance = problem.nuisance(point.predicted, point.poses)
     white = problem.project(raw, problem.bases(nuisance))
     for _ in range(ATTEMPTS):
-        found, expected, astray = _attempted(problem, point, raw, white, nuisance, used, steering)
-        astray &= steering
-        steering = steering & ~astray
+        found, expected, diverged = _attempted(problem, point, raw, white, nuisance, used, steering)
+        diverged &= steering
+        steering = steering & ~diverged
         few = 2 * steering.sum() < used.sum()
-        if found is not None or expected < LEAST_EXPECTED or few or not astray.any():
+        if found is not None or expected < LEAST_EXPECTED or few or not diverged.any():
             break
     return found, expected
 
@@ -106,11 +106,11 @@ def _attempted(
     used: NDArray[np.bool_],
     steering: NDArray[np.bool_],
 ) -> tuple[Point | None, float, NDArray[np.bool_]]:
-    """Return the same for the step that some blocks ask for, and where it went astray."""
+    """Return the same for the step that some blocks ask for, and where it diverged."""
     low, high = point.model.borders()
     keep = steering[problem.stack.block]
     step, expected = ridge(white[keep], point.left[keep], DAMPED), 0.0
-    astray = np.zeros_like(used)
+    diverged = np.zeros_like(used)
     for share in (1.0, 0.5, 0.2):
         theta = np.clip(point.model.theta() + share * step, low, high)
         away, poses = theta - point.model.theta(), point.poses
@@ -124,6 +124,6 @@ def _attempted(
         trial = problem.point(point.model.with_theta(theta), poses, pose_steps=0)
         gained = point.loss - trial.loss
         if gained[used].sum() > 0.0:
-            return trial, expected, astray
-        astray |= np.abs(gained - gains) > AS_EXPECTED * expected
-    return None, expected, astray
+            return trial, expected, diverged
+        diverged |= np.abs(gained - gains) > AS_EXPECTED * expected
+    return None, expected, diverged

@@ -10,7 +10,7 @@ What a block leaves is flipped, not its score: otherwise a strong effect would h
 
 A direction that shows in three or four blocks alone has a scatter that is hardly known, and its t
 the long tails of Student's law. One such direction would set the critical value for all others, so
-every t is told as the normal deviation of equal probability.
+every t is given as the normal deviation of equal probability.
 """
 
 from collections.abc import Sequence

@@ -26,7 +26,7 @@ from hilserver.plant.parameters import RobotParameters
 
 CUTS: Final = ("setpoints", "duty", "speed")
 POSE_STEPS: Final = 2
-"""Fits of the free initial poses: from the set-points the pose goes far astray."""
+"""Fits of the free initial poses: from the set-points the pose drifts far away."""
 SHARE: Final = 0.5
 """Of the closed loop's time constant: samples so dense show the duty between them."""
 FALL: Final = 8.0

@@ -123,7 +123,7 @@ class RobotSession:
 
     @property
     def is_known(self) -> bool:
-        """Whether it can be told who the client is: without a certificate all look alike."""
+        """Whether the client can be identified: without a certificate all look alike."""
         return bool(self._certificate) or self.user.name is not None
 
     def create(self, params: ua.CreateSessionParameters) -> ua.CreateSessionResult:

@@ -1,4 +1,4 @@
-"""Users log in; who fails too often waits, and is told so."""
+"""Users log in; who fails too often waits, and sees how long."""
 
 import time
 
