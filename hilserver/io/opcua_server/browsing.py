@@ -1,19 +1,31 @@
-"""Browse in pages: a long answer ends in a continuation point that BrowseNext goes on from."""
+"""The views: Browse in pages and TranslateBrowsePaths, in portions.
+
+A long answer ends in a continuation point that BrowseNext goes on from.
+"""
 
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Generator, Iterable
 from typing import Any
 
 from asyncua import ua
 
+from hilserver.io.opcua_server.rotation import Portions
+from hilserver.io.opcua_server.type_tree import TypeTree
+
 MAX_REFERENCES = 1000
 MAX_REFERENCES_IN_ALL = 2000
-"""Of one response: encoding them takes time that the other clients wait."""
+"""Of one response."""
 MAX_POINTS = 20
+MAX_PATH_ELEMENTS = 50
+MAX_TARGETS = 1000
+_GIVE_WAY_EVERY = 50
 _ALL_FIELDS = 63
+_TO_THE_END = ua.Index(2**32 - 1)
 _DIRECTIONS = (ua.BrowseDirection.Forward, ua.BrowseDirection.Inverse, ua.BrowseDirection.Both)
 _Codes = ua.StatusCodes
+Types = frozenset[ua.NodeId] | None
+"""Types of references that are followed; None: all."""
 
 
 class ContinuationPoints:
@@ -21,55 +33,48 @@ class ContinuationPoints:
 
     Parameters
     ----------
-    view_service, address_space : asyncua ViewService and AddressSpace
+    address_space : asyncua AddressSpace
     """
 
-    def __init__(self, view_service: Any, address_space: Any) -> None:
-        self._view_service = view_service
-        self._address_space = address_space
+    def __init__(self, address_space: Any, types: TypeTree) -> None:
+        self._address_space, self._types = address_space, types
         self._points: OrderedDict[bytes, tuple[list[Any], int]] = OrderedDict()
 
-    def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
-        """Answer Browse; a session that opens more points than it may gets no more of them."""
-        asked = params.RequestedMaxReferencesPerNode
-        size = min(asked, MAX_REFERENCES) if asked else MAX_REFERENCES
-        return self._in_bounds(
-            lambda node, room: self._first_page(node, size, room), params.NodesToBrowse
-        )
-
-    def browse_next(self, params: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
-        """Answer BrowseNext: the next page of each point, or nothing more if it is released."""
-        is_release = params.ReleaseContinuationPoints
-        return self._in_bounds(
-            lambda point, room: self._next_page(point, is_release, room), params.ContinuationPoints
-        )
-
-    @staticmethod
-    def _in_bounds(page: Callable[[Any, int], ua.BrowseResult], asked: Any) -> list[Any]:
-        room = MAX_REFERENCES_IN_ALL
-        results = []
-        for item in asked:
-            results.append(page(item, room))
-            room -= len(results[-1].References or ())
-        return results
-
-    def _next_page(self, point: Any, is_release: bool, room: int) -> ua.BrowseResult:
+    def next_page(self, point: Any, room: int, is_release: bool) -> ua.BrowseResult:
+        """Return the next page of a point, or nothing more if it is released."""
         rest = self._points.pop(bytes(point or b""), None)
         if rest is None:
             return _refused(_Codes.BadContinuationPointInvalid)
-        return ua.BrowseResult() if is_release else self._page(ua.BrowseResult(), *rest, room)
+        return ua.BrowseResult() if is_release else self._page(*rest, room)
 
-    def _first_page(self, node: ua.BrowseDescription, size: int, room: int) -> Any:
-        if node.NodeId not in self._address_space:
+    def first_page(self, asked: ua.BrowseDescription, most: int, room: int) -> Portions:
+        """Return the first page of the references of a node.
+
+        Parameters
+        ----------
+        most : int
+            References of a page that the client takes, 0: any number.
+        room : int
+            References that the response still has room for.
+        """
+        node = self._address_space.get(asked.NodeId)
+        if node is None:
             return _refused(_Codes.BadNodeIdUnknown)
-        if node.BrowseDirection not in _DIRECTIONS:
+        if asked.BrowseDirection not in _DIRECTIONS:
             return _refused(_Codes.BadBrowseDirectionInvalid)
-        kind = node.ReferenceTypeId
-        if kind is not None and not kind.is_null() and not self._is_reference_type(kind):
-            return _refused(_Codes.BadReferenceTypeIdInvalid)
-        result = self._view_service._browse(node)
-        references = [_masked(reference, node.ResultMask) for reference in result.References]
-        return self._page(result, references, size, room)
+        kind = asked.ReferenceTypeId
+        types: Types = None
+        if kind is not None and not kind.is_null():
+            if not self._is_reference_type(kind):
+                return _refused(_Codes.BadReferenceTypeIdInvalid)
+            types = self._types.closure(kind) if asked.IncludeSubtypes else frozenset((kind,))
+        found = []
+        for number, reference in enumerate(node.references):
+            if number % _GIVE_WAY_EVERY == _GIVE_WAY_EVERY - 1:
+                yield
+            if _is_wanted(asked, types, reference):
+                found.append(_masked(reference, asked.ResultMask))
+        return self._page(found, min(most or MAX_REFERENCES, MAX_REFERENCES), room)
 
     def _is_reference_type(self, node_id: Any) -> bool:
         node = self._address_space.get(node_id)
@@ -78,10 +83,8 @@ class ContinuationPoints:
         node_class = node.attributes[ua.AttributeIds.NodeClass].value.Value.Value
         return bool(node_class == ua.NodeClass.ReferenceType)
 
-    def _page(
-        self, result: ua.BrowseResult, references: list[Any], size: int, room: int
-    ) -> ua.BrowseResult:
-        now = min(size, room)
+    def _page(self, references: list[Any], size: int, room: int) -> ua.BrowseResult:
+        result, now = ua.BrowseResult(), min(size, room)
         if len(references) > now:
             if len(self._points) >= MAX_POINTS:
                 return _refused(_Codes.BadNoContinuationPoints)
@@ -89,6 +92,62 @@ class ContinuationPoints:
             self._points[result.ContinuationPoint] = (references[now:], size)
         result.References = references[:now]
         return result
+
+
+def translate(address_space: Any, types: TypeTree, path: ua.BrowsePath) -> Portions:
+    """Return the targets of a browse path; a node that is reached twice is gone on from once."""
+    elements = path.RelativePath.Elements or []
+    code = _judge(path, elements, address_space)
+    current: Iterable[ua.NodeId] = (path.StartingNode,)
+    for element in elements if code is None else ():
+        found: dict[ua.NodeId, None] = {}
+        for node_id in current:
+            yield from _step(address_space, types, node_id, element, found)
+        current = found
+        if not found or len(found) > MAX_TARGETS:
+            code = _Codes.BadTooManyMatches if found else _Codes.BadNoMatch
+            break
+    if code is not None:
+        return ua.BrowsePathResult(StatusCode=ua.StatusCode(code))
+    targets = [ua.BrowsePathTarget(node_id, _TO_THE_END) for node_id in current]
+    return ua.BrowsePathResult(Targets=targets)
+
+
+def _judge(path: Any, elements: list[Any], address_space: Any) -> int | None:
+    if path.StartingNode not in address_space:
+        return int(_Codes.BadNodeIdUnknown)
+    if not elements:
+        return int(_Codes.BadNothingToDo)
+    if len(elements) > MAX_PATH_ELEMENTS:
+        return int(_Codes.BadTooManyMatches)
+    return None if elements[-1].TargetName else int(_Codes.BadBrowseNameInvalid)
+
+
+def _step(
+    address_space: Any, types: TypeTree, node_id: Any, element: Any, found: dict[ua.NodeId, None]
+) -> Generator[None, None, None]:
+    node, kind = address_space.get(node_id), element.ReferenceTypeId
+    wanted: Types = None
+    if not kind.is_null():
+        wanted = types.closure(kind) if element.IncludeSubtypes else frozenset((kind,))
+    for number, reference in enumerate(node.references if node is not None else ()):
+        if number % _GIVE_WAY_EVERY == 0:
+            yield
+        if (
+            reference.IsForward != element.IsInverse
+            and reference.BrowseName == element.TargetName
+            and (wanted is None or reference.ReferenceTypeId in wanted)
+        ):
+            found[reference.NodeId] = None
+
+
+def _is_wanted(asked: ua.BrowseDescription, types: Types, reference: Any) -> bool:
+    direction = asked.BrowseDirection
+    return (
+        (direction == ua.BrowseDirection.Both or reference.IsForward != bool(direction))
+        and (not asked.NodeClassMask or bool(asked.NodeClassMask & reference.NodeClass))
+        and (types is None or reference.ReferenceTypeId in types)
+    )
 
 
 def _masked(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:

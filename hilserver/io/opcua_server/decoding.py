@@ -1,5 +1,8 @@
 """Bounds for asyncua's decoder: an array cannot have more elements than its message has bytes.
 
+What one operation of a request carries in lists has a bound of its own: a Variant, decoded, costs a
+hundred times what it costs to send. Lists of numbers are cheap and go by their bytes.
+
 An enumeration keeps a number that names nothing: whoever asks for it decides which status code that
 deserves, instead of the whole message failing.
 
@@ -8,16 +11,45 @@ memory, and the request header is decoded before anybody has logged in.
 """
 
 import functools
+import math
 from collections.abc import Callable
 from enum import IntFlag
-from typing import Any
+from typing import Any, TypeVar
 
 from asyncua import ua
-from asyncua.common.utils import NotEnoughData
+from asyncua.common.utils import NotEnoughData, ServiceError
 from asyncua.ua import ua_binary
 
 MAX_MATRIX_ELEMENTS = 10_000
+MAX_ELEMENTS = 2000
+"""In the lists of one operation, numbers apart."""
 _LENGTH_BYTES = 4
+_Type = ua.VariantType
+T = TypeVar("T")
+_NUMBERS = {
+    _Type.Boolean, _Type.SByte, _Type.Byte, _Type.Int16, _Type.UInt16, _Type.Int32, _Type.UInt32,
+    _Type.Int64, _Type.UInt64, _Type.Float, _Type.Double,
+}  # fmt: skip
+_left = [math.inf]
+
+
+def within_bounds(decode: Callable[[], T]) -> T:
+    """Decode something that a client of ours has sent; what our own peers send has no bound.
+
+    Raises
+    ------
+    ServiceError
+        BadEncodingLimitsExceeded, or BadDecodingError whatever else is wrong.
+    """
+    _left[0] = MAX_ELEMENTS
+    try:
+        return decode()
+    except ServiceError:
+        raise
+    except Exception:  # noqa: BLE001 - whatever a decoder of others trips over is the sender's
+        raise ServiceError(ua.StatusCodes.BadDecodingError) from None
+    finally:
+        _left[0] = math.inf
 
 
 def bound_decoder() -> None:
@@ -54,6 +86,7 @@ def _bounded(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], A
     @functools.cache
     def create_bounded(element_type: Any) -> Callable[[Any], Any]:
         decode = create(element_type)
+        is_number = element_type in _NUMBERS
 
         def decode_bounded(data: Any) -> Any:
             rest = data.copy() if isinstance(data, ua.utils.Buffer) else None
@@ -61,6 +94,10 @@ def _bounded(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], A
                 announced = int.from_bytes(rest.read(_LENGTH_BYTES), "little", signed=True)
                 if announced > len(rest):
                     raise NotEnoughData(f"{announced} elements announced, {len(rest)} bytes left")
+                if not is_number:
+                    _left[0] -= announced
+                    if _left[0] < 0:
+                        raise ServiceError(ua.StatusCodes.BadEncodingLimitsExceeded)
             return decode(data)
 
         return decode_bounded

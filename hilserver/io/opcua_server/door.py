@@ -14,7 +14,7 @@ BadResourceUnavailable the queue of the plant is full
 A time stamp that comes with a value is ignored: the stamp is that of the tick that latched it.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from typing import Any, NamedTuple
 
 from asyncua import ua
@@ -88,12 +88,16 @@ class WriteDoor:
 
     def write(
         self, items: Iterable[ua.WriteValue], user: User, source: str = SOURCE
-    ) -> list[Answer]:
-        """Return one answer per item; what is accepted is latched together by one tick."""
+    ) -> Generator[None, None, list[Answer]]:
+        """Return one answer per item; what is accepted is latched together by one tick.
+
+        Gives way while the items are judged, and between groups that are latched apart.
+        """
         items = list(items)
         answers: list[Answer] = []
         group: dict[str, tuple[int, object]] = {}
         for position, item in enumerate(items):
+            yield
             answer = self._refuse(item, user)
             answers.append(answer or _ACCEPTED)
             if answer is not None:

@@ -8,11 +8,12 @@ those of OPC 10000-6, 5.2; what does not look as expected is left to asyncua.
 import functools
 import struct
 import time
+from collections.abc import Generator
 from datetime import datetime
 from typing import Any, NamedTuple
 
 from asyncua import ua
-from asyncua.common.utils import Buffer
+from asyncua.common.utils import Buffer, ServiceError
 from asyncua.ua.ua_binary import Primitives, nodeid_from_binary, variant_to_binary
 
 FILETIME_OF_1970 = 116_444_736_000_000_000
@@ -236,11 +237,14 @@ class ReadItems(NamedTuple):
 _NO_ENCODING = ua.QualifiedName()
 
 
-def read_items(body: Buffer) -> ReadItems:
-    """Take a Read request apart."""
+def read_items(body: Buffer, most: int) -> Generator[None, None, ReadItems]:
+    """Take a Read request apart; BadTooManyOperations beyond `most` items."""
     max_age_ms, stamps, count = struct.unpack("<dii", body.read(16))
+    if count > most:
+        raise ServiceError(ua.StatusCodes.BadTooManyOperations)
     items = []
-    for _ in range(min(count, len(body))):
+    for _ in range(count):
+        yield
         node_id = nodeid_from_binary(body)
         attribute = int.from_bytes(body.read(4), "little")
         index_range = Primitives.String.unpack(body) or ""

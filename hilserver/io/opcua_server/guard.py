@@ -21,6 +21,7 @@ from hilserver.io.opcua_server.methods import Methods
 from hilserver.io.opcua_server.reading import Reader
 from hilserver.io.opcua_server.sessions import RobotSession
 from hilserver.io.opcua_server.subscriptions import Subscriptions
+from hilserver.io.opcua_server.type_tree import TypeTree
 
 _ACTIVATION_WITHIN_S = 10.0
 _LONGEST_SESSION_MS = 120_000.0
@@ -64,7 +65,8 @@ class RobotInternalServer(QuickInternalServer):
         self.max_connections = config.max_connections
         # A client that vanished is served until its session ends.
         self.max_session_timeout_ms = _LONGEST_SESSION_MS
-        self.subscription_service = Subscriptions(self.aspace, config)
+        self.types = TypeTree(self.aspace)
+        self.subscription_service = Subscriptions(self.aspace, self.types, config)
         self.reader = Reader(self.aspace, access)
         self.sessions: dict[ua.NodeId, RobotSession] = {}
         tokens: list[type] = [ua.AnonymousIdentityToken] if access.admits_anonymous else []

@@ -123,7 +123,7 @@ class EventItem(_Item):
 
     def take(self, event: Any) -> bool:
         """Queue an event that passes the filter; return whether it did."""
-        if self.mode == ua.MonitoringMode.Disabled or not self.where.eval(event):
+        if self.mode == ua.MonitoringMode.Disabled or not self.where(event):
             return False
         fields = ua.EventFieldList(EventFields=event.to_event_fields(self.filter.SelectClauses))
         if len(self.queue) >= self.size:

@@ -5,24 +5,29 @@ With a sampling interval of 0 it looks after every publish slice, with a longer 
 passed, and in any case not without a turn.
 """
 
-import logging
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from asyncua import ua
-from asyncua.server.monitored_item_service import WhereClauseEvaluator
 
 from hilserver.io.opcua_server.deadband import ChangeFilter, FilterError, change_filter
 from hilserver.io.opcua_server.items import HANDLE, EventItem, Item, Room, ValueItem
 from hilserver.io.opcua_server.reading import RefusedError, find, place_for_items, value_at
+from hilserver.io.opcua_server.rotation import Portions
+from hilserver.io.opcua_server.type_tree import TypeTree
+from hilserver.io.opcua_server.where import compile_where
 
 LONGEST_SAMPLING_MS = 3_600_000.0
 _Codes = ua.StatusCodes
 _Modes = ua.MonitoringMode
 _Attributes = ua.AttributeIds
 _REPORTING = _Modes.Reporting
-_quiet = logging.getLogger(__name__)
+_MAX_SELECTED = 500
+"""Select clauses of an event item."""
+MAX_LINKS = 1000
+"""From items that trigger to those that they trigger, in one subscription."""
+_GIVE_WAY_EVERY = 50
 
 
 class MonitoredItems:
@@ -43,12 +48,13 @@ class MonitoredItems:
     def __init__(
         self,
         address_space: Any,
+        types: TypeTree,
         publishing_ms: Callable[[], float],
         *,
         longest_queue: int,
         shortest_sampling_ms: float,
     ) -> None:
-        self._address_space = address_space
+        self._address_space, self._types = address_space, types
         self._publishing_ms = publishing_ms
         self._longest_queue = longest_queue
         self._shortest_ms = shortest_sampling_ms
@@ -133,6 +139,7 @@ class MonitoredItems:
         if notifier is None or not (notifier.Value or 0) & ua.EventNotifier.SubscribeToEvents.mask:
             raise RefusedError(_Codes.BadAttributeIdInvalid)
         wanted = check_event_filter(asked.Filter)
+        where = compile_where(wanted.WhereClause, self._types)
         self._events[self._number] = item = EventItem(
             item_id=self._number,
             handle=HANDLE.pack(asked.ClientHandle),
@@ -141,7 +148,7 @@ class MonitoredItems:
             discard_oldest=asked.DiscardOldest,
             node_id=read.NodeId,
             filter=wanted,
-            where=WhereClauseEvaluator(_quiet, self._address_space, wanted.WhereClause),
+            where=where,
         )
         return item
 
@@ -160,10 +167,9 @@ class MonitoredItems:
                 item.due_s, item.stamps = 0.0, stamps
                 result.RevisedSamplingInterval = item.interval_s * 1e3
             else:
-                item.filter = check_event_filter(asked.Filter)
-                item.where = WhereClauseEvaluator(
-                    _quiet, self._address_space, item.filter.WhereClause
-                )
+                wanted = check_event_filter(asked.Filter)
+                item.where = compile_where(wanted.WhereClause, self._types)
+                item.filter = wanted
         except (RefusedError, FilterError) as error:
             result.StatusCode = ua.StatusCode(error.code)
             return result
@@ -217,9 +223,12 @@ class MonitoredItems:
             for number in remove
         ]
         added = []
+        n_links = sum(len(other.triggers) for other in self._items()) if add else 0
         for number in add:
             if self.get(number) is None:
                 added.append(_unknown)
+            elif n_links + len(added) >= MAX_LINKS:
+                added.append(int(_Codes.BadResourceUnavailable))
             else:
                 item.triggers[number] = None
                 self._has_links = True
@@ -228,24 +237,30 @@ class MonitoredItems:
 
     # --- sampling ---------------------------------------------------------------------------------
 
-    def after_frame(self, now_s: float) -> None:
+    def after_frame(self, now_s: float) -> Portions:
         """Look at what is queued change by change."""
-        self._look_at(self._each_frame, now_s)
+        return self._look_at_portions(self._each_frame, now_s, 0.0)
 
-    def before_publishing(self, now_s: float) -> None:
-        """Look at all that is due, or nearer to this publishing interval than to the next."""
-        self._look_at(self._all, now_s, self._publishing_ms() / 2e3)
+    def before_publishing(self, now_s: float) -> Portions:
+        """Look at everything that is due, or nearer to this publishing than to the next."""
+        return self._look_at_portions(self._all, now_s, self._publishing_ms() / 2e3)
 
     @property
     def has_each_frame(self) -> bool:
         """Whether there is anything to look at after a frame."""
         return bool(self._each_frame)
 
-    def take_event(self, event: Any) -> None:
+    @property
+    def has_events(self) -> bool:
+        """Whether anybody watches events."""
+        return bool(self._events)
+
+    def take_event(self, event: Any) -> Portions:
         """Queue an event for those who watch the node that emits it."""
-        for item in self._events.values():
+        for item in tuple(self._events.values()):
             if item.node_id == event.emitting_node and item.take(event):
                 self._note(item)
+            yield
 
     def repeat_values(self) -> None:
         """Report all values again, as if the items were new."""
@@ -262,10 +277,17 @@ class MonitoredItems:
         for item in news:
             self._note(item)
 
+    def _look_at_portions(self, items: list[ValueItem], now_s: float, slack_s: float) -> Portions:
+        # What triggers others comes with them in one portion.
+        size = max(1, len(items)) if self._has_links else _GIVE_WAY_EVERY
+        for first in range(0, len(items), size):
+            self._look_at(items[first : first + size], now_s, slack_s)
+            yield
+
     def _note(self, item: Item) -> None:
         """Put an item on the list of those with something to send, and what it triggers."""
-        if not item.queue:
-            return
+        if not item.queue or self.get(item.item_id) is not item:
+            return  # deleted while others were looked at
         for number in item.triggers:
             linked = self.get(number)
             if linked is not None and linked.mode == _Modes.Sampling and linked.queue:
@@ -309,6 +331,8 @@ _unknown = int(_Codes.BadMonitoredItemIdInvalid)
 def check_event_filter(asked: Any) -> ua.EventFilter:
     """Return the filter of an event item; RefusedError if it selects nothing."""
     if not isinstance(asked, ua.EventFilter) or not asked.SelectClauses:
+        raise RefusedError(_Codes.BadEventFilterInvalid)
+    if len(asked.SelectClauses) > _MAX_SELECTED:
         raise RefusedError(_Codes.BadEventFilterInvalid)
     return asked
 

@@ -4,43 +4,60 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from hilserver.io.opcua_server import encoding
+from hilserver.io.opcua_server.browsing import MAX_REFERENCES_IN_ALL, translate
 from hilserver.io.opcua_server.operations import check_stamps, limited, status_codes
+from hilserver.io.opcua_server.rotation import Portions
 from hilserver.io.opcua_server.sessions import RobotSession
 
 _Codes, _Ids = ua.StatusCodes, ua.ObjectIds
-_MAX_PATH_ELEMENTS = 50
+_MAX_READ_BYTES = 1 << 20
+"""Of one response to Read: the longest values of the standard have 100 kB and more."""
 _SERVER = ua.NodeId(_Ids.Server)
 _GET_MONITORED_ITEMS = ua.NodeId(_Ids.Server_GetMonitoredItems)
 
 
-def read(session: RobotSession, params: encoding.ReadItems) -> list[bytes]:
+def read(session: RobotSession, params: encoding.ReadItems) -> Portions:
     """Answer Read with encoded values; what depends on the user is that of this user."""
     items = limited(session, params.items)
     if not params.max_age_ms >= 0:
         raise ServiceError(_Codes.BadMaxAgeInvalid)
     stamps = check_stamps(params.stamps)
     reader, user = session.server.reader, session.user
-    return [reader.read(item, user).encoded(stamps) for item in items]
+    values: list[bytes] = []
+    size = 0
+    for item in items:
+        if session.is_out_of_time:
+            value = reader.refused(_Codes.BadTimeout)
+        else:
+            value = reader.read(item, user)
+        values.append(value.encoded(stamps))
+        size += len(values[-1])
+        if size > _MAX_READ_BYTES:
+            raise ServiceError(_Codes.BadResponseTooLarge)
+        yield
+    return values
 
 
-def write(session: RobotSession, params: ua.WriteParameters) -> ua.WriteResponse:
+def write(session: RobotSession, params: ua.WriteParameters) -> Portions:
     """Answer Write."""
-    answers = session.server.door.write(
+    answers = yield from session.server.door.write(
         limited(session, params.NodesToWrite), session.user, session.source
     )
     session.texts = [answer.text for answer in answers]
     return ua.WriteResponse(Results=status_codes([answer.code for answer in answers]))
 
 
-async def call(session: RobotSession, params: ua.CallParameters) -> ua.CallResponse:
-    """Answer Call."""
+def call(session: RobotSession, params: ua.CallParameters) -> Portions:
+    """Answer Call; a method may wait."""
     results: list[ua.CallMethodResult] = []
     texts: list[str] = []
     methods = session.server.methods
     for request in limited(session, params.MethodsToCall):
         text = ""
-        if request.MethodId in methods:
-            result, text = await methods.call(request, session.user)
+        if session.is_out_of_time:
+            result = ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.BadTimeout))
+        elif request.MethodId in methods:
+            result, text = yield methods.call(request, session.user)
         elif request.MethodId == _GET_MONITORED_ITEMS and request.ObjectId == _SERVER:
             result = _monitored_items(session, request.InputArguments or [])
         else:
@@ -49,6 +66,7 @@ async def call(session: RobotSession, params: ua.CallParameters) -> ua.CallRespo
             result = ua.CallMethodResult(StatusCode=ua.StatusCode(code))
         results.append(result)
         texts.append(text)
+        yield
     session.texts = texts
     return ua.CallResponse(Results=results)
 
@@ -78,39 +96,49 @@ def _monitored_items(session: RobotSession, arguments: list[ua.Variant]) -> ua.C
 # --- views ----------------------------------------------------------------------------------------
 
 
-def browse(session: RobotSession, params: ua.BrowseParameters) -> ua.BrowseResponse:
+def browse(session: RobotSession, params: ua.BrowseParameters) -> Portions:
     """Answer Browse; long answers come in pages."""
     limited(session, params.NodesToBrowse)
     if not params.View.ViewId.is_null():
         raise ServiceError(_Codes.BadViewIdUnknown)
-    return ua.BrowseResponse(Results=session.pages.browse(params))
+    results, room = [], MAX_REFERENCES_IN_ALL
+    for asked in params.NodesToBrowse:
+        if session.is_out_of_time:
+            result = ua.BrowseResult(StatusCode=ua.StatusCode(_Codes.BadTimeout))
+        else:
+            most = params.RequestedMaxReferencesPerNode
+            result = yield from session.pages.first_page(asked, most, room)
+        results.append(result)
+        room -= len(result.References or ())
+        yield
+    return ua.BrowseResponse(Results=results)
 
 
-def browse_next(session: RobotSession, params: ua.BrowseNextParameters) -> ua.BrowseNextResponse:
+def browse_next(session: RobotSession, params: ua.BrowseNextParameters) -> Portions:
     """Answer BrowseNext."""
-    limited(session, params.ContinuationPoints)
+    results, room = [], MAX_REFERENCES_IN_ALL
+    for point in limited(session, params.ContinuationPoints):
+        results.append(session.pages.next_page(point, room, params.ReleaseContinuationPoints))
+        room -= len(results[-1].References or ())
+        yield
     response = ua.BrowseNextResponse()
-    response.Parameters.Results = session.pages.browse_next(params)
+    response.Parameters.Results = results
     return response
 
 
-def translate(
+def translate_paths(
     session: RobotSession, params: ua.TranslateBrowsePathsToNodeIdsParameters
-) -> ua.TranslateBrowsePathsToNodeIdsResponse:
+) -> Portions:
     """Answer TranslateBrowsePathsToNodeIds."""
     results: list[ua.BrowsePathResult] = []
+    server = session.server
     for path in limited(session, params.BrowsePaths):
-        elements = path.RelativePath.Elements or []
-        if path.StartingNode not in session.server.aspace:
-            code = _Codes.BadNodeIdUnknown
-        elif not elements:
-            code = _Codes.BadNothingToDo
-        elif len(elements) > _MAX_PATH_ELEMENTS:
-            code = _Codes.BadTooManyMatches
+        if session.is_out_of_time:
+            result = ua.BrowsePathResult(StatusCode=ua.StatusCode(_Codes.BadTimeout))
         else:
-            results += session.server.view_service.translate_browsepaths_to_nodeids([path])
-            continue
-        results.append(ua.BrowsePathResult(StatusCode=ua.StatusCode(code)))
+            result = yield from translate(server.aspace, server.types, path)
+        results.append(result)
+        yield
     return ua.TranslateBrowsePathsToNodeIdsResponse(Results=results)
 
 

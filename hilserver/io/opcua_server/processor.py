@@ -6,7 +6,7 @@ needs a session needs its authentication token too, on the channel that the sess
 
 import inspect
 import struct
-from collections.abc import Coroutine, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from asyncua import ua
@@ -22,6 +22,7 @@ from asyncua.ua.ua_binary import (
 
 from hilserver.io.opcua_server import encoding
 from hilserver.io.opcua_server.channel import GuardedConnection
+from hilserver.io.opcua_server.decoding import within_bounds
 from hilserver.io.opcua_server.frames import Stage, TransportError, check_order
 from hilserver.io.opcua_server.login import (
     activate_session,
@@ -30,6 +31,8 @@ from hilserver.io.opcua_server.login import (
 )
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.node_services import read
+from hilserver.io.opcua_server.portions import decoded, encoded
+from hilserver.io.opcua_server.rotation import Portions
 from hilserver.io.opcua_server.services import REPUBLISH, SERVICES
 from hilserver.io.opcua_server.sessions import RobotSession
 
@@ -57,16 +60,13 @@ _MANAGEMENT = {
 _UNDECODABLE = (
     NotEnoughData, struct.error, UnicodeDecodeError, RecursionError, OverflowError, MemoryError,
 )  # fmt: skip
-Outcome = bool | Coroutine[Any, Any, bool]
-"""Whether the connection goes on, now or after waiting for something."""
+REQUEST_S = 0.5
+"""Of work for one request; what it has not done by then is refused."""
 
 
 def decode(kind: type, body: Buffer) -> Any:
     """Decode the parameters of a service; BadDecodingError whatever is wrong with them."""
-    try:
-        return struct_from_binary(kind, body)
-    except Exception:  # noqa: BLE001 - whatever a decoder of others trips over is the sender's
-        raise ServiceError(_Codes.BadDecodingError) from None
+    return within_bounds(lambda: struct_from_binary(kind, body))
 
 
 class RobotProcessor:
@@ -76,6 +76,8 @@ class RobotProcessor:
     ----------
     is_congested : bool
         The client does not read what was sent to it.
+    spent_s : float
+        Time that the message being processed has taken; counted by who gives us turns [s].
     """
 
     def __init__(self, iserver: Any, transport: Any, policies: Sequence[Any]) -> None:
@@ -88,6 +90,12 @@ class RobotProcessor:
         self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)
         self._is_greeted = False
+        self.spent_s = 0.0
+
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether the request that is being answered has used up its time."""
+        return self.spent_s > REQUEST_S
 
     @property
     def policy(self) -> Any:
@@ -115,15 +123,16 @@ class RobotProcessor:
         """Whether a message is still incomplete."""
         return self._connection.has_parts
 
-    def process_frame(self, kind: bytes, frame: bytes) -> Outcome:
-        """Process one frame; False if the connection is to be closed."""
+    def process_frame(self, kind: bytes, frame: bytes) -> Portions:
+        """Process one frame; return False if the connection is to be closed."""
         try:
-            return self._process_frame(kind, frame)
+            outcome = self._process_frame(kind, frame)
+            return outcome if isinstance(outcome, bool) else (yield from outcome)
         except Exception as error:  # noqa: BLE001 - whatever it was, it is one connection's
             self._fail(kind, error)
             return False
 
-    def _process_frame(self, kind: bytes, frame: bytes) -> Outcome:
+    def _process_frame(self, kind: bytes, frame: bytes) -> bool | Portions:
         check_order(self.stage, kind)
         connection = self._connection
         if self.stage is Stage.ACTIVE:
@@ -213,7 +222,7 @@ class RobotProcessor:
         """Say that a request failed as a whole."""
         self.send_body(request_id, handle, _fault(code, handle))
 
-    def _send(self, request_id: int, head: encoding.Head, response: Any) -> None:
+    def _send(self, request_id: int, head: encoding.Head, response: Any) -> Portions:
         """Send a response, with diagnostics where the client asked for them."""
         if response is None:
             return
@@ -224,18 +233,18 @@ class RobotProcessor:
             ):
                 explain(response, self.session.texts, head.diagnostics)
             response.ResponseHeader.RequestHandle = head.handle
-            response = bytes(struct_to_binary(response))
+            response = yield from encoded(response)
         self.send_body(request_id, head.handle, response)
 
     # --- services ---------------------------------------------------------------------------------
 
-    def _process_message(self, request_id: int, body: Buffer) -> Outcome:
+    def _process_message(self, request_id: int, body: Buffer) -> Portions:
         """Answer one message; raise if not even its header can be read."""
         service = encoding.service_id(body)
         session, token = self.session, None
         head = None if session is None else encoding.request_head(body, session.token_bytes)
         if head is None:
-            header = struct_from_binary(ua.RequestHeader, body)
+            header = decode(ua.RequestHeader, body)
             token = header.AuthenticationToken
             head = encoding.Head(header.RequestHandle, header.ReturnDiagnostics, header.TimeoutHint)
             if session is not None and not session.is_named_by(token):
@@ -243,17 +252,11 @@ class RobotProcessor:
         try:
             response = self._serve(service, session, token, head, request_id, body)
             if inspect.iscoroutine(response):
-                return self._finish(response, request_id, head)
-            self._send(request_id, head, response)
+                response = yield response
+            elif inspect.isgenerator(response):
+                response = yield from response
+            yield from self._send(request_id, head, response)
         except Exception as error:  # noqa: BLE001 - a client must get an answer, and no traceback
-            self.send_fault(request_id, head.handle, self._code_of(error))
-        return True
-
-    async def _finish(self, response: Any, request_id: int, head: encoding.Head) -> bool:
-        """Answer when what was asked for has been done."""
-        try:
-            self._send(request_id, head, await response)
-        except Exception as error:  # noqa: BLE001 - as above
             self.send_fault(request_id, head.handle, self._code_of(error))
         return True
 
@@ -289,12 +292,13 @@ class RobotProcessor:
             raise ServiceError(_Codes.BadSessionNotActivated)
         return self._serve_session(service, session, head, request_id, body)
 
-    @staticmethod
-    def _serve_session(service: Any, session: Any, head: Any, request_id: int, body: Buffer) -> Any:
+    def _serve_session(
+        self, service: Any, session: Any, head: Any, request_id: int, body: Buffer
+    ) -> Any:
         if service == _PUBLISH:
             return session.publish(head, request_id, body)
         if service == _READ:
-            return encoding.read_response(head.handle, read(session, encoding.read_items(body)))
+            return self._read(session, head, body)
         if service == _REPUBLISH:
             message = REPUBLISH.answer(session, decode(REPUBLISH.parameters, body))
             return encoding.response_head(_REPUBLISH_RESPONSE, head.handle) + message
@@ -302,8 +306,17 @@ class RobotProcessor:
             raise ServiceError(_Codes.BadUserAccessDenied)
         if service not in SERVICES:
             raise ServiceError(_Codes.BadServiceUnsupported)
-        parameters, answer = SERVICES[service]
-        return answer(session, decode(parameters, body))
+        return self._answer(session, *SERVICES[service], body)
+
+    def _read(self, session: Any, head: Any, body: Buffer) -> Portions:
+        items = yield from encoding.read_items(body, self.iserver.config.max_operations)
+        values = yield from read(session, items)
+        return encoding.read_response(head.handle, values)
+
+    def _answer(self, session: Any, parameters: type, answer: Any, body: Buffer) -> Portions:
+        params = yield from decoded(parameters, body, self.iserver.config.max_operations)
+        response = answer(session, params)
+        return (yield from response) if inspect.isgenerator(response) else response
 
     async def _discover(self, service: int, body: Buffer) -> Any:
         if service == _FIND_SERVERS:

@@ -161,8 +161,12 @@ class Reader:
         try:
             return self._read(item, user)
         except RefusedError as error:
-            now = datetime.now(UTC)
-            return FixedDataValue(None, ua.StatusCode(error.code), None, now)
+            return self.refused(error.code)
+
+    @staticmethod
+    def refused(code: int) -> FixedDataValue:
+        """Return a value that says why there is none."""
+        return FixedDataValue(None, ua.StatusCode(code), None, datetime.now(UTC))
 
     def _read(self, item: Any, user: Any) -> FixedDataValue:
         node_id, attribute = item.node_id, item.attribute

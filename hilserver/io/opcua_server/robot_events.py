@@ -40,8 +40,10 @@ class RobotEvent:
     def __init__(self, emitting_node: ua.NodeId, fields: dict[str, ua.Variant]) -> None:
         self.emitting_node = emitting_node
         self._fields = fields
-        # Where-clauses of clients look attributes up by name.
-        self.__dict__.update({name: field.Value for name, field in fields.items()})
+
+    def field(self, name: str) -> Any:
+        """Return the value of a field, None where it does not exist."""
+        return self._fields.get(name, _NULL).Value
 
     def to_event_fields(self, select_clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
         """Return the fields a client selected; null for those that do not exist."""

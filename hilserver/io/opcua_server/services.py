@@ -1,7 +1,7 @@
 """The services of a session (OPC 10000-4): each takes its parameters and returns its response.
 
 Where a list of operations is asked for, each has a status code of its own; what concerns the whole
-request is raised as ServiceError. Call may wait and is a coroutine.
+request is raised as ServiceError. Most give way between operations: they are generators.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ SERVICES: dict[int, Service] = {
     _id("Browse"): Service(ua.BrowseParameters, nodes.browse),
     _id("BrowseNext"): Service(ua.BrowseNextParameters, nodes.browse_next),
     _id("TranslateBrowsePathsToNodeIds"): Service(
-        ua.TranslateBrowsePathsToNodeIdsParameters, nodes.translate
+        ua.TranslateBrowsePathsToNodeIdsParameters, nodes.translate_paths
     ),
     _id("RegisterNodes"): Service(ua.RegisterNodesParameters, nodes.register_nodes),
     _id("UnregisterNodes"): Service(ua.UnregisterNodesParameters, nodes.unregister_nodes),

@@ -82,7 +82,7 @@ class RobotSession:
         self.timeout_s = math.inf
         self.max_response_bytes = 0
         self.last_active_s = time.monotonic()
-        self.pages = ContinuationPoints(server.view_service, server.aspace)
+        self.pages = ContinuationPoints(server.aspace, server.types)
         self._requests: deque[PublishRequest] = deque()
         self._late: dict[Subscription, None] = {}
         self._farewells: deque[tuple[int, int]] = deque(maxlen=_MAX_FAREWELLS)
@@ -149,6 +149,11 @@ class RobotSession:
         self.touch()
         return ua.ActivateSessionResult(ServerNonce=self.nonce)
 
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether the request that is being answered has used up its time."""
+        return self.processor is None or self.processor.is_out_of_time
+
     def touch(self) -> None:
         """Note a sign of life."""
         self.last_active_s = time.monotonic()
@@ -191,9 +196,10 @@ class RobotSession:
         n_own = len(self.subscriptions)
         if not n_own and not self._farewells:
             raise ServiceError(_Codes.BadNoSubscription)
-        results = encoding.status_codes(
-            [self._acknowledge(*pair) for pair in encoding.acknowledgements(body)]
-        )
+        received = encoding.acknowledgements(body)
+        if len(received) > self.server.config.max_operations:
+            raise ServiceError(_Codes.BadTooManyOperations)
+        results = encoding.status_codes([self._acknowledge(*pair) for pair in received])
         now_s = time.monotonic()
         expires_s = now_s + head.timeout_ms / 1e3 if head.timeout_ms else math.inf
         if len(self._requests) >= 2 * n_own + _SPARE_PUBLISH_REQUESTS:

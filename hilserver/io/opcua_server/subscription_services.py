@@ -5,7 +5,9 @@ from asyncua.common.utils import ServiceError
 
 from hilserver.io.opcua_server.items import Room
 from hilserver.io.opcua_server.operations import check_stamps, limited, status_codes
+from hilserver.io.opcua_server.portions import each
 from hilserver.io.opcua_server.reading import RefusedError
+from hilserver.io.opcua_server.rotation import Portions
 from hilserver.io.opcua_server.sessions import RobotSession
 
 _Codes = ua.StatusCodes
@@ -30,7 +32,7 @@ def modify_subscription(
 
 def delete_subscriptions(
     session: RobotSession, params: ua.DeleteSubscriptionsParameters
-) -> ua.DeleteSubscriptionsResponse:
+) -> Portions:
     """Answer DeleteSubscriptions; those of others do not exist for this session."""
 
     def delete(number: int) -> int:
@@ -40,13 +42,11 @@ def delete_subscriptions(
             return int(error.code)
         return int(_Codes.Good)
 
-    codes = [delete(number) for number in limited(session, params.SubscriptionIds)]
+    codes = yield from each(session, limited(session, params.SubscriptionIds), delete, int)
     return ua.DeleteSubscriptionsResponse(Results=status_codes(codes))
 
 
-def set_publishing_mode(
-    session: RobotSession, params: ua.SetPublishingModeParameters
-) -> ua.SetPublishingModeResponse:
+def set_publishing_mode(session: RobotSession, params: ua.SetPublishingModeParameters) -> Portions:
     """Answer SetPublishingMode."""
 
     def switch(number: int) -> int:
@@ -57,8 +57,8 @@ def set_publishing_mode(
         return int(_Codes.Good)
 
     response = ua.SetPublishingModeResponse()
-    numbers = limited(session, params.SubscriptionIds)
-    response.Parameters.Results = status_codes([switch(number) for number in numbers])
+    codes = yield from each(session, limited(session, params.SubscriptionIds), switch, int)
+    response.Parameters.Results = status_codes(codes)
     return response
 
 
@@ -72,7 +72,7 @@ def republish(session: RobotSession, params: ua.RepublishParameters) -> bytes:
 
 def transfer_subscriptions(
     session: RobotSession, params: ua.TransferSubscriptionsParameters
-) -> ua.TransferSubscriptionsResponse:
+) -> Portions:
     """Answer TransferSubscriptions: to the same user of the same program."""
     service = session.server.subscription_service
     results: list[ua.TransferResult] = []
@@ -94,6 +94,7 @@ def transfer_subscriptions(
             result.AvailableSequenceNumbers = list(found.retained)
         result.StatusCode = ua.StatusCode(code)
         results.append(result)
+        yield
     response = ua.TransferSubscriptionsResponse()
     response.Parameters.Results = results
     return response
@@ -108,48 +109,61 @@ def _room(session: RobotSession) -> Room:
 
 def create_monitored_items(
     session: RobotSession, params: ua.CreateMonitoredItemsParameters
-) -> ua.CreateMonitoredItemsResponse:
+) -> Portions:
     """Answer CreateMonitoredItems."""
     items = session.own(params.SubscriptionId).items
     stamps, room = check_stamps(params.TimestampsToReturn), _room(session)
     requests = limited(session, params.ItemsToCreate)
-    results = [items.create(request, stamps, room) for request in requests]
+    results = yield from each(
+        session,
+        requests,
+        lambda request: items.create(request, stamps, room),
+        lambda code: ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(code)),
+    )
     items.arrange()
     return ua.CreateMonitoredItemsResponse(Results=results)
 
 
 def modify_monitored_items(
     session: RobotSession, params: ua.ModifyMonitoredItemsParameters
-) -> ua.ModifyMonitoredItemsResponse:
+) -> Portions:
     """Answer ModifyMonitoredItems."""
     items = session.own(params.SubscriptionId).items
     stamps, room = check_stamps(params.TimestampsToReturn), _room(session)
     requests = limited(session, params.ItemsToModify)
-    results = [items.modify(request, stamps, room) for request in requests]
+    results = yield from each(
+        session,
+        requests,
+        lambda request: items.modify(request, stamps, room),
+        lambda code: ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(code)),
+    )
     items.arrange()
     return ua.ModifyMonitoredItemsResponse(Results=results)
 
 
 def delete_monitored_items(
     session: RobotSession, params: ua.DeleteMonitoredItemsParameters
-) -> ua.DeleteMonitoredItemsResponse:
+) -> Portions:
     """Answer DeleteMonitoredItems."""
     items = session.own(params.SubscriptionId).items
-    codes = [items.delete(number) for number in limited(session, params.MonitoredItemIds)]
+    codes = yield from each(session, limited(session, params.MonitoredItemIds), items.delete, int)
     items.arrange()
     return ua.DeleteMonitoredItemsResponse(Results=status_codes(codes))
 
 
-def set_monitoring_mode(
-    session: RobotSession, params: ua.SetMonitoringModeParameters
-) -> ua.SetMonitoringModeResponse:
+def set_monitoring_mode(session: RobotSession, params: ua.SetMonitoringModeParameters) -> Portions:
     """Answer SetMonitoringMode."""
     items, mode = session.own(params.SubscriptionId).items, params.MonitoringMode
     if not isinstance(mode, ua.MonitoringMode):
         raise ServiceError(_Codes.BadMonitoringModeInvalid)
     response = ua.SetMonitoringModeResponse()
-    numbers = limited(session, params.MonitoredItemIds)
-    response.Parameters.Results = status_codes([items.set_mode(number, mode) for number in numbers])
+    codes = yield from each(
+        session,
+        limited(session, params.MonitoredItemIds),
+        lambda number: items.set_mode(number, mode),
+        int,
+    )
+    response.Parameters.Results = status_codes(codes)
     items.arrange()
     return response
 

@@ -5,7 +5,7 @@ server (`rotation`): one message per turn, so that a long queue keeps nobody wai
 """
 
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,7 +17,8 @@ from hilserver.io.opcua_server import encoding
 from hilserver.io.opcua_server.items import Room
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.monitored_items import MonitoredItems
-from hilserver.io.opcua_server.rotation import Rotation
+from hilserver.io.opcua_server.rotation import Portions, Rotation, advance
+from hilserver.io.opcua_server.type_tree import TypeTree
 from hilserver.scheduler.period import Period
 
 LONGEST_PUBLISHING_MS = 3_600_000.0
@@ -28,6 +29,8 @@ _MAX_KEEP_ALIVE, _MAX_LIFETIME = 5000, 15_000
 _ANSWER_BYTES = 1024
 """What a Publish response has beside its notifications, and more."""
 _MAX_SEQUENCE = 2**32 - 1
+_MAX_EVENTS = 100
+"""That wait to be filtered."""
 _Codes = ua.StatusCodes
 
 
@@ -52,6 +55,7 @@ class Subscription:
         self.max_notifications = MAX_NOTIFICATIONS
         self.items = MonitoredItems(
             service.address_space,
+            service.types,
             lambda: float(self.revised.RevisedPublishingInterval),
             longest_queue=config.max_queue_size,
             shortest_sampling_ms=config.min_publishing_ms,
@@ -61,7 +65,9 @@ class Subscription:
         self._service = service
         self._sequence = 1
         self._period = Period(self._tick)
-        self._is_due = self._is_owed = self._has_frame = False
+        self._is_due = self._is_owed = self._has_frame = self._has_sampled = False
+        self._events: deque[Any] = deque(maxlen=_MAX_EVENTS)
+        self._work: Portions | None = None
         self._is_first = True
         self._idle_cycles = self._unserved_cycles = 0
 
@@ -117,19 +123,42 @@ class Subscription:
         self._has_frame = self.items.has_each_frame
         return self._has_frame
 
+    def take_event(self, event: Any) -> None:
+        """Keep an event for the next turn, if anybody watches for any; the oldest makes room."""
+        if self.items.has_events:
+            self._events.append(event)
+            self._service.rotation.add(self)
+
     def turn(self) -> bool:
         """Sample, and send a message if it is time; whether there are more to send now."""
+        if self._work is None:
+            self._work = self._sample()
+        try:
+            advance(self._work)
+        except StopIteration:
+            self._work = None
+            if self._has_sampled:
+                self._has_sampled = False
+                self._cycle()
+            return self._is_owed and self._send()
+        except Exception:
+            self._work = None
+            raise
+        return True
+
+    def _sample(self) -> Portions:
+        while self._events:
+            yield from self.items.take_event(self._events.popleft())
         now_s = time.monotonic()
         if self._has_frame:
             self._has_frame = False
-            self.items.after_frame(now_s)
+            yield from self.items.after_frame(now_s)
         if self._is_due:
             self._is_due = False
-            self._cycle(now_s)
-        return self._is_owed and self._send()
+            yield from self.items.before_publishing(now_s)
+            self._has_sampled = True
 
-    def _cycle(self, now_s: float) -> None:
-        self.items.before_publishing(now_s)
+    def _cycle(self) -> None:
         if self._is_owed:
             self._unserved_cycles += 1
             if self._unserved_cycles > self.revised.RevisedLifetimeCount:
@@ -198,8 +227,8 @@ class Subscriptions:
     client has lost its connection yield, the oldest first.
     """
 
-    def __init__(self, address_space: Any, config: OpcUaConfig) -> None:
-        self.address_space, self.config = address_space, config
+    def __init__(self, address_space: Any, types: TypeTree, config: OpcUaConfig) -> None:
+        self.address_space, self.types, self.config = address_space, types, config
         self.rotation = Rotation()
         self.subscriptions: dict[int, Subscription] = {}
         self._number = 77
@@ -218,10 +247,7 @@ class Subscriptions:
     def take_event(self, event: Any) -> None:
         """Queue an event for those who watch for it."""
         for subscription in self.subscriptions.values():
-            try:
-                subscription.items.take_event(event)
-            except Exception as error:  # noqa: BLE001 - a client's filter must not stop the others
-                log.warning("opcua event filter failed", error=repr(error)[:200])
+            subscription.take_event(event)
 
     def create(self, session: Any, params: Any) -> ua.CreateSubscriptionResult:
         """Create a subscription; BadTooManySubscriptions where there is no room."""

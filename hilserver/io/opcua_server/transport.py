@@ -25,6 +25,7 @@ from asyncua.server.binary_server_asyncio import BinaryServer
 from hilserver.io.opcua_server.frames import FrameReader, Stage, TransportError
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.processor import RobotProcessor
+from hilserver.io.opcua_server.rotation import Portions, advance
 
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0
@@ -36,7 +37,7 @@ _Codes = ua.StatusCodes
 
 
 class RobotProtocol(asyncio.Protocol):
-    """One connection; a job that has a turn for each frame."""
+    """One connection; a job that processes one frame after the other, in portions."""
 
     def __init__(self, server: "RobotBinaryServer") -> None:
         self._server = server
@@ -47,6 +48,7 @@ class RobotProtocol(asyncio.Protocol):
         self._is_reading = True
         self._stage = Stage.NEW
         self._stage_since_s = self._parts_since_s = self._deaf_since_s = 0.0
+        self._work: Portions | None = None
         self._waiting: asyncio.Task[None] | None = None
         self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
         self._transport: Any = None
@@ -77,6 +79,7 @@ class RobotProtocol(asyncio.Protocol):
         self._frames.clear()
         if self._waiting is not None:
             self._waiting.cancel()
+        self._work = None
         self.processor.close()
 
     def data_received(self, data: bytes) -> None:
@@ -93,7 +96,10 @@ class RobotProtocol(asyncio.Protocol):
         if self._queued_bytes > _MAX_QUEUED_BYTES and self._is_reading:
             self._is_reading = False
             self._transport.pause_reading()
-        if self._frames and self._is_free:
+        self._ask_for_turns()
+
+    def _ask_for_turns(self) -> None:
+        if self._waiting is None and (self._work is not None or (self._frames and self._is_free)):
             self._rotation.add(self)
 
     @property
@@ -102,27 +108,43 @@ class RobotProtocol(asyncio.Protocol):
         return self._waiting is None and not self.processor.is_congested
 
     def turn(self) -> bool:
-        """Process one frame; whether there are more."""
+        """Do a portion of a frame; whether there is more to do."""
         assert self.processor is not None
-        if not self._frames or not self._is_free or self._transport.is_closing():
-            return False
-        kind, frame = self._frames.popleft()
-        if not kind:
-            self.processor.refuse(self._refused.code, str(self._refused))
-            return False
-        self._queued_bytes -= len(frame)
-        outcome = self.processor.process_frame(kind, frame)
-        if not isinstance(outcome, bool):
-            self._waiting = asyncio.create_task(self._wait(outcome), name="opcua request")
-            return False
-        self._go_on(outcome)
-        return bool(self._frames) and self._is_free
+        if self._work is None:
+            if not self._frames or not self._is_free or self._transport.is_closing():
+                return False
+            kind, frame = self._frames.popleft()
+            if not kind:
+                self.processor.refuse(self._refused.code, str(self._refused))
+                return False
+            self._queued_bytes -= len(frame)
+            self._work = self.processor.process_frame(kind, frame)
+            self.processor.spent_s = 0.0
+        return self._advance(None)
 
-    async def _wait(self, outcome: Coroutine[Any, Any, bool]) -> None:
-        goes_on = await outcome
+    def _advance(self, answer: Any) -> bool:
+        assert self.processor is not None
+        assert self._work is not None
+        began_s = time.monotonic()
+        try:
+            wanted = advance(self._work, answer)
+        except StopIteration as done:
+            self._work = None
+            self._go_on(done.value)
+            return bool(self._frames) and self._is_free
+        self.processor.spent_s += time.monotonic() - began_s
+        if wanted is None:
+            return True
+        self._waiting = asyncio.create_task(self._wait(wanted), name="opcua request")
+        return False
+
+    async def _wait(self, wanted: Coroutine[Any, Any, Any]) -> None:
+        try:
+            answer = await wanted
+        except Exception as error:  # noqa: BLE001 - whatever it is, the request is answered with it
+            answer = error
         self._waiting = None
-        self._go_on(goes_on)
-        if self._frames and self._is_free:
+        if self._work is not None and self._advance(answer):
             self._rotation.add(self)
 
     def _go_on(self, goes_on: bool) -> None:
@@ -146,8 +168,7 @@ class RobotProtocol(asyncio.Protocol):
         self.processor.is_congested, self._deaf_since_s = False, 0.0
         if self.processor.session is not None:
             self.processor.session.resume()
-        if self._frames and self._is_free:
-            self._rotation.add(self)
+        self._ask_for_turns()
 
     def _note_progress(self) -> None:
         assert self.processor is not None
