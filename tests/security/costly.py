@@ -11,6 +11,7 @@ from asyncua.ua.ua_binary import struct_to_binary
 MOST_OPERATIONS, MOST_BYTES = 1000, 262_144
 _SESSION_BYTES = 256
 _References = ua.NodeId(ua.ObjectIds.References)
+_Hierarchical = ua.NodeId(ua.ObjectIds.HierarchicalReferences)
 _Attributes, _Type = ua.AttributeIds, ua.VariantType
 
 
@@ -98,7 +99,7 @@ class Requests:
             size = max(1, size // 2)
 
     def _some(self, size: int, make: Any) -> list[Any]:
-        """A few different ones, again and again: making them should not take longer than reading."""
+        """A few different ones, again and again: making them should be quick."""
         few = [make() for _ in range(min(size, 5))]
         return [few[i % len(few)] for i in range(size)]
 
@@ -133,7 +134,8 @@ class Requests:
     def do_call(self, size: int) -> Any:
         request = ua.CallRequest()
         names = (
-            "Step", "Reset", "Force", "InjectFault", "SaveSnapshot", "LoadSnapshot", "SetPose", "Pause",
+            "Step", "Reset", "Force", "InjectFault", "SaveSnapshot", "LoadSnapshot", "SetPose",
+            "Pause",
             "Start", "ClearFaults", "ResetStatistics", "Unforce", "SetSpeed",
         )  # fmt: skip
         own = ua.CallMethodRequest(
@@ -147,11 +149,13 @@ class Requests:
             [ua.Variant(1.0, _Type.Double)] * 3,
             [ua.Variant("pose.x_m", _Type.String), ua.Variant(1.0, _Type.Double)],
         ))  # fmt: skip
-        request.Parameters.MethodsToCall = self._some(size, lambda: own if self.rng.random() < 0.2 else (
-            ua.CallMethodRequest(
-                ua.NodeId("methods", 2), ua.NodeId(f"methods.{self.rng.choice(names)}", 2), arguments
-            )
-        ))  # fmt: skip
+
+        def call() -> ua.CallMethodRequest:
+            method = ua.NodeId(f"methods.{self.rng.choice(names)}", 2)
+            foreign = ua.CallMethodRequest(ua.NodeId("methods", 2), method, arguments)
+            return own if self.rng.random() < 0.2 else foreign
+
+        request.Parameters.MethodsToCall = self._some(size, call)
         request.RequestHeader.ReturnDiagnostics = self.rng.choice((0, 0xFF))
         return request
 
@@ -159,8 +163,9 @@ class Requests:
         request = ua.BrowseRequest()
         request.Parameters.RequestedMaxReferencesPerNode = self.rng.choice((0, 0, 1, 100))
         request.Parameters.NodesToBrowse = self._some(size, lambda: ua.BrowseDescription(
-            NodeId=_node(self.rng, self.nodes), BrowseDirection=self.rng.choice(list(ua.BrowseDirection)[:3]),
-            ReferenceTypeId=self.rng.choice((ua.NodeId(), _References, ua.NodeId(ua.ObjectIds.HierarchicalReferences))),
+            NodeId=_node(self.rng, self.nodes),
+            BrowseDirection=self.rng.choice(list(ua.BrowseDirection)[:3]),
+            ReferenceTypeId=self.rng.choice((ua.NodeId(), _References, _Hierarchical)),
             IncludeSubtypes=True, NodeClassMask=0, ResultMask=63,
         ))  # fmt: skip
         return request

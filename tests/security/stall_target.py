@@ -1,8 +1,8 @@
 """A server on the loop of the daemon, which says how long that loop was held.
 
-Usage: python -m tests.security.stall_target <folder>. It prints its address. To each line it reads it
-answers with the longest stall since the last line [ms]: the processor time that the loop's thread
-used between two callbacks of a probe, so that what other processes take does not count.
+Usage: python -m tests.security.stall_target <folder>. It prints its address. To each line it
+reads it answers with the longest stall since the last line [ms]: the processor time that the loop's
+thread used between two callbacks of a probe, so that what other processes take does not count.
 """
 
 import asyncio

@@ -1,5 +1,6 @@
 """Where clauses: refused when they are created, or as cheap as they are long."""
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -143,8 +144,6 @@ async def test_the_subtypes_of_a_type_pass_and_a_filter_of_the_attack_does_not_e
     class Inbox:
         def event_notification(self, event: Any) -> None:
             found.append(event)
-
-    import asyncio
 
     found: list[Any] = []
     subscription = await client.create_subscription(10, Inbox())
