@@ -32,7 +32,7 @@ LOGIN_DEADLINE_S = 10.0
 DEAF_DEADLINE_S = 10.0
 _SWEEP_S = 0.2
 _LONG_S, _LONG_REST_S = 0.002, 0.002
-"""A request that has taken so long rests after each portion: it gets a fifth of the loop at most."""
+"""A request that has taken so long rests after each portion: it gets a fifth of the loop."""
 _MAX_UNREAD_BYTES = 256 * 1024
 _MAX_QUEUED_BYTES = 256 * 1024
 _Codes = ua.StatusCodes
