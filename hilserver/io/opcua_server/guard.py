@@ -3,7 +3,6 @@
 import asyncio
 import itertools
 import secrets
-import time
 from typing import Any
 
 from asyncua import ua
@@ -18,12 +17,12 @@ from hilserver.io.opcua_server.decoding import bound_decoder
 from hilserver.io.opcua_server.door import SOURCE, WriteDoor
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.methods import Methods
+from hilserver.io.opcua_server.places import Places
 from hilserver.io.opcua_server.reading import Reader
 from hilserver.io.opcua_server.sessions import RobotSession
 from hilserver.io.opcua_server.subscriptions import Subscriptions
 from hilserver.io.opcua_server.type_tree import TypeTree
 
-_ACTIVATION_WITHIN_S = 10.0
 _LONGEST_SESSION_MS = 120_000.0
 _LIMITS = ua.ObjectIds
 _OPERATION_LIMITS = (
@@ -58,7 +57,7 @@ class RobotInternalServer(QuickInternalServer):
         bound_decoder()
         super().__init__(user_manager=None)
         self.config, self.access, self.trust = config, access, trust
-        self._max_sessions = config.max_sessions
+        self._places = Places(config.max_sessions, lambda user: access.may_call(user, "Stop"))
         self.page_secret = secrets.token_hex(32)
         self._page_numbers = itertools.count(1)
         self.allow_remote_admin = False
@@ -97,15 +96,20 @@ class RobotInternalServer(QuickInternalServer):
         for node_id in _OPERATION_LIMITS:
             await self.write_attribute_value(ua.NodeId(node_id), ua.DataValue(value))
 
-    def new_session(self, processor: Any, policy: Any) -> RobotSession:
-        """Return a new session; BadTooManySessions beyond the limit."""
-        if len(self.sessions) >= self._max_sessions:
-            self._make_room()
-        if len(self.sessions) >= self._max_sessions:
-            raise ServiceError(ua.StatusCodes.BadTooManySessions)
+    def new_session(self, processor: Any, policy: Any, name: str | None) -> RobotSession:
+        """Return a new session of that name; BadTooManySessions where there is no place for it."""
+        is_page = self._is_page(name)
+        if not is_page:
+            self._places.create(tuple(self.sessions.values()), processor.address)
         session = RobotSession(self, processor, policy)
+        session.is_page, session.source = is_page, self.source_of(name)
+        session.visitor = self.visitor_of(name, processor.address)
         self.sessions[session.auth_token] = session
         return session
+
+    def admit(self, session: RobotSession, user: Any) -> None:
+        """Raise BadTooManySessions where there is no place for a session of that user."""
+        self._places.activate(tuple(self.sessions.values()), session, user)
 
     def session_of(self, token: ua.NodeId) -> RobotSession | None:
         """Return the session that an authentication token names."""
@@ -125,17 +129,6 @@ class RobotInternalServer(QuickInternalServer):
     def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
         """Refuse: this is no discovery server."""
         raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
-
-    def _make_room(self) -> None:
-        """End sessions that were never activated, and if need be the oldest without a client."""
-        latest_s = time.monotonic() - _ACTIVATION_WITHIN_S
-        sessions = tuple(self.sessions.values())
-        for session in sessions:
-            if not session.is_activated and session.last_active_s < latest_s:
-                session.close()
-        orphan = next((s for s in sessions if s.is_activated and s.processor is None), None)
-        if len(self.sessions) >= self._max_sessions and orphan is not None:
-            orphan.close()
 
     async def stop(self) -> None:
         """Stop at once: end sessions that outlived their connection, and the clock."""

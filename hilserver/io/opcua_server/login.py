@@ -31,9 +31,7 @@ async def create_session(processor: Any, params: Any) -> ua.CreateSessionRespons
     _check_client(iserver, policy, params)
     asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
     endpoints = await iserver.get_endpoints(asked, processor.sockname)
-    processor.session = session = iserver.new_session(processor, policy)
-    session.source = iserver.source_of(params.SessionName)
-    session.visitor = iserver.visitor_of(params.SessionName, processor.address)
+    processor.session = session = iserver.new_session(processor, policy, params.SessionName)
     response = ua.CreateSessionResponse()
     result = response.Parameters = session.create(params)
     result.ServerEndpoints = endpoints
@@ -93,6 +91,8 @@ async def activate_session(processor: Any, token: Any, params: Any) -> ua.Activa
         if user != session.user:
             raise ServiceError(_Codes.BadUserAccessDenied)
         _move(session, processor)
+    if not session.is_activated:
+        iserver.admit(session, user)
     response = ua.ActivateSessionResponse()
     response.Parameters = session.activate(user)
     return response

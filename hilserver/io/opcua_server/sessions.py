@@ -60,6 +60,10 @@ class RobotSession:
         The connection that the session is bound to.
     source : str
         Name under which its writes reach the plant: ``opcua``, or ``page:<number>``.
+    address : str
+        Where the client that created it is.
+    is_page : bool
+        It is one of the operator page.
     visitor : str
         Address that failed log-ins count for; empty: those of the user name alone.
     timeout_s : float
@@ -79,6 +83,7 @@ class RobotSession:
         self.texts: Sequence[str] = ()
         self.processor: Any = None
         self.source, self.visitor = SOURCE, ""
+        self.address, self.is_page = processor.address, False
         self.timeout_s = math.inf
         self.max_response_bytes = 0
         self.last_active_s = time.monotonic()
@@ -115,6 +120,16 @@ class RobotSession:
     def is_activated(self) -> bool:
         """Whether somebody has logged in."""
         return self.state is SessionState.ACTIVATED
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has not ended."""
+        return self.state is not SessionState.CLOSED
+
+    @property
+    def holder(self) -> tuple[Any, ...]:
+        """Whose places it counts for."""
+        return (self.user.name, self.address, self._certificate)
 
     @property
     def owner(self) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ makes room.
 import asyncio
 import contextlib
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Coroutine
 from typing import Any
 
@@ -22,6 +22,7 @@ from asyncua.crypto.security_policies import (
 )
 from asyncua.server.binary_server_asyncio import BinaryServer
 
+from hilserver.config.server import is_loopback
 from hilserver.io.opcua_server.frames import FrameReader, Stage, TransportError
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.processor import RobotProcessor
@@ -55,13 +56,16 @@ class RobotProtocol(asyncio.Protocol):
         self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
         self._transport: Any = None
         self.processor: RobotProcessor | None = None
-        self.began_s = 0.0
+        self.began_s = self._closing_since_s = 0.0
+        self.address = ""
 
     def connection_made(self, transport: Any) -> None:
         """Begin to serve a client, if there is room."""
         self.began_s = self._stage_since_s = time.monotonic()
         self._transport = transport
-        if not self._server.make_room():
+        name = transport.get_extra_info("peername")
+        self.address = str(name[0]) if name else ""
+        if not self._server.make_room(self.address):
             log.warning("opcua connection refused: too many")
             transport.abort()
             return
@@ -187,12 +191,22 @@ class RobotProtocol(asyncio.Protocol):
 
     @property
     def is_active(self) -> bool:
-        """Whether a session is activated on this connection."""
-        return self.processor is not None and self.processor.stage is Stage.ACTIVE
+        """Whether a session is activated on this connection, and it goes on."""
+        return (
+            self.processor is not None
+            and self.processor.stage is Stage.ACTIVE
+            and not self._transport.is_closing()
+        )
 
     def check_deadlines(self, now_s: float) -> None:
         """Close the connection if it keeps us waiting."""
-        if self.processor is None or self._transport.is_closing():
+        if self.processor is None:
+            return
+        if self._transport.is_closing():
+            # It ends when the client has read the rest: not without a limit either.
+            self._closing_since_s = self._closing_since_s or now_s
+            if now_s - self._closing_since_s > READ_DEADLINE_S:
+                self._transport.abort()
             return
         if self._deaf_since_s and now_s - self._deaf_since_s > DEAF_DEADLINE_S:
             log.warning("opcua client does not read its answers: closed", address=self.address)
@@ -207,11 +221,6 @@ class RobotProtocol(asyncio.Protocol):
             is_late = is_late or now_s - self._stage_since_s > LOGIN_DEADLINE_S
         if is_late:
             self.processor.refuse(_Codes.BadTimeout, "the rest did not come in time")
-
-    @property
-    def address(self) -> str:
-        """Where the client is."""
-        return "" if self.processor is None else self.processor.address
 
     def evict(self) -> None:
         """Close at once: another client needs the place."""
@@ -233,11 +242,22 @@ class RobotBinaryServer(BinaryServer):  # type: ignore[misc]
     def _make_protocol(self) -> RobotProtocol:
         return RobotProtocol(self)
 
-    def make_room(self) -> bool:
-        """Whether one more connection may come in; the oldest without a session makes room."""
-        if len(self.clients) < self.iserver.max_connections:
+    def make_room(self, address: str) -> bool:
+        """Whether one more connection from `address` may come in.
+
+        One address has half of the places, this computer's own all of them. The oldest without a
+        session makes room, of those who have most connections.
+        """
+        most, clients = self.iserver.max_connections, self.clients
+        if not is_loopback(address):
+            own = [client for client in clients if client.address == address]
+            if len(own) >= max(1, most // 2):
+                most, clients = 0, own
+        if len(clients) < most:
             return True
-        oldest = next((client for client in self.clients if not client.is_active), None)
+        crowd = Counter(client.address for client in clients)
+        waiting = (client for client in clients if not client.is_active)
+        oldest = max(waiting, key=lambda client: crowd[client.address], default=None)
         if oldest is None:
             return False
         self.clients.remove(oldest)
