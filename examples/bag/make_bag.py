@@ -1,4 +1,4 @@
-"""Write the drive of ../foreign-csv as a ROS 2 bag (MCAP) with topics of its own."""
+"""Write the drive of drive.csv as a ROS 2 bag (MCAP) with topics of its own."""
 
 import csv
 import math
@@ -9,7 +9,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-TABLE = Path(__file__).parent.parent / "foreign-csv" / "drive.csv"
+TABLE = Path(__file__).parent / "drive.csv"
 START_NS = 1_700_000_000_000_000_000
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types

@@ -92,8 +92,7 @@ def propose(header: Sequence[str], row: Sequence[str] = ()) -> str:
         "# Right wheels turn backwards when the robot drives forward: where they count forward as",
         "# positive, 'sign: -1' turns them round.",
         time or "time: {rate_hz: 50}   # no column of times was seen: write the rate of the rows",
-        "# The machine that was recorded; without it the configured one."
-        " Two wheels: no wheelbase_m.",
+        "# The machine that was recorded, else the configured one. Two wheels: no wheelbase_m.",
         "# plant: {wheel_radius_m: 0.1, track_m: 0.4, wheelbase_m: 0.3}",
         "plant: {}",
         "channels:",

@@ -56,12 +56,13 @@ class Served:
 
 @dataclass(frozen=True)
 class Flavour:
-    """What one robot program speaks."""
+    """What one robot program speaks; `enabled_by` names the service that enables the drive."""
 
     published: tuple[Published, ...]
     subscribed: tuple[Subscribed, ...]
     served: tuple[Served, ...] = ()
     namespace: str = ""
+    enabled_by: str = ""
     extras: Mapping[str, Published] = field(default_factory=lambda: EXTRAS)
 
     @property
@@ -88,6 +89,7 @@ EXTRAS: Final[Mapping[str, Published]] = {
 """On request, in every flavour."""
 
 _IOTBOT_SHIELD: Final = Flavour(
+    enabled_by="iotbot/srv/send_enable",
     published=(
         Published("iotbot/rpm/return", RPM, outgoing.rpm_return),
         Published("iotbot/imu", "sensor_msgs/msg/Imu", outgoing.imu, qos=SENSOR_DATA),
@@ -121,6 +123,7 @@ _IOTBOT_SHIELD: Final = Flavour(
 
 _EDUARD: Final = Flavour(
     namespace="eduard",
+    enabled_by="set_mode",
     published=(
         Published("odometry", "nav_msgs/msg/Odometry", outgoing.odometry, ODOMETRY_S, EDU_RELIABLE),
         Published(

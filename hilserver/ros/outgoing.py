@@ -10,6 +10,11 @@ from hilserver.plant.units import RPM_PER_RAD_S
 from hilserver.ros.robot import EDUART_ORDER, Robot
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
+SHARE: Final = 0.02
+"""Standard deviation of odometry by what was driven or turned: wheels on a level floor."""
+LEAST_M, LEAST_RAD = 1e-3, 1e-3
+NOT_MEASURED: Final = 1e6
+"""Variance of what the wheels do not measure, the convention of ros2_control."""
 ROOM_DEGC: Final = 25.0
 """What stands in messages where nothing simulates a temperature."""
 NO_TEMPERATURE_DEGC: Final = -273.0
@@ -140,7 +145,8 @@ def transforms(robot: Robot) -> Iterator[Any]:
 def odometry(robot: Robot) -> Iterator[Any]:
     """Position and twist as the wheels count them."""
     o, (ahead, aside, turning) = robot.odometer, robot.twist()
-    unknown = np.zeros(36)
+    place_m, heading_rad = SHARE * o.way_m + LEAST_M, SHARE * o.turned_rad + LEAST_RAD
+    speed_m_s = SHARE * math.hypot(ahead, aside) + LEAST_M
     twist = robot.make(
         "geometry_msgs/msg/Twist",
         linear=robot.vector(ahead, aside),
@@ -153,10 +159,19 @@ def odometry(robot: Robot) -> Iterator[Any]:
         pose=robot.make(
             "geometry_msgs/msg/PoseWithCovariance",
             pose=robot.pose(o.x_m, o.y_m, o.yaw_rad),
-            covariance=unknown,
+            covariance=_planar(place_m, heading_rad),
         ),
-        twist=robot.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=unknown),
+        twist=robot.make(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=twist,
+            covariance=_planar(speed_m_s, SHARE * abs(turning) + LEAST_RAD),
+        ),
     )
+
+
+def _planar(along: float, turn: float) -> Any:
+    """Return the covariance of what moves on a plane, from standard deviations; row-major 6 x 6."""
+    return np.diag([along**2, along**2, NOT_MEASURED, NOT_MEASURED, NOT_MEASURED, turn**2]).ravel()
 
 
 # --- edu_robot ------------------------------------------------------------------------------------

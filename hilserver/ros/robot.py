@@ -50,17 +50,24 @@ class Odometer:
 
     The wheels are coupled to the floor as the nominal kinematics say, so slip shows in the gap to
     the true pose. Halfway heading: exact on arcs, whatever the time between two frames.
+
+    Attributes
+    ----------
+    way_m, turned_rad : float
+        What was driven and turned in all, either way: errors grow with it.
     """
 
     shape: Shape
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
+    way_m: float = 0.0
+    turned_rad: float = 0.0
     _before: list[float] | None = None
 
     def reset(self) -> None:
         """Begin anew where the robot stands."""
-        self.x_m = self.y_m = self.yaw_rad = 0.0
+        self.x_m = self.y_m = self.yaw_rad = self.way_m = self.turned_rad = 0.0
 
     def see(self, values: Mapping[str, float]) -> None:
         """Take the angles of a frame."""
@@ -73,6 +80,8 @@ class Odometer:
         heading = self.yaw_rad + 0.5 * turn_rad
         self.x_m += ahead_m * math.cos(heading) - aside_m * math.sin(heading)
         self.y_m += ahead_m * math.sin(heading) + aside_m * math.cos(heading)
+        self.way_m += math.hypot(ahead_m, aside_m)
+        self.turned_rad += abs(turn_rad)
         self.yaw_rad = math.remainder(self.yaw_rad + turn_rad, math.tau)
 
 

@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,10 +21,11 @@ from tests.node_red.node_red import NodeRed, missing, with_sink
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def started(script, *arguments):
+def started(script, *arguments, **environment):
     """Start an example's program; its output is a pipe."""
     command = [sys.executable, str(EXAMPLES / script), *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    environment = {**os.environ, **environment}
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def test_every_folder_is_listed():
@@ -66,6 +69,18 @@ async def test_a_left_right_controller_moves_all_four_wheels():
         program.communicate()
 
 
+async def test_a_program_without_ros_drives_over_ros_2():
+    pytest.importorskip("cyclonedds")
+    from tests.io.ros2.rig import claimed_domain, robot  # noqa: PLC0415 -- an extra
+
+    with claimed_domain() as domain:
+        async with robot(domain):
+            program = started("ros2-client/drive.py", ROS_DOMAIN_ID=str(domain))
+            text, _ = await asyncio.to_thread(program.communicate, timeout=120)
+    assert program.returncode == 0
+    assert float(re.search(r"turned with (\S+) rpm", text)[1]) > 25.0
+
+
 @pytest.mark.node_red
 async def test_node_red_as_a_client_drives_a_circle(tmp_path):
     if sentence := missing():
@@ -104,7 +119,8 @@ def test_foreign_csv_and_bag_tell_the_same(tmp_path):
     assert causes == ("rotation_gain",)
     low, high = parameters["rotation_gain"]["ci95"]
     assert low <= -0.25 <= high
-    program = started("bag/make_bag.py", str(tmp_path / "drive"))
+    copied = shutil.copytree(bag, tmp_path / "elsewhere")  # a folder is whole by itself
+    program = started(copied / "make_bag.py", str(tmp_path / "drive"))
     program.communicate(timeout=120)
     ((same, _),) = diagnosed(bag, tmp_path / "drive", tmp_path / "bag")
     assert same == causes

@@ -10,6 +10,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.ros2_node import shape_of
 from hilserver.plant.layout import WHEELS
 from hilserver.ros import outgoing
+from hilserver.ros.flavours import FLAVOURS
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
 
@@ -47,3 +48,30 @@ def test_the_kinematics_are_those_of_edu_robot(drive, kind, aside):
     rows = np.column_stack([(1, 1, -1, -1), aside, (s,) * 4]) / r
     np.testing.assert_allclose(message.k.data.reshape(4, 3), rows, rtol=1e-6)
     assert outgoing.mode(robot).drive_kinematic == kind
+
+
+def test_odometry_carries_covariances_that_grow_with_the_way():
+    robot, deviations = robot_with("skid", (30.0, 30.0, -30.0, -30.0)), []
+    for turns in (0.0, 0.4, 0.8, 1.2):
+        angle = math.tau * turns
+        robot.odometer.see({f"wheel.{w}.angle_rad": angle * (1 if w in ("fl", "rl") else -1)
+                            for w in WHEELS})  # fmt: skip
+        (message,) = outgoing.odometry(robot)
+        pose = message.pose.covariance.reshape(6, 6)
+        np.testing.assert_array_equal(pose, np.diag(np.diag(pose)))
+        assert np.diag(pose)[2:5].tolist() == [1e6] * 3
+        assert (message.twist.covariance.reshape(6, 6).diagonal() > 0.0).all()
+        deviations.append(math.sqrt(pose[0, 0]))
+    way_m = 1.2 * math.tau * robot.shape.wheel_radius_m
+    assert deviations[-1] == pytest.approx(0.001 + 0.02 * way_m)
+    assert deviations == sorted(set(deviations))
+    robot.odometer.reset()
+    (message,) = outgoing.odometry(robot)
+    assert message.pose.covariance[0] == pytest.approx(1e-6)
+
+
+@pytest.mark.parametrize("name", FLAVOURS)
+def test_the_service_that_enables_the_drive_is_one_of_the_flavour(name):
+    flavour = FLAVOURS[name]
+    assert flavour.enabled_by in {"", *(served.name for served in flavour.served)}
+    assert bool(flavour.enabled_by) == bool(flavour.served)

@@ -344,6 +344,8 @@ class Ros2Node:
         action = self.config.on_stale
         if transition is Transition.LOST:
             text = f"ROS 2: {self._staleness.reason}; on_stale is {action}"
+            if action == "device" and (service := self._flavour.enabled_by):
+                text += f": {self.config.full_name(service)} enables the drive again"
             self._world.events.publish(Event(EventKind.PEER_LOST, 800, NAME, text, now_ns))
             self._world.on_stale()
             return

@@ -55,6 +55,8 @@ async def test_silence_withdraws_enable_until_the_host_enables_again(fast_dds, d
         async with host.repeating("rt/iotbot/rpm", **FORWARD), host.repeating(call, enable=True):
             await drives(daemon)
         await wait_until(lambda: value(daemon, "drive.enable") == 0.0, PATIENCE_S)
+        (lost, *_) = (e for e in daemon.events.recent if e.kind is EventKind.PEER_LOST)
+        assert "/iotbot/srv/send_enable enables the drive again" in lost.message
         await stands(daemon)
         assert daemon.control.state is State.RUNNING, "the device stops, not the daemon"
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
