@@ -18,9 +18,9 @@ ROOT = Path(hilserver.__file__).parents[1]
 MAIN = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
 
 
-def python(*words, folder, path):
+def python(*words, folder, path, home):
     command = [sys.executable, *words]
-    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(path), "HOME": str(folder)}
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(path), "HOME": str(home)}
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
@@ -31,8 +31,9 @@ def test_those_that_are_named_elsewhere_are_those_of_the_checkout():
 
 
 @pytest.mark.parametrize("words", [("-c", MAIN, "bench"), ("-m", "benchmarks")])
-def test_a_checkout_has_them_all_under_both_commands(words):
-    shown = python(*words, "diagnose", "--help", folder=ROOT, path=ROOT / "tests" / "injector")
+def test_a_checkout_has_them_all_under_both_commands(words, tmp_path):
+    injector = ROOT / "tests" / "injector"
+    shown = python(*words, "diagnose", "--help", folder=ROOT, path=injector, home=tmp_path)
     assert shown.returncode == 0, shown.stderr
     assert "--first-seed" in shown.stdout
 
@@ -44,13 +45,15 @@ def test_an_installed_package_says_where_they_are(tmp_path):
         ignore=shutil.ignore_patterns("__pycache__", "static"),
     )  # fmt: skip
     for words in (("attack",), ("diagnose", "--seeds", "3", "-h")):
-        said = python("-c", MAIN, "bench", *words, folder=tmp_path, path=installed)
+        said = python("-c", MAIN, "bench", *words, folder=tmp_path, path=installed, home=tmp_path)
         assert said.returncode == 1
         assert said.stderr.splitlines() == [
             f"hilserver: 'bench {words[0]}' measures beside other programs and is not installed"
             f" with hilserver; run 'python -m benchmarks {words[0]}' in a checkout of its source"
         ]
-    shown = python("-c", MAIN, "bench", "jitter", "--help", folder=tmp_path, path=installed)
+    shown = python(
+        "-c", MAIN, "bench", "jitter", "--help", folder=tmp_path, path=installed, home=tmp_path
+    )
     assert shown.returncode == 0
     assert "--with" not in shown.stdout
 
