@@ -10,6 +10,7 @@ import json
 import os
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,13 @@ from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS, REQUEST_SAV
 from hilserver.image.requests import is_done, post_request
 
 SCHEMA = "hilserver.core.snapshot/1"
+_DAMAGED = (
+    OSError, ValueError, LookupError, MemoryError, EOFError, RuntimeError, SyntaxError, TypeError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What NumPy and zipfile raise on bytes that are none of theirs."""
+MOST_BYTES = 1 << 26
+"""That a snapshot may unpack to; a state has less than 1 MB."""
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
 MOST_SNAPSHOTS = 100
@@ -199,13 +207,20 @@ def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
         If the file is absent or damaged.
     """
     try:
+        with zipfile.ZipFile(path) as packed:  # members end where they declare to end
+            if sum(part.file_size for part in packed.infolist()) > MOST_BYTES:
+                raise ControlRefused(
+                    f"snapshot '{path.stem}' unpacks to more than {MOST_BYTES >> 20} MB, which no"
+                    " state does; take another"
+                )
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state: NDArray[np.int64] = archive["state"]
             meta: dict[str, Any] = json.loads(str(archive["meta"]))
     except FileNotFoundError:
         raise ControlRefused(f"there is no snapshot '{path.stem}'") from None
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    except _DAMAGED:
         raise ControlRefused(f"snapshot '{path.stem}' is damaged") from None
-    if meta.get("schema") != SCHEMA or state.dtype != np.int64:
+    is_ours = isinstance(meta, dict) and meta.get("schema") == SCHEMA
+    if not is_ours or not isinstance(state, np.ndarray) or state.dtype != np.int64:
         raise ControlRefused(f"snapshot '{path.stem}' does not follow schema {SCHEMA}")
     return state, meta
