@@ -75,8 +75,11 @@ class Asking(Wire):
     async def put(self, request: Any) -> Buffer | None:
         """Send a request; return its answer, None if the server closed."""
         number = self._sequence + 1
-        for chunk in chunks(self, request):
-            await self.send(chunk)
+        try:
+            for chunk in chunks(self, request):
+                await self.send(chunk)
+        except ConnectionError:
+            return None
         if isinstance(request, ua.PublishRequest):
             return Buffer(b"")
         parts = []
@@ -203,9 +206,10 @@ async def ask(target: Target, count: int, seed: int) -> list[tuple[float, str, f
         rows.append((target.stall_ms(), name, time.monotonic() - began_s))
         if data is None:
             await wire.__aexit__(None, None, None)
-            wire = Asking(target.url)
+            wire = Asking(target.url)  # its channel lives for a minute
             await wire.__aenter__()
             await wire.log_in()
+            requests.subscriptions = [1]
         elif name == "create_subscription":
             with contextlib.suppress(Exception):
                 made = struct_from_binary(ua.CreateSubscriptionResponse, data)

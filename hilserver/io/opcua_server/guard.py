@@ -24,16 +24,6 @@ from hilserver.io.opcua_server.subscriptions import Subscriptions
 from hilserver.io.opcua_server.type_tree import TypeTree
 
 _LONGEST_SESSION_MS = 120_000.0
-_LIMITS = ua.ObjectIds
-_OPERATION_LIMITS = (
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead,
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxNodesPerWrite,
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxNodesPerMethodCall,
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxNodesPerBrowse,
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxNodesPerRegisterNodes,
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxNodesPerTranslateBrowsePathsToNodeIds,
-    _LIMITS.Server_ServerCapabilities_OperationLimits_MaxMonitoredItemsPerCall,
-)
 
 
 class RobotInternalServer(QuickInternalServer):
@@ -89,12 +79,6 @@ class RobotInternalServer(QuickInternalServer):
     def _is_page(self, session_name: str | None) -> bool:
         given = (session_name or "").split(" ")[0]
         return secrets.compare_digest(given.encode(), self.page_secret.encode())
-
-    async def tell_limits(self) -> None:
-        """Show the limits where clients look for them, below ServerCapabilities."""
-        value = ua.Variant(self.config.max_operations, ua.VariantType.UInt32)
-        for node_id in _OPERATION_LIMITS:
-            await self.write_attribute_value(ua.NodeId(node_id), ua.DataValue(value))
 
     def new_session(self, processor: Any, policy: Any, name: str | None) -> RobotSession:
         """Return a new session of that name; BadTooManySessions where there is no place for it."""

@@ -23,7 +23,7 @@ _Codes = ua.StatusCodes
 _Modes = ua.MonitoringMode
 _Attributes = ua.AttributeIds
 _REPORTING = _Modes.Reporting
-_MAX_SELECTED = 500
+MAX_SELECTED = 500
 """Select clauses of an event item."""
 MAX_LINKS = 1000
 """From items that trigger to those that they trigger, in one subscription."""
@@ -332,7 +332,7 @@ def check_event_filter(asked: Any) -> ua.EventFilter:
     """Return the filter of an event item; RefusedError if it selects nothing."""
     if not isinstance(asked, ua.EventFilter) or not asked.SelectClauses:
         raise RefusedError(_Codes.BadEventFilterInvalid)
-    if len(asked.SelectClauses) > _MAX_SELECTED:
+    if len(asked.SelectClauses) > MAX_SELECTED:
         raise RefusedError(_Codes.BadEventFilterInvalid)
     return asked
 

@@ -20,7 +20,7 @@ from hilserver.faults import Faults
 from hilserver.image import Frame, ProcessImage
 from hilserver.io.opcua_security.certificate import application_uris
 from hilserver.io.opcua_security.trust_list import TrustList
-from hilserver.io.opcua_server import model
+from hilserver.io.opcua_server import model, standard_values
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure, Provider, Table
@@ -170,7 +170,7 @@ class OpcUaServer:
         if trust is not None:
             self._load_certificate(iserver, trust)
         await self._name_server(server)
-        await iserver.tell_limits()
+        standard_values.fill(iserver.aspace, self._config)
         await self._build(server)
         try:
             await server.start()
