@@ -6,61 +6,104 @@ log is JSON, the same is one JSON line, so that every line can be parsed.
 
 import asyncio
 import contextlib
+import json
 import math
-import sys
+import time
 from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Self
 
-from hilserver.daemon.daemon import Daemon
-from hilserver.monitoring.logging_setup import notice
 from hilserver.program.footer import Footer
+from hilserver.program.writer import Writer
+
+if TYPE_CHECKING:  # what it speaks of takes seconds to import, and its first line does not wait
+    from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
+COMPILING_EVERY_S = 5.0
+_NOWHERE: dict[str, object] = dict.fromkeys(("opcua", "metrics", "shield", "foxglove", "ros2"))
 
 
 class Announcer:
     """Says things to people or to programs.
 
+    A context manager; at its end the line of status is gone.
+
     Parameters
     ----------
-    readable : bool
-        Lines are for people.
-    footer : Footer or None
-        Where the status stands; None: nowhere.
+    line_format : str
+        ``console``, ``json`` or ``auto``: console on a terminal.
+
+    Attributes
+    ----------
+    out : Writer or Footer
+        Where log lines go, too.
     """
 
-    def __init__(self, *, readable: bool, footer: Footer | None) -> None:
-        self._readable, self._footer = readable, footer
-        self._page_url = ""
+    def __init__(self, writer: Writer, line_format: str) -> None:
+        self._writer = writer
+        self._footer = Footer(writer) if writer.isatty() else None
+        self.out = self._footer or writer
+        self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
+        writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nobody took them", {})
+        self.page_url = ""
+        self._compiled, self._next_s = 0, 0.0
+
+    def say(self, text: str, event: str = "", **details: object) -> None:
+        """Say `text` to people, or `event` (by default the text) and `details` to programs."""
+        line = text if self._is_readable else self._line(event or text, details)
+        self.out.write(f"{line}\n")
+
+    def last_words(self, text: str) -> None:
+        """Say why the process is ended now, and wait a moment until it is written."""
+        self.say(f"hilserver {text}")
+        self._writer.drain()
+
+    def _line(self, event: str, details: dict[str, object]) -> str:
+        if self._is_readable:
+            return f"hilserver: {event}"
+        stamp = datetime.now(UTC).isoformat().replace("+00:00", "Z")
+        return json.dumps({**details, "event": event, "level": "info", "timestamp": stamp})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._footer is not None:
+            self._footer.show("")
+
+    def compiling(self, function: str) -> None:
+        """Say now and then that something is being compiled, and what."""
+        self._compiled += 1
+        now_s = time.monotonic()
+        if self._compiled == 1:
+            self.say(
+                "hilserver is compiling the model for this computer; the first start of a version"
+                " or of a new kind of robot takes a minute or two"
+            )
+        elif now_s >= self._next_s:
+            self.say(f"hilserver is compiling: {self._compiled} functions, now '{function}'")
+        else:
+            return
+        self._next_s = now_s + COMPILING_EVERY_S
 
     def page(self, url: str) -> None:
         """Say where the operator page is."""
-        self._page_url = url
-        self._say(f"operator page: {url}", "operator page", url=url)
+        self.page_url = url
+        self.say(f"operator page: {url}", "operator page", url=url)
 
-    def running(self, daemon: Daemon) -> None:
+    def running(self, daemon: "Daemon") -> None:
         """Say that the robot runs, and where everything is."""
-        places = {
-            "opcua": ("OPC UA", daemon.server and daemon.server.url),
-            "metrics": ("metrics", daemon.http and daemon.http.url),
-            "shield": ("shield", daemon.shield and daemon.shield.address),
-            "foxglove": ("foxglove", daemon.foxglove and daemon.foxglove.url),
-            "ros2": ("ROS 2", daemon.ros2 and daemon.ros2.address),
-        }
-        peers = {peer.config.name: peer.config.endpoint for peer in daemon.peers}
+        peers = {part.label: part.wing.address for part in daemon.parts if part.section == "peers"}
+        others = {part.section: part for part in daemon.parts if part.section != "peers"}
         lines = ["hilserver is running; stop it with Ctrl-C"]
-        lines += [f"  {word:8} {where}" for word, where in places.values() if where]
+        lines += [f"  {part.label:8} {part.wing.address}" for part in others.values()]
         lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
-        where = {key: place for key, (_, place) in places.items()}
-        self._say("\n".join(lines), "hilserver is running", **where, peers=peers)
-
-    def _say(self, text: str, event: str, **details: object) -> None:
-        if self._readable:
-            print(text, file=self._footer or sys.stderr, flush=True)
-        else:
-            notice(event, **details)
+        where = {section: part.wing.address for section, part in others.items()}
+        self.say("\n".join(lines), "hilserver is running", **_NOWHERE | where, peers=peers)
 
     @contextlib.asynccontextmanager
-    async def showing_status(self, daemon: Daemon) -> AsyncIterator[None]:
+    async def showing_status(self, daemon: "Daemon") -> AsyncIterator[None]:
         """Keep the line of status up to date while the context lasts."""
         if self._footer is None:
             yield
@@ -70,15 +113,14 @@ class Announcer:
             yield
         finally:
             task.cancel()
-            self._footer.show("")
 
-    async def _show_status(self, daemon: Daemon, footer: Footer) -> None:
+    async def _show_status(self, daemon: "Daemon", footer: Footer) -> None:
         while True:
-            footer.show(status_line(daemon, self._page_url))
+            footer.show(status_line(daemon, self.page_url))
             await asyncio.sleep(STATUS_EVERY_S)
 
 
-def status_line(daemon: Daemon, page_url: str) -> str:
+def status_line(daemon: "Daemon", page_url: str) -> str:
     """Return state, pose, who drives, real-time factor, worst margin and the page's address."""
     parts = [daemon.control.state.word]
     with contextlib.suppress(LookupError):
@@ -97,7 +139,7 @@ def status_line(daemon: Daemon, page_url: str) -> str:
     return " | ".join(parts)
 
 
-def _value(daemon: Daemon, name: str) -> float:
+def _value(daemon: "Daemon", name: str) -> float:
     value = daemon.outputs.read(name)[0]
     assert isinstance(value, float)
     return value

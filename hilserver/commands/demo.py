@@ -19,7 +19,6 @@ from hilserver.program import children
 
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
 START_LIMIT_S = 30.0
-STOP_LIMIT_S = 5.0
 STALE_AFTER_MS = 2000.0
 """A controller that shares a busy computer's cores may pause without being lost."""
 
@@ -52,7 +51,7 @@ async def running_controller(
         f"--pattern={pattern}",
     )
     async with children.started(
-        command, name="controller", stop_limit_s=STOP_LIMIT_S, stdout=asyncio.subprocess.PIPE
+        command, name="controller", stop_limit_s=0.0, stdout=asyncio.subprocess.PIPE
     ) as process:
         ready = await children.line_of(process, READY, START_LIMIT_S)
         if ready is None:

@@ -29,6 +29,19 @@ def add_storage(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_patch(parser: argparse.ArgumentParser) -> None:
+    """Add ``--patch`` and ``--group``."""
+    parser.add_argument(
+        "--patch",
+        type=Path,
+        metavar="FILE",
+        help="extend the plant with a model_patch.yaml written by 'hilserver diagnose'",
+    )
+    parser.add_argument(
+        "--group", metavar="NAME", help="with --patch: its group, where it differs by floor or load"
+    )
+
+
 def config_path(args: argparse.Namespace) -> Path | None:
     """Return the configuration file that was asked for, or the one in this folder, or None."""
     if args.config is not None:

@@ -2,25 +2,11 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from hilserver.commands.options import config_path
 from hilserver.config.patch import Patch, load_patch
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import ConfigError
-
-
-def add_patch(parser: argparse.ArgumentParser) -> None:
-    """Add ``--patch`` and ``--group``."""
-    parser.add_argument(
-        "--patch",
-        type=Path,
-        metavar="FILE",
-        help="extend the plant with a model_patch.yaml written by 'hilserver diagnose'",
-    )
-    parser.add_argument(
-        "--group", metavar="NAME", help="with --patch: its group, where it differs by floor or load"
-    )
 
 
 def assembled(args: argparse.Namespace) -> Assembly:

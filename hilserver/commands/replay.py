@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 from typing import Final
 
-from hilserver.commands.options import add_config
-from hilserver.commands.patching import add_patch, assembled, patch_of
+from hilserver.commands.options import add_config, add_patch
+from hilserver.commands.patching import assembled, patch_of
 from hilserver.core.snapshot import read_snapshot
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, UserError

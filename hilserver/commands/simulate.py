@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 
 from hilserver.commands import replay
-from hilserver.commands.options import add_config, number_within
-from hilserver.commands.patching import add_patch, assembled
+from hilserver.commands.options import add_config, add_patch, number_within
+from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.faults.scenario import Play, load_scenario

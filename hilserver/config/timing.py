@@ -11,6 +11,7 @@ from pydantic import (
 )
 
 from hilserver.config.section import Section
+from hilserver.program.shared_memory import DEFAULT_IMAGE
 from hilserver.signals import RESERVED, SOURCES, Ranges, Source, robot_table
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
@@ -140,7 +141,7 @@ class ImageConfig(Section):
     """The process image in shared memory."""
 
     name: str = Field(
-        "robot",
+        DEFAULT_IMAGE,
         pattern=r"^[A-Za-z0-9_.-]{1,60}$",
         description="Name in shared memory; 'auto' adds the process id",
     )

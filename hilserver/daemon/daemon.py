@@ -7,6 +7,7 @@ publishes a frame, the publish slice hands the frame to OPC UA and the peers.
 
 import asyncio
 import dataclasses
+import time
 from contextlib import AsyncExitStack
 from typing import Any, Self
 
@@ -29,6 +30,7 @@ from hilserver.daemon.connections import (
 )
 from hilserver.daemon.foxglove_endpoint import make_foxglove
 from hilserver.daemon.outputs import Outputs
+from hilserver.daemon.parts import Part, Wing, stop_all
 from hilserver.daemon.ros2_node import make_ros2
 from hilserver.daemon.serial_shield import make_shield
 from hilserver.daemon.shadow import GapWatch
@@ -40,6 +42,7 @@ from hilserver.io.peer_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.marks import Marks
 from hilserver.io.recorder.state_service import StateService
+from hilserver.kernel import watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
 from hilserver.scheduler import StopReason
@@ -66,6 +69,8 @@ class Daemon:
     shield : ShieldLink or None
     ros2 : Ros2Node or None
     foxglove : Endpoint or None
+    parts : list of Part
+        All of these, and what else starts and stops with the daemon.
     """
 
     def __init__(
@@ -81,6 +86,7 @@ class Daemon:
         self.audit: list[AuditItem] = []
         self._play = play
         self._resources = AsyncExitStack()
+        self._begun: list[Part] = []
         self.core = build(assembly, Pace.configured(assembly, paused=paused))
         self._resources.callback(self.core.image.close)
         try:
@@ -138,12 +144,20 @@ class Daemon:
             lambda: self.config,
         )
         self.http = make_http(core, self.control, self.supervision, self.metrics)
+        wings: list[tuple[str, str, Wing | None, bool]] = [
+            ("opcua", "OPC UA", self.server, True),
+            ("metrics", "metrics", self.http, True),
+            ("ros2", "ROS 2", self.ros2, True),  # joining takes a second
+            ("shield", "shield", self.shield, False),
+            ("foxglove", "foxglove", self.foxglove, False),
+            *(("peers", peer.config.name, peer, False) for peer in self.peers),
+        ]
+        self.parts = [Part(s, label, w, early) for s, label, w, early in wings if w is not None]
 
     def _statuses(self) -> list[PeerStatus]:
         """Return what is known about everybody at the other end of a link."""
-        shield = [] if self.shield is None else [self.shield.status]
-        ros2 = [] if self.ros2 is None else [self.ros2.status]
-        return [*(peer.status for peer in self.peers), *shield, *ros2]
+        links = (*self.peers, self.shield, self.ros2)
+        return [link.status for link in links if link is not None]
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -151,50 +165,51 @@ class Daemon:
         try:
             await self._start()
         except BaseException:
-            await self._resources.aclose()
+            await self._stop()
             raise
         return self
 
     async def __aexit__(self, *_: object) -> None:
         self.control.stopping("stopping")
-        await self._resources.aclose()
+        await self._stop()
 
     async def _start(self) -> None:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
         await self._start_recorder()
         self._resources.push_async_callback(self.desk.recordings.close)
-        for server in (self.http, self.server):
-            if server is not None:
-                with self.assembly.at("opcua" if server is self.server else "metrics"):
-                    await server.start()
-                self._resources.push_async_callback(server.stop)
-        if self.ros2 is not None:
-            self._resources.push_async_callback(self.ros2.stop)
-            await self.ros2.join()
+        await self._start_parts(early=True)
         self.scheduler.on_slice("publish", self._publish)
         self.scheduler.on_slice("supervise", self._supervise)
         self.scheduler.on_overrun(self.supervision.on_overrun)
-        self._resources.push_async_callback(self.scheduler.stop)
         if self._play is not None:
             self.stage.play(self._play.scenario)
         await self.scheduler.start()
         self._take_audit()
         for peer in self.peers:
             self.gate.expect(peer.config.inputs)
-            await peer.start()
-            self._resources.push_async_callback(peer.stop)
-        if self.shield is not None:
-            await self.shield.start()
-            self._resources.push_async_callback(self.shield.stop)
-        if self.ros2 is not None:
-            self.ros2.start()
-        if self.foxglove is not None:
-            await self.foxglove.start()
-            self._resources.push_async_callback(self.foxglove.stop)
+        await self._start_parts(early=False)
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
         self.control.started()
+
+    async def _start_parts(self, *, early: bool) -> None:
+        for part in self.parts:
+            if part.is_early == early:
+                self._begun.append(part)
+                with self.assembly.at(part.section):
+                    await part.wing.start()
+
+    async def _stop(self) -> None:
+        """Stop the plant, then all parts side by side, then what they write to."""
+        await self.scheduler.stop()
+        await stop_all(self._begun)
+        await self._resources.aclose()
+
+    def bring_to_rest(self) -> None:
+        """Ramp the set-points to zero, from any thread, when the event loop cannot."""
+        watch_communication(self.image, 1)
+        time.sleep(self.config.plant.safe_ramp_s)
 
     async def _start_recorder(self) -> None:
         """Attach the recorder before the first tick; it ends after the last one."""
@@ -223,12 +238,12 @@ class Daemon:
                 details=figures.audit_table(missing),
             )
 
-    async def wait(self, duration_s: float | None, asked: asyncio.Event) -> int:
-        """Run until `asked` is set, time is over or the scheduler ends; return the exit code.
+    async def wait(self, duration_s: float | None) -> int:
+        """Run until time is over or the scheduler ends; return the exit code.
 
         In virtual time `duration_s` is simulated time, for a daemon that stands still.
         """
-        until: list[asyncio.Future[Any]] = [asyncio.ensure_future(asked.wait())]
+        until: list[asyncio.Future[Any]] = []
         if self.clock.simulated and duration_s is not None:
             until.append(asyncio.ensure_future(self._simulate(duration_s)))
             duration_s = None

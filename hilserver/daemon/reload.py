@@ -17,7 +17,7 @@ from hilserver.daemon.assembly import assemble
 from hilserver.daemon.builder import overrun_limits
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
-from hilserver.monitoring.logging_setup import notice, report_repeats, setup_logging
+from hilserver.monitoring.logging_setup import Stream, notice, report_repeats, setup_logging
 
 _log = structlog.get_logger(__name__)
 
@@ -46,22 +46,22 @@ def _leaves(section: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-def _use_logging(daemon: Daemon, config: Config) -> None:
+def _use_logging(daemon: Daemon, config: Config, out: Stream | None) -> None:
     if daemon.limiter is not None:
         report_repeats(daemon.limiter, at_end=True)
     logging = config.logging
-    daemon.limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s)
+    daemon.limiter = setup_logging(logging.level, logging.format, logging.repeat_window_s, out)
 
 
-def _use_limits(daemon: Daemon, config: Config) -> None:
+def _use_limits(daemon: Daemon, config: Config, _out: Stream | None) -> None:
     daemon.scheduler.set_limits(overrun_limits(config.scheduler.limits))
 
 
-def _use_operator_limit(daemon: Daemon, config: Config) -> None:
+def _use_operator_limit(daemon: Daemon, config: Config, _out: Stream | None) -> None:
     daemon.supervision.opcua_stale_after_ms = config.control.opcua_stale_after_ms
 
 
-RELOADABLE: dict[str, Callable[[Daemon, Config], None]] = {
+RELOADABLE: dict[str, Callable[[Daemon, Config, Stream | None], None]] = {
     "logging.": _use_logging,
     "scheduler.limits.": _use_limits,
     "control.opcua_stale_after_ms": _use_operator_limit,
@@ -72,14 +72,19 @@ RELOADABLE: dict[str, Callable[[Daemon, Config], None]] = {
 class Reloader:
     """Re-reads the configuration file of a running daemon.
 
+    Parameters
+    ----------
+    out : Stream or None
+        Where lines go; stderr by default.
+
     Attributes
     ----------
     from_file : Config
         The file's values that are in force: what options of the command line replaced is no change.
     """
 
-    def __init__(self, daemon: Daemon) -> None:
-        self._daemon = daemon
+    def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
+        self._daemon, self._out = daemon, out
         self.from_file = daemon.assembly.from_file
         self._lock = asyncio.Lock()
 
@@ -116,7 +121,7 @@ class Reloader:
             else:
                 uses.add(begin)
         for begin in sorted(uses):
-            RELOADABLE[begin](self._daemon, new)
+            RELOADABLE[begin](self._daemon, new, self._out)
         for change in found:
             if any(change.key.startswith(begin) for begin in uses):
                 notice("reload: changed", key=change.key, before=change.before, now=change.after)

@@ -5,27 +5,18 @@ import errno
 import fcntl
 import mmap
 import os
-import re
 import stat
 import time
 from pathlib import Path
 
 from hilserver.errors import FailedError
+from hilserver.program.guard import on_forced_end
+from hilserver.program.shared_memory import FOLDER, MADE_UP, in_use, path_of
 
-_FOLDER = Path("/dev/shm")  # noqa: S108 -- POSIX shared memory on Linux
-MADE_UP = "auto"
-"""First part of the names that nobody chose: nobody would ever take them over."""
+__all__ = ["MADE_UP", "SharedFile", "map_read_only", "path_of", "sweep"]
 
 _YOUNG_S = 60.0
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _OPEN_TRIES = 5
-
-
-def path_of(name: str) -> Path:
-    """Return the file of the image `name`."""
-    if not _NAME.fullmatch(name):
-        raise FailedError(f"the image name {name!r} may hold letters, digits, '-', '_', '.' only")
-    return _FOLDER / f"hilserver-{name}"
 
 
 def sweep(now_s: float | None = None) -> int:
@@ -36,7 +27,7 @@ def sweep(now_s: float | None = None) -> int:
     """
     limit_s = (time.time() if now_s is None else now_s) - _YOUNG_S
     removed = 0
-    for path in _FOLDER.glob(f"hilserver-{MADE_UP}-*"):
+    for path in FOLDER.glob(f"hilserver-{MADE_UP}-*"):
         with contextlib.suppress(OSError):
             if path.lstat().st_mtime <= limit_s:
                 removed += _remove_left_behind(path)
@@ -103,29 +94,30 @@ class SharedFile:
         try:
             self._fd = _make_locked(self.path)
         except BlockingIOError:
-            raise FailedError(
-                f"another hilserver uses the process image '{name}'; stop it or set image.name"
-            ) from None
+            raise in_use(name) from None
         except OSError as error:
             reason = (error.strerror or "refused").lower()
             raise FailedError(
                 f"cannot use {self.path}: {reason}; remove it or set image.name"
             ) from None
+        self._revoke = on_forced_end(self.path.unlink)
         try:
             # A hole would end in a bus error when shared memory is full.
             os.posix_fallocate(self._fd, 0, n_bytes)
             self.map = mmap.mmap(self._fd, n_bytes)
         except OSError as error:
+            self._revoke()
             self.path.unlink(missing_ok=True)
             os.close(self._fd)
             reason = (error.strerror or "refused").lower()
             raise FailedError(
-                f"the process image needs {n_bytes / 1e6:.0f} MB in {_FOLDER}: {reason};"
+                f"the process image needs {n_bytes / 1e6:.0f} MB in {FOLDER}: {reason};"
                 " give it more (in a container --shm-size) or set a smaller image.ring_frames"
             ) from None
 
     def close(self) -> None:
         """Remove the file; views of the memory stay valid until they are dropped."""
+        self._revoke()
         self.path.unlink(missing_ok=True)
         os.close(self._fd)
         with contextlib.suppress(BufferError):

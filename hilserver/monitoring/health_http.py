@@ -112,6 +112,8 @@ class HttpServer:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/metrics"
 
+    address = url
+
     @property
     def connections(self) -> int:
         """Number of clients being served."""

@@ -31,7 +31,7 @@ async def started(
     name : str
         What the log calls it if it has to be killed.
     stop_limit_s : float
-        How long it may take to end after SIGTERM.
+        How long it may take to end after SIGTERM; 0: it has nothing to save and is killed.
     **options
         For `asyncio.create_subprocess_exec`.
     """
@@ -41,16 +41,23 @@ async def started(
     try:
         yield process
     finally:
-        if process.returncode is None:
-            with contextlib.suppress(ProcessLookupError):
-                process.terminate()
+        await end(process, name, stop_limit_s)
+
+
+async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: float) -> None:
+    """End a child, at last by force; parameters as for `started`."""
+    if process.returncode is not None:
+        return
+    with contextlib.suppress(ProcessLookupError):
+        if stop_limit_s:
+            process.terminate()
             try:
                 async with asyncio.timeout(stop_limit_s):
                     await process.wait()
             except TimeoutError:
                 _log.error("did not end in time and was killed", process=name)
-                process.kill()
-                await process.wait()
+        process.kill()
+    await process.wait()
 
 
 async def line_of(

@@ -3,6 +3,8 @@
 import shutil
 from typing import Self, TextIO
 
+from hilserver.program.writer import Writer
+
 _WIPE = "\r\x1b[K"
 
 
@@ -13,11 +15,11 @@ class Footer:
 
     Parameters
     ----------
-    terminal : TextIO
+    terminal : TextIO or Writer
         A stream that understands ANSI escape sequences.
     """
 
-    def __init__(self, terminal: TextIO) -> None:
+    def __init__(self, terminal: TextIO | Writer) -> None:
         self._terminal = terminal
         self._line = ""
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import structlog
 
-from hilserver.commands import run
+from hilserver.commands import running
 from hilserver.commands.demo import demo_assembly
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import Assembly, assemble
@@ -98,7 +98,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
 
 
 def recorded(assembly: Assembly, path: Path) -> Assembly:
-    return run._recorded(assembly, path.with_name("out.mcap"))
+    return running._recorded(assembly, path.with_name("out.mcap"))
 
 
 def demonstrated(assembly: Assembly, _: Path) -> Assembly:

@@ -100,6 +100,8 @@ class Endpoint:
         port = self._config.port if self._server is None else self._server.port
         return f"ws://{self._config.host}:{port}"
 
+    address = url
+
     async def start(self) -> None:
         """Listen.
 

@@ -116,6 +116,11 @@ class PeerLink:
         self._line = line or Line(config.name)
         self._tasks: list[asyncio.Task[None]] = []
 
+    @property
+    def address(self) -> str:
+        """Whom it reaches."""
+        return self.config.endpoint
+
     async def start(self) -> None:
         """Start connecting; returns at once, the peer may come later."""
         if self._tasks:

@@ -122,6 +122,8 @@ class OpcUaServer:
         _, _, path = self._config.endpoint.removeprefix("opc.tcp://").partition("/")
         return f"opc.tcp://{host}:{port}/{path}"
 
+    address = url
+
     @property
     def session_count(self) -> int:
         """Number of sessions of clients."""

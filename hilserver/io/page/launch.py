@@ -4,13 +4,14 @@ import asyncio
 import contextlib
 import socket
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import Callable
 
 import structlog
 
 from hilserver.io.page.setup import Setup
+from hilserver.program import children
 
-STOP_LIMIT_S = 5.0
+STOP_LIMIT_S = 0.7
 RESTART_S = 1.0
 LONGEST_RESTART_S = 60.0
 STEADY_S = 60.0
@@ -18,22 +19,34 @@ STEADY_S = 60.0
 _log = structlog.get_logger(__name__)
 
 
-@contextlib.asynccontextmanager
-async def running_page(setup: Setup, listener: socket.socket) -> AsyncIterator[None]:
-    """Run the page while the context lasts; the daemon never waits for it.
+class PageBeside:
+    """A page that runs beside a daemon, which never waits for it.
 
     Parameters
     ----------
+    setup : callable
+        What the page has to know, once the daemon has started.
     listener : socket
         Stays ours, so that a page that is started again has the same address.
+    address : str
+        That of the page.
     """
-    task = asyncio.create_task(_keep_running(setup, listener), name="page")
-    try:
-        yield
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+
+    def __init__(self, setup: Callable[[], Setup], listener: socket.socket, address: str) -> None:
+        self._setup, self._listener = setup, listener
+        self.address = address
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Start it; it comes up when it can."""
+        running = _keep_running(self._setup(), self._listener)
+        self._task = asyncio.create_task(running, name="page")
+
+    async def stop(self) -> None:
+        """End it."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
 
 
 async def _keep_running(setup: Setup, listener: socket.socket) -> None:
@@ -67,17 +80,4 @@ async def _run(setup: Setup, listener: socket.socket) -> int:
                 await process.stdin.drain()
         return await process.wait()
     finally:
-        await _stop(process)
-
-
-async def _stop(process: asyncio.subprocess.Process) -> None:
-    if process.returncode is not None:
-        return
-    with contextlib.suppress(ProcessLookupError):
-        process.terminate()
-        try:
-            async with asyncio.timeout(STOP_LIMIT_S):
-                await process.wait()
-        except TimeoutError:
-            process.kill()
-            await process.wait()
+        await children.end(process, "page", STOP_LIMIT_S)

@@ -12,6 +12,7 @@ from hilserver.config.recording import RecordingConfig
 from hilserver.errors import FailedError
 from hilserver.io.recorder.recorder import Recorder, Settings
 from hilserver.program import children
+from hilserver.program.guard import allow
 
 PREFIX = "hilserver: "
 """Of what went wrong."""
@@ -50,6 +51,7 @@ async def running_recorder(
                 yield
             finally:
                 watch.cancel()
+                allow(STOP_LIMIT_S)
     finally:
         if messages is not None:
             await messages  # ends with the process
@@ -82,6 +84,7 @@ def recorder_inside(
     try:
         yield recorder.look
     finally:
+        allow(STOP_LIMIT_S)
         try:
             _log.info(recorder.close())
         except FailedError as error:

@@ -131,8 +131,8 @@ class Ros2Node:
 
     # --- start and stop ---------------------------------------------------------------------------
 
-    async def join(self) -> None:
-        """Join the domain, before the first tick: that takes a second.
+    async def start(self) -> None:
+        """Join the domain, which takes a second; then publish, listen and serve.
 
         Raises
         ------
@@ -140,11 +140,6 @@ class Ros2Node:
             If that is not possible.
         """
         self._participant = await asyncio.to_thread(self._join)
-
-    def start(self) -> None:
-        """Publish, listen and serve."""
-        if self._participant is None:
-            raise RuntimeError("join comes first")
         self._participant.listen(self._on_data)
         self.status.state = LinkState.CONNECTING
         self._tasks = [

@@ -124,13 +124,14 @@ class ShieldLink:
 
     async def stop(self) -> None:
         """Close the line; limited to `END_WITHIN_S`."""
+        if self._line is None:
+            return
         self._watching.cancel()
         await asyncio.to_thread(self._end_thread)
         atexit.unregister(self._end_thread)
         self._loop.remove_reader(self._doorbell)
         os.close(self._doorbell)
-        if self._line is not None:
-            self._line.close()
+        self._line.close()
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
     def _end_thread(self) -> None:

@@ -1,0 +1,179 @@
+"""What `hilserver run` runs: the daemon, its page and its controller, until something ends it."""
+
+import argparse
+import asyncio
+import contextlib
+import dataclasses
+import socket
+import sys
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from hilserver.commands.announcing import Announcer
+from hilserver.commands.credentials import check_credentials
+from hilserver.commands.demo import demo_assembly, running_controller
+from hilserver.commands.page_setup import page_setup
+from hilserver.commands.patching import assembled
+from hilserver.config.page import PageConfig
+from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.daemon import Daemon
+from hilserver.daemon.parts import Part
+from hilserver.daemon.reload import Reloader
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.faults.scenario import Play, load_scenario
+from hilserver.io.page.launch import PageBeside
+from hilserver.io.page.listening import listen, url_of
+from hilserver.logs.writing import check_suffix
+from hilserver.monitoring.logging_setup import report_repeats, setup_logging
+from hilserver.monitoring.watchdog import Watchdog
+from hilserver.program import event_loop
+from hilserver.program.guard import Guard
+
+_log = structlog.get_logger(__name__)
+
+
+def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
+    """Run the daemon of a command line; return the exit code."""
+    play = None if args.scenario is None else Play(load_scenario(args.scenario), args.scenario)
+    assembly = _recorded(assembled(args), args.record)
+    run = Run(assembly, args.duration, play, announcer, guard)
+    with announcer:
+        check_credentials(assembly)
+        try:
+            code = event_loop.run(run.demo() if args.demo else run.robot())
+        except asyncio.CancelledError:
+            code = EXIT_DONE
+    _log.info("hilserver has ended", exit_code=code)
+    return code
+
+
+def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
+    if path is None:
+        return assembly
+    check_suffix(path)
+    recording = assembly.config.recording.model_copy(update={"file": str(path.absolute())})
+    config = assembly.config.model_copy(update={"recording": recording})
+    return dataclasses.replace(assembly, config=config)
+
+
+class Run:
+    """One run of one robot.
+
+    Parameters
+    ----------
+    duration_s : float or None
+        It ends after this time; None: when it is asked to.
+    """
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        duration_s: float | None,
+        play: Play | None,
+        announcer: Announcer,
+        guard: Guard,
+    ) -> None:
+        self._assembly, self._announcer, self._guard = assembly, announcer, guard
+        self._duration_s, self._play = duration_s, play
+        logging = assembly.config.logging
+        self._limiter = setup_logging(
+            logging.level, logging.format, logging.repeat_window_s, announcer.out
+        )
+
+    async def demo(self) -> int:
+        """Run beside a controller that drives; return the exit code."""
+        async with running_controller(self._assembly.robot) as endpoint:
+            self._assembly = demo_assembly(self._assembly, endpoint)
+            return await self.robot()
+
+    async def robot(self) -> int:
+        """Run until time is over or the scheduler ends; return the exit code."""
+        virtual = self._assembly.config.scheduler.backend == "virtual"
+        waits = virtual and self._duration_s is not None  # its first tick is that of the duration
+        daemon = Daemon(self._assembly, self._limiter, play=self._play, paused=waits)
+        try:
+            with self._listening(self._assembly.config.page) as listener:
+                if listener is not None:
+                    daemon.parts.append(self._page(daemon, listener))
+                return await self._run(daemon)
+        finally:
+            report_repeats(daemon.limiter or self._limiter, at_end=True)
+
+    async def _run(self, starting: Daemon) -> int:
+        async with starting as daemon:
+            self._end_when_asked(daemon)
+            watchdog = _make_watchdog(daemon)
+            self._announcer.running(daemon)
+            status = self._announcer.showing_status(daemon)
+            async with watchdog.watching(), self._reloading(daemon, watchdog), status:
+                return await daemon.wait(self._duration_s)
+
+    def _end_when_asked(self, daemon: Daemon) -> None:
+        """From now on a signal cancels the run, and it unwinds; until now it ended at once."""
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
+
+        def end() -> None:
+            self._guard.answer()
+            if task is not None:
+                task.cancel()
+
+        self._guard.on_end(lambda: loop.call_soon_threadsafe(end), daemon.bring_to_rest)
+
+    @contextlib.contextmanager
+    def _listening(self, page: PageConfig) -> Iterator[socket.socket | None]:
+        """Listen for the page and say where; a page that cannot is no reason not to run."""
+        if not page.enabled:
+            yield None
+            return
+        try:
+            listener = listen(page.host, page.port)
+        except FailedError as error:
+            _log.warning("running without the page", reason=str(error))
+            yield None
+            return
+        with listener:
+            url = url_of(listener, page.host, is_encrypted=page.tls is not None)
+            self._announcer.page(url)
+            yield listener
+
+    def _page(self, daemon: Daemon, listener: socket.socket) -> Part:
+        def setup() -> Any:
+            server = daemon.server
+            endpoint, secret = ("", "") if server is None else (server.url, server.page_secret)
+            return page_setup(daemon.assembly, daemon.image.name, endpoint, secret)
+
+        return Part("page", "page", PageBeside(setup, listener, self._announcer.page_url))
+
+    @contextlib.asynccontextmanager
+    async def _reloading(self, daemon: Daemon, watchdog: Watchdog) -> AsyncIterator[None]:
+        """Re-read the configuration at SIGHUP; on a terminal a hang-up ends the daemon."""
+        if sys.stderr.isatty():
+            yield
+            return
+        reloader = Reloader(daemon, self._announcer.out)
+
+        async def answer(asked: asyncio.Event) -> None:
+            while True:
+                await asked.wait()
+                asked.clear()
+                with watchdog.reloading():
+                    await reloader.reload()
+
+        with event_loop.hang_ups() as asked:
+            task = asyncio.create_task(answer(asked), name="reload")
+            try:
+                yield
+            finally:
+                task.cancel()
+
+
+def _make_watchdog(daemon: Daemon) -> Watchdog:
+    control = daemon.control
+    return Watchdog(
+        heartbeat_ns=lambda: daemon.scheduler.heartbeat_ns,
+        ready=lambda: daemon.supervision.first_ticks_met,
+        status=lambda: f"{control.state.word}: {control.reason}",
+    )

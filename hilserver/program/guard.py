@@ -1,0 +1,162 @@
+"""A thread that ends the process when SIGINT or SIGTERM asks for it, whatever its others do.
+
+Python runs a signal handler between two instructions of the main thread, and an event loop looks at
+signals between two callbacks: a compiler, or a callback that never returns, holds both up. Here
+every other thread blocks the signals, and the guard waits for them. While nothing can be stopped in
+order, the first one ends the process at once. Afterwards the program has `ANSWER_S` to take note
+and `STOP_S` to end; a second signal ends it at once.
+"""
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+from hilserver.errors import EXIT_DONE, EXIT_FAILED
+from hilserver.program.ending import ENDING
+
+ANSWER_S, STOP_S = 1.5, 2.3
+"""From the signal on."""
+CHILD_S = 0.2
+"""So long a child may take to end before it is killed."""
+_LOOK_S = 0.05
+_cleanups: list[Callable[[], object]] = []
+_limits_s = [STOP_S]
+
+
+def on_forced_end(cleanup: Callable[[], object]) -> Callable[[], None]:
+    """Have `cleanup` called when the process is ended by force; return what revokes that."""
+    _cleanups.append(cleanup)
+
+    def revoke() -> None:
+        with contextlib.suppress(ValueError):
+            _cleanups.remove(cleanup)
+
+    return revoke
+
+
+def allow(seconds: float) -> None:
+    """Give the end so much time, from the signal on: a slow disk may need it."""
+    _limits_s.append(seconds)
+
+
+class Guard:
+    """Waits for signals in a thread of its own.
+
+    Attributes
+    ----------
+    say : callable
+        Takes what the program does now, such as "ends at once"; must not block.
+    is_asked : bool
+        A signal has come.
+    code : int
+        Exit code of an end by force that the program took note of.
+    """
+
+    def __init__(self, signals: Collection[int]) -> None:
+        self._signals = signals
+        self.say: Callable[[str], object] = lambda _: None
+        self.is_asked, self.code = False, EXIT_DONE
+        self._stop: Callable[[], object] | None = None
+        self._if_blocked: Callable[[], object] = lambda: None
+        self._is_over = self._is_answered = self._is_leaving = False
+        self._thread = threading.Thread(target=self._run, name="guard", daemon=True)
+        self._thread.start()
+
+    def on_end(self, stop: Callable[[], object], if_blocked: Callable[[], object]) -> None:
+        """Let the first signal call `stop` instead of ending at once; both in this thread.
+
+        Parameters
+        ----------
+        if_blocked : callable
+            Called before the end when nobody has answered.
+        """
+        self._stop, self._if_blocked = stop, if_blocked
+
+    def answer(self) -> None:
+        """Say that the program has taken note and is about to end."""
+        self._is_answered = True
+
+    def forward(self, number: int, *_: object) -> None:
+        """Take a signal that reached another thread all the same."""
+        signal.pthread_kill(self._thread.ident or 0, number)
+
+    def close(self) -> None:
+        """End the thread, unless a signal has come: then it watches the process to its end."""
+        if self._is_leaving:  # what fails now, fails because its children are being ended
+            self._thread.join()
+        if not self.is_asked:
+            self._is_over = True
+            self.forward(ENDING[0])
+            self._thread.join()
+
+    def _run(self) -> None:
+        signal.sigwait(self._signals)
+        if self._is_over:
+            return
+        self.is_asked = True
+        if self._stop is None:
+            self._leave(EXIT_DONE, "has ended while it was starting")
+        asked_s = time.monotonic()
+        self._stop()
+        while (passed_s := time.monotonic() - asked_s) < max(_limits_s):
+            if not self._is_answered and passed_s > ANSWER_S:
+                self._if_blocked()
+                self._leave(EXIT_FAILED, "is blocked by its own event loop and ends by force")
+            if signal.sigtimedwait(self._signals, _LOOK_S) is not None:
+                self._leave(self.code, "ends at once: a second signal came")
+        self._leave(self.code, "ends by force what did not end in time")
+
+    def _leave(self, code: int, why: str) -> NoReturn:
+        self._is_leaving = True
+        self.say(f"{why}, exit code {code}")
+        _end_children()
+        for cleanup in reversed(_cleanups):
+            with contextlib.suppress(Exception):
+                cleanup()
+        os._exit(code)
+
+
+@contextlib.contextmanager
+def guarded(signals: Collection[int] = ENDING) -> Iterator[Guard]:
+    """Guard the process within the block; enter it before other threads are started."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    guard = Guard(signals)
+    before = {number: signal.signal(number, guard.forward) for number in signals}
+    try:
+        yield guard
+    finally:
+        guard.close()
+        if not guard.is_asked:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _children() -> list[int]:
+    tasks = Path("/proc/self/task").glob("*/children")
+    return [int(word) for task in tasks for word in task.read_text(encoding="ascii").split()]
+
+
+def _end_children() -> None:
+    """End our children, first politely; those that have ended are nobody's business."""
+    deadline_s = time.monotonic() + CHILD_S
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        for child in _children():
+            with contextlib.suppress(OSError):
+                os.kill(child, number)
+        while number == signal.SIGTERM and _alive() and time.monotonic() < deadline_s:
+            time.sleep(_LOOK_S / 5)
+
+
+def _alive() -> bool:
+    for child in _children():
+        with contextlib.suppress(OSError):
+            stat = Path(f"/proc/{child}/stat").read_text(encoding="utf-8", errors="replace")
+            if ") Z " not in stat:
+                return True
+    return False

@@ -1,0 +1,104 @@
+"""Lines for a terminal or a pipe, written by a thread that may block.
+
+Ctrl-S, or a pipe whose reader stands still, blocks who writes to it. The event loop hands its lines
+over and goes on; what does not fit in the buffer is lost and counted.
+"""
+
+import contextlib
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import TextIO
+
+LIMIT_BYTES = 256_000
+CLOSE_WITHIN_S = 0.3
+_RETRY_S = 0.05
+
+
+def _plain(lost: int) -> str:
+    return f"hilserver: {lost} lines were lost, as nobody took them"
+
+
+class Writer:
+    """Stands between writers and a stream; `write` never blocks.
+
+    Parameters
+    ----------
+    lost_line : callable
+        Number of lost lines -> the line that says so once lines are taken again.
+    """
+
+    def __init__(self, stream: TextIO, lost_line: Callable[[int], str] = _plain) -> None:
+        self.lost_line = lost_line
+        self.encoding = stream.encoding
+        self._stream, self._is_terminal = stream, stream.isatty()
+        self._fd = -1  # a stream in memory takes everything at once
+        with contextlib.suppress(OSError):
+            self._fd = stream.fileno()
+        self._texts: deque[bytes] = deque()
+        self._held_bytes = self._lost = 0
+        self._is_gone = False
+        self._news = threading.Condition()
+        threading.Thread(target=self._run, name="writer", daemon=True).start()
+
+    def isatty(self) -> bool:
+        """Whether the stream is a terminal."""
+        return self._is_terminal
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody may read along; a stream in memory is read at the end."""
+        return self._fd >= 0
+
+    def write(self, text: str) -> int:
+        """Hand over whole lines."""
+        if self._fd < 0:
+            return self._stream.write(text)
+        data = text.encode(self.encoding, "backslashreplace")
+        with self._news:
+            if self._is_gone:
+                return len(text)
+            if self._held_bytes + len(data) > LIMIT_BYTES:
+                self._lost += text.count("\n")
+            else:
+                self._texts.append(data)
+                self._held_bytes += len(data)
+                self._news.notify_all()
+        return len(text)
+
+    def flush(self) -> None:
+        """Nothing to do: the thread writes at once."""
+
+    def drain(self, within_s: float = CLOSE_WITHIN_S) -> None:
+        """Wait until everything is written, at most so long."""
+        with self._news:
+            self._news.wait_for(lambda: not self._held_bytes, within_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._texts)
+                data = b"".join(self._texts)
+                self._texts.clear()
+                lost, self._lost = self._lost, 0
+            if lost:
+                data += f"{self.lost_line(lost)}\n".encode(self.encoding, "backslashreplace")
+            self._is_gone = not self._write(data)
+            with self._news:
+                if self._is_gone:
+                    self._texts.clear()
+                self._held_bytes = sum(map(len, self._texts))
+                self._news.notify_all()
+
+    def _write(self, data: bytes) -> bool:
+        """Write all of it; False when nobody will ever take anything."""
+        while data:
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                time.sleep(_RETRY_S)
+            except OSError:
+                return False
+        return True

@@ -1,0 +1,221 @@
+"""`hilserver run` ends whenever it is asked to, and nobody's terminal holds it up."""
+
+import contextlib
+import json
+import os
+import pty
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from hilserver.program.shared_memory import path_of
+from tests.fakes import image_name
+from tests.helpers.daemons import NO_LIMITS, announced, running_daemon
+
+END_WITHIN_S = 3.0
+LATEST_S = 20.0
+FEATURES = {
+    "plain": "page: {enabled: false}\n",
+    "page": "page: {port: 0}\n",
+    "ros2": "page: {enabled: false}\nros2: {enabled: true, interface: lo}\n",
+    "body": "page: {enabled: false}\nmechatronic: {enabled: true}\n",
+    "peer": "page: {enabled: false}\npeers: [{name: absent, endpoint: 'opc.tcp://127.0.0.1:9/x',"
+    " read: {'ns=1;s=a': wheel.fl.setpoint_rpm}}]\n",
+}
+
+
+def children(pid):
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    with contextlib.suppress(OSError):
+        return [int(word) for task in tasks for word in task.read_text().split()]
+    return []
+
+
+def is_alive(pid):
+    with contextlib.suppress(OSError):
+        return ") Z " not in Path(f"/proc/{pid}/stat").read_text(errors="replace")
+    return False
+
+
+def ended_at(folder, number, feature, demo, moment_s):
+    """Start a daemon, end it at a moment; return what is wrong with how it ended."""
+    folder.mkdir()
+    image = image_name()
+    text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\n{NO_LIMITS}{FEATURES[feature]}"
+    text += "opcua: {endpoint: 'opc.tcp://127.0.0.1:0/h'}\n"
+    (folder / "config.yaml").write_text(text)
+    command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml"]
+    log = folder / "log"
+    with log.open("w") as errors:
+        start_s = time.monotonic()
+        process = subprocess.Popen([*command, *["--demo"] * demo], stderr=errors, cwd=folder)
+        while not log.stat().st_size and process.poll() is None:
+            time.sleep(0.005)
+        first_s = time.monotonic() - start_s
+        time.sleep(max(0.0, moment_s - first_s))
+        born = children(process.pid)
+        process.send_signal(number)
+        asked_s = time.monotonic()
+        try:
+            code = process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            code = "never"
+        took_s = time.monotonic() - asked_s
+    wrong = {
+        "code": code if code != 0 else None,
+        "took_s": took_s if took_s > END_WITHIN_S else None,
+        "children": [pid for pid in born if is_alive(pid)],
+        "image": path_of(image).exists(),
+        "traceback": "Traceback" in log.read_text(),
+    }
+    path_of(image).unlink(missing_ok=True)
+    found = {name: value for name, value in wrong.items() if value}
+    return found and (feature, demo, number, round(moment_s, 2), found, log.read_text()[-2000:])
+
+
+def campaign(folder, n, workers, seed):
+    draw = random.Random(seed)
+    latest_s = LATEST_S if n > 20 else LATEST_S / 3
+    jobs = []
+    for index in range(n):
+        feature = list(FEATURES)[index % len(FEATURES)]
+        number = draw.choice([signal.SIGINT, signal.SIGTERM])
+        demo = bool(index % 2) and feature != "peer"
+        jobs.append((folder / str(index), number, feature, demo, draw.uniform(0.05, latest_s)))
+    with ThreadPoolExecutor(workers) as pool:
+        return [wrong for wrong in pool.map(lambda job: ended_at(*job), jobs) if wrong]
+
+
+def test_a_signal_ends_it_at_any_moment(tmp_path):
+    assert not campaign(tmp_path, 8, 4, seed=1)
+
+
+@pytest.mark.long
+def test_a_signal_ends_it_at_a_hundred_moments(tmp_path):
+    assert not campaign(tmp_path, 100, 2, seed=2)
+
+
+def test_the_first_line_comes_before_anything_is_loaded(tmp_path):
+    """A cold start compiles for a minute; a signal ends that, too."""
+    cold = os.environ | {"HILSERVER_CACHE_DIR": str(tmp_path / "cache")}
+    (tmp_path / "config.yaml").write_text(f"image: {{name: {image_name()}}}\n")
+    command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, cwd=tmp_path, env=cold) as process:
+        assert b"hilserver is starting" in process.stderr.readline()
+        assert b"hilserver is compiling" in process.stderr.readline()
+        time.sleep(1.0)
+        process.terminate()
+        start_s = time.monotonic()
+        assert process.wait(60) == 0
+        assert time.monotonic() - start_s < END_WITHIN_S
+        assert b"ended while it was starting" in process.stderr.read()
+
+
+def test_a_second_daemon_is_refused_before_it_loads_anything(tmp_path):
+    with running_daemon(tmp_path) as daemon:
+        command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml"]
+        options = {"env": os.environ | {"HILSERVER_CACHE_DIR": "/nowhere/that/can/be/made"}}
+        second = subprocess.run(
+            command, capture_output=True, text=True, cwd=tmp_path, check=False, **options
+        )
+        assert second.returncode == 1
+        assert f"another hilserver uses the process image '{daemon.image}'" in second.stderr
+        assert daemon.stop() == 0
+
+
+BLOCKED = """
+import sys
+from hilserver.daemon.daemon import Daemon
+supervise, runs = Daemon._supervise, []
+def _supervise(self, *arguments):
+    supervise(self, *arguments)
+    runs.append(1)
+    while len(runs) > 5: pass
+Daemon._supervise = _supervise
+from hilserver.commands import main
+sys.exit(main(['run', '-c', 'config.yaml']))
+"""
+
+
+def test_a_blocked_event_loop_does_not_hold_up_the_end(tmp_path):
+    image = image_name()
+    text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\npage: {{port: 0}}\n"
+    (tmp_path / "config.yaml").write_text(text + "opcua: {enabled: false}\n")
+    command = [sys.executable, "-c", BLOCKED]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        while not announced([line := process.stderr.readline()]):
+            assert line
+        time.sleep(1.5)
+        born = children(process.pid)
+        process.terminate()
+        start_s = time.monotonic()
+        assert process.wait(60) == 1
+        assert time.monotonic() - start_s < END_WITHIN_S
+        lines = [json.loads(line) for line in process.stderr]
+    assert "is blocked by its own event loop" in lines[-1]["event"]
+    assert born
+    assert not any(map(is_alive, born))
+    assert not path_of(image).exists()
+
+
+def beats(url):
+    with urllib.request.urlopen(url.replace("/metrics", "/healthz"), timeout=5) as answer:
+        return answer.status == 200
+
+
+@pytest.mark.parametrize("kind", ["pipe", "terminal"])
+def test_who_does_not_read_its_lines_does_not_stop_it(tmp_path, kind):
+    """Ctrl-S, or a pipe whose reader stands still."""
+    reading, writing = pty.openpty() if kind == "terminal" else os.pipe()
+    image = image_name()
+    text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\npage: {{enabled: false}}\n{NO_LIMITS}"
+    text += "opcua: {enabled: false}\nlogging: {format: json, level: DEBUG, repeat_window_s: 0}\n"
+    (tmp_path / "config.yaml").write_text(text)
+    command = [sys.executable, "-c", CHATTY]
+    with subprocess.Popen(command, stderr=writing, cwd=tmp_path) as process:
+        os.close(writing)
+        try:
+            shown = until(reading, b'"hilserver is running"').decode()
+            metrics = re.findall(r"http://[^\"]+/metrics", shown)[-1]
+            for _ in range(6):  # from here on nobody reads, and it writes 200 kB a second
+                time.sleep(0.5)
+                assert beats(metrics)
+            process.terminate()
+            start_s = time.monotonic()
+            assert process.wait(30) == 0
+            assert time.monotonic() - start_s < END_WITHIN_S
+        finally:
+            process.kill()
+    os.close(reading)
+    assert not path_of(image).exists()
+
+
+def until(fd, word):
+    shown = b""
+    while word not in shown:
+        shown += os.read(fd, 4096)
+    return shown
+
+
+CHATTY = """
+import sys
+import structlog
+from hilserver.daemon.daemon import Daemon
+supervise = Daemon._supervise
+def _supervise(self, *arguments):
+    supervise(self, *arguments)
+    for _ in range(20):
+        structlog.get_logger('chatty').info('x' * 1000)
+Daemon._supervise = _supervise
+from hilserver.commands import main
+sys.exit(main(['run', '-c', 'config.yaml']))
+"""
