@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
+from hilserver import __version__
 from hilserver.program.footer import Footer
 from hilserver.program.writer import Writer
 
@@ -72,8 +73,15 @@ class Announcer:
         if self._footer is not None:
             self._footer.show("")
 
+    def starting(self) -> None:
+        """Say so, to whoever reads along."""
+        if self._writer.is_watched:
+            self.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
+
     def compiling(self, function: str) -> None:
-        """Say now and then that something is being compiled, and what."""
+        """Say now and then, to whoever reads along, that something is being compiled."""
+        if not self._writer.is_watched:
+            return
         self._compiled += 1
         now_s = time.monotonic()
         if self._compiled == 1:

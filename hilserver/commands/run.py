@@ -9,7 +9,6 @@ from pathlib import Path
 
 import yaml
 
-from hilserver import __version__
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.options import add_config, add_patch, config_path, number_within
 from hilserver.errors import EXIT_DONE
@@ -71,8 +70,7 @@ def run(args: argparse.Namespace) -> int:
         writer = Writer(sys.stderr)
         announcer = Announcer(writer, line_format)
         guard.say = announcer.last_words
-        if writer.is_watched:
-            announcer.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
+        announcer.starting()
         try:
             check_free(image)
             from hilserver.program import compiling  # noqa: PLC0415
