@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
@@ -67,6 +68,7 @@ def diagnose(
     )
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def judge(
     log: MeasuredLog,
     robot: RobotParameters,

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
@@ -55,6 +56,7 @@ def together(a: MeasuredLog, b: MeasuredLog) -> tuple[MeasuredLog, NDArray[np.bo
     return log, second
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def compare(
     log: MeasuredLog,
     other: MeasuredLog,

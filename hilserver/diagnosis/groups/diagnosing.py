@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
@@ -53,6 +54,7 @@ from hilserver.measured.data import MeasuredLog
 Array = NDArray[np.float64]
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose_groups(
     logs: Mapping[str, MeasuredLog],
     assembly: Assembly,
