@@ -1,6 +1,7 @@
 """Every example does what its README says, started as a user starts it."""
 
 import asyncio
+import csv
 import json
 import os
 import re
@@ -79,6 +80,31 @@ async def test_a_program_without_ros_drives_over_ros_2():
             text, _ = await asyncio.to_thread(program.communicate, timeout=120)
     assert program.returncode == 0
     assert float(re.search(r"turned with (\S+) rpm", text)[1]) > 25.0
+
+
+async def test_a_controller_in_lockstep_sees_the_same_bits_every_time():
+    config = configuration(scheduler={"backend": "virtual"}, control={"source": "opcua"})
+    async with running(config) as (daemon, _):
+        said = []
+        for _ in range(2):
+            program = started("lockstep/lockstep.py", daemon.server.url)
+            text, _ = await asyncio.to_thread(program.communicate, timeout=120)
+            assert program.returncode == 0
+            said.append(re.search(r"heading (\S+) rad after (\S+) s", text).groups())
+    assert said[0] == said[1]
+    assert float(said[0][0]) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.long
+def test_a_campaign_of_variants_sums_up(tmp_path):
+    program = started("variants/variants.py", str(tmp_path / "campaign"))
+    program.communicate(timeout=240)
+    assert program.returncode == 0
+    with (tmp_path / "campaign" / "summary.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    yaw = {float(line["terms.rotation_gain"]): float(line["yaw_rad"]) for line in lines}
+    assert len(lines) == 6
+    assert yaw[0.0] > yaw[-0.2] > yaw[-0.4] > 0.5
 
 
 @pytest.mark.node_red
