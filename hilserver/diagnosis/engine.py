@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
@@ -20,6 +19,7 @@ from hilserver.diagnosis.findings.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, named
 from hilserver.diagnosis.findings.worth import explained, with_worth
+from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.showing import Shown, evidence
@@ -68,7 +68,7 @@ def diagnose(
     )
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
+@one_blas_thread
 def judge(
     log: MeasuredLog,
     robot: RobotParameters,

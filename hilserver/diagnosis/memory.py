@@ -1,7 +1,14 @@
-"""Memory of a diagnosis: its threads share the pools of the C library."""
+"""Memory and threads of a diagnosis: those of the C library and of its linear algebra."""
 
 import ctypes
-from typing import Final
+from collections.abc import Callable
+from functools import wraps
+from typing import Final, ParamSpec, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _M_ARENA_MAX: Final = -8  # malloc.h of glibc
 ARENAS: Final = 2
@@ -13,3 +20,14 @@ def share_arenas() -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_ARENA_MAX, ARENAS)
+
+
+def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function's linear algebra keep to one thread; the others would only wait."""
+
+    @wraps(function)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> R:
+        with threadpool_limits(1, "blas"):
+            return function(*args, **kwargs)
+
+    return inner

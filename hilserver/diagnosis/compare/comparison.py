@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
@@ -22,6 +21,7 @@ from hilserver.diagnosis.compare.differing import difference_findings, smallest_
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.engine import silent
 from hilserver.diagnosis.examine import Tell
+from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
@@ -56,7 +56,7 @@ def together(a: MeasuredLog, b: MeasuredLog) -> tuple[MeasuredLog, NDArray[np.bo
     return log, second
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
+@one_blas_thread
 def compare(
     log: MeasuredLog,
     other: MeasuredLog,

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
@@ -34,6 +33,7 @@ from hilserver.diagnosis.findings.worth import Explained, Predictions, with_wort
 from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_remains
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import Member, refitted
+from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.merging import merged
@@ -54,7 +54,7 @@ from hilserver.measured.data import MeasuredLog
 Array = NDArray[np.float64]
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
+@one_blas_thread
 def diagnose_groups(
     logs: Mapping[str, MeasuredLog],
     assembly: Assembly,
