@@ -24,6 +24,7 @@ from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS, REQUEST_SAVE
 from hilserver.image.requests import is_done, post_request
+from hilserver.kernel.adoption import unfit
 
 SCHEMA = "hilserver.core.snapshot/1"
 _DAMAGED = (
@@ -102,7 +103,7 @@ class SnapshotStore:
             await self._serve(REQUEST_SAVE, 0)
             tick = self._image.control.request_tick
             state = self._image.shadow.copy()
-        meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity}
+        meta = {"schema": SCHEMA, "tick": tick, "identity": self.identity, "sha256": _sum(state)}
         await asyncio.to_thread(_write, path, state, meta)
         return path
 
@@ -133,7 +134,16 @@ class SnapshotStore:
             return self._image.control.request_tick
 
     async def restore(self, state: NDArray[np.int64], tick: int) -> None:
-        """Continue from `state`, as a snapshot or a recording holds it, at `tick`."""
+        """Continue from `state`, as a snapshot or a recording holds it, at `tick`.
+
+        Raises
+        ------
+        ControlRefused
+            If the plant could not go on from it.
+        """
+        layout = self._image.layout
+        if (what := unfit(state, layout.regions, layout.n_slots)) is not None:
+            raise ControlRefused(f"the state is damaged ({what}); take another file")
         async with self._lock:
             self._image.shadow[:] = state
             await self._serve(REQUEST_LOAD, tick)
@@ -223,4 +233,10 @@ def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:
     is_ours = isinstance(meta, dict) and meta.get("schema") == SCHEMA
     if not is_ours or not isinstance(state, np.ndarray) or state.dtype != np.int64:
         raise ControlRefused(f"snapshot '{path.stem}' does not follow schema {SCHEMA}")
+    if meta.get("sha256", _sum(state)) != _sum(state):  # older files have none
+        raise ControlRefused(f"snapshot '{path.stem}' is damaged: its checksum differs")
     return state, meta
+
+
+def _sum(state: NDArray[np.int64]) -> str:
+    return hashlib.sha256(state.tobytes()).hexdigest()

@@ -85,6 +85,7 @@ class Recorder:
         self._told = (0, 0)
         self._next_s = 0.0
         self._told_s = 0.0
+        self._source.begin()
         first = self._source.first_state()
         if first is None:
             self._want_state()

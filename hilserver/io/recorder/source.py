@@ -116,6 +116,12 @@ class Source:
         self._next += len(batch)
         return self._segmented(batch, after_gap=after_gap)
 
+    def begin(self) -> None:
+        """Begin with the next frame: those that came while the file was made are none of ours."""
+        read_frames(self._reader, max(0, self._reader.head - 1), 1)  # from here on it is compiled
+        if self.mark is None:
+            self._next = max(0, self._reader.head)
+
     def _skip_to(self, number: int) -> None:
         self.lost += number - self._next
         self._next = number

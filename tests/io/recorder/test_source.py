@@ -69,6 +69,15 @@ def test_what_the_ring_dropped_is_counted_and_begins_no_segment(world):
     assert frames[-1] == (0, 10 + 3 * RING - 1)
 
 
+def test_what_came_while_the_file_was_made_is_not_lost(world):
+    """Opening a file takes seconds on a busy computer; the recording has not begun by then."""
+    world.run(3 * RING)
+    world.source.begin()
+    world.run(10)
+    assert [tick for _, tick in world.read()] == list(range(3 * RING, 3 * RING + 10))
+    assert world.source.lost == 0
+
+
 def test_a_restore_begins_a_segment_with_its_state(world):
     world.run(10)
     world.read()

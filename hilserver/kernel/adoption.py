@@ -1,0 +1,60 @@
+"""Whether the step may go on from a state: its numbers become indices, and the step checks none."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.kernel.modifier_layout as at
+from hilserver.image.layout import Region
+from hilserver.plant import layout as robot
+
+_ANY = 2**63
+_ENTRY: Mapping[str, tuple[int, int, int]] = {
+    "kind": (at.E_KIND, min(at.Kind), max(at.Kind)),
+    "side": (at.E_SIDE, at.INPUT, at.NEITHER),
+    "period": (at.E_EVERY, 1, _ANY),
+    "delay": (at.E_TICKS, 0, at.MAX_DELAY_TICKS),
+    "spread": (at.E_SPREAD, 0, at.MAX_DELAY_TICKS),
+    "ring": (at.E_RING, -1, at.MAX_RINGS - 1),
+}
+"""Least and largest value of what an entry of the faults holds."""
+_HEADS = (robot.X_SETPOINT_HEAD, robot.X_IMU_HEAD, robot.X_NAV_HEAD)
+_COUNTS = (robot.X_IMU_COUNT, robot.X_NAV_COUNT)
+
+
+def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int) -> str | None:
+    """Return what in a state the step could not bear, None if it is sound.
+
+    Parameters
+    ----------
+    state : ndarray of int64
+        The live regions, as a snapshot or a recording holds them.
+    regions : mapping of Region
+        Those of the image that is to adopt it.
+    """
+    base = regions["live"].base
+
+    def part(name: str) -> NDArray[np.int64]:
+        return state[regions[name].base - base :][: regions[name].length]
+
+    x, faults = part("x").view(np.float64), part("modifiers")
+    if not all(0 <= x[place] < robot.RING for place in _HEADS):
+        return "place in a ring of samples"
+    if not all(0 <= x[place] <= robot.RING for place in _COUNTS):
+        return "number of samples"
+    return _unfit_faults(faults, n_slots)
+
+
+def _unfit_faults(faults: NDArray[np.int64], n_slots: int) -> str | None:
+    count, touched = int(faults[at.H_COUNT]), int(faults[at.H_TOUCHED])
+    if not (0 <= count <= at.MAX_MODIFIERS and 0 <= touched <= 2 * at.MAX_MODIFIERS):
+        return "number of faults"
+    slots: list[Any] = faults[at.TOUCHED :][:touched].tolist()
+    for entry in faults[at.ENTRIES : at.TOUCHED].reshape(-1, at.N_ENTRY)[:count].tolist():
+        slots += [entry[at.E_SLOT], entry[at.E_OTHER]]
+        for name, (place, low, high) in _ENTRY.items():
+            if not low <= entry[place] <= high:
+                return f"{name} of a fault"
+    return None if all(0 <= slot < n_slots for slot in slots) else "signal of a fault"
