@@ -27,7 +27,7 @@ from hilserver.plant.parameters import RobotParameters
 CUTS: Final = ("setpoints", "duty", "speed")
 POSE_STEPS: Final = 2
 """Fits of the free initial poses: from the set-points the pose drifts far away."""
-SHARE: Final = 0.5
+DENSE_SHARE: Final = 0.5
 """Of the closed loop's time constant: samples so dense show the duty between them."""
 FALL: Final = 8.0
 """Closed loop's time constants after which the duty moves slowly again."""
@@ -91,7 +91,9 @@ def remarks(stages: Mapping[str, Prepared]) -> tuple[str, ...]:
     for problem in (p.problem for p in stages.values()):
         stack, robot = problem.stack, problem.stage.robot
         duties = [stack.t_s[stack.edges[n]] for n in DUTIES if n in stack.edges]
-        if any(np.median(np.diff(t)) > SHARE * _closed_s(robot) for t in duties if len(t) > 1):
+        if any(
+            np.median(np.diff(t)) > DENSE_SHARE * _closed_s(robot) for t in duties if len(t) > 1
+        ):
             return (
                 "The duty was recorded too rarely to know it between its samples after a step:"
                 " replayed from the duty, a wheel speed counts only where the set-points had rested"
@@ -206,7 +208,7 @@ def _unseen(stage: DriveStage, wheel: int, held: Array) -> NDArray[np.bool_]:
     since = stage.since(stepped)
     again = stepped & (np.concatenate([[np.inf], since[:-1]]) < fall_s)
     ramp = (stage.since(again) < fall_s) & (gap_s > 1.5 * segments.period_s)
-    return ramp | ((since < fall_s) & (gap_s > SHARE * closed_s))
+    return ramp | ((since < fall_s) & (gap_s > DENSE_SHARE * closed_s))
 
 
 def _closed_s(robot: RobotParameters) -> float:

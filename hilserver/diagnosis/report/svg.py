@@ -17,7 +17,7 @@ MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0
 MARGIN_TOP: Final = 14.0
 MARGIN_BOTTOM: Final = 44.0
-MAX_POINTS: Final = 700
+LINE_POINTS: Final = 700
 """Points of one line; more are drawn as the extremes of so many pieces."""
 MAX_RUNS: Final = 400
 """Runs of one line; of more only every second, or third, is drawn."""
@@ -96,7 +96,7 @@ def label(value: float) -> str:
     return text.replace("-", MINUS)
 
 
-def decimate(x: Array, y: Array, n: int = MAX_POINTS) -> tuple[Array, Array]:
+def decimate(x: Array, y: Array, n: int = LINE_POINTS) -> tuple[Array, Array]:
     """Return at most `n` points that keep smallest and largest value of every piece."""
     if len(x) <= n:
         return x, y
@@ -115,7 +115,7 @@ def thinned(x: Array, y: Array, run: NDArray[np.int64]) -> tuple[Array, Array]:
     """Return the points of a line that breaks (at a NaN) wherever another run begins."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [len(run)]])
     drawn = np.arange(0, len(edges) - 1, math.ceil((len(edges) - 1) / MAX_RUNS) or 1)
-    most = max(FEWEST_POINTS, MAX_POINTS // max(len(drawn), 1))
+    most = max(FEWEST_POINTS, LINE_POINTS // max(len(drawn), 1))
     parts = [decimate(x[edges[k] : edges[k + 1]], y[edges[k] : edges[k + 1]], most) for k in drawn]
     xs, ys = zip(*((np.append(a, np.nan), np.append(b, np.nan)) for a, b in parts), strict=True)
     return np.concatenate(xs), np.concatenate(ys)
@@ -177,7 +177,7 @@ class Plot:
         role: str,
         title: str,
         *,
-        points: int = MAX_POINTS,
+        points: int = LINE_POINTS,
         run: NDArray[np.int64] | None = None,
     ) -> None:
         """Draw a line; `role` is its class, `title` what shows when the pointer rests on it.
@@ -196,7 +196,7 @@ class Plot:
         role: str,
         title: str,
         *,
-        points: int = MAX_POINTS,
+        points: int = LINE_POINTS,
         begins: Sequence[int] = (),
     ) -> None:
         """Draw a way in the plane, shape (n, 2): every k-th point; it breaks at `begins`."""
