@@ -52,13 +52,17 @@ def is_bag_of_ros(path: Path) -> bool:
 
 
 def refuse_others(path: Path) -> None:
-    """Refuse devices and pipes, which may never end, and bags of ROS 1.
+    """Refuse what is not there, devices and pipes, which may never end, and bags of ROS 1.
 
     Raises
     ------
     LogError
     """
-    if path.exists() and not path.is_file() and not path.is_dir():
+    try:
+        path.stat()
+    except OSError as error:
+        raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+    if not path.is_file() and not path.is_dir():
         raise LogError(f"{path}: is a device or a pipe, not a file; save the log as a file first")
     if path.is_file():
         with path.open("rb") as file:

@@ -106,6 +106,8 @@ def _line(signal: str, name: str, words: set[str]) -> str:
     if signal.endswith("angle_rad") and words & _COUNTS:
         unit = ', unit: "1", scale: 0.001'
         note = "   # counts: write 2 pi / counts per turn as the scale"
+    elif signal.endswith("speed_rpm") and not unit and "velocity" in words:
+        unit, note = ", unit: rad/s", "   # rad/s, as in JointState?"
     elif signal.endswith("speed_rpm") and not unit and "rpm" not in words:
         note = "   # rpm? Counts are an angle: wheel.fl.angle_rad, with a scale"
     elif signal.startswith("nav.") and words & _ODOMETRY:

@@ -143,7 +143,9 @@ def test_a_damaged_state_is_named(tmp_path):
 
 
 def test_a_log_that_is_not_there_is_said(tmp_path):
-    with pytest.raises(LogError, match="no such file"):
-        read_log(tmp_path / "a.csv")
+    for name in ("a.csv", "a.bag", "a", "a.mcap", "a" * 400):
+        with pytest.raises(LogError, match=r"no such file|name too long"):
+            read_log(tmp_path / name)
+    (tmp_path / "a.bag").write_text("x")
     with pytest.raises(LogError, match=r"known are \.csv, \.mcap and bags"):
         read_log(tmp_path / "a.bag")

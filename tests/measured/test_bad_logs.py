@@ -108,6 +108,8 @@ T = np.arange(120) * 0.02
 # kind: how the log is made, mapping text or None, what the sentence says
 KINDS = {
     "missing": (lambda folder: folder / "none.csv", None, "none.csv: no such file"),
+    "missing, mapped": (lambda folder: folder / "none", COLUMNS, "none: no such file"),
+    "missing bag": (lambda folder: folder / "none.bag", TOPICS, "none.bag: no such file"),
     "folder": (folder_without_a_bag, TOPICS, "is a folder without a bag .* name the log"),
     "folder without mapping": (
         folder_without_a_bag,

@@ -116,7 +116,8 @@ def test_the_first_row_names_the_joints_and_the_unit_of_time(tmp_path):
     (tmp_path / "map.yaml").write_text(error.value.proposal)
     mapping = load_mapping(tmp_path / "map.yaml")
     assert mapping.time.unit == "ns"
-    assert mapping.channels["wheel.fl.speed_rpm"].column == "field.velocity1"
+    left = mapping.channels["wheel.fl.speed_rpm"]
+    assert (left.column, left.unit) == ("field.velocity1", "rad/s")
     assert read_measured([tmp_path / "log.csv"], tmp_path / "map.yaml")["wheel.fr.speed_rpm"]
 
 
