@@ -27,7 +27,9 @@ MAX_SELECTED = 500
 """Select clauses of an event item."""
 MAX_LINKS = 1000
 """From items that trigger to those that they trigger, in one subscription."""
-_GIVE_WAY_EVERY = 50
+GIVE_WAY_EVERY = 50
+"""Items: so many are looked at without a pause."""
+_ALL = slice(None)
 
 
 class MonitoredItems:
@@ -237,13 +239,23 @@ class MonitoredItems:
 
     # --- sampling ---------------------------------------------------------------------------------
 
-    def after_frame(self, now_s: float) -> Portions:
-        """Look at what is queued change by change."""
-        return self._look_at_portions(self._each_frame, now_s, 0.0)
+    def after_frame(self, now_s: float, part: slice = _ALL) -> int:
+        """Look at what is queued change by change; return how many items these are."""
+        self._look_at(self._each_frame[part], now_s)
+        return len(self._each_frame)
 
-    def before_publishing(self, now_s: float) -> Portions:
-        """Look at everything that is due, or nearer to this publishing than to the next."""
-        return self._look_at_portions(self._all, now_s, self._publishing_ms() / 2e3)
+    def before_publishing(self, now_s: float, part: slice = _ALL) -> int:
+        """Look at all that is due, or nearer to this publishing than to the next."""
+        self._look_at(self._all[part], now_s, self._publishing_ms() / 2e3)
+        return len(self._all)
+
+    def portions(self, look: Callable[[float, slice], int], now_s: float) -> Portions:
+        """Look at many items in portions; what triggers others comes with them in one."""
+        size = max(1, len(self)) if self._has_links else GIVE_WAY_EVERY
+        first = 0
+        while first < look(now_s, slice(first, first + size)):
+            first += size
+            yield
 
     @property
     def has_each_frame(self) -> bool:
@@ -276,13 +288,6 @@ class MonitoredItems:
         ]
         for item in news:
             self._note(item)
-
-    def _look_at_portions(self, items: list[ValueItem], now_s: float, slack_s: float) -> Portions:
-        # What triggers others comes with them in one portion.
-        size = max(1, len(items)) if self._has_links else _GIVE_WAY_EVERY
-        for first in range(0, len(items), size):
-            self._look_at(items[first : first + size], now_s, slack_s)
-            yield
 
     def _note(self, item: Item) -> None:
         """Put an item on the list of those with something to send, and what it triggers."""

@@ -123,11 +123,10 @@ class RobotProcessor:
         """Whether a message is still incomplete."""
         return self._connection.has_parts
 
-    def process_frame(self, kind: bytes, frame: bytes) -> Portions:
-        """Process one frame; return False if the connection is to be closed."""
+    def process_frame(self, kind: bytes, frame: bytes) -> bool | Portions:
+        """Process one frame, or begin to; the result is False if the connection is to be closed."""
         try:
-            outcome = self._process_frame(kind, frame)
-            return outcome if isinstance(outcome, bool) else (yield from outcome)
+            return self._process_frame(kind, frame)
         except Exception as error:  # noqa: BLE001 - whatever it was, it is one connection's
             self._fail(kind, error)
             return False
@@ -224,8 +223,6 @@ class RobotProcessor:
 
     def _send(self, request_id: int, head: encoding.Head, response: Any) -> Portions:
         """Send a response, with diagnostics where the client asked for them."""
-        if response is None:
-            return
         if not isinstance(response, bytes):
             if (
                 isinstance(response, ua.WriteResponse | ua.CallResponse)
@@ -238,8 +235,8 @@ class RobotProcessor:
 
     # --- services ---------------------------------------------------------------------------------
 
-    def _process_message(self, request_id: int, body: Buffer) -> Portions:
-        """Answer one message; raise if not even its header can be read."""
+    def _process_message(self, request_id: int, body: Buffer) -> bool | Portions:
+        """Answer one message, or begin to; raise if not even its header can be read."""
         service = encoding.service_id(body)
         session, token = self.session, None
         head = None if session is None else encoding.request_head(body, session.token_bytes)
@@ -251,12 +248,20 @@ class RobotProcessor:
                 session = None
         try:
             response = self._serve(service, session, token, head, request_id, body)
+        except Exception as error:  # noqa: BLE001 - a client must get an answer, and no traceback
+            self.send_fault(request_id, head.handle, self._code_of(error))
+            return True
+        return True if response is None else self._finish(response, request_id, head)
+
+    def _finish(self, response: Any, request_id: int, head: encoding.Head) -> Portions:
+        """Answer when what was asked for has been done."""
+        try:
             if inspect.iscoroutine(response):
                 response = yield response
             elif inspect.isgenerator(response):
                 response = yield from response
             yield from self._send(request_id, head, response)
-        except Exception as error:  # noqa: BLE001 - a client must get an answer, and no traceback
+        except Exception as error:  # noqa: BLE001 - as above
             self.send_fault(request_id, head.handle, self._code_of(error))
         return True
 

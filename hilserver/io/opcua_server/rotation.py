@@ -13,7 +13,6 @@ import itertools
 import time
 from collections.abc import Generator
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
 from hilserver.io.opcua_server.logs import log
 
@@ -27,7 +26,15 @@ Portions = Generator[Any, Any, Any]
 
 
 class Job(Protocol):
-    """Something that needs turns."""
+    """Something that needs turns.
+
+    Attributes
+    ----------
+    used_s : float
+        What its turns have taken, counted here; whoever has none begins as the others stand [s].
+    """
+
+    used_s: float
 
     def turn(self) -> bool:
         """Do one portion; return whether there is more to do."""
@@ -61,7 +68,6 @@ class Rotation:
     def __init__(self) -> None:
         self._queue: list[tuple[float, int, Job]] = []
         self._waiting: dict[Job, int] = {}
-        self._used_s: WeakKeyDictionary[Job, float] = WeakKeyDictionary()
         self._least_s = 0.0
         self._numbers = itertools.count()
         self._handle: asyncio.Handle | None = None
@@ -74,7 +80,7 @@ class Rotation:
         if job in self._waiting:
             return
         # Who had nothing to do saves nothing up for later.
-        used_s = self._used_s[job] = max(self._used_s.get(job, 0.0), self._least_s)
+        used_s = job.used_s = max(getattr(job, "used_s", 0.0), self._least_s)
         self._waiting[job] = number = next(self._numbers)
         heapq.heappush(self._queue, (used_s, number, job))
         if self._handle is None:
@@ -104,7 +110,7 @@ class Rotation:
             except Exception as error:  # noqa: BLE001 - one client's trouble is not the others'
                 log.warning("opcua job failed", error=repr(error)[:200])
             now_s = time.monotonic()
-            self._used_s[job] = self._least_s + max(now_s - began_s, _LEAST_TURN_S)
+            job.used_s = self._least_s + max(now_s - began_s, _LEAST_TURN_S)
             began_s = now_s
             if is_more:
                 self.add(job)

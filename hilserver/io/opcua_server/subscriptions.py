@@ -16,7 +16,7 @@ from hilserver.config.server import OpcUaConfig, OpcUaShare
 from hilserver.io.opcua_server import encoding
 from hilserver.io.opcua_server.items import Room
 from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.monitored_items import MonitoredItems
+from hilserver.io.opcua_server.monitored_items import GIVE_WAY_EVERY, MonitoredItems
 from hilserver.io.opcua_server.rotation import Portions, Rotation, advance
 from hilserver.io.opcua_server.type_tree import TypeTree
 from hilserver.scheduler.period import Period
@@ -65,7 +65,8 @@ class Subscription:
         self._service = service
         self._sequence = 1
         self._period = Period(self._tick)
-        self._is_due = self._is_owed = self._has_frame = self._has_sampled = False
+        self._is_due = self._is_owed = self._has_frame = False
+        self.used_s = 0.0
         self._events: deque[Any] = deque(maxlen=_MAX_EVENTS)
         self._work: Portions | None = None
         self._is_first = True
@@ -130,33 +131,44 @@ class Subscription:
             self._service.rotation.add(self)
 
     def turn(self) -> bool:
-        """Sample, and send a message if it is time; whether there are more to send now."""
+        """Sample, and send a message if it is time; whether there is more to do now."""
         if self._work is None:
+            if not self._events and len(self.items) <= GIVE_WAY_EVERY:
+                self._sample_few()
+                return self._is_owed and self._send()
             self._work = self._sample()
         try:
             advance(self._work)
         except StopIteration:
             self._work = None
-            if self._has_sampled:
-                self._has_sampled = False
-                self._cycle()
             return self._is_owed and self._send()
         except Exception:
             self._work = None
             raise
         return True
 
+    def _sample_few(self) -> None:
+        now_s = time.monotonic()
+        if self._has_frame:
+            self._has_frame = False
+            self.items.after_frame(now_s)
+        if self._is_due:
+            self._is_due = False
+            self.items.before_publishing(now_s)
+            self._cycle()
+
     def _sample(self) -> Portions:
+        """Do the same in portions, and let the events pass that wait."""
         while self._events:
             yield from self.items.take_event(self._events.popleft())
         now_s = time.monotonic()
         if self._has_frame:
             self._has_frame = False
-            yield from self.items.after_frame(now_s)
+            yield from self.items.portions(self.items.after_frame, now_s)
         if self._is_due:
             self._is_due = False
-            yield from self.items.before_publishing(now_s)
-            self._has_sampled = True
+            yield from self.items.portions(self.items.before_publishing, now_s)
+            self._cycle()
 
     def _cycle(self) -> None:
         if self._is_owed:

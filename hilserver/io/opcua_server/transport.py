@@ -56,7 +56,7 @@ class RobotProtocol(asyncio.Protocol):
         self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
         self._transport: Any = None
         self.processor: RobotProcessor | None = None
-        self.began_s = self._closing_since_s = 0.0
+        self.used_s = self.began_s = self._closing_since_s = 0.0
         self.address = ""
 
     def connection_made(self, transport: Any) -> None:
@@ -124,8 +124,12 @@ class RobotProtocol(asyncio.Protocol):
                 self.processor.refuse(self._refused.code, str(self._refused))
                 return False
             self._queued_bytes -= len(frame)
-            self._work = self.processor.process_frame(kind, frame)
             self.processor.spent_s = 0.0
+            outcome = self.processor.process_frame(kind, frame)
+            if isinstance(outcome, bool):
+                self._go_on(outcome)
+                return bool(self._frames) and self._is_free
+            self._work = outcome
         return self._advance(None)
 
     def _advance(self, answer: Any) -> bool:
