@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 _EARLY_S = 0.001
-"""A loop's timers are early by at most this; waited for in addition, once one was."""
+"""A loop's timers are early by at most this: waited for in addition, so that one call is enough."""
 
 
 class Handle(Protocol):
@@ -67,14 +67,14 @@ class Period:
     def _plan(self, delay_s: float) -> None:
         self.stop()
         later = self._call_later or asyncio.get_running_loop().call_later
-        self._handle = later(delay_s, self._fire)
+        self._handle = later(delay_s + _EARLY_S if delay_s > 0 else 0.0, self._fire)
 
     def _fire(self) -> None:
         if self._handle is None:
             return
         late_s = self._clock() - self._due_s
         if late_s < 0:
-            self._plan(-late_s + _EARLY_S)
+            self._plan(-late_s)
             return
         periods = math.floor(late_s / self._period_s) + 1
         self._due_s += periods * self._period_s

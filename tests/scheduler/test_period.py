@@ -73,7 +73,7 @@ def test_early_late_and_doubled_timers_call_once_in_every_period(
 
 def test_what_a_late_timer_missed_is_not_made_up_for() -> None:
     found = calls(Loop([0.0, 0.0, 3.5 * PERIOD_S, *[0.0] * 100]))
-    assert found == pytest.approx([1, 2, 6.5, *range(7, 21)])
+    assert found == pytest.approx([1, 2, 6.5, *range(7, 21)], abs=0.02)
 
 
 @given(st.lists(st.floats(-0.001, 0.35), min_size=1, max_size=30), st.integers(1, 2))
@@ -100,4 +100,4 @@ def test_stopped_and_started_anew() -> None:
     period.start(2.0, 1.0)
     assert period.is_running
     loop.run(14.0)
-    assert found == [11.0, 13.0]
+    assert found == pytest.approx([11.0, 13.0], abs=0.002)
