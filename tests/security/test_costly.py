@@ -199,7 +199,9 @@ async def ask(target: Target, count: int, seed: int) -> list[tuple[float, str, f
     await wire.__aenter__()
     await wire.log_in()
     target.stall_ms()
-    for service in plan[:count]:
+    for number, service in enumerate(plan[:count]):
+        if number and number % 500 == 0:
+            print(number, max(rows), max(row[2] for row in rows), flush=True)
         name, request = requests.draw(service)
         began_s = time.monotonic()
         data = await wire.put(request)

@@ -62,6 +62,8 @@ _UNDECODABLE = (
 )  # fmt: skip
 REQUEST_S = 0.5
 """Of work for one request; what it has not done by then is refused."""
+LONGEST_WAIT_S = 10.0
+"""For the methods that one Call waits for, together."""
 
 
 def decode(kind: type, body: Buffer) -> Any:
@@ -76,8 +78,9 @@ class RobotProcessor:
     ----------
     is_congested : bool
         The client does not read what was sent to it.
-    spent_s : float
-        Time that the message being processed has taken; counted by who gives us turns [s].
+    spent_s, waited_s : float
+        Time that the message being processed has taken, and what it has waited for others; counted
+        by who gives us turns [s].
     """
 
     def __init__(self, iserver: Any, transport: Any, policies: Sequence[Any]) -> None:
@@ -90,12 +93,12 @@ class RobotProcessor:
         self.address = str(name[0]) if name else "unknown"
         self._connection = GuardedConnection(policies, iserver.trust, self.address)
         self._is_greeted = False
-        self.spent_s = 0.0
+        self.spent_s = self.waited_s = 0.0
 
     @property
     def is_out_of_time(self) -> bool:
         """Whether the request that is being answered has used up its time."""
-        return self.spent_s > REQUEST_S
+        return self.spent_s > REQUEST_S or self.waited_s > LONGEST_WAIT_S
 
     @property
     def policy(self) -> Any:

@@ -124,7 +124,7 @@ class RobotProtocol(asyncio.Protocol):
                 self.processor.refuse(self._refused.code, str(self._refused))
                 return False
             self._queued_bytes -= len(frame)
-            self.processor.spent_s = 0.0
+            self.processor.spent_s = self.processor.waited_s = 0.0
             outcome = self.processor.process_frame(kind, frame)
             if isinstance(outcome, bool):
                 self._go_on(outcome)
@@ -152,11 +152,14 @@ class RobotProtocol(asyncio.Protocol):
         return False
 
     async def _wait(self, wanted: Coroutine[Any, Any, Any]) -> None:
+        assert self.processor is not None
+        began_s = time.monotonic()
         try:
             answer = await wanted
         except Exception as error:  # noqa: BLE001 - whatever it is, the request is answered with it
             answer = error
         self._waiting = None
+        self.processor.waited_s += time.monotonic() - began_s
         if self._work is not None and self._advance(answer):
             self._rotation.add(self)
 

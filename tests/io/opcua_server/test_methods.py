@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 from asyncua import ua
 
+from hilserver.io.opcua_server import processor
 from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig, RobotClient
 
@@ -144,3 +145,24 @@ async def test_asyncua_call_method_works_too(rig: Rig, client: RobotClient) -> N
     assert rig.control.state is State.PAUSED
     with pytest.raises(ua.uaerrors.BadNotImplemented):
         await methods.call_method(f"{client.index}:ClearFaults")
+
+
+async def test_one_call_does_not_wait_for_ever(
+    rig: Rig, client: RobotClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thousand methods that each wait for the plant: those behind the limit are not called."""
+    monkeypatch.setattr(processor, "LONGEST_WAIT_S", 0.05)
+    called = []
+
+    async def wait(request: object, user: object) -> tuple[ua.CallMethodResult, str]:
+        called.append(request)
+        await asyncio.sleep(0.06)
+        return ua.CallMethodResult(), ""
+
+    monkeypatch.setattr(rig.server._server.iserver.methods, "call", wait)
+    request = ua.CallMethodRequest(
+        ua.NodeId("methods", client.index), ua.NodeId("methods.Step", client.index)
+    )
+    results = await client.uaclient.call([request] * 5)
+    assert [result.StatusCode.name for result in results] == ["Good", *["BadTimeout"] * 4]
+    assert len(called) == 1
