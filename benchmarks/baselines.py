@@ -1,6 +1,6 @@
 """Simple rivals of the diagnosis: the same wheel speeds, folds and metric, no selection of causes.
 
-Each returns the held-out prediction of all samples of a pose, for `findings.gain`.
+Each returns the held-out prediction of all samples of a pose, for `regression.gain`.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,8 +13,8 @@ from scipy.optimize import least_squares
 from benchmarks.gaussian_process import gaussian_process
 from benchmarks.sindy import sindy
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage

@@ -12,7 +12,7 @@ from benchmarks.baselines import RIVALS, applies
 from benchmarks.diagnose_scoring import Score
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S, silent
-from hilserver.diagnosis.findings.gain import gains, reported
+from hilserver.diagnosis.regression.gain import gains, reported
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine

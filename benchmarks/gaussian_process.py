@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.body_velocities import AHEAD, TURN, WINDOW, BodyVelocities
-from hilserver.diagnosis.findings.gain import held_out
+from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.measured.arrays import Array
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.body_velocities import AHEAD, TURN, BodyVelocities
-from hilserver.diagnosis.findings.gain import held_out
+from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.errors import FailedError
 from hilserver.measured.arrays import Array

@@ -11,15 +11,22 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
 from hilserver.diagnosis.decide.settling import Judged
-from hilserver.diagnosis.examine import Tell, beside, examine, noise_of_all, smallest_of
+from hilserver.diagnosis.examine import (
+    Tell,
+    beside,
+    decisions_of,
+    examine,
+    noise_of_all,
+    smallest_of,
+)
 from hilserver.diagnosis.findings.ceiling import ceilings
 from hilserver.diagnosis.findings.estimate import estimate_of, joint
 from hilserver.diagnosis.findings.explain import of_two_wheels
-from hilserver.diagnosis.findings.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.findings.other_logs import gain_on
-from hilserver.diagnosis.findings.outcome import extension, named
+from hilserver.diagnosis.findings.outcome import extension, named, worsened
 from hilserver.diagnosis.findings.worth import explained, with_worth
 from hilserver.diagnosis.memory import one_blas_thread
+from hilserver.diagnosis.regression.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.showing import Shown, evidence
@@ -134,6 +141,9 @@ def judge(
         found[i] = with_worth(
             found[i], index, wholes[stage], estimates[stage], horizon_s, rng, own[stage]
         )
+    refusal = worsened(totals, *own.values())
+    if refusal is not None:
+        notices = (*notices, refusal)
     ceiling = _ceilings(judged, before, horizon_s, rng)
     sizes, unseen = smallest_of(judged, rng)
     if stood_still(log):
@@ -162,9 +172,10 @@ def judge(
             *(NotJudged(cause=c, reason=r) for c, r in reasons.items()),
         ),
         notices=notices,
+        decisions=tuple(decisions_of(judged)),
     )
     shown = _shown(judged, before, after)
-    terms = extension(found, fitted)
+    terms = extension(found, fitted) if refusal is None else ()
     return Diagnosis(findings, evidence(log, shown, terms, timings))
 
 

@@ -1,6 +1,6 @@
 """One set of logs: its faults, its stages, and what was decided of each of them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from hilserver.diagnosis.regression.stages import (
     prepare,
     prepare_all,
 )
-from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
+from hilserver.diagnosis.schema.findings import Decision, Detectable, Finding, Noise, NotJudged
 from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
@@ -126,3 +126,15 @@ def smallest_of(
         sizes += more
         silent += not_judged
     return sizes, silent
+
+
+def decisions_of(judged: Mapping[str, Judged], group: str | None = None) -> Iterator[Decision]:
+    """Yield the steps of the selection of all stages."""
+    for row in (row for j in judged.values() for row in j.selected.rows):
+        yield Decision(
+            cause=row.cause,
+            action=row.action,
+            held_out_gain=row.held_out_gain,
+            reason=row.reason,
+            group=group,
+        )

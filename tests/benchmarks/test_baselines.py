@@ -12,7 +12,7 @@ from benchmarks.diagnose_recordings import Row, _figures
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import silent
-from hilserver.diagnosis.findings.gain import gains
+from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.measured.channels import GYRO, POSITION, YAW
 from tests.benchmarks.test_diagnose import arguments

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.findings.gain import crossed, held_out
+from hilserver.diagnosis.regression.gain import crossed, held_out
 from hilserver.diagnosis.regression.screen import Blocks, critical, null_maxima, score
 from hilserver.diagnosis.schema.findings import Overall, Verdict
 

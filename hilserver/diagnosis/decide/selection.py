@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.catalogue.traits import traits_of
+from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.shape_search import refined, searched
 from hilserver.diagnosis.decide.trial import (
     Trial,
@@ -313,7 +314,8 @@ def _accepted(
             why = f"{saved}, but nothing beside a cause that saves more and shows in too few blocks"
         if why is None:
             why = f"{saved}, {z:.1f} standard errors from zero"
-            selected.rows.append(SelectionRow(cause, "taken", None, why))
+            gain = Step(problem, point, fitted).gain
+            selected.rows.append(SelectionRow(cause, "taken", gain, why))
             return replace(trial, point=fitted)
         selected.rows.append(SelectionRow(cause, "refused", None, why))
     return None

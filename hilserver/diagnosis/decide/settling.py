@@ -10,6 +10,7 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, settle
+from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, agreed, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
@@ -25,7 +26,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.schema.decisions import SelectionRow
+from hilserver.diagnosis.schema.decisions import Action, SelectionRow
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE
 
 
@@ -79,14 +80,14 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     clear = not problem.stage.memoryless or left < GROSS * len(point.left)
     if changing.p and clear and changing.gain > max((u.gain for u in unknown), default=0.0):
         why = "another cause changes along the log"
-        rows += _left_out(point, changing.point, "dropped", why)
+        rows += _left_out(problem, point, changing.point, "dropped", why)
         point, drift, unknown = changing.point, changing.p, []
     point, silent = _named_only(problem, point, ties, rows)
     drift = {cause: p for cause, p in drift.items() if cause in point.model.causes}
     if silent:
         unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     if not drift and fails(p, point):
-        rows += _left_out(point, p.base, "dropped", "far more remains than it explains")
+        rows += _left_out(problem, point, p.base, "dropped", "far more remains than it explains")
         point, unknown = problem.point(Model(), p.base.poses), []
     if not point.model.fitted and not unknown and point is not weighed:
         # a gross misfit is never left without a word
@@ -120,7 +121,7 @@ def _named_only(
             return point, large
         large = large or worth_a_name(point.model.fitted[index])
         less = fit(problem, point.model.without(index), point, iterations=3)
-        rows += _left_out(point, less, "dropped", reasons[index] or "")
+        rows += _left_out(problem, point, less, "dropped", reasons[index] or "")
         point = less
 
 
@@ -142,7 +143,7 @@ def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) ->
 def _dropped(problem: Problem, point: Point, index: int, rows: list[SelectionRow]) -> Point:
     """Return a model without a cause that unknown structure stands for."""
     less = fit(problem, point.model.without(index), point, iterations=3)
-    rows += _left_out(point, less, "dropped", "unknown structure explains as much")
+    rows += _left_out(problem, point, less, "dropped", "unknown structure explains as much")
     return less
 
 
@@ -152,13 +153,13 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     if not point.model.fitted:
         return point, {}
     exchanged, ties = settle(p.library, point, selected.near)
-    rows += _left_out(point, exchanged, "swapped", "a rival explains the data better")
+    rows += _left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
     point = prune(problem, exchanged, LEAST_GAIN)
-    rows += _left_out(exchanged, point, "dropped", "the others have made it superfluous")
+    rows += _left_out(problem, exchanged, point, "dropped", "the others have made it superfluous")
     simpler = with_fewer(problem, point, ties)
     if simpler is None:
         return point, ties
-    rows += _left_out(point, simpler, "swapped", "a rival needs no other cause beside it")
+    rows += _left_out(problem, point, simpler, "swapped", "a rival needs no other cause beside it")
     return settle(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
 
 
@@ -172,7 +173,7 @@ def _without_what_tyres_do(
     ):
         while (index := found(point)) is not None:
             less = fit(problem, point.model.without(index), point, iterations=3)
-            rows += _left_out(point, less, "dropped", f"tyres that scrub {does}")
+            rows += _left_out(problem, point, less, "dropped", f"tyres that scrub {does}")
             point = less
     return point
 
@@ -203,7 +204,10 @@ def fails(p: Prepared, point: Point) -> bool:
     return point.deviance > LEFT_SHARE * p.problem.point(Model(), p.base.poses).deviance
 
 
-def _left_out(before: Point, after: Point, action: str, reason: str) -> list[SelectionRow]:
-    """Return a row for each cause that one model has and the next has not."""
+def _left_out(
+    problem: Problem, before: Point, after: Point, action: Action, reason: str
+) -> list[SelectionRow]:
+    """Return a row for each cause that one model has and the next has not, with what that gains."""
     gone = [c for c in before.model.causes if c not in after.model.causes]
-    return [SelectionRow(cause, action, None, reason) for cause in gone]
+    gain = Step(problem, before, after).gain if gone else None
+    return [SelectionRow(cause, action, gain, reason) for cause in gone]

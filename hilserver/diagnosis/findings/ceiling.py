@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hilserver.diagnosis.findings.gain import gains
 from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.measured.arrays import Array

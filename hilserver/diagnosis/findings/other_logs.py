@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.findings.gain import gains
+from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.diagnosis.replay.model import Model

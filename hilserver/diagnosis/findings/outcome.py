@@ -28,7 +28,7 @@ from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
-from hilserver.diagnosis.schema.findings import Finding, Parameter, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
@@ -320,3 +320,15 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
             p = finding.parameters[name]
             out.append(FittedTerm(name, p.value, p.ci95, p.unit, index, p.groups))
     return tuple(out)
+
+
+def worsened(*gains: Mapping[str, Gain]) -> str | None:
+    """Return why no extension is written: the whole interval of a quantity is a loss; or None."""
+    for key, gain in (item for some in gains for item in some.items()):
+        if gain.ci95 is not None and gain.ci95[1] < 1.0:
+            low, high = gain.ci95
+            return (
+                f"no model patch: its terms make {key} worse on data that took no part in the fit"
+                f" (ratio {gain.ratio:.2f}, {low:.2f} to {high:.2f})"
+            )
+    return None

@@ -36,6 +36,8 @@ it is.
 | `smallest_detectable` | the smallest effect of each cause that would have shown (weakest limit) |
 | `not_judged` | causes that the data say nothing about, and why |
 | `notices` | what a reader of the data should know |
+| `decisions` | the selection step by step: `cause`, `action`, `reason`, `group`, and \
+`held_out_gain`: error before by after on held-out blocks, mean of the quantities; null: not tried |
 | `groups` | of `--group`: by group its `logs`, `noise` and `total_gain`; or null |
 | `model_patch` | name of the patch beside it, or null |
 
@@ -82,6 +84,9 @@ them is left out, the others take over what it explains. The ratios inform; they
 rounded to, and its `limits`. Null: none (tails: Gaussian).
 
 ## model_patch.yaml
+
+No patch is written whose terms make a reported quantity worse on data that took no part in the
+fit (its whole `ci95` lies below 1); a notice says so.
 
 Terms by name with value, unit, interval and the range of speed, wheel speed, turn rate and voltage
 they were fitted in. `made_from` names findings, configuration and version. A term that the

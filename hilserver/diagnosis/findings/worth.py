@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.findings.gain import (
+from hilserver.diagnosis.regression.gain import (
     channel_errors,
     crossed,
     errors,

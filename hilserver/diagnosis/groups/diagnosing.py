@@ -21,19 +21,20 @@ from hilserver.diagnosis.examine import (
     Examined,
     Tell,
     beside,
+    decisions_of,
     examine,
     noise_of_all,
     smallest_of,
 )
 from hilserver.diagnosis.findings.estimate import Estimate, joint
 from hilserver.diagnosis.findings.explain import explain_finding
-from hilserver.diagnosis.findings.gain import Pair, errors, pooled_gains, reported
-from hilserver.diagnosis.findings.outcome import extension
+from hilserver.diagnosis.findings.outcome import extension, worsened
 from hilserver.diagnosis.findings.worth import Explained, Predictions, with_worth, without_causes
 from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_remains
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import Member, refitted
 from hilserver.diagnosis.memory import one_blas_thread
+from hilserver.diagnosis.regression.gain import Pair, errors, pooled_gains, reported
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.merging import merged
@@ -108,6 +109,7 @@ def diagnose_groups(
     found += [_in(name, too_little_motion()) for name, e in examined.items() if stood_still(e.log)]
     sizes, unseen = _smallest(examined, seed)
     lap("gain")
+    refusal = worsened(total, *by_group.values())
     findings = Findings(
         verdict=overall(found),
         logs=tuple(LogFile(file=s.file, sha256=s.sha256) for g in logs.values() for s in g.sources),
@@ -120,7 +122,11 @@ def diagnose_groups(
         joint=joint(estimates),
         smallest_detectable=tuple(sizes),
         not_judged=tuple(unseen),
-        notices=tuple(dict.fromkeys(note for log in logs.values() for note in log.notices)),
+        notices=(
+            *dict.fromkeys(note for log in logs.values() for note in log.notices),
+            *((refusal,) if refusal is not None else ()),
+        ),
+        decisions=tuple(d for name, e in examined.items() for d in decisions_of(e.judged, name)),
         groups={
             name: GroupOfLogs(
                 logs=tuple(s.file for s in logs[name].sources),
@@ -130,7 +136,7 @@ def diagnose_groups(
             for name, e in examined.items()
         },
     )
-    terms = extension(found, fitted)
+    terms = extension(found, fitted) if refusal is None else ()
     shown = {name: _shown(stages, wholes, name) for name in examined}
     parts = {name: evidence(e.log, shown[name], terms, timings) for name, e in examined.items()}
     return Diagnosis(findings, merged(parts))

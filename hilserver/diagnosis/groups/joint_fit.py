@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.decide.settling import Judged
 from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
-from hilserver.diagnosis.findings.gain import held_out
 from hilserver.diagnosis.groups.sharing import GroupFit, Together, free_parameters, together
 from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.linear import sandwich
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, part_of
 from hilserver.diagnosis.decide.structure import Unknown
-from hilserver.diagnosis.findings.gain import HORIZONS_S, compare, free_run_errors, windows
+from hilserver.diagnosis.regression.gain import HORIZONS_S, compare, free_run_errors, windows
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared

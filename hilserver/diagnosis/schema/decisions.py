@@ -1,6 +1,9 @@
 """How the causes were found: their rows in the screen, and the decisions of the selection."""
 
 from dataclasses import dataclass
+from typing import Literal
+
+Action = Literal["taken", "refused", "swapped", "dropped"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +47,12 @@ class SelectionRow:
     action : str
         ``taken``, ``refused``, ``swapped`` or ``dropped``.
     held_out_gain : float or None
-        Ratio of the errors on held-out blocks that it brought.
+        Error before by error after the step on held-out blocks, see `findings.Decision`.
     reason : str
         Half a sentence.
     """
 
     cause: str
-    action: str
+    action: Action
     held_out_gain: float | None
     reason: str

@@ -12,6 +12,8 @@ from pydantic import (
     model_serializer,
 )
 
+from hilserver.diagnosis.schema.decisions import Action
+
 SCHEMA: Final = "hilserver.diagnosis/1"
 
 
@@ -161,6 +163,27 @@ class NotJudged(_Model):
     reason: str
 
 
+class Decision(_Model):
+    """One step of the selection, in its order.
+
+    Attributes
+    ----------
+    action : str
+        ``taken``, ``refused``, ``swapped`` or ``dropped``.
+    held_out_gain : float or None
+        Error before by error after the step on blocks that took no part in the fits, geometric mean
+        over the quantities; below 1 the step costs some. None: it was not tried there.
+    group : str or None
+        Of ``--group``.
+    """
+
+    cause: str
+    action: Action
+    held_out_gain: float | None
+    reason: str
+    group: str | None = None
+
+
 class GroupOfLogs(_Model):
     """One group of logs: its files, what its channels show, and the gain on it."""
 
@@ -187,6 +210,7 @@ class Findings(_Model):
     smallest_detectable: tuple[Detectable, ...] = ()
     not_judged: tuple[NotJudged, ...] = ()
     notices: tuple[str, ...] = ()
+    decisions: tuple[Decision, ...] = ()
     groups: dict[str, GroupOfLogs] | None = None
     model_patch: str | None = None
 

@@ -7,11 +7,11 @@ import pytest
 
 from hilserver.diagnosis.catalogue.candidate import wave
 from hilserver.diagnosis.findings.estimate import Estimate, estimate_of, joint
-from hilserver.diagnosis.findings.gain import crossed, held_out
 from hilserver.diagnosis.findings.outcome import parameters
 from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.findings.worth import explained, with_worth
 from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.gain import crossed, held_out
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import sample, toy
 

@@ -5,9 +5,9 @@ import pytest
 
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
-from hilserver.diagnosis.findings.gain import Errors, compare, crossed, held_out
 from hilserver.diagnosis.noise.quick_noise import isolated
 from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.gain import Errors, compare, crossed, held_out
 from hilserver.diagnosis.regression.intervals import covariance, limits, whole_covariance
 from hilserver.diagnosis.replay.model import Fitted, Model, robot_with
 from hilserver.plant.packing import pack

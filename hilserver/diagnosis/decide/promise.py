@@ -1,0 +1,51 @@
+"""What no step may cost: the error at the end of free runs on blocks that took no part in a fit."""
+
+from typing import Final
+
+import numpy as np
+
+from hilserver.diagnosis.regression.gain import Pair, crossed, errors, held_out
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.thresholds import NEGLIGIBLE
+
+HORIZON_S: Final = 5.0
+CLEARLY_SE: Final = 2.0
+"""Standard errors over the blocks by which an error has grown (specification)."""
+
+
+class Step:
+    """The exchange of one model for another, on held-out blocks, paired by block.
+
+    Parameters
+    ----------
+    before, after : Point
+        Both are fitted on each half of the blocks and predict the other half.
+    """
+
+    def __init__(self, problem: Problem, before: Point, after: Point) -> None:
+        predicted = [held_out(problem, crossed(problem, p, p.model)) for p in (before, after)]
+        self._pairs = errors(problem, (predicted[0], predicted[1]), HORIZON_S)
+
+    @property
+    def gain(self) -> float | None:
+        """Error before by error after, geometric mean over the quantities; None without any."""
+        ratios = [
+            pair.before.values.mean() / max(pair.after.values.mean(), 1e-300)
+            for pair in self._pairs.values()
+        ]
+        return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
+
+    @property
+    def harms(self) -> bool:
+        """Whether an error that is reported grows clearly."""
+        return any(map(_grows, self._pairs.values()))
+
+
+def _grows(pair: Pair) -> bool:
+    more = pair.after.values - pair.before.values
+    block = pair.before.block
+    count = np.bincount(block)
+    of_block = np.bincount(block, weights=more)[count > 0]
+    scatter = of_block - count[count > 0] * more.mean()
+    clear = more.sum() > CLEARLY_SE * float(np.sqrt((scatter**2).sum()))
+    return bool(clear and more.mean() > NEGLIGIBLE * pair.before.values.mean())

@@ -1,0 +1,49 @@
+"""What no step may cost, and which extension is not written."""
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.decide.promise import _grows
+from hilserver.diagnosis.findings.outcome import worsened
+from hilserver.diagnosis.regression.gain import Errors, Pair
+from hilserver.diagnosis.schema.findings import Gain
+
+BLOCK = np.repeat(np.arange(20), 4)
+
+
+def pair(more, scatter):
+    rng = np.random.default_rng(1)
+    before = 1.0 + 0.5 * rng.random(len(BLOCK))
+    by_block = more + scatter * rng.standard_normal(20)
+    return Pair(Errors(before, BLOCK), Errors(before + by_block[BLOCK], BLOCK), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "scatter", "grows"),
+    [(0.1, 0.05, True), (0.1, 1.0, False), (0.005, 0.001, False), (-0.1, 0.05, False)],
+    ids=["clear", "by chance", "less than 1 %", "falls"],
+)
+def test_an_error_grows_if_it_does_so_clearly_and_by_more_than_a_hundredth(more, scatter, grows):
+    assert _grows(pair(more, scatter)) is grows
+
+
+def test_samples_of_one_block_are_no_witnesses_of_each_other():
+    """All that grows is in one block of twenty: many samples, one witness."""
+    before = np.ones(2000)
+    block = np.repeat(np.arange(20), 100)
+    after = before + (block == 3)
+    assert not _grows(Pair(Errors(before, block), Errors(after, block), 5.0))
+
+
+def gain(ratio, ci95):
+    return Gain(horizon_s=5.0, before=1.0, after=1.0 / ratio, ratio=ratio, ci95=ci95)
+
+
+def test_an_extension_that_makes_a_quantity_worse_is_refused():
+    better, open_ = gain(2.0, (1.5, 2.5)), gain(0.95, (0.9, 1.02))
+    worse = gain(0.61, (0.46, 0.84))
+    assert worsened({"yaw_rad": better, "position_m": open_}, {}) is None
+    said = worsened({"yaw_rad": better}, {"position_m": worse})
+    assert said is not None
+    assert "position_m" in said
+    assert "0.46 to 0.84" in said
