@@ -13,7 +13,7 @@ STANDARD_GRAVITY_M_S2: Final = 9.80665
 SHARE: Final = 0.02
 """Standard deviation of odometry by what was driven or turned: wheels on a level floor."""
 LEAST_M, LEAST_RAD = 1e-3, 1e-3
-NOT_MEASURED: Final = 1e6
+UNKNOWN_VARIANCE: Final = 1e6
 """Variance of what the wheels do not measure, the convention of ros2_control."""
 ROOM_DEGC: Final = 25.0
 """What stands in messages where nothing simulates a temperature."""
@@ -171,7 +171,9 @@ def odometry(robot: Robot) -> Iterator[Any]:
 
 def _planar(along: float, turn: float) -> Any:
     """Return the covariance of what moves on a plane, from standard deviations; row-major 6 x 6."""
-    return np.diag([along**2, along**2, NOT_MEASURED, NOT_MEASURED, NOT_MEASURED, turn**2]).ravel()
+    return np.diag(
+        [along**2, along**2, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, turn**2]
+    ).ravel()
 
 
 # --- edu_robot ------------------------------------------------------------------------------------
