@@ -7,10 +7,13 @@ import time
 
 import pytest
 from asyncua import ua
+from asyncua.common.utils import Buffer, ServiceError
+from asyncua.ua.ua_binary import variant_from_binary, variant_to_binary
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.bench.wire import Wire, frame, hello
+from hilserver.io.opcua_server.decoding import bound_decoder, within_bounds
 from hilserver.io.opcua_server.frames import FrameReader, Stage, TransportError, check_order
 from tests.io.opcua_server.rig import Rig, RobotClient
 from tests.security.pki import Pki
@@ -117,3 +120,31 @@ async def test_idle_sockets_make_room_for_a_client(pki: Pki, tmp_path: object) -
         await asyncio.sleep(0.05)
         assert not rig.server._server.iserver.asyncio_transports
         await rig.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "element", "most"),
+    [
+        (ua.VariantType.Variant, ua.Variant(), 2000),
+        (ua.VariantType.LocalizedText, ua.LocalizedText("x"), 2000),
+        (ua.VariantType.DataValue, ua.DataValue(), 500),
+        (ua.VariantType.ExtensionObject, ua.Range(1.0, 2.0), 500),
+        (ua.VariantType.Double, 1.0, 20_000),
+    ],
+)
+async def test_what_one_operation_carries_is_bounded_by_what_it_costs(
+    kind: ua.VariantType, element: object, most: int
+) -> None:
+    bound_decoder()
+
+    def decode(count: int) -> list[object]:
+        body = Buffer(variant_to_binary(ua.Variant([element] * count, kind, is_array=True)))
+        return within_bounds(lambda: variant_from_binary(body)).Value
+
+    assert len(decode(most)) == most
+    if kind != ua.VariantType.Double:
+        with pytest.raises(ServiceError) as error:
+            decode(most + 1)
+        assert error.value.code == ua.StatusCodes.BadEncodingLimitsExceeded
+        peers = Buffer(variant_to_binary(ua.Variant([element] * 5000, kind, is_array=True)))
+        assert len(variant_from_binary(peers).Value) == 5000, "what our own peers send has no bound"

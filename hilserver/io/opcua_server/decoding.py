@@ -26,10 +26,15 @@ MAX_ELEMENTS = 2000
 _LENGTH_BYTES = 4
 _Type = ua.VariantType
 T = TypeVar("T")
-_NUMBERS = {
+_NUMBERS = (
     _Type.Boolean, _Type.SByte, _Type.Byte, _Type.Int16, _Type.UInt16, _Type.Int32, _Type.UInt32,
     _Type.Int64, _Type.UInt64, _Type.Float, _Type.Double,
-}  # fmt: skip
+)  # fmt: skip
+_WEIGHTS: dict[Any, int] = {
+    **dict.fromkeys(_NUMBERS, 0),
+    **dict.fromkeys((_Type.ExtensionObject, _Type.DataValue, _Type.DiagnosticInfo), 4),
+}
+"""What an element counts; those that hold others are the dearest, with some 50 us each."""
 _left = [math.inf]
 
 
@@ -86,7 +91,7 @@ def _bounded(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], A
     @functools.cache
     def create_bounded(element_type: Any) -> Callable[[Any], Any]:
         decode = create(element_type)
-        is_number = element_type in _NUMBERS
+        weight = _WEIGHTS.get(element_type, 1)
 
         def decode_bounded(data: Any) -> Any:
             rest = data.copy() if isinstance(data, ua.utils.Buffer) else None
@@ -94,10 +99,9 @@ def _bounded(create: Callable[[Any], Callable[[Any], Any]]) -> Callable[[Any], A
                 announced = int.from_bytes(rest.read(_LENGTH_BYTES), "little", signed=True)
                 if announced > len(rest):
                     raise NotEnoughData(f"{announced} elements announced, {len(rest)} bytes left")
-                if not is_number:
-                    _left[0] -= announced
-                    if _left[0] < 0:
-                        raise ServiceError(ua.StatusCodes.BadEncodingLimitsExceeded)
+                _left[0] -= weight * max(announced, 0)
+                if _left[0] < 0:
+                    raise ServiceError(ua.StatusCodes.BadEncodingLimitsExceeded)
             return decode(data)
 
         return decode_bounded
