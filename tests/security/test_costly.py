@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import time
+import urllib.request
 from collections import defaultdict
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -18,10 +19,14 @@ from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import nodeid_from_binary, struct_from_binary
 
 from hilserver.bench.wire import Wire
+from hilserver.signals import State
+from tests.helpers.daemons import running_daemon
 from tests.security.costly import Requests, bytes_of, chunks
 
 MOST_STALL_MS = 50.0
 ANSWER_S = 120.0
+LIMITS = "scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}\n"
+"""A loop that is held for longer than communication_timeout_ms ends in the safe state."""
 SHORT, LONG = 80, 10_000
 _References, _Attributes = ua.NodeId(ua.ObjectIds.References), ua.AttributeIds
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -188,6 +193,45 @@ async def test_healthy_reads_are_twice_as_slow_at_most_beside_costly_requests(
     print(f"p99 {found[0]:.2f} ms, beside costly requests {found[1]:.2f} ms")
     # Below 5 ms both are what the computer does beside the test.
     assert found[1] <= 2 * max(found[0], 5.0)
+
+
+async def test_a_daemon_under_attack_stays_out_of_its_safe_state_and_ends(tmp_path: Path) -> None:
+    """Browse, and the event filter that each element names twice: 2^39 evaluations."""
+    clauses = [ua.ContentFilterElement(ua.FilterOperator.Or) for _ in range(40)]
+    for number, clause in enumerate(clauses):
+        clause.FilterOperands = [ua.ElementOperand(number + 1)] * 2
+    clauses[-1].FilterOperands = [ua.LiteralOperand(ua.Variant(False))] * 2
+    message = ua.SimpleAttributeOperand(BrowsePath=[ua.QualifiedName("Message")])
+    create = ua.CreateMonitoredItemsRequest()
+    item = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
+    item.ItemToMonitor = ua.ReadValueId(
+        ua.NodeId(ua.ObjectIds.Server), ua.AttributeIds.EventNotifier
+    )
+    item.RequestedParameters.Filter = ua.EventFilter([message], ua.ContentFilter(clauses))
+    create.Parameters.ItemsToCreate = [item]
+    with running_daemon(tmp_path, config=LIMITS) as daemon:
+        async with Asking(daemon.url) as wire:
+            await wire.log_in()
+            made = await wire.answer(ua.CreateSubscriptionRequest(), ua.CreateSubscriptionResponse)
+            create.Parameters.SubscriptionId = made.Parameters.SubscriptionId
+            answer = await wire.answer(create, ua.CreateMonitoredItemsResponse)
+            assert answer.Results[0].StatusCode.name == "BadEventFilterInvalid"
+            refused = ua.WriteRequest()  # publishes an event
+            refused.Parameters.NodesToWrite = [
+                ua.WriteValue(
+                    NodeId=ua.NodeId("wheel.fl.setpoint_rpm", 2),
+                    AttributeId=_Attributes.Value,
+                    Value=ua.DataValue(ua.Variant(1.0)),
+                )
+            ]
+            await wire.answer(refused, ua.WriteResponse)
+            await wire.answer(browse_all(1000), ua.BrowseResponse)
+            (state,) = await wire.read(ua.NodeId("sim.state", 2))
+            assert State(state.Value.Value) is State.RUNNING
+        url = daemon.metrics_url.replace("/metrics", "/healthz")
+        with await asyncio.to_thread(urllib.request.urlopen, url, timeout=60) as health:
+            assert health.status == 200
+        assert daemon.stop() == 0
 
 
 async def ask(target: Target, count: int, seed: int) -> list[tuple[float, str, float]]:
