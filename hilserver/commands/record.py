@@ -14,6 +14,7 @@ from hilserver.commands.options import add_config, add_storage, config_path
 from hilserver.config.root import load_config
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.recorder import Recorder, Settings
+from hilserver.io.recorder.series import Limits
 from hilserver.program.ending import on_end
 
 NICENESS = -5
@@ -61,6 +62,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--keep", type=_count, metavar="N", help="keep the newest N files of a rotation"
     )
     parser.add_argument(
+        "--max-mb",
+        type=_positive,
+        default=50_000.0,
+        metavar="N",
+        help="end at this size, with all files of a rotation; default: 50000",
+    )
+    parser.add_argument(
+        "--keep-free-mb",
+        type=float,
+        default=500.0,
+        metavar="N",
+        help="end before less than this is free on the disk; default: 500",
+    )
+    parser.add_argument(
         "--buffer-mb",
         type=_positive,
         default=64.0,
@@ -103,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
             signals=args.signals or ("*",),
             rotate_bytes=None if args.rotate_mb is None else round(args.rotate_mb * 1e6),
             keep=args.keep,
+            limits=Limits(args.max_mb * 1e6, args.keep_free_mb * 1e6),
             buffer_bytes=round(args.buffer_mb * 1e6),
             bag=args.storage if args.format == "bag" else None,
         ),

@@ -6,6 +6,7 @@ therefore keyed by a hash of the source of every kernel room (and of numba itsel
 rooms call those and their own room's: they have a directory within, keyed by their room's sources.
 """
 
+import errno
 import hashlib
 import os
 from collections.abc import Callable, Iterable
@@ -58,8 +59,19 @@ def cache_dir() -> Path:
         xdg = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
         base = str(Path(xdg) / "hilserver")
     path = Path(base) / f"kernels-{kernel_hash()}"
-    path.mkdir(parents=True, exist_ok=True)
+    path.mkdir(parents=True, exist_ok=True, mode=0o700)
+    _own(path)
     return path
+
+
+def _own(path: Path) -> None:
+    """Let nobody else write to `path`: what lies there is unpickled and executed."""
+    found = path.stat()
+    if found.st_uid not in (0, os.geteuid()):
+        reason = f"belongs to another user (id {found.st_uid})"
+        raise PermissionError(errno.EPERM, reason, str(path))
+    if found.st_mode & 0o022:
+        path.chmod(found.st_mode & ~0o022)
 
 
 @cache

@@ -38,6 +38,8 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
             return read_csv(path, known)
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+    if not path.exists():
+        raise LogError(f"{path}: no such file or folder")
     raise LogError(f"{path}: is no log that can be read; known are .csv, .mcap and bags")
 
 

@@ -1,5 +1,6 @@
 """Compiled kernels are kept by the text of all that they call."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -34,3 +35,20 @@ def test_another_room_has_its_place_within():
     places = {Path(kernel._cache.cache_path).parent for kernel in (feed, crc8)}
     assert {place.parent for place in places} == {cache_dir()}
     assert len(places) == 1
+
+
+def test_a_cache_of_another_user_is_not_unpickled(tmp_path, monkeypatch):
+    monkeypatch.setenv("HILSERVER_CACHE_DIR", str(tmp_path))
+    folder = cache.cache_dir.__wrapped__()
+    if os.getuid() == 0:  # what root made is everybody's
+        os.chown(folder, 4711, -1)
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(PermissionError, match="belongs to another user"):
+        cache.cache_dir.__wrapped__()
+
+
+def test_nobody_else_may_write_to_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("HILSERVER_CACHE_DIR", str(tmp_path))
+    folder = cache.cache_dir.__wrapped__()
+    folder.chmod(0o777)
+    assert cache.cache_dir.__wrapped__().stat().st_mode & 0o777 == 0o755

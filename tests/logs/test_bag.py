@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from hilserver import commands
+from hilserver.errors import LogError
 from hilserver.logs import read_log
 from hilserver.measured.reading import read_measured
 
@@ -240,3 +241,8 @@ def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, w
     (tmp_path / "folder").mkdir()
     assert commands.main(["convert", *words]) == code
     assert said in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_is_no_unknown_format(tmp_path):
+    with pytest.raises(LogError, match="no such file or folder"):
+        read_log(tmp_path / "none")

@@ -11,6 +11,7 @@ import structlog
 from hilserver.config.recording import RecordingConfig
 from hilserver.errors import FailedError
 from hilserver.io.recorder.recorder import Recorder, Settings
+from hilserver.io.recorder.series import Limits
 from hilserver.program import children
 from hilserver.program.guard import allow
 
@@ -77,6 +78,7 @@ def recorder_inside(
             signals=config.signals,
             rotate_bytes=None if config.rotate_mb is None else round(config.rotate_mb * 1e6),
             keep=config.keep,
+            limits=Limits(config.max_mb * 1e6, config.keep_free_mb * 1e6),
             buffer_bytes=round(config.buffer_mb * 1e6),
             waits=True,
         ),
@@ -94,6 +96,7 @@ def recorder_inside(
 def _command(config: RecordingConfig, image: str, folder: Path) -> list[str]:
     words = children.python("-m", "hilserver", "record", "--image", image)
     words += ["--out", str(folder / str(config.file)), "--buffer-mb", str(config.buffer_mb)]
+    words += ["--max-mb", str(config.max_mb), "--keep-free-mb", str(config.keep_free_mb)]
     for pattern in config.signals:
         words += ["--signals", pattern]
     if config.rotate_mb is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hilserver.errors import FailedError
-from hilserver.io.recorder.series import FileSeries
+from hilserver.io.recorder.series import NO_LIMITS, FileSeries, Limits
 from hilserver.io.recorder.source import Source
 from hilserver.io.recorder.write_behind import WriteBehind
 from hilserver.logs.bag_writer import Storage
@@ -34,6 +34,8 @@ class Settings:
         Patterns; inputs (hidden ones too) are needed for a replay.
     rotate_bytes, keep : int or None
         See `FileSeries`.
+    limits : Limits
+        When it ends by itself.
     buffer_bytes : int
         See `WriteBehind`.
     waits : bool
@@ -46,6 +48,7 @@ class Settings:
     signals: Sequence[str] = ("*",)
     rotate_bytes: int | None = None
     keep: int | None = None
+    limits: Limits = NO_LIMITS
     buffer_bytes: int = 64_000_000
     waits: bool = False
     bag: Storage | None = None
@@ -74,12 +77,14 @@ class Recorder:
             rotate_bytes=settings.rotate_bytes,
             keep=settings.keep,
             bag=settings.bag,
+            limits=settings.limits,
         )
         self._writing = WriteBehind(
             lambda: self._series.open(self._run, self._slots, self._utc_ns),
             self._series.is_full,
             self._want_state,
             settings.buffer_bytes,
+            self._series.check,
         )
         self._asked_s: float | None = None
         self._told = (0, 0)

@@ -1,8 +1,11 @@
 """The files of one recording: one, or a rotation of which the newest are kept."""
 
 import contextlib
+import math
 import re
+import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,17 @@ from hilserver.logs import LogWriter, open_writer
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.csv_writer import meta_path
 from hilserver.logs.writing import reason
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a recording ends by itself: its size with all files, and what has to stay free."""
+
+    max_bytes: float = math.inf
+    keep_free_bytes: float = 0.0
+
+
+NO_LIMITS = Limits()
 
 
 class FileSeries:
@@ -27,7 +41,9 @@ class FileSeries:
         rotate_bytes: int | None = None,
         keep: int | None = None,
         bag: Storage | None = None,
+        limits: Limits = NO_LIMITS,
     ) -> None:
+        self._limits, self._opened = limits, 0
         self._bag = bag
         self._path, self._rotate_bytes, self._keep = path, rotate_bytes, keep
         self.current = path
@@ -52,8 +68,33 @@ class FileSeries:
                 raise FailedError(f"{self._path}: too many files of this name; choose another")
             self.current = self._file(number)
         writer = open_writer(self.current, run, slots, utc_minus_monotonic_ns, self._bag)
+        self._opened += 1
         self._remove_old()
         return writer
+
+    def check(self, writer: LogWriter) -> None:
+        """End the recording at a limit.
+
+        Raises
+        ------
+        FailedError
+            If it is as large as it may be, or the disk is nearly full.
+        """
+        limits, complete = self._limits, self._opened - 1
+        if self._keep is not None:
+            complete = min(complete, self._keep - 1)
+        n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
+        if n_bytes >= limits.max_bytes:
+            raise FailedError(
+                f"{self.current}: the recording has ended at {n_bytes / 1e6:.0f} MB, its limit; see"
+                " recording.max_mb, --max-mb and --keep"
+            )
+        free = shutil.disk_usage(self.current.parent).free
+        if free < limits.keep_free_bytes:
+            raise FailedError(
+                f"{self.current}: the recording has ended, as {free / 1e6:.0f} MB are left on the"
+                " disk; remove some files, or see recording.keep_free_mb and --keep-free-mb"
+            )
 
     def is_full(self, writer: LogWriter) -> bool:
         """Return whether it is time for the next file."""

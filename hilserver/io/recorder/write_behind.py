@@ -27,6 +27,8 @@ class WriteBehind:
         Called in the writing thread after each file but the first was opened.
     buffer_bytes : int
         Frames beyond it are dropped and counted.
+    check : callable
+        Called now and then with the present writer; raises when the recording has to end.
 
     Attributes
     ----------
@@ -42,9 +44,10 @@ class WriteBehind:
         is_full: Callable[[LogWriter], bool],
         on_new_file: Callable[[], None],
         buffer_bytes: int,
+        check: Callable[[LogWriter], None] = lambda _: None,
     ) -> None:
         self._next_writer, self._is_full, self._on_new_file = next_writer, is_full, on_new_file
-        self._limit_bytes = buffer_bytes
+        self._check, self._limit_bytes = check, buffer_bytes
         self._items: deque[Item] = deque()
         self._held_bytes = 0
         self._news = threading.Condition()
@@ -114,6 +117,7 @@ class WriteBehind:
                 flushed = now
             if now - synced >= SYNC_EVERY_S:
                 self._writer.sync()
+                self._check(self._writer)
                 synced = time.monotonic()
 
     def _write(self, item: Item) -> None:
