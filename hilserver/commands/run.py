@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import json
+import os
 import signal
 import sys
 from pathlib import Path
@@ -78,7 +79,11 @@ def run(args: argparse.Namespace) -> int:
             with compiling.telling(announcer.compiling):
                 from hilserver.commands.running import serve  # noqa: PLC0415
 
-                return serve(args, guard, announcer)
+                code = serve(args, guard, announcer)
+            if guard.is_asked:  # freeing what the system frees anyway takes a second
+                writer.drain()
+                os._exit(code)
+            return code
         finally:
             writer.drain()
 

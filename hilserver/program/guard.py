@@ -19,7 +19,7 @@ from typing import NoReturn
 from hilserver.errors import EXIT_DONE, EXIT_FAILED
 from hilserver.program.ending import ENDING
 
-ANSWER_S, STOP_S = 1.5, 2.3
+ANSWER_S, STOP_S = 1.5, 2.1
 """From the signal on."""
 CHILD_S = 0.2
 """So long a child may take to end before it is killed."""
