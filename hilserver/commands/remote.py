@@ -1,0 +1,71 @@
+"""One request to a running daemon over OPC UA, for ``call``, ``set`` and ``inject``."""
+
+import argparse
+import asyncio
+import getpass
+import json
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from hilserver.commands.options import add_config, config_path
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.io.page.hand import Hand, RefusedError
+from hilserver.io.page.setup import OpcUaAccess
+from hilserver.program import event_loop
+from hilserver.signals import Ranges, robot_table
+
+_WITHIN_S = 20.0
+
+
+def add_connection(parser: argparse.ArgumentParser) -> None:
+    """Add ``-c``, ``--endpoint`` and ``--user``."""
+    add_config(parser)
+    parser.add_argument(
+        "--endpoint", metavar="URL", help="OPC UA server; default: that of the configuration"
+    )
+    parser.add_argument("--user", default="", metavar="NAME", help="log in; asks for the password")
+
+
+def from_json(text: str) -> Any:
+    """Return what an argument says in JSON; a plain word stands for itself."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        if text[:1] in tuple('{["'):
+            raise FailedError(f"{text:.80}: is no JSON; put it in single quotes") from None
+        return text
+
+
+def ask(args: argparse.Namespace, request: Callable[[Hand], Awaitable[None]]) -> int:
+    """Connect, do `request`, leave; return 0.
+
+    Raises
+    ------
+    FailedError
+        With the daemon's sentence if it refuses, or does not answer.
+    """
+    endpoint = args.endpoint or _configured(args)
+    password = getpass.getpass() if args.user else ""
+    return event_loop.run(_ask(endpoint, args.user, password, request))
+
+
+async def _ask(
+    endpoint: str, user: str, password: str, request: Callable[[Hand], Awaitable[None]]
+) -> int:
+    types = {signal.name: signal.type.value for signal in robot_table(Ranges(1.0, 1.0, 1.0))}
+    hand = Hand(OpcUaAccess(endpoint, "shell"), types)
+    try:
+        async with asyncio.timeout(_WITHIN_S):
+            await hand.connect(user, password)
+            await request(hand)
+    except RefusedError as error:
+        raise FailedError(f"{endpoint}: {error}") from None
+    finally:
+        await hand.close()
+    return EXIT_DONE
+
+
+def _configured(args: argparse.Namespace) -> str:
+    from hilserver.config.root import load_config  # noqa: PLC0415 - slow to import
+
+    return load_config(config_path(args)).opcua.endpoint

@@ -1,0 +1,47 @@
+"""Write signals of a running daemon, all in one tick.
+
+Set-points need control, as of any client: write ``control.source`` first. They act as long as the
+policy of their source lets them; for driving there are ``teleop`` and scenarios.
+"""
+
+import argparse
+from typing import Any
+
+from hilserver.commands.remote import add_connection, ask, from_json
+from hilserver.errors import FailedError, meant
+from hilserver.signals import Ranges, robot_table
+
+EXAMPLE = "hilserver set control.source=opcua"
+SOURCE = "control.source"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    add_connection(parser)
+    parser.add_argument(
+        "values", nargs="+", metavar="SIGNAL=JSON", help="or one JSON object of signals and values"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write; return 0 when the daemon has taken all of them."""
+    values = _values(args.values)
+    names = [SOURCE, *(signal.name for signal in robot_table(Ranges(1.0, 1.0, 1.0)))]
+    for name in values:
+        if name not in names:
+            hint = meant(name, names, "see 'hilserver signals'")
+            raise FailedError(f"there is no signal '{name}'; {hint}")
+    return ask(args, lambda hand: hand.write(values))
+
+
+def _values(texts: list[str]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for text in texts:
+        if text.startswith("{"):
+            values |= from_json(text)
+            continue
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise FailedError(f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes")
+        values[name] = from_json(value)
+    return values

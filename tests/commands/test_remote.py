@@ -1,0 +1,46 @@
+"""Methods, signals and faults from the shell, against a real daemon."""
+
+import pytest
+
+from hilserver.commands import main
+from tests.helpers.daemons import running_daemon
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    with running_daemon(tmp_path_factory.mktemp("robot")) as daemon:
+        yield daemon
+
+
+def test_the_shell_reaches_everything(robot, capsys):
+    there = ["--endpoint", robot.url]
+    assert main(["set", *there, "control.source=opcua"]) == 0
+    assert main(["set", *there, '{"wheel.fl.setpoint_rpm": 5, "wheel.fr.setpoint_rpm": -5}']) == 0
+    fault = '{"fault": "bias", "signal": "battery.voltage_v", "offset": -2}'
+    assert main(["inject", *there, fault]) == 0
+    assert main(["call", *there, "ClearFaults"]) == 0
+    assert main(["call", *there, "SetPose", "1", "0.5", "0"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["call", "SetPos", "1"], "there is no method 'SetPos'; did you mean 'SetPose'?"),
+        (["call", "SetPose", "1"], "SetPose takes 3 arguments: x, y, yaw"),
+        (["set", "wheel.fl.setpoint=1"], "there is no signal 'wheel.fl.setpoint'; did you mean"),
+        (["set", "wheel.fl.setpoint_rpm"], "write SIGNAL=VALUE"),
+        (["inject", "{'fault'}"], "is no JSON; put it in single quotes"),
+        (["inject", '{"fault": "bais"}'], "bais"),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence(robot, capsys, words, sentence):
+    assert main([*words, "--endpoint", robot.url]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert sentence in line
+
+
+def test_nobody_there_is_one_sentence(capsys):
+    assert main(["call", "--endpoint", "opc.tcp://127.0.0.1:9/x", "Stop"]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert "does not answer" in line
