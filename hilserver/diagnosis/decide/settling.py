@@ -1,6 +1,6 @@
 """From selected causes to findings: rivals, superfluous causes, unknown structure, drift."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -61,7 +61,7 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     weighed = point = agreed(problem, p.library, point)
     explained = max(p.base.deviance - point.deviance, 0.0) if point.model.fitted else 0.0
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
-    doubtful = set(without_unknown(problem, point, unknown))
+    doubtful = _harmless(problem, point, without_unknown(problem, point, unknown))
     if point.model.fitted:
         contest = scale_or_anchor(problem, point)
         doubtful |= {contest.index} if contest is not None and contest.lost else set()
@@ -138,6 +138,20 @@ def no_name(problem: Problem, f: Fitted, ties: Mapping[str, Sequence[Rival]]) ->
     mirrored = traits_of(cause).mirrored_by and not problem.stage.robot.is_mecanum
     alone = not mirrored and all(implausible(r.fitted) for r in ties.get(cause, ()))
     return "of a size that no machine has" if implausible(f) and alone else None
+
+
+def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[int]:
+    """Return those of some causes without which no held-out error grows.
+
+    A family of columns is flexible enough to explain as much as a true cause on the blocks that it
+    is fitted to.
+    """
+    found = set()
+    for index in doubtful:
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        if not Step(problem, point, less).harms:
+            found.add(index)
+    return found
 
 
 def _dropped(problem: Problem, point: Point, index: int, rows: list[SelectionRow]) -> Point:

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.promise import _grows
+from hilserver.diagnosis.decide.promise import Step, _grows
+from hilserver.diagnosis.decide.settling import _harmless
 from hilserver.diagnosis.findings.outcome import worsened
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import Errors, Pair
 from hilserver.diagnosis.schema.findings import Gain
+from tests.diagnosis import toy
 
 BLOCK = np.repeat(np.arange(20), 4)
 
@@ -47,3 +50,16 @@ def test_an_extension_that_makes_a_quantity_worse_is_refused():
     assert said is not None
     assert "position_m" in said
     assert "0.46 to 0.84" in said
+
+
+def test_no_cause_goes_for_unknown_structure_where_held_out_errors_would_grow():
+    rng = np.random.default_rng(4)
+    needed, idle = (toy.smooth(rng, 2000) for _ in range(2))
+    problem = toy.problem(3.0 * needed + rng.normal(size=2000), {"needed": needed, "idle": idle})
+    _, base = toy.library(problem)
+    point = fit(problem, toy.model("needed", "idle"), base)
+    assert _harmless(problem, point, [0, 1]) == {1}
+    step = Step(problem, point, fit(problem, point.model.without(0), point))
+    assert step.harms
+    assert step.gain is not None
+    assert step.gain < 0.95
