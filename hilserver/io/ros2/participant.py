@@ -18,7 +18,7 @@ from cyclonedds.core import (
     WaitSet,
 )
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.internal import InvalidSample
+from cyclonedds.internal import DDS, InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
@@ -34,6 +34,7 @@ from hilserver.ros.qos import Qos
 MOST_AT_ONCE: Final = 32
 PARTICIPANTS: Final = 32
 """So many on one computer find each other without multicast."""
+_FATAL_AND_ERROR: Final = 3
 
 
 def domain_of(config: Ros2Config) -> int:
@@ -147,6 +148,8 @@ class Participant:
         number = domain_of(config)
         try:
             self._domain = Domain(number, settings(config.interface, config.peers))
+            # A line on standard error for every malformed packet of anybody would fill the disk.
+            DDS._dll_handle.dds_set_log_mask(_FATAL_AND_ERROR)
             enclave = DdsQos(Policy.Userdata(b"enclave=/;"))
             self._participant = DomainParticipant(number, enclave)
         except DDSException as error:
