@@ -57,11 +57,12 @@ test-long: test-tools ## Run the soaks and full campaigns
 	@$(BIN)/python -m pytest -m long --timeout 7200 $(ARGS)
 
 .PHONY: lint
-lint: $(VENV)/.dev ## Check style, types and the layers of the house
+lint: $(VENV)/.dev ## Check style, types, the layers of the house and its size
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@$(BIN)/python .ci/house.py --check
 
 .PHONY: format
 format: $(VENV)/.dev ## Bring all code into the project's form
