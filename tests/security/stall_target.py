@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import structlog
 import uvloop
 
 from hilserver.core.events import Event, EventKind
@@ -63,4 +64,7 @@ async def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    # Not on standard output: a pipe that nobody reads would hold the loop.
+    log = (Path(sys.argv[1]) / "target.log").open("w", encoding="utf-8")
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(file=log))
     uvloop.run(main(Path(sys.argv[1])))
