@@ -104,10 +104,14 @@ $(BIN)/python:
 	echo "hilserver needs Python 3.11 or newer with venv: install the packages python3.11 and" \
 	    "python3.11-venv, or name an interpreter with 'make PYTHON=/path/to/python'" >&2; exit 1
 
-$(VENV)/.run: pyproject.toml | $(BIN)/python
+$(VENV)/.run: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing hilserver into $(VENV) (a minute or two)"
-	@$(PIP) install --editable .
+	@$(PIP) install --constraint constraints.txt --editable .
 	@touch $@
+
+.PHONY: constraints
+constraints: test ## Renew the versions that make run keeps to, once all tests have passed with the newest
+	@$(BIN)/python .ci/constraints.py > constraints.txt
 
 $(VENV)/.physics: $(VENV)/.run
 	@echo "installing the physics of the mechatronic model (a minute)"
