@@ -16,6 +16,12 @@ class FoxgloveConfig(Section):
     host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Where it listens")
     port: int = Field(8765, ge=0, le=65535, description="0 takes any free port")
     rate_hz: float = Field(30.0, ge=1, le=100, description="Frames a second")
+    origins: tuple[str, ...] = Field(
+        ("https://app.foxglove.dev", "file://"),
+        max_length=100,
+        description="Web pages that may connect (file:// is the desktop program); programs that"
+        " name none always may",
+    )
     allow_insecure_network: bool = Field(
         False, description="Listen elsewhere than on loopback: everybody there may then publish"
     )

@@ -12,10 +12,9 @@ from typing import Any, Final
 
 import foxglove
 import numpy as np
-import structlog
 from foxglove import messages as fg
 from foxglove.channels import FrameTransformChannel, SceneUpdateChannel
-from foxglove.websocket import Capability, ServerListener
+from foxglove.websocket import Capability
 from pydantic import BaseModel, TypeAdapter
 
 from hilserver.config.foxglove import FoxgloveConfig
@@ -23,6 +22,8 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.inputs import Refusal
 from hilserver.errors import FailedError
 from hilserver.image import Frame
+from hilserver.io.foxglove.door import Door, hidden_host
+from hilserver.io.foxglove.inbox import Inbox
 from hilserver.io.foxglove.scene import scene
 from hilserver.logs.mcap_writer import TOPIC
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
@@ -34,12 +35,9 @@ SOURCE: Final = "page:foxglove"
 TWIST, TWIST_TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
 SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0
-LARGEST_MESSAGE: Final = 65_536
 MOST_WAITING: Final = 100
-MOST_CHANNELS: Final = 1000
+TAKE_EVERY_S: Final = 0.005
 _SIGNALS: Final = TypeAdapter(dict[str, Any])
-
-_log = structlog.get_logger(__name__)
 
 
 class _Vector(BaseModel):
@@ -91,13 +89,14 @@ class Endpoint:
         )
         self._transforms = FrameTransformChannel("/transforms", context=self._context)
         self._scene = SceneUpdateChannel("/scene", context=self._context)
+        self._door = Door(config.origins)
         self._server: Any = None
         self._task: asyncio.Task[None] | None = None
 
     @property
     def url(self) -> str:
         """Where viewers connect."""
-        port = self._config.port if self._server is None else self._server.port
+        port = self._door.port or self._config.port
         return f"ws://{self._config.host}:{port}"
 
     address = url
@@ -111,20 +110,32 @@ class Endpoint:
             If the port is in use.
         """
         loop = asyncio.get_running_loop()
-        inbox = _Inbox(lambda topic, encoding, data: self._hand_over(loop, topic, encoding, data))
+
+        def take_soon() -> None:
+            loop.call_later(TAKE_EVERY_S, self._take_all, inbox)
+
+        def wake() -> None:  # called in threads of the SDK
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(take_soon)
+
+        table = self._view.table
+        inbox = Inbox(self._understood, lambda name: name in table and table[name].writable, wake)
+        host = hidden_host()
         try:
             self._server = await asyncio.to_thread(
                 foxglove.start_server,
                 name="hilserver",
-                host=self._config.host,
-                port=self._config.port,
+                host=host,
+                port=0,
                 capabilities=[Capability.ClientPublish],
                 supported_encodings=["json", "cdr"],
                 server_listener=inbox,
                 context=self._context,
                 message_backlog_size=MOST_WAITING,
             )
+            await self._door.open(self._config.host, self._config.port, (host, self._server.port))
         except (RuntimeError, OSError, foxglove_error()) as error:
+            await self.stop()
             raise FailedError(
                 f"foxglove: cannot listen on {self._config.host}:{self._config.port} ({error});"
                 " choose another port"
@@ -136,6 +147,7 @@ class Endpoint:
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
+        await self._door.close()
         if self._server is not None:
             await asyncio.to_thread(self._server.stop)
         self._server = self._task = None
@@ -183,24 +195,13 @@ class Endpoint:
             rotation=fg.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)),
         )
 
-    # --- what viewers publish; called in threads of the SDK ---------------------------------------
+    # --- what viewers publish ---------------------------------------------------------------------
 
-    def _hand_over(
-        self, loop: asyncio.AbstractEventLoop, topic: str, encoding: str, data: bytes
-    ) -> None:
-        try:
-            values = self._understood(topic, encoding, data)
-        except ValueError as error:
-            _log.warning(
-                "a viewer published what is no command", topic=topic, why=f"{error!r:.100}"
-            )
-            return
-        if values and not loop.is_closed():
-            loop.call_soon_threadsafe(self._view.write, SOURCE, values)
+    def _take_all(self, inbox: Inbox) -> None:
+        if values := inbox.take():
+            self._view.write(SOURCE, values)
 
     def _understood(self, topic: str, encoding: str, data: bytes) -> Mapping[str, object]:
-        if len(data) > LARGEST_MESSAGE:
-            raise ValueError("too long")
         if topic == SET and encoding == "json":
             return _SIGNALS.validate_json(data)
         if topic != TWIST:
@@ -220,27 +221,3 @@ def foxglove_error() -> type[Exception]:
     """Return the SDK's own error, which has moved between versions."""
     found = getattr(foxglove, "FoxgloveError", RuntimeError)
     return found if isinstance(found, type) and issubclass(found, Exception) else RuntimeError
-
-
-class _Inbox(ServerListener):
-    """Remembers which channel of which client is which topic."""
-
-    def __init__(self, take: Callable[[str, str, bytes], None]) -> None:
-        self._take = take
-        self._channels: dict[tuple[int, int], tuple[str, str]] = {}
-
-    def on_client_advertise(self, client: Any, channel: Any) -> None:
-        """Remember."""
-        self._channels[client.id, channel.id] = channel.topic, channel.encoding
-        if len(self._channels) > MOST_CHANNELS:  # nobody says when a client is gone
-            del self._channels[next(iter(self._channels))]
-
-    def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
-        """Forget."""
-        self._channels.pop((client.id, client_channel_id), None)
-
-    def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
-        """Hand over."""
-        known = self._channels.get((client.id, client_channel_id))
-        if known is not None:
-            self._take(*known, bytes(data))

@@ -12,9 +12,11 @@ from mcap_ros2._dynamic import generate_dynamic
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import FailedError
+from hilserver.io.foxglove.door import LARGEST_MESSAGE, Door
 from hilserver.ros.types import known_types
 from tests.io.ros2.rig import value
 from tests.loopback.rig import configuration, wait_until
+from tests.node_red.resources import Holdings
 
 PATIENCE_S = 60.0
 NOT_A_NUMBER = b'{"wheel.fl.setpoint_rpm": NaN}'
@@ -46,6 +48,7 @@ class Viewer:
     async def __aexit__(self, *_):
         self._reading.cancel()
         await asyncio.gather(self._reading, return_exceptions=True)
+        await self._socket.close()
         await self._session.close()
 
     async def _read(self):
@@ -69,6 +72,10 @@ class Viewer:
     async def advertise(self, number, topic, encoding, schema=""):
         channel = {"id": number, "topic": topic, "encoding": encoding, "schemaName": schema}
         await self._socket.send_json({"op": "advertise", "channels": [channel]})
+
+    @property
+    def is_closed(self):
+        return self._reading.done()
 
     async def publish(self, number, data):
         await self._socket.send_bytes(struct.pack("<BI", CLIENT_MESSAGE, number) + data)
@@ -138,3 +145,105 @@ async def test_a_port_in_use_is_a_sentence():
         with pytest.raises(FailedError, match="foxglove: cannot listen on"):
             async with robot(port):
                 pass
+
+
+def many(count=1900):
+    """A message of names that nobody knows, as long as one may be."""
+    return json.dumps({f"no.such.signal.{i}.x": i for i in range(count)}).encode()
+
+
+async def test_a_flood_of_unknown_names_holds_nobody_up():
+    """Its sender waits for its share; who drives beside it is served within a moment."""
+    loop, flood, longest_s = asyncio.get_running_loop(), many(), 0.0
+    assert len(flood) < LARGEST_MESSAGE
+
+    async def pace():
+        nonlocal longest_s
+        while True:
+            before_s = loop.time()
+            await asyncio.sleep(0.005)
+            longest_s = max(longest_s, loop.time() - before_s - 0.005)
+
+    async def send(viewer):
+        while True:
+            await viewer.publish(1, flood)
+
+    async with (
+        robot() as daemon,
+        Viewer(daemon.foxglove.url) as hostile,
+        Viewer(daemon.foxglove.url) as honest,
+    ):
+        await hostile.advertise(1, "/hilserver/set", "json")
+        await honest.advertise(1, "/hilserver/set", "json")
+        daemon.gate.take("page")
+        before_kb = Holdings.of().memory_kib
+        tasks = [asyncio.create_task(work) for work in (pace(), send(hostile))]
+        begun_s, served_s = loop.time(), []
+        while loop.time() - begun_s < 1.5:
+            wanted, asked_s = float(1 + len(served_s) % 4), loop.time()
+            await honest.publish(1, json.dumps({"lights.command": wanted}).encode())
+            await wait_until(lambda wanted=wanted: value(daemon, "lights.command") == wanted, 5.0)
+            served_s.append(loop.time() - asked_s)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        assert longest_s < 0.25
+        assert max(served_s) < 1.0
+        assert Holdings.of().memory_kib - before_kb < 50 * 1024
+        assert len(daemon.events.recent) < 500
+        assert daemon.control.state.name == "RUNNING"
+
+
+async def test_a_message_that_is_too_long_ends_its_connection_and_nothing_else():
+    async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
+        await viewer.advertise(1, "/hilserver/set", "json")
+        long = json.dumps({"x": "y" * LARGEST_MESSAGE}).encode()
+        await viewer.publish(1, long)
+        await wait_until(lambda: viewer.is_closed, PATIENCE_S)
+        async with Viewer(daemon.foxglove.url) as another:
+            assert another.info
+
+
+@pytest.mark.parametrize(
+    ("origin", "enters"),
+    [
+        (None, True),
+        ("https://app.foxglove.dev", True),
+        ("file://", True),
+        ("https://own.example", True),
+        ("https://evil.example", False),
+        ("https://app.foxglove.dev.evil.example", False),
+        ("http://127.0.0.1:8080", False),
+        ("null", False),
+    ],
+)
+async def test_only_named_web_pages_enter(origin, enters):
+    named = ["https://app.foxglove.dev", "file://", "https://own.example/"]
+    door, asked = Door(named), []
+
+    async def behind(reader, writer):
+        asked.append(await reader.readuntil(b"\r\n\r\n"))
+        writer.write(b"HTTP/1.1 101 Switching Protocols\r\n\r\n")
+        writer.close()
+
+    server = await asyncio.start_server(behind, "127.0.0.1", 0)
+    await door.open("127.0.0.1", 0, server.sockets[0].getsockname())
+    reader, writer = await asyncio.open_connection("127.0.0.1", door.port)
+    line = "" if origin is None else f"Origin: {origin}\r\n"
+    writer.write(f"GET / HTTP/1.1\r\nHost: x\r\n{line}\r\n".encode())
+    status = (await reader.readline()).split()[1]
+    assert status == (b"101" if enters else b"403")
+    assert bool(asked) == enters
+    writer.close()
+    await door.close()
+    server.close()
+
+
+async def test_the_door_is_before_the_server():
+    async with robot() as daemon, aiohttp.ClientSession() as session:
+        url, protocols = daemon.foxglove.url, ["foxglove.sdk.v1"]
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            await session.ws_connect(url, origin="https://evil.example", protocols=protocols)
+        assert refused.value.status == 403
+        origin = "https://app.foxglove.dev"
+        await (await session.ws_connect(url, origin=origin, protocols=protocols)).close()

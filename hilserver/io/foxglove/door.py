@@ -1,0 +1,169 @@
+"""The door before the SDK's server: which web pages may enter, and how much each may send.
+
+The SDK looks at no Origin and takes whatever arrives as fast as it comes. It listens
+at a loopback address that is drawn at random, where no web page finds it; what comes to our
+address is looked at here and handed on.
+"""
+
+import asyncio
+import random
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Final
+
+CONNECTIONS: Final = 32
+HEAD_BYTES: Final = 8192
+HEAD_S: Final = 5.0
+PIECE_BYTES: Final = 16_384
+BYTES_PER_S: Final = 262_144
+LARGEST_MESSAGE: Final = 65_536
+_REFUSED: Final = (
+    b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Type: text/plain\r\n\r\n"
+    b"this web page is not named in foxglove.origins\n"
+)
+_CONTINUED, _CONTROL = 0x0, 0x8
+
+
+def hidden_host() -> str:
+    """Return a loopback address that cannot be guessed."""
+    return ".".join(["127", *(str(random.SystemRandom().randint(1, 254)) for _ in range(3))])
+
+
+class Door:
+    """Listens for viewers and connects those who may enter with the server behind.
+
+    Parameters
+    ----------
+    origins : sequence of str
+        Web pages that may enter; a program names none.
+    """
+
+    def __init__(self, origins: Sequence[str]) -> None:
+        self._origins = frozenset(origin.rstrip("/").lower() for origin in origins)
+        self._server: asyncio.Server | None = None
+        self._behind = ("", 0)
+        self._open: set[asyncio.Task[None]] = set()
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._server.sockets[0].getsockname()[1]) if self._server else 0
+
+    async def open(self, host: str, port: int, behind: tuple[str, int]) -> None:
+        """Listen; OSError if that is not possible."""
+        self._behind = behind
+        self._server = await asyncio.start_server(self._enter, host, port, limit=HEAD_BYTES)
+
+    async def close(self) -> None:
+        """Let nobody in any more, and end all connections."""
+        if self._server is not None:
+            self._server.close()
+        for task in tuple(self._open):
+            task.cancel()
+        await asyncio.gather(*self._open, return_exceptions=True)
+
+    def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._open) >= CONNECTIONS:
+            writer.transport.abort()
+            return
+        task = asyncio.create_task(self._guarded(reader, writer), name="foxglove viewer")
+        self._open.add(task)
+        task.add_done_callback(self._open.discard)
+
+    async def _guarded(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            await self._serve(reader, writer)
+        except (OSError, EOFError, ValueError, TimeoutError, asyncio.LimitOverrunError):
+            pass  # it has left, or is no viewer
+        finally:
+            writer.transport.abort()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async with asyncio.timeout(HEAD_S):
+            head = await reader.readuntil(b"\r\n\r\n")
+        if not self._may_enter(head):
+            writer.write(_REFUSED)
+            await writer.drain()
+            return
+        inner, outer = await asyncio.open_connection(*self._behind, limit=PIECE_BYTES)
+        try:
+            outer.write(head)
+            ways = [_sent(reader, outer), _shown(inner, writer)]
+            await _first_to_end(ways)
+        finally:
+            outer.transport.abort()
+
+    def _may_enter(self, head: bytes) -> bool:
+        named = [
+            value.strip().decode("latin-1").rstrip("/").lower()
+            for name, _, value in (line.partition(b":") for line in head.split(b"\r\n")[1:])
+            if name.strip().lower() == b"origin"
+        ]
+        return all(origin in self._origins for origin in named)
+
+
+async def _first_to_end(ways: Sequence[Awaitable[None]]) -> None:
+    tasks = [asyncio.ensure_future(way) for way in ways]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Hand on what the viewer sees; the SDK drops frames that it does not take."""
+    while data := await reader.read(PIECE_BYTES):
+        writer.write(data)
+        await writer.drain()
+
+
+async def _sent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Hand on what the viewer sends, not faster than its share, and no message that is too long."""
+    is_allowed, loop = _short_messages(), asyncio.get_running_loop()
+    free_s = loop.time()
+    while data := await reader.read(PIECE_BYTES):
+        if not is_allowed(data):
+            return
+        writer.write(data)
+        await writer.drain()
+        free_s = max(free_s, loop.time() - 1.0) + len(data) / BYTES_PER_S
+        if (early_s := free_s - loop.time()) > 0.0:
+            await asyncio.sleep(early_s)
+
+
+def _short_messages() -> Callable[[bytes], bool]:
+    """Return a function that follows the frames of a WebSocket (RFC 6455, 5.2) piece by piece.
+
+    It returns False once a message exceeds `LARGEST_MESSAGE`.
+    """
+    head, left, message = bytearray(), 0, 0
+
+    def is_allowed(data: bytes) -> bool:
+        nonlocal left, message
+        at = 0
+        while at < len(data):
+            if left:
+                step = min(left, len(data) - at)
+                left, at = left - step, at + step
+                continue
+            head.append(data[at])
+            at += 1
+            if len(head) < 2 or len(head) < (size := _head_bytes(head[1])):
+                continue
+            digits = bytes(head[2 : size - (4 if head[1] & 0x80 else 0)])
+            left = int.from_bytes(digits, "big") if digits else head[1] & 0x7F
+            code = head[0] & 0x0F
+            if code < _CONTROL:
+                message = left + (message if code == _CONTINUED else 0)
+            head.clear()
+            if max(left, message) > LARGEST_MESSAGE:
+                return False
+        return True
+
+    return is_allowed
+
+
+def _head_bytes(second: int) -> int:
+    extended = {126: 2, 127: 8}.get(second & 0x7F, 0)
+    return 2 + extended + (4 if second & 0x80 else 0)
