@@ -5,6 +5,7 @@ the set-points ramp to zero, the drive is then disabled, outputs keep being comp
 Uncertain. It ends only by Reset, and only when its cause is gone.
 """
 
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -14,7 +15,6 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import Command, next_state
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
-from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import SignalTable, State
 
@@ -84,6 +84,7 @@ class Control:
         self._safe_ramp_ticks = safe_ramp_ticks
         self._causes: dict[str, str] = {}
         self._disable_at = 0
+        self._stop_taken = 0
         self._pose_requests = 0.0
 
     def _go(self, state: State, reason: str) -> None:
@@ -133,7 +134,15 @@ class Control:
     def stop(self) -> None:
         """Emergency stop: go to the safe state."""
         self._next(Command.STOP)
-        self.enter_safe("stopped by command", cause=None)
+        self._image.control.stop_request = time.monotonic_ns()
+        self._take_stop()
+
+    def _take_stop(self) -> None:
+        """Take over a Stop that the plant obeys already, whoever pressed it."""
+        pressed = self._image.control.stop_request
+        if pressed != self._stop_taken:
+            self._stop_taken = pressed
+            self.enter_safe("stopped by command", cause=None)
 
     def enter_safe(self, reason: str, *, cause: str | None) -> None:
         """Ramp the set-points to zero and disable the drive.
@@ -150,7 +159,6 @@ class Control:
             return
         if self.state is State.PAUSED:
             self._pacing.resume()
-        self._command(COMMAND_SAFE)
         self._disable_at = self._pacing.tick + self._safe_ramp_ticks
         self._go(state, reason)
 
@@ -182,11 +190,8 @@ class Control:
             raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
         self._gate.stop()
         self._image.control.fault = self._image.control.drive_off = 0
+        self._image.control.stop_acknowledged = self._stop_taken
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
-        self._command(COMMAND_NORMAL)
-
-    def _command(self, command: float) -> None:
-        self._image.push([Row(self._table.slot("internal.command"), command)])
 
     def set_pose(self, x_m: float, y_m: float, yaw_rad: float) -> None:
         """Put the robot at a pose at the next tick.
@@ -236,7 +241,6 @@ class Control:
         """Continue from a saved state; version, kernels, signals and parameters have to match."""
         self._next(Command.LOAD_SNAPSHOT)
         await self._snapshots.load(name)
-        self._command(COMMAND_NORMAL)
 
     def set_speed(self, factor: float) -> None:
         """Run at `factor` times real time (0.01 .. 100)."""
@@ -251,15 +255,9 @@ class Control:
         self._go(self._next(Command.END), reason)
 
     def supervise(self) -> None:
-        """Finish the safe state's ramp; take over a fault on which the plant has acted already."""
-        if self.state is State.SAFE:
-            self._insist_on_safe()
+        """Finish the safe state's ramp; take over what the plant has acted on already."""
+        if self.state is State.SAFE and self._pacing.tick >= self._disable_at:
+            self._image.control.drive_off = 1
+        self._take_stop()
         if code := self._image.control.fault:
             self.enter_safe(fault_of(code).text, cause=None)
-
-    def _insist_on_safe(self) -> None:
-        slot = self._table.slot("internal.command")
-        if self._image.frame_values[slot] != COMMAND_SAFE:  # the queue was full
-            self._command(COMMAND_SAFE)
-        if self._pacing.tick >= self._disable_at:
-            self._image.control.drive_off = 1

@@ -7,5 +7,15 @@ push rows into queues that the plant drains at the next tick.
 
 from hilserver.image.batch import FrameBatch, read_frames, to_batch
 from hilserver.image.process_image import Frame, ImageReader, ProcessImage, Row
+from hilserver.image.stop import press_stop
 
-__all__ = ["Frame", "FrameBatch", "ImageReader", "ProcessImage", "Row", "read_frames", "to_batch"]
+__all__ = [
+    "Frame",
+    "FrameBatch",
+    "ImageReader",
+    "ProcessImage",
+    "Row",
+    "press_stop",
+    "read_frames",
+    "to_batch",
+]

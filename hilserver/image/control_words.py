@@ -58,3 +58,5 @@ class ControlWords:
     mail_tail = _Word(word.MAIL_TAIL)
     setpoint_slots = _Word(word.SETPOINT_SLOTS)
     command_limit = _Word(word.COMMAND_LIMIT)
+    stop_request = _Word(word.STOP_REQUEST)
+    stop_acknowledged = _Word(word.STOP_ACKNOWLEDGED)

@@ -47,3 +47,5 @@ MAIL_TAIL = 51
 SETPOINT_SLOTS = 52  # the set-points are the first slots
 COMMAND_LIMIT = 53  # ticks without a set-point until they become zero; 0: never
 COMMANDED = 54  # 1: a set-point was latched in this tick
+STOP_REQUEST = 55  # when Stop was pressed last [ns], by any process
+STOP_ACKNOWLEDGED = 56  # the press that Reset has acknowledged; another one is in force

@@ -11,8 +11,11 @@ from hilserver.image.ring import publish_frame
 from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
 from hilserver.kernel.places import Places
-from hilserver.plant.layout import COMMAND_SAFE, N_U, N_Y
+from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, N_U, N_Y
 from hilserver.scheduler import faults
+from hilserver.signals import State
+
+SAFE = int(State.SAFE)
 
 
 @kernel()
@@ -22,6 +25,21 @@ def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
         words[word.FAULT] = code
     values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE
     return 0
+
+
+@kernel()
+def _take_state(at: Places, values: Any, words: Any) -> None:
+    """Show the daemon's state; drive to zero in the safe one, after a fault and after Stop.
+
+    A replay brings both in rows and sets the word of the state negative.
+    """
+    state = words[word.STATE]
+    if state < 0:
+        return
+    is_stopped = load_acquire(words, word.STOP_REQUEST) != words[word.STOP_ACKNOWLEDGED]
+    is_safe = is_stopped or state == SAFE or words[word.FAULT] != 0
+    values[words[word.FRAME_BASE] + at.state] = state
+    values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE if is_safe else COMMAND_NORMAL
 
 
 @kernel()
@@ -40,13 +58,11 @@ def _watch_heartbeat(at: Places, values: Any, words: Any) -> None:
 def latch(tick: int, at: Places, values: Any, words: Any) -> int:
     """Serve a snapshot request, take the inputs of this tick, return the tick to execute.
 
-    The daemon's state is an input like others, so that a replay shows it at the same ticks; a
-    replay brings it in rows and sets the word negative.
+    The daemon's state is an input like others, so that a replay shows it at the same ticks.
     """
     tick = serve_request(tick, words)
     restore_true_values(tick, values, words)
-    if words[word.STATE] >= 0:
-        values[words[word.FRAME_BASE] + at.state] = words[word.STATE]
+    _take_state(at, values, words)
     latch_rows(tick, values, words)
     modify_inputs(tick, values, words)
     if words[word.DRIVE_OFF] != 0:

@@ -10,7 +10,7 @@ from hilserver.core.inputs import InputGate
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import TRANSITIONS, Command
 from hilserver.errors import ControlRefused
-from hilserver.image import Row
+from hilserver.image import Row, press_stop
 from hilserver.kernel.phases import enter_safe, latch
 from hilserver.kernel.places import Places
 from hilserver.signals import State
@@ -184,10 +184,35 @@ def test_the_safe_state_reaches_the_plant_although_the_queue_was_full(world):
         pass
     world.control.stop()
     world.latch()
-    assert world.value("internal.command") == 0.0, "there was no room for the command"
+    assert world.value("internal.command") == 2.0
+
+
+def test_the_plant_obeys_stop_before_the_daemon_knows_of_it(world):
+    press_stop(world.image.name)
+    world.latch()
+    assert (world.control.state, world.value("internal.command")) == (State.RUNNING, 2.0)
     world.control.supervise()
+    assert (world.control.state, world.control.reason) == (State.SAFE, "stopped by command")
+    world.control.reset()
+    world.latch()
+    assert (world.control.state, world.value("internal.command")) == (State.RUNNING, 0.0)
+
+
+def test_reset_acknowledges_no_stop_that_was_pressed_since(world):
+    world.control.stop()
+    press_stop(world.image.name)
+    world.control.reset()
     world.latch()
     assert world.value("internal.command") == 2.0
+    world.control.supervise()
+    assert world.control.state is State.SAFE
+
+
+def test_a_stop_followed_at_once_by_reset_is_acknowledged(world):
+    world.control.stop()
+    world.control.reset()
+    world.latch()
+    assert (world.control.state, world.value("internal.command")) == (State.RUNNING, 0.0)
 
 
 def test_a_fault_of_the_paced_loop_is_taken_over(world):

@@ -8,6 +8,7 @@ import pytest_asyncio
 
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
+from hilserver.image import press_stop
 from hilserver.signals import State
 from tests.loopback.rig import (
     call,
@@ -58,6 +59,20 @@ async def test_a_blocked_event_loop_stops_the_robot(robot):
     first = await run_ticks(daemon, 300)
     assert daemon.control.state is State.RUNNING
     assert set(column(daemon, "internal.command", first + 50)) == {0.0}
+
+
+async def test_stop_is_obeyed_by_a_daemon_whose_event_loop_stands(robot):
+    daemon, client = robot
+    await client.write_doubles(wheel__fl__setpoint_rpm=60.0)
+    first = await run_ticks(daemon, 200)
+    pressed_ns = press_stop(daemon.image.name)
+    time.sleep(0.2)  # noqa: ASYNC251 - nobody is there
+    slot = daemon.table.slot("internal.command")
+    begin = next(f for f in frames(daemon, first) if f.values[slot] == 2.0)
+    assert begin.planned_ns - pressed_ns < 50_000_000
+    await wait_until(lambda: daemon.control.state is State.SAFE)
+    assert daemon.control.reason == "stopped by command"
+    assert await call(client, "Reset") == "Good"
 
 
 async def test_a_pause_is_no_silence(robot):
