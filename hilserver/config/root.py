@@ -3,9 +3,9 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
@@ -17,7 +17,7 @@ from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.ros2 import Ros2Config
 from hilserver.config.section import Section
-from hilserver.config.server import OpcUaConfig
+from hilserver.config.server import OpcUaConfig, Role
 from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
 from hilserver.config.timing import (
@@ -53,6 +53,18 @@ class Config(Section):
     page: PageConfig = Field(default_factory=PageConfig)
     foxglove: FoxgloveConfig = Field(default_factory=FoxgloveConfig)
     logging: LoggingConfig = Field(default_factory=LoggingConfig)
+
+    @model_validator(mode="after")
+    def _no_strangers_on_the_page(self) -> Self:
+        page, may = self.page, self.opcua.anonymous_role
+        is_open = page.enabled and page.is_open_to_network and not page.allow_insecure_network
+        if is_open and self.opcua.enabled and may not in (None, Role.OBSERVER):
+            raise ValueError(
+                f"page.host '{page.host}' is reachable from the network, and whoever opens the page"
+                f" would be {may.name.lower()} without a password: name opcua.users, set"
+                " opcua.anonymous: observer, or listen on 127.0.0.1"
+            )
+        return self
 
     @property
     def sources(self) -> tuple[Source, ...]:

@@ -72,11 +72,9 @@ class Plant:
 
 
 def page_url(daemon):
-    """The address that `hilserver run` prints as its first line."""
-    first = (daemon.folder / "daemon.log").read_text(encoding="utf-8").splitlines()[0]
-    said = json.loads(first)
-    assert said["event"] == "operator page"
-    return said["url"]
+    """The address that `hilserver run` prints."""
+    lines = (daemon.folder / "daemon.log").read_text(encoding="utf-8").splitlines()
+    return next(said["url"] for said in map(json.loads, lines) if said["event"] == "operator page")
 
 
 def page_process(daemon):

@@ -114,6 +114,30 @@ async def test_nobody_sees_or_does_anything_before_the_log_in(visit):
         await visitor.socket()
 
 
+async def test_a_cookie_from_before_the_log_in_is_worth_nothing_after_it(visit):
+    visitor = await visit()
+    planted = {c.key: c.value for c in visitor.session.cookie_jar}
+    status, _ = await visitor.call("login", "otto", PASSWORDS["otto"])
+    assert status == 200
+    assert {c.key: c.value for c in visitor.session.cookie_jar} != planted
+    assert (await visitor.call("session"))[1]["result"]["user"] == "otto"
+    thief = aiohttp.ClientSession(
+        cookies=planted,
+        cookie_jar=aiohttp.CookieJar(unsafe=True),
+        connector=aiohttp.TCPConnector(ssl=False),
+    )
+    async with thief, thief.get(f"{visitor.url}api/signals") as response:
+        assert response.status == 401
+
+
+async def test_guesses_in_parallel_are_counted_before_they_are_judged(visit):
+    visitors = [await visit() for _ in range(2 * FAILED)]
+    answers = await asyncio.gather(*(v.call("login", "paul", "guess") for v in visitors))
+    texts = [answer["text"] for _, answer in answers]
+    assert texts.count("name or password is wrong") <= FAILED
+    assert sum("too many failed" in text for text in texts) >= FAILED
+
+
 async def test_a_wrong_password_is_refused_and_the_right_one_is_not_kept_waiting(visit):
     visitor = await visit()
     for name, password in (("otto", "wrong"), ("somebody", "drive"), ("otto", "")):

@@ -57,6 +57,11 @@ class FailedAttempts:
         while len(self._failures) > _MOST_KEYS:
             self._failures.popitem(last=False)
 
+    def withdraw(self, key: Hashable) -> None:
+        """Take the newest failure of `key` back: nobody judged it."""
+        if failures := self._failures.get(key):
+            failures.pop()
+
     def succeeded(self, key: Hashable) -> None:
         """Forget the failures of `key`."""
         self._failures.pop(key, None)

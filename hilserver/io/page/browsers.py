@@ -62,7 +62,7 @@ class Browser:
 
 
 class Browsers:
-    """All of them, the one not seen for longest forgotten first."""
+    """All of them; who is not logged in and not seen for longest is forgotten first."""
 
     def __init__(self, make_hand: Callable[[], Hand]) -> None:
         self._make_hand = make_hand
@@ -76,13 +76,21 @@ class Browsers:
         return browser
 
     async def new(self) -> Browser:
-        """Return a new one; one that has no socket open makes room."""
-        idle = sorted((b for b in self._by_key.values() if not b.live), key=lambda b: b.seen_s)
+        """Return a new one; one that has no socket open makes room, one without a user first."""
+        idle = sorted(
+            (b for b in self._by_key.values() if not b.live), key=lambda b: (b.user != "", b.seen_s)
+        )
         while idle and len(self._by_key) >= MAX_BROWSERS:
             await self.forget(idle.pop(0))
         browser = Browser(self._make_hand())
         self._by_key[browser.key] = browser
         return browser
+
+    def rekey(self, browser: Browser) -> None:
+        """Give it a new cookie: the old one may have been planted by somebody else."""
+        self._by_key.pop(browser.key, None)
+        browser.key = secrets.token_urlsafe(32)
+        self._by_key[browser.key] = browser
 
     async def forget(self, browser: Browser) -> None:
         """Log out and forget."""

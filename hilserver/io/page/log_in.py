@@ -30,13 +30,17 @@ class LogIns:
         keys, now_s = keys_of(name, browser.address), time.monotonic()
         if any(self._attempts.is_blocked(key, now_s) for key in keys):
             raise RefusedError("too many failed log-ins of this name or address: wait a minute")
+        for key in keys:  # before the answer, or guesses in parallel would all pass
+            self._attempts.failed(key, now_s)
         async with browser.lock:
             browser.user = ""
             try:
                 await browser.hand.connect(name, password, browser.address)
             except WrongPasswordError:
+                raise
+            except BaseException:
                 for key in keys:
-                    self._attempts.failed(key, now_s)
+                    self._attempts.withdraw(key)
                 raise
             browser.user = name
         for key in keys:

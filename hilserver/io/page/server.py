@@ -121,12 +121,15 @@ class PageServer:
 
     async def _index(self, request: web.Request) -> web.Response:
         browser = self._browsers.find(request.cookies.get(COOKIE))
-        is_new = browser is None
         if browser is None:
             browser = await self._browsers.new()
         body = self._assets["index.html"].body.replace(bundle.TOKEN, browser.token.encode())
         response = web.Response(body=body, content_type="text/html", charset="utf-8")
-        if is_new:
+        self._show_key(request, response, browser)
+        return response
+
+    def _show_key(self, request: web.Request, response: web.Response, browser: Browser) -> None:
+        if request.cookies.get(COOKIE) != browser.key:
             response.set_cookie(
                 COOKIE,
                 browser.key,
@@ -135,7 +138,6 @@ class PageServer:
                 secure=self._setup.page.tls is not None,
                 path="/",
             )
-        return response
 
     async def _asset(self, request: web.Request) -> web.Response:
         path = request.match_info["path"]
@@ -222,7 +224,9 @@ class PageServer:
             result = await self._do(browser, name, arguments)
         except RefusedError as error:
             return web.json_response({"ok": False, "text": str(error)}, status=409)
-        return web.json_response({"ok": True, "result": result})
+        response = web.json_response({"ok": True, "result": result})
+        self._show_key(request, response, browser)
+        return response
 
     async def _do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
         own: dict[str, Callable[..., Awaitable[Any]]] = {
@@ -263,6 +267,7 @@ class PageServer:
         if not self._setup.opcua.needs_login:
             raise RefusedError("nobody has to log in here")
         await self._log_ins.log_in(browser, str(name)[:64], str(password)[:1024])
+        self._browsers.rekey(browser)
         return await self._session(browser)
 
     async def _logout(self, browser: Browser) -> None:
