@@ -1,0 +1,319 @@
+"""The robot with everybody around it: brings a source to the wheel, then lets something happen."""
+
+import contextlib
+import signal
+import time
+
+import numpy as np
+import yaml
+
+from tests.control.clients import SPEEDS_RPM, RefusedError, client
+from tests.control.robot import COMMUNICATION_MS, LEASE_MS, SAFE, SAFE_RAMP_S, STANDING_RPM
+
+OFFERING = ("peer", "ros2", "shield")
+"""They say what they want whether or not they have control."""
+KINDS = {"foxglove": "page", "teleop": "opcua"}
+SLACK_MS = 150
+"""On top of a lease: the ramp, and what a computer may lose that others use as well."""
+SOON_S = 3.0
+WATCH_S = 0.35
+FROZEN_S = 0.6
+FORCED_RPM = 7.0
+
+
+class Stage:
+    """One robot for many cells."""
+
+    def __init__(self, robot):
+        self.robot, self.clients = robot, {}
+        scenarios = robot.folder / "scenarios"
+        scenarios.mkdir(exist_ok=True)
+        metres = SPEEDS_RPM["scenario"] / 60 * 2 * np.pi * 0.085
+        drive = {"drive.enable": True, "control.mode": 1, "twist.linear_m_s": float(metres)}
+        steps = [{"at_s": 0.0, "write": drive}, {"at_s": 600.0, "write": {"lights.command": 1}}]
+        (scenarios / "drive.yaml").write_text(yaml.safe_dump({"steps": steps}), encoding="utf-8")
+        self.restore()
+
+    @property
+    def eye(self):
+        return self.robot.eye
+
+    def restore(self):
+        """Everybody is there again who belongs here."""
+        for kind in ("engineer", "operator", "opcua", "page", "foxglove", *OFFERING):
+            if kind not in self.clients:
+                self.clients[kind] = client(kind, self.robot.doors)
+                self.clients[kind].do("connect")
+        for kind in OFFERING:
+            self.clients[kind].do("drive")
+
+    def forget(self, *kinds):
+        for kind in kinds or tuple(self.clients):
+            gone = self.clients.pop(kind, None)
+            if gone is not None:
+                gone.end()
+
+    def call(self, method, *arguments):
+        self.clients["operator"].do("call", method, *arguments)
+
+    def wait(self, condition, within_s=SOON_S):
+        end_s = time.monotonic() + within_s
+        while not condition():
+            if time.monotonic() > end_s:
+                return False
+            time.sleep(0.005)
+        return True
+
+    def turns(self, rpm):
+        """Whether the wheel is to turn so fast."""
+        return abs(self.eye.now().wheel_rpm[-1] - rpm) < STANDING_RPM
+
+    # --- before a cell ----------------------------------------------------------------------------
+
+    def begin(self, source):
+        """Let the peer drive, then `source`; a robot that is not fit for that is started again."""
+        try:
+            self._begin(source)
+        except (AssertionError, RefusedError):
+            self.robot.stop(signal.SIGKILL)
+            self.forget()
+            self.robot.start()
+            self._begin(source)
+
+    def _begin(self, source):
+        self.restore()
+        for method in ("StopScenario", "Reset", "Start", "ClearFaults"):
+            self._try(method)
+        for name in ("twist.linear_m_s", "wheel.fl.setpoint_rpm"):
+            self._try("Unforce", name)
+        self.call("SetSpeed", 1.0)
+        for kind in ("page", "foxglove"):
+            self.clients[kind].do("rest")
+        self.forget("teleop")
+        self._try("give", "page")
+        for name in ("control.mode", "twist.linear_m_s"):  # what somebody may have left behind
+            self._try("write", name, 0)
+        self._try("give", "peer")
+        self._try("Reset")
+        assert self.wait(lambda: self.turns(SPEEDS_RPM["peer"])), "the peer does not drive"
+        if source != "peer":
+            self.take(source)
+            self.drive(source)
+            assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), f"{source} does not drive"
+
+    def _try(self, method, *arguments):
+        with contextlib.suppress(RefusedError):
+            self.call(method, *arguments)
+
+    def take(self, source):
+        if source == "scenario":
+            self.call("StartScenario", "drive.yaml")
+        elif source in ("opcua", "page"):
+            self.clients[source].do("take")
+        elif source == "teleop":
+            self.clients[source] = client(source, self.robot.doors)
+            self.clients[source].do("take")
+        elif self.eye.driver() != (kind := KINDS.get(source, source)):
+            self.clients["engineer"].do("take", kind)
+
+    def drive(self, source):
+        if source != "scenario":
+            self.clients[source].do("drive")
+
+    def rest(self, source):
+        if source != "scenario":
+            self.clients[source].do("rest")
+
+    # --- what happens -----------------------------------------------------------------------------
+
+    def happen(self, event, source):
+        """Let it happen; return the number of the first frame, and the time, from which to look."""
+        name = event.replace(" ", "_")
+        head, at_ns = self.eye.head, time.monotonic_ns()
+        if event.startswith("taken by "):
+            self._taken(event.removeprefix("taken by "), source)
+            return head, at_ns
+        found = getattr(self, f"_{name}")(source)
+        return (head, at_ns) if found is None else found
+
+    def _taken(self, other, source):
+        if KINDS.get(other, other) == KINDS.get(source, source):
+            self.rest(source)  # two people with one seat
+        self.take(other)
+        self.drive(other)
+
+    def _given_back(self, source):
+        if source == "scenario":
+            self.call("StopScenario")
+        else:
+            giver = "opcua" if source == "opcua" else "engineer"
+            if KINDS.get(source, source) == "page":
+                self.call("give", "peer")
+            else:
+                self.clients[giver].do("take", "peer")
+
+    def _closed(self, source):
+        if source == "scenario":
+            self.forget("operator")
+        else:
+            self.clients[source].do("close")
+            self.forget(source)
+
+    def _cut(self, source):
+        self.clients[source].do("cut")
+
+    def _killed(self, source):
+        self.clients[source].kill()
+        self.forget(source)
+
+    def _silent(self, source):
+        self.clients[source].freeze()
+
+    def _stopped(self, source):
+        self.clients["engineer"].do("call", "Stop")
+
+    def _lock_held(self, source):
+        lease_ms = LEASE_MS[source] or COMMUNICATION_MS
+        self.robot.hold((lease_ms + 700) / 1e3)
+
+    def _between(self, first, second, *arguments):
+        self.call(first)
+        time.sleep(0.03)
+        head, at_ns = self.eye.head, time.monotonic_ns()
+        self.call(second, *arguments)
+        return head, at_ns
+
+    def _paused(self, source):
+        self.rest(source)
+        return self._between("Pause", "Start")
+
+    def _stepped(self, source):
+        self.rest(source)
+        return self._between("Pause", "Step", 50)
+
+    def _slowed(self, source):
+        self.call("SetSpeed", 0.25)
+        time.sleep(0.05)
+        head, at_ns = self.eye.head, time.monotonic_ns()
+        self.rest(source)
+        return head, at_ns
+
+    def _reset(self, source):
+        self.rest(source)
+        return self._from_call("Reset")
+
+    def _from_call(self, method, *arguments):
+        self.call(method, *arguments)
+        return self.eye.head, time.monotonic_ns()
+
+    def _snapshot(self, source):
+        name = f"drive-{time.monotonic_ns()}"
+        self.call("SaveSnapshot", name)
+        self.rest(source)
+        return self._from_call("LoadSnapshot", name)
+
+    def _overrun(self, source):
+        self.rest(source)
+        self.robot.freeze(FROZEN_S)
+        return self.eye.head, time.monotonic_ns()
+
+    def _forced(self, source):
+        name = "wheel.fl.setpoint_rpm" if source in OFFERING else "twist.linear_m_s"
+        value = FORCED_RPM if source in OFFERING else FORCED_RPM / 60 * 2 * np.pi * 0.085
+        self.call("Force", name, value)
+        assert self.wait(lambda: self.turns(FORCED_RPM)), "the force does not act"
+        self.call("Unforce", name)
+
+    def _acknowledged(self, source):
+        self.rest(source)
+        self.call("Stop")
+        assert self.wait(lambda: self.eye.now()["drive.enable"][-1] == 0), "no safe state"
+        return self._from_call("Reset")
+
+    def _restarted(self, source):
+        self.robot.stop(signal.SIGTERM)
+        self.robot.start()
+        self.forget(*(kind for kind in self.clients if kind not in OFFERING))
+        return 0, time.monotonic_ns()  # another image, which begins anew
+
+    # --- what has to follow -----------------------------------------------------------------------
+
+    def check(self, event, source, outcome, head, at_ns):
+        """Fail with a sentence if another outcome follows."""
+        other = event.removeprefix("taken by ") if event.startswith("taken by ") else "peer"
+        judge = getattr(self, f"_is_{outcome}")
+        judge(source, other, head, at_ns)
+
+    def _is_driven_by(self, source):
+        driver = self.eye.driver()
+        assert driver == KINDS.get(source, source), f"{driver} drives"
+
+    def _goes_over(self, other, head):
+        rpm = SPEEDS_RPM[other]
+        assert self.wait(lambda: self.turns(rpm)), f"{self._says()} instead of {rpm:g} rpm"
+        wheel = self.eye.since(head).wheel_rpm
+        assert (np.abs(wheel) < STANDING_RPM).any(), "it does not begin at zero"
+        self._is_driven_by(other)
+
+    def _is_taken(self, _source, other, head, _at_ns):
+        self._goes_over(other, head)
+
+    def _is_before(self, _source, _other, head, _at_ns):
+        self._goes_over("peer", head)
+
+    def _is_drives(self, source, _other, head, _at_ns):
+        time.sleep(WATCH_S)
+        wheel = self.eye.since(head).wheel_rpm
+        assert np.allclose(wheel, SPEEDS_RPM[source], atol=STANDING_RPM), self._says()
+        self._is_driven_by(source)
+
+    _is_refused = _is_drives
+
+    def _is_forced(self, source, _other, _head, _at_ns):
+        assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), self._says()
+        self._is_driven_by(source)
+
+    def _stands(self, source, head, at_ns):
+        """The set-points begin to fall in time, reach zero and stay there."""
+        limit_ms = (LEASE_MS[source] or COMMUNICATION_MS) + SLACK_MS
+        assert self.wait(lambda: not self._turns_still(), limit_ms / 1e3 + SAFE_RAMP_S + 1.0), (
+            f"{self._says()} after {(time.monotonic_ns() - at_ns) / 1e6:.0f} ms"
+        )
+        seen = self.eye.since(head)
+        falls = np.flatnonzero(~np.isclose(seen.wheel_rpm, SPEEDS_RPM[source], atol=STANDING_RPM))
+        late_ms = (seen.times_ns[falls[0]] - at_ns) / 1e6 if len(falls) else 0.0
+        assert late_ms <= limit_ms, f"it falls after {late_ms:.0f} ms, {limit_ms} are allowed"
+        time.sleep(0.1)
+        assert not self._turns_still(), f"{self._says()}: it does not stay at zero"
+
+    def _turns_still(self):
+        wheel = self.eye.now().wheel_rpm[-1]
+        return not np.isnan(wheel) and abs(wheel) > STANDING_RPM
+
+    def _is_zero(self, source, _other, head, at_ns):
+        self._stands(source, head, at_ns)
+        self._is_driven_by(source)
+
+    def _is_nobody(self, source, _other, head, at_ns):
+        self._stands(source, head, at_ns)
+        driver = self.eye.driver()
+        assert driver in ("nobody", ""), f"{driver} drives"
+
+    def _is_off(self, source, _other, head, at_ns):
+        self._stands(source, head, at_ns)
+        assert self.eye.now()["drive.enable"][-1] == 0, "the drive is enabled"
+
+    def _is_safe(self, source, _other, head, at_ns):
+        self._stands(source, head, at_ns)
+        assert self.wait(lambda: self.eye.now()["sim.state"][-1] == SAFE), "no safe state"
+
+    def _is_anew(self, source, _other, head, _at_ns):
+        assert self.wait(lambda: len(self.eye.since(head)) >= 50), "no tick"
+        wheel = self.eye.since(head).wheel_rpm[:50]
+        wheel = wheel[~np.isnan(wheel)]
+        assert not (np.abs(wheel) > STANDING_RPM).any(), f"it goes on with {wheel[0]:.1f} rpm"
+        self._is_driven_by(source)
+
+    def _says(self):
+        now = self.eye.now()
+        return f"{now.wheel_rpm[-1]:.1f} rpm in state {now['sim.state'][-1]:.0f}"

@@ -1,0 +1,47 @@
+"""Every source and every event, against a real daemon: what the wheels get, and who drives."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.control import table
+from tests.control.clients import RefusedError
+from tests.control.robot import running_robot
+from tests.control.stage import Stage
+
+PAGE = Path(__file__).parents[2] / "docs/reference/control-matrix.md"
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("control")
+    with running_robot(folder, scheduler={"policy": "skip"}) as robot:
+        stage = Stage(robot)
+        yield stage
+        stage.forget()
+
+
+def ids(cell):
+    return f"{cell[0]}-{cell[1]}".replace(" ", "_")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("cell", list(table.cells()), ids=ids)
+def test_cell(stage, cell):
+    event, source, outcome = cell
+    stage.begin(source)
+    try:
+        if outcome == "refused":
+            head, at_ns = stage.eye.head, 0
+            with pytest.raises(RefusedError):
+                stage.happen(event, source)
+        else:
+            head, at_ns = stage.happen(event, source)
+        stage.check(event, source, outcome, head, at_ns)
+    finally:
+        if event in ("cut", "silent"):
+            stage.forget(source)
+
+
+def test_the_page_is_up_to_date():
+    assert PAGE.read_text(encoding="utf-8") == table.as_markdown()
