@@ -39,11 +39,12 @@ def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int)
     def part(name: str) -> NDArray[np.int64]:
         return state[regions[name].base - base :][: regions[name].length]
 
-    x = part("x").view(np.float64)
-    if not all(0 <= x[place] < robot.RING for place in _HEADS):
-        return "place in a ring of samples"
-    if not all(0 <= x[place] <= robot.RING for place in _COUNTS):
-        return "number of samples"
+    if "x" in regions:
+        x = part("x").view(np.float64)
+        if not all(0 <= x[place] < robot.RING for place in _HEADS):
+            return "place in a ring of samples"
+        if not all(0 <= x[place] <= robot.RING for place in _COUNTS):
+            return "number of samples"
     return _unfit_faults(part("modifiers"), n_slots) if "modifiers" in regions else None
 
 

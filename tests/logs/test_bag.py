@@ -244,5 +244,5 @@ def test_what_cannot_be_converted_is_a_sentence(tmp_path, monkeypatch, capsys, w
 
 
 def test_a_folder_that_is_not_there_is_no_unknown_format(tmp_path):
-    with pytest.raises(LogError, match="no such file or folder"):
+    with pytest.raises(LogError, match="no such file or"):
         read_log(tmp_path / "none")

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide import identifiability, structure, trial
-from hilserver.diagnosis.findings import gain
 from hilserver.diagnosis.noise.readings import Reading
 from hilserver.diagnosis.noise.whitening import NoiseModel
-from hilserver.diagnosis.regression import fitting, screen
+from hilserver.diagnosis.regression import fitting, gain, screen
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.plant import packing
 from tests.diagnosis import toy
