@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hilserver.config.server import SECURE_POLICIES, OpcUaConfig, default_application_uri
 from hilserver.daemon.assembly import Assembly
+from hilserver.io.opcua_server.access import Access
 from hilserver.io.page.setup import OpcUaAccess, Setup
 
 
@@ -53,10 +54,13 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
 
 def _access(opcua: OpcUaConfig, folder: Path, endpoint: str, secret: str) -> OpcUaAccess:
     """Return how the page logs in: encrypted wherever a password travels."""
+    judge = Access(opcua)
+    anonymous = judge.anonymous()
     access = OpcUaAccess(
         endpoint=endpoint if opcua.enabled else "",
         secret=secret,
         needs_login=opcua.anonymous_role is None,
+        anonymous_may_stop=anonymous is not None and judge.may_call(anonymous, "Stop"),
         max_failed_logins=opcua.max_failed_logins,
     )
     secure = [policy for policy in opcua.offered_policies if policy in SECURE_POLICIES]

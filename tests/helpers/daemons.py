@@ -41,10 +41,20 @@ scheduler:
 
 
 @contextlib.contextmanager
-def running_daemon(folder, *options, config="", opcua="", ring_frames=1 << 14, prepare=None):
+def running_daemon(
+    folder,
+    *options,
+    config="",
+    opcua="",
+    ring_frames=1 << 14,
+    prepare=None,
+    program="hilserver",
+    stdin=None,
+):
     """Start ``hilserver run`` in `folder`; `config` is added to its config.yaml.
 
     `opcua` is added to that section; `prepare` is called with the folder before the start.
+    `program` is the module that is run instead.
     """
     image = image_name()
     text = f"image: {{name: {image}, ring_frames: {ring_frames}}}\n"
@@ -56,8 +66,8 @@ def running_daemon(folder, *options, config="", opcua="", ring_frames=1 << 14, p
     if prepare is not None:
         prepare(folder)
     errors = (folder / "daemon.log").open("w+", encoding="utf-8")
-    command = [sys.executable, "-m", "hilserver", "run", "-c", "config.yaml", *options]
-    with errors, subprocess.Popen(command, stderr=errors, cwd=folder) as process:
+    command = [sys.executable, "-m", program, "run", "-c", "config.yaml", *options]
+    with errors, subprocess.Popen(command, stderr=errors, cwd=folder, stdin=stdin) as process:
         try:
             yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
         finally:

@@ -1,3 +1,5 @@
+import subprocess
+
 import pytest
 
 from tests.helpers.daemons import running_daemon
@@ -16,7 +18,11 @@ scheduler:
 def daemon(tmp_path_factory):
     """One daemon for all tests; each leaves it running, undriven and without faults."""
     with running_daemon(
-        tmp_path_factory.mktemp("page"), config=CONFIG, ring_frames=1 << 14
+        tmp_path_factory.mktemp("page"),
+        config=CONFIG,
+        ring_frames=1 << 14,
+        program="tests.control.daemon",  # can hold its interpreter lock
+        stdin=subprocess.PIPE,
     ) as daemon:
         yield daemon
         daemon.stop()

@@ -15,7 +15,7 @@ TICKET_S = 10.0
 IDLE_S = 3600.0
 
 
-@dataclass
+@dataclass(eq=False)
 class Browser:
     """One browser.
 
@@ -31,6 +31,8 @@ class Browser:
         Where it is; empty: not known yet.
     live : int
         Open sockets.
+    may_stop : bool
+        Whether its user may stop the robot, as the daemon last said: that holds while it is silent.
     """
 
     hand: Hand
@@ -39,6 +41,7 @@ class Browser:
     user: str = ""
     address: str = ""
     live: int = 0
+    may_stop: bool = False
     seen_s: float = field(default_factory=time.monotonic)
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tickets: dict[str, float] = field(default_factory=dict, repr=False)
@@ -64,8 +67,8 @@ class Browser:
 class Browsers:
     """All of them; who is not logged in and not seen for longest is forgotten first."""
 
-    def __init__(self, make_hand: Callable[[], Hand]) -> None:
-        self._make_hand = make_hand
+    def __init__(self, make_hand: Callable[[], Hand], *, anonymous_may_stop: bool = False) -> None:
+        self._make_hand, self._may_stop = make_hand, anonymous_may_stop
         self._by_key: dict[str, Browser] = {}
 
     def find(self, key: str | None) -> Browser | None:
@@ -82,7 +85,7 @@ class Browsers:
         )
         while idle and len(self._by_key) >= MAX_BROWSERS:
             await self.forget(idle.pop(0))
-        browser = Browser(self._make_hand())
+        browser = Browser(self._make_hand(), may_stop=self._may_stop)
         self._by_key[browser.key] = browser
         return browser
 

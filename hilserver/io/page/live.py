@@ -14,10 +14,12 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from hilserver.image import Frame, ImageReader
 from hilserver.image.board import BoardReader
 from hilserver.io.page.browsers import Browser
+from hilserver.io.page.door import Door
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.frames import Selection, stamp_ms
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs
+from hilserver.io.page.stopping import Stopping
 
 MESSAGE_BYTES = 65_536
 MESSAGES_PER_S = 200
@@ -91,6 +93,10 @@ class Live:
         Slot of every signal that may be seen.
     jobs : Jobs
         Shown in the slow message.
+    stopping : Stopping
+        Stops the robot; a tenth of the sockets is kept for those who may.
+    door : Door
+        Told of sockets that are open.
     """
 
     def __init__(
@@ -102,10 +108,13 @@ class Live:
         rate_hz: float,
         max_clients: int,
         jobs: Jobs,
+        stopping: Stopping,
+        door: Door,
     ) -> None:
         self._reader, self._slots, self._driving = reader, slots, driving
         self._board = BoardReader(reader)
         self._period_s, self._max_clients, self._jobs = 1.0 / rate_hz, max_clients, jobs
+        self._stopping, self._door = stopping, door
         self._clients: dict[int, Client] = {}
         self._next = 1
         self.frames_sent = 0
@@ -124,7 +133,7 @@ class Live:
         client = Client(self._next, browser, request)
         self._next += 1
         await client.socket.prepare(request)
-        if len(self._clients) >= self._max_clients:
+        if not self._has_place(browser):
             await _close(client, WSCloseCode.TRY_AGAIN_LATER, "too many browsers")
             return client.socket
         if not await self._greeted(client):
@@ -133,6 +142,7 @@ class Live:
         welcome = json.dumps({"type": "welcome", "you": client.number})
         await _ignoring_loss(client.socket.send_str(welcome))  # before any board or frame
         self._clients[client.number] = client
+        self._door.stays(request)
         browser.live += 1
         try:
             client.tell(self._slow())
@@ -142,6 +152,13 @@ class Live:
             del self._clients[client.number]
             self._driving.leave(client)
         return client.socket
+
+    def _has_place(self, browser: Browser) -> bool:
+        if browser.may_stop:
+            return len(self._clients) < self._max_clients
+        watchers = sum(not client.browser.may_stop for client in self._clients.values())
+        free = self._max_clients - self._max_clients // 10
+        return watchers < free and len(self._clients) < self._max_clients
 
     async def _greeted(self, client: Client) -> bool:
         try:
@@ -168,7 +185,10 @@ class Live:
                 return
 
     def _understand(self, client: Client, data: Mapping[str, Any]) -> None:
-        if "drive" in data:
+        if "stop" in data:
+            self._stopping.press(client.browser)
+            client.tell({"type": "stopped", "number": data["stop"]})
+        elif "drive" in data:
             self._driving.command(client, dict(data["drive"]))
         elif "subscribe" in data:
             names, number = data["subscribe"], data["number"]

@@ -16,6 +16,7 @@ from hilserver.image import ImageReader
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.page import bundle
 from hilserver.io.page.browsers import COOKIE, Browser, Browsers
+from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
@@ -24,10 +25,11 @@ from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live
 from hilserver.io.page.log_in import LogIns
 from hilserver.io.page.setup import Setup
+from hilserver.io.page.stopping import Stopping
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
-MAX_CONNECTIONS = 256
 BODY_BYTES = 65_536
+BODY_S = 5.0
 SWEEP_S = 60.0
 _METHODS = {method.name for method in METHODS}
 
@@ -47,7 +49,11 @@ class PageServer:
         self._setup = setup
         self._assets = bundle.load()
         types = {signal["name"]: signal["type"] for signal in setup.signals}
-        self._browsers = Browsers(lambda: Hand(setup.opcua, types))
+        self._browsers = Browsers(
+            lambda: Hand(setup.opcua, types), anonymous_may_stop=setup.opcua.anonymous_may_stop
+        )
+        self._stopping = Stopping(setup.image, self._tell_of_stop)
+        self._door = Door(self._tls())
         self._log_ins = LogIns(setup.opcua.max_failed_logins)
         self._driving = Driving(setup.page.deadman_ms)
         self._jobs = Jobs(setup)
@@ -58,6 +64,8 @@ class PageServer:
             rate_hz=setup.page.rate_hz,
             max_clients=setup.page.max_clients,
             jobs=self._jobs,
+            stopping=self._stopping,
+            door=self._door,
         )
 
     async def run(self, listener: socket.socket) -> None:
@@ -68,14 +76,10 @@ class PageServer:
         )
         await runner.setup()
         loop = asyncio.get_running_loop()
-        inner = runner.server
-        if inner is None:
+        if runner.server is None:
             return
-
-        def accept() -> asyncio.BaseProtocol:
-            return inner() if len(inner.connections) < MAX_CONNECTIONS else _Refusal()
-
-        server = await loop.create_server(accept, sock=listener, ssl=self._tls())
+        self._door.behind = runner.server
+        server = await loop.create_server(self._door, sock=listener)
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._live.run(), name="frames")
@@ -100,7 +104,8 @@ class PageServer:
     def _application(self) -> web.Application:
         gatekeeper = Gatekeeper(self._setup.page.host)
         application = web.Application(
-            middlewares=[gatekeeper.middleware()], client_max_size=BODY_BYTES
+            middlewares=[self._door.middleware(), gatekeeper.middleware()],
+            client_max_size=BODY_BYTES,
         )
         application.add_routes(
             [
@@ -216,8 +221,11 @@ class PageServer:
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="a call is JSON")
         try:
-            data = await request.json()
+            async with asyncio.timeout(BODY_S):
+                data = await request.json()
             name, arguments = str(data["method"]), list(data.get("arguments", ()))
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(text="the call has not arrived") from None
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             raise web.HTTPBadRequest(text="a call has a method and arguments") from None
         try:
@@ -243,8 +251,11 @@ class PageServer:
         }
         if name not in own and name not in _METHODS:
             raise RefusedError(f"there is no method '{name:.40}'")
-        if name not in ("login", "logout", "session"):
+        is_stop = name == "Stop"
+        if name not in ("login", "logout", "session") and not (is_stop and browser.may_stop):
             await self._ready(browser)
+        if is_stop:
+            return self._stopping.press(browser)
         try:
             if name in own:
                 return await own[name](browser, *arguments)
@@ -262,16 +273,23 @@ class PageServer:
                 browser.user = ""
                 raise RefusedError("log in first")
             await browser.hand.connect()
+            browser.may_stop = "Stop" in browser.hand.rights.methods
+
+    async def _tell_of_stop(self, browser: Browser) -> None:
+        await self._ready(browser)
+        await browser.hand.call("Stop", ())
 
     async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
         if not self._setup.opcua.needs_login:
             raise RefusedError("nobody has to log in here")
+        browser.may_stop = False
         await self._log_ins.log_in(browser, str(name)[:64], str(password)[:1024])
         self._browsers.rekey(browser)
+        browser.may_stop = "Stop" in browser.hand.rights.methods
         return await self._session(browser)
 
     async def _logout(self, browser: Browser) -> None:
-        browser.user = ""
+        browser.user, browser.may_stop = "", self._setup.opcua.anonymous_may_stop
         await browser.hand.close()
 
     async def _session(self, browser: Browser) -> dict[str, Any]:
@@ -327,17 +345,9 @@ class PageServer:
         return self._jobs.keep(number)
 
 
-class _Refusal(asyncio.Protocol):
-    """Answers nobody: there are too many connections already."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Close at once."""
-        transport.close()
-
-
 def _allow_connections() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = 4 * MAX_CONNECTIONS
+    wanted = 4 * MOST
     if soft < wanted:
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (min(wanted, hard), hard))

@@ -20,6 +20,8 @@ class OpcUaAccess:
         Marks the page's sessions; empty: they are those of any client.
     needs_login : bool
         Whether a name and a password are needed.
+    anonymous_may_stop : bool
+        Whether whoever has not logged in may stop the robot.
     max_failed_logins : int
         Failed log-ins per name or address in a minute; the daemon counts the same.
     policy, certificate, key, application_uri : str
@@ -30,6 +32,7 @@ class OpcUaAccess:
     endpoint: str = ""
     secret: str = field(default="", repr=False)
     needs_login: bool = False
+    anonymous_may_stop: bool = False
     max_failed_logins: int = 5
     policy: str = ""
     certificate: str = ""

@@ -1,0 +1,60 @@
+"""Stop from the page: pressed in shared memory first, told to the daemon afterwards.
+
+The compiled step obeys the press, so that neither the daemon's event loop nor its OPC UA server is
+needed; the daemon is told for its event and its audit, by the one who pressed.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import structlog
+
+from hilserver.errors import FailedError
+from hilserver.image import press_stop
+from hilserver.io.page.browsers import Browser
+from hilserver.io.page.hand import RefusedError
+
+_log = structlog.get_logger(__name__)
+
+
+class Stopping:
+    """Presses Stop for browsers whose role allows it.
+
+    Parameters
+    ----------
+    image : str
+        Name of the process image.
+    tell : callable
+        Calls Stop of the daemon for a browser; RefusedError if that fails.
+    """
+
+    def __init__(self, image: str, tell: Callable[[Browser], Awaitable[None]]) -> None:
+        self._image, self._tell = image, tell
+        self._telling: dict[Browser, asyncio.Task[None]] = {}
+
+    def press(self, browser: Browser) -> None:
+        """Stop the robot; returns once the press is in force.
+
+        Raises
+        ------
+        RefusedError
+            If the role of its user does not allow this, or there is no daemon.
+        """
+        if not browser.may_stop:
+            raise RefusedError("your role does not allow this")
+        try:
+            press_stop(self._image)
+        except FailedError as error:
+            raise RefusedError(str(error)) from None
+        if browser not in self._telling:
+            task = asyncio.create_task(self._told(browser), name="tell of a stop")
+            self._telling[browser] = task
+            task.add_done_callback(lambda _: self._telling.pop(browser, None))
+
+    async def _told(self, browser: Browser) -> None:
+        user = browser.user or "anonymous"
+        try:
+            await self._tell(browser)
+            _log.info("page call", method="Stop", user=user)
+        except RefusedError as error:
+            _log.warning("the robot is stopped; the daemon was not told", user=user, why=str(error))
