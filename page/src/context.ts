@@ -1,6 +1,7 @@
 /** What does not change while the page is open, and what a view looks like from outside. */
 
 import type { Session, Signal } from "./net";
+import type { Wheel } from "./wheel";
 
 export interface Robot {
   wheel_radius_m: number;
@@ -21,6 +22,7 @@ export interface Context {
   signals: Signal[];
   robot: Robot;
   walls: [number, number, number, number][];
+  wheel: Wheel;
 }
 
 export interface View {

@@ -2,10 +2,11 @@
 
 import "./style.css";
 import type { Context, Robot, View } from "./context";
-import { may } from "./context";
+import { may, WHEELS } from "./context";
 import { call, get, live, type Session, type Signal } from "./net";
 import { grewLately, overruns } from "./overruns";
-import { action, field, h, micros, number, setText, svg, toast } from "./ui";
+import { Wheel } from "./wheel";
+import { action, ask, field, h, micros, number, setText, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
 import { driveView } from "./views/drive";
 import { signalsView } from "./views/signals";
@@ -28,16 +29,17 @@ const stateChip = h("span", { class: "chip state" });
 const owner = h("span", { class: "owner" });
 const figures = h("dl", { class: "figures" });
 const wheel = h("button", { type: "button", class: "wheel" });
+const controller = h("button", { type: "button", hidden: true, onclick: () => void give("peer") }, "Let the controller drive");
 const main = h("main", { id: "main", tabindex: "-1" });
 const banner = h("div", { class: "banner", role: "alert", hidden: true });
 const links = VIEWS.map((view) =>
   h("a", { href: `#${view.id}` }, icon(view.icon), h("span", {}, view.name)),
 );
 
-/** The emergency stop: a plain request, whatever else of the page works. */
-export async function emergencyStop(): Promise<void> {
+/** The emergency stop, whatever else of the page works. */
+async function emergencyStop(): Promise<void> {
   try {
-    await call("Stop");
+    await live.stop();
     toast("Emergency stop: the safe state holds until you reset it.");
   } catch (error) {
     toast(`Emergency stop failed: ${(error as Error).message}`, "error");
@@ -70,14 +72,7 @@ function header(context: Context): HTMLElement {
     store("theme", document.documentElement.dataset.theme);
     window.dispatchEvent(new Event("themechange"));
   });
-  wheel.addEventListener("click", async () => {
-    try {
-      if (live.drives) await call("give", giveTo());
-      else await call("take", live.you);
-    } catch (error) {
-      toast((error as Error).message, "error");
-    }
-  });
+  wheel.addEventListener("click", () => void (live.drives ? give(giveTo()) : take()));
   const user = context.session.user;
   return h(
     "header",
@@ -85,12 +80,53 @@ function header(context: Context): HTMLElement {
     h("a", { class: "skip", href: "#main", onclick: (event: Event) => { event.preventDefault(); main.focus(); } }, "Skip to the view"),
     h("div", { class: "brand" }, h("img", { src: "./icon.svg", alt: "", width: 28, height: 28 }), h("b", {}, "hilserver")),
     stateChip,
-    h("div", { class: "control" }, owner, wheel),
+    h("div", { class: "control" }, owner, wheel, controller),
     figures,
     user ? action(`Log out ${user}`, logOut, { class: "quiet" }) : "",
     theme,
     stop,
   );
+}
+
+const NAMES: Record<string, string> = {
+  peer: "the controller", opcua: "an OPC UA client", page: "another browser", ros2: "a ROS 2 node",
+  shield: "the shield's computer", foxglove: "Foxglove", scenario: "a scenario", teleop: "the terminal",
+};
+const SETPOINTS = ["twist.linear_m_s", "twist.angular_rad_s", ...WHEELS.map((name) => `wheel.${name}.setpoint_rpm`)];
+
+/** Who has control; empty: nobody. */
+function driver(): string {
+  const { board, driver: seat } = live.slow;
+  if (live.drives) return "you";
+  if (!board.owner || board.owner === "nobody" || board.owner === "none") return "";
+  if (board.owner === "page") return seat === null ? "" : NAMES["page"]!;
+  return NAMES[board.owner] ?? board.owner;
+}
+
+/** Whether somebody loses something when we take control: another browser, a controller, a moving robot. */
+function isBusy(): boolean {
+  const { board, driver: seat } = live.slow;
+  if (board.owner === "page") return seat !== null;
+  if (board.owner === "peer" && Object.values(board.peers ?? {}).some((peer) => peer["connected"])) return true;
+  return SETPOINTS.some((name) => live.value(name));
+}
+
+async function take(): Promise<void> {
+  const who = driver();
+  if (who && isBusy() && !(await ask(`${capital(who)} drives.`, `Take control from ${who}? The robot is brought to rest first.`, "Take it"))) return;
+  try {
+    await call("take", live.you, ...(live.slow.driver === null ? [] : [live.slow.driver]));
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
+}
+
+async function give(source: string): Promise<void> {
+  await call("give", source).catch((error: Error) => toast(error.message, "error"));
+}
+
+function capital(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 async function logOut(): Promise<void> {
@@ -104,15 +140,16 @@ function giveTo(): string {
 }
 
 function showBoard(context: Context): void {
-  const { board, driver } = live.slow;
+  const { board } = live.slow;
   const state = live.connected ? (board.state ?? "starting") : "offline";
   stateChip.dataset.state = state;
   setText(stateChip, state);
   stateChip.title = board.reason ?? "";
-  const names: Record<string, string> = { peer: "the controller", opcua: "an OPC UA client", page: "another browser" };
-  const who = live.drives ? "You drive" : `${names[board.owner ?? ""] ?? board.owner ?? "nobody"} drives`;
-  const nobody = board.owner === "page" && driver === null;
-  setText(owner, nobody ? "Nobody drives" : who.charAt(0).toUpperCase() + who.slice(1));
+  const who = driver();
+  setText(owner, `${capital(who === "you" ? "you drive" : `${who || "nobody"} drives`)}`);
+  owner.title = live.drives ? "The arrow keys drive in every view" : "";
+  const hasController = Object.keys(board.peers ?? {}).length > 0;
+  controller.hidden = !live.connected || !context.session.drive || !hasController || live.drives || board.owner === "peer";
   owner.classList.toggle("you", live.drives);
   setText(wheel, live.drives ? "Give back" : "Take control");
   wheel.disabled = !live.connected || !context.session.drive;
@@ -131,7 +168,8 @@ function showAge(): void {
   setText(battery, Number.isFinite(volts) ? `${number(volts)} V` : "–");
   const { board } = live.slow;
   let text = "";
-  if (!live.connected) text = "No connection to the page's server: what you see is old. Trying again …";
+  if (live.loggedOut) text = "The page was started again.";
+  else if (!live.connected) text = "No connection to the page's server: what you see is old. Trying again …";
   else if (live.stale && board.state !== "paused" && live.lastFrame > 0)
     text = `No fresh picture for ${(live.ageMs / 1000).toFixed(1)} s.`;
   else if (board.state === "safe") text = `Safe state: ${board.reason ?? ""}. The drive is off.`;
@@ -140,7 +178,8 @@ function showAge(): void {
     banner.hidden = !text;
     banner.classList.toggle("safe", live.connected && board.state === "safe");
     banner.replaceChildren(h("span", {}, text));
-    if (board.state === "safe" && live.connected) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
+    if (live.loggedOut) banner.append(h("a", { href: "./", onclick: () => location.reload() }, "Log in again"));
+    else if (board.state === "safe" && live.connected) banner.append(action("Reset", () => call("Reset"), { class: "primary" }));
   }
 }
 
@@ -149,6 +188,7 @@ let current: View | null = null;
 function show(context: Context): void {
   const id = location.hash.slice(1) || "drive";
   const view = VIEWS.find((each) => each.id === id) ?? VIEWS[0]!;
+  context.wheel.letGo();
   current?.close();
   current = view.make(context);
   main.replaceChildren(h("h1", { class: "hidden" }, view.name), current.element);
@@ -162,8 +202,7 @@ function show(context: Context): void {
 
 function keys(event: KeyboardEvent): void {
   const target = event.target as HTMLElement;
-  if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input, textarea, select")) return;
-  if (event.key === "x" || event.key === "X") void emergencyStop();
+  if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input, textarea, select, dialog *")) return;
   const place = "12345".indexOf(event.key);
   if (place >= 0) location.hash = VIEWS[place]!.id;
 }
@@ -218,7 +257,8 @@ async function start(): Promise<void> {
     get<{ signals: Signal[] }>("signals"),
     get<{ walls: Context["walls"]; robot: Robot }>("hall"),
   ]);
-  const context: Context = { session, signals: table.signals, ...hall };
+  const wheels = new Wheel(hall.robot, () => void emergencyStop());
+  const context: Context = { session, signals: table.signals, ...hall, wheel: wheels };
   document.body.replaceChildren(
     header(context),
     banner,
@@ -227,15 +267,22 @@ async function start(): Promise<void> {
   );
   if (session.problem) toast(session.problem, "error");
   stop.disabled = !may(context, "Stop");
+  live.onReturn = () => void returned(context, JSON.stringify(table));
   live.onRefused = (text) => toast(text, "error");
   live.onSlow(() => showBoard(context));
-  live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s"]);
+  live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", ...SETPOINTS]);
   window.setInterval(showAge, 200);
   window.addEventListener("hashchange", () => show(context));
   window.addEventListener("keydown", keys);
   showBoard(context);
   show(context);
   await live.connect();
+}
+
+/** The daemon may have been started anew meanwhile, perhaps with other signals or for another role. */
+async function returned(context: Context, known: string): Promise<void> {
+  const [session, table] = await Promise.all([call<Session>("session"), get("signals")]);
+  if (JSON.stringify(table) !== known || session.drive !== context.session.drive) location.reload();
 }
 
 start().catch((error: Error) => {

@@ -70,27 +70,59 @@ export interface Reading {
   status: number;
 }
 
-const token = document.querySelector<HTMLMetaElement>('meta[name="token"]')?.content ?? "";
+const metaToken = (page: Document): string => page.querySelector<HTMLMetaElement>('meta[name="token"]')?.content ?? "";
+const asked = new Set<AbortController>();
+let token = metaToken(document);
+let renewing: Promise<void> | null = null;
 
-/** Ask the server to do something; throws with the sentence that says why not. */
-export async function call<T = unknown>(method: string, ...args: unknown[]): Promise<T> {
-  const response = await fetch("./api/call", {
-    method: "POST",
-    headers: { "Content-Type": "application/json", "X-Hilserver-Token": token },
-    body: JSON.stringify({ method, arguments: args }),
-  }).catch(() => {
-    throw new Error("The page's server does not answer.");
-  });
-  if (response.status === 401 || response.status === 403) {
-    throw new Error("This page is out of date: load it again.");
+/** The server was started again and knows us no more: become a new browser to it. */
+function renew(): Promise<void> {
+  const load = async (): Promise<void> => {
+    const text = await (await fetch("./", { cache: "no-store" })).text();
+    token = metaToken(new DOMParser().parseFromString(text, "text/html"));
+  };
+  return (renewing ??= load().finally(() => (renewing = null)));
+}
+
+/** One request; who is not known any more tries again as a new browser. */
+async function request(path: string, limitMs: number, init: () => RequestInit): Promise<Response> {
+  for (let tries = 0; ; tries++) {
+    const controller = new AbortController();
+    const timer = window.setTimeout(() => controller.abort(), limitMs);
+    asked.add(controller);
+    try {
+      const response = await fetch(path, { ...init(), signal: controller.signal });
+      if (tries || (response.status !== 401 && response.status !== 403)) return response;
+      await renew();
+    } catch {
+      throw new Error("The page's server does not answer.");
+    } finally {
+      window.clearTimeout(timer);
+      asked.delete(controller);
+    }
   }
-  const answer = (await response.json()) as { ok: boolean; text?: string; result?: T };
+}
+
+async function post<T>(limitMs: number, method: string, args: unknown[], body?: Blob): Promise<T> {
+  const response = await request(body ? `./api/logs/${encodeURIComponent(String(args[0]))}` : "./api/call", limitMs, () => ({
+    method: "POST",
+    headers: { "Content-Type": body ? "application/octet-stream" : "application/json", "X-Hilserver-Token": token },
+    body: body ?? JSON.stringify({ method, arguments: args }),
+  }));
+  const text = await response.text();
+  if (!response.headers.get("Content-Type")?.startsWith("application/json")) throw new Error(text);
+  const answer = JSON.parse(text) as { ok: boolean; text?: string; result?: T };
   if (!answer.ok) throw new Error(answer.text ?? "refused");
   return answer.result as T;
 }
 
+/** Ask the server to do something; throws with the sentence that says why not. */
+export function call<T = unknown>(method: string, ...args: unknown[]): Promise<T> {
+  return post<T>(CALL_MS, method, args);
+}
+
 export async function get<T>(path: string): Promise<T> {
-  const response = await fetch(`./api/${path}`);
+  const response = await request(`./api/${path}`, CALL_MS, () => ({}));
   if (!response.ok) throw new Error(await response.text());
   return (await response.json()) as T;
 }
@@ -98,6 +130,10 @@ export async function get<T>(path: string): Promise<T> {
 const VERSION = 1;
 const HEAD_BYTES = 16;
 const STALE_MS = 700;
+const CALL_MS = 20_000;
+const STOP_SOCKET_MS = 200;
+const STOP_REQUEST_MS = 1500;
+const STOP_TRIES = 5;
 
 type Listener = () => void;
 
@@ -110,6 +146,12 @@ export class Live {
   connected = false;
   lastFrame = 0;
   onRefused: (text: string) => void = () => {};
+  /** Told whenever the socket is there again. */
+  onReturn: () => void = () => {};
+  /** Whether the server wants a name and a password before it shows anything. */
+  loggedOut = false;
+  private stops = new Map<number, () => void>();
+  private stopNumber = 0;
   private socket: WebSocket | null = null;
   private stamp = 0;
   private wanted = new Map<string, Set<string>>();
@@ -168,9 +210,33 @@ export class Live {
     }
   }
 
+  /** Stop the robot: over the open socket, and where that does not answer by a request of its own. */
+  async stop(): Promise<void> {
+    const number = ++this.stopNumber;
+    if (this.socket?.readyState === WebSocket.OPEN) {
+      const answered = new Promise<boolean>((resolve) => {
+        this.stops.set(number, () => resolve(true));
+        window.setTimeout(() => resolve(false), STOP_SOCKET_MS);
+      });
+      this.socket.send(JSON.stringify({ stop: number }));
+      const done = await answered;
+      this.stops.delete(number);
+      if (done) return;
+    }
+    for (const controller of asked) controller.abort(); // a browser has few connections to one server
+    for (let tries = 1; ; tries++) {
+      try {
+        return await post<void>(STOP_REQUEST_MS, "Stop", []);
+      } catch (error) {
+        if (tries === STOP_TRIES) throw error;
+      }
+    }
+  }
+
   async connect(): Promise<void> {
     try {
       const ticket = await call<string>("ticket");
+      this.loggedOut = false;
       const url = new URL("./api/live", location.href);
       url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
       const socket = new WebSocket(url);
@@ -179,7 +245,8 @@ export class Live {
       socket.onmessage = (event) => this.receive(event.data);
       socket.onclose = () => this.lost();
       this.socket = socket;
-    } catch {
+    } catch (error) {
+      this.loggedOut = (error as Error).message === "log in first";
       this.again();
     }
   }
@@ -204,6 +271,9 @@ export class Live {
       this.connected = true;
       this.retryMs = 250;
       this.subscribe();
+      this.onReturn();
+    } else if (message.type === "stopped") {
+      this.stops.get(message.number)?.();
     } else if (message.type === "refused") {
       this.onRefused(message.text);
     } else {

@@ -126,6 +126,26 @@ export function action(
   return button;
 }
 
+/** Ask before something is done; whether it may be. */
+export function ask(title: string, text: string, yes: string, ...more: Child[]): Promise<boolean> {
+  const dialog = h("dialog", { class: "panel ask", "aria-label": title });
+  const close = (answer: string) => (): void => dialog.close(answer);
+  dialog.append(
+    h("h2", {}, title),
+    h("p", {}, text),
+    ...more.filter((child): child is Node | string => !!child),
+    h("div", { class: "buttons" }, h("button", { type: "button", class: "primary", onclick: close("yes") }, yes), h("button", { type: "button", onclick: close("") }, "Cancel")),
+  );
+  document.body.append(dialog);
+  dialog.showModal();
+  return new Promise((resolve) =>
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      resolve(dialog.returnValue === "yes");
+    }),
+  );
+}
+
 export function field(label: string, control: HTMLElement, hint = ""): HTMLElement {
   return h("label", { class: "field" }, h("span", {}, label), control, hint && h("small", {}, hint));
 }

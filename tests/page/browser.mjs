@@ -20,6 +20,7 @@ const browser = await chromium.connect(server.wsEndpoint());
 const AXE = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
 const LONG = 120000;
 let page, tools, errors;
+const others = [];
 
 async function leave() {
   await page?.context().close();
@@ -68,11 +69,26 @@ async function load(url, selector) {
 const doing = {
   fresh,
   leave,
+  /** A second tab, of a browser that shares nothing with the first; afterwards it is the one. */
+  second: async ({ url }) => {
+    others.push(page);
+    page = undefined;
+    await fresh();
+    await load(url, ".state[data-state='running']");
+  },
+  /** Back to the tab before. */
+  back: async () => {
+    await page.context().close();
+    page = others.pop();
+  },
   open: ({ url }) => load(url, ".state[data-state='running']"),
   visit: ({ url, selector }) => load(url, selector),
   take: async () => {
     const button = page.getByRole("button", { name: "Take control" });
     if (await button.count()) await button.click();
+    await page.locator(".owner.you, dialog").first().waitFor();
+    const dialog = page.getByRole("dialog");
+    if (await dialog.count()) await dialog.getByRole("button", { name: "Take it" }).click();
     await page.getByText("You drive").waitFor();
   },
   view: async ({ name }) => {

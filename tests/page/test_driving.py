@@ -135,6 +135,73 @@ def test_a_gamepad_drives_while_its_stick_is_held(browser, url, plant):
     plant.wait(lambda: plant.command() == 0.0)
 
 
+def test_keys_drive_in_every_view_and_a_held_one_does_not_go_on_after_s(browser, url, plant):
+    browser.do("open", url=url)
+    browser.do("take")
+    for view in ("Watch", "Signals", "Time", "Diagnosis"):
+        browser.do("view", name=view)
+        browser.do("down", key="ArrowUp")
+        plant.wait(lambda: plant.value("twist.linear_m_s") > 0.1)
+        browser.do("press", key="s")
+        browser.do("down", key="ArrowUp")  # what a held key sends again and again
+        plant.wait(lambda: plant.command() == 0.0)
+        browser.do("up", key="ArrowUp")
+
+
+@pytest.mark.parametrize("how", ["x", " ", "Escape", "gamepad"])
+def test_stop_from_every_view_by_key_and_gamepad(browser, url, plant, how):
+    browser.do("open", url=url)
+    browser.do("take")
+    browser.do("view", name="Watch")
+    browser.do("run", script="document.activeElement.blur()")
+    if how == "gamepad":
+        pad = "{connected: true, axes: [0, 0], buttons: [{}, {pressed: true}]}"
+        browser.do("run", script=f"window.pad = {pad}")
+    else:
+        browser.do("press", key=how)
+    plant.wait(lambda: plant.value("sim.state") == 3)
+    browser.do("run", script="window.pad = null")
+    browser.do("click", role="button", name="Reset")
+    plant.wait(lambda: plant.value("sim.state") == 1)
+
+
+def test_a_socket_that_does_not_answer_does_not_keep_stop(browser, url, plant):
+    browser.do("open", url=url)
+    browser.do("mute")  # what is sent over the socket goes nowhere
+    browser.do("click", role="button", name="Stop emergency")
+    plant.wait(lambda: plant.value("sim.state") == 3)
+    browser.do("click", role="button", name="Reset")
+    plant.wait(lambda: plant.value("sim.state") == 1)
+
+
+def test_a_second_browser_asks_before_it_takes_control(driving, url, plant):
+    driving.do("second", url=url)
+    driving.do("click", role="button", name="Take control")
+    driving.do("wait", selector="dialog", text="Take control from another browser?")
+    driving.do("click", role="button", name="Cancel")
+    assert plant.command() > 0.1
+    driving.do("click", role="button", name="Take control")
+    driving.do("click", role="button", name="Take it")
+    driving.do("wait", selector=".owner", text="You drive")
+    driving.do("back")
+    driving.do("wait", selector=".control button", text="Take control")
+    plant.wait(lambda: plant.command() == 0.0)
+
+
+def test_a_page_that_was_started_again_is_there_again_by_itself(browser, url, plant, daemon):
+    """Before, the open page asked with its old token, and got 401, for ever."""
+    browser.do("open", url=url)
+    browser.do("run", script="window.same = true")
+    os.kill(page_process(daemon), signal.SIGKILL)
+    browser.do("wait", selector=".state", text="offline")
+    browser.do("wait", selector=".state", text="running")
+    assert browser.do("run", script="window.same")
+    browser.do("take")
+    browser.do("down", key="ArrowUp")
+    plant.wait(lambda: plant.command() > 0.1)
+    browser.do("up", key="ArrowUp")
+
+
 def test_single_wheels_spring_back(browser, url, plant):
     browser.do("open", url=url)
     browser.do("take")

@@ -1,5 +1,7 @@
 """Users log in on the page, over TLS; the page logs in for them, encrypted, with their roles."""
 
+import os
+import signal
 import subprocess
 
 import pytest
@@ -8,7 +10,7 @@ from hilserver.commands import main
 from hilserver.io.opcua_security.passwords import hash_password
 from tests.helpers.daemons import running_daemon
 from tests.page.conftest import CONFIG
-from tests.page.rig import Plant, page_url
+from tests.page.rig import Plant, page_process, page_url
 from tests.page.test_security import Visitor, aiohttp, asyncio
 
 PASSWORDS = {"olga": "see", "otto": "drive", "emma": "all"}
@@ -195,6 +197,14 @@ async def test_who_has_logged_out_is_out_and_takes_nobody_along(visit):
     assert (await otto.call("session"))[1]["result"]["user"] == "otto"
 
 
+async def test_half_open_handshakes_keep_nobody_out(visit, secured):
+    host, port = page_url(secured).removeprefix("https://").rstrip("/").split(":")
+    writers = [(await asyncio.open_connection(host, int(port)))[1] for _ in range(300)]
+    assert (await visit("otto")).session_view["user"] == "otto"
+    for writer in writers:
+        writer.transport.abort()
+
+
 async def test_the_cookie_travels_encrypted_only(visit):
     response = await (await visit()).load()
     cookie = response.cookies or None
@@ -215,3 +225,17 @@ def test_a_browser_logs_in_and_sees_what_its_role_allows(browser, secured):
     browser.do("click", role="button", name="Log out olga")
     browser.do("wait", selector=".login input")
     assert browser.do("errors") == []
+
+
+@pytest.mark.page
+def test_a_page_that_was_started_again_asks_to_log_in_again(browser, secured):
+    browser.do("visit", url=page_url(secured), selector=".login input")
+    browser.do("type", text="otto")
+    browser.do("press", key="Tab")
+    browser.do("type", text=PASSWORDS["otto"])
+    browser.do("press", key="Enter")
+    browser.do("wait", selector=".state", text="running")
+    os.kill(page_process(secured), signal.SIGKILL)
+    browser.do("wait", selector=".banner a", text="Log in again")
+    browser.do("click", role="link", name="Log in again")
+    browser.do("wait", selector=".login input")

@@ -58,6 +58,7 @@ class Place(asyncio.Protocol):
         elif self._door.tls is None:
             self._begin(transport)
         else:
+            self._transport.pause_reading()  # until the hello of TLS has its reader
             self._securing = asyncio.ensure_future(self._secure(self._door.tls))
         self.uses(Use.WAITS, HEAD_S)
 

@@ -232,12 +232,18 @@ class Live:
             if client.is_ready:
                 await _ignoring_loss(client.socket.send_str(text))
 
+    @property
+    def driver(self) -> int | None:
+        """Number of the socket that drives, if the page does."""
+        seat = self._driving.driver
+        is_there = seat is not None and self.find(seat.number) is not None
+        return seat.number if seat and is_there and self.board.get("owner") == "page" else None
+
     def _slow(self) -> dict[str, Any]:
-        driver = self._driving.driver
         return {
             "type": "board",
             "board": self.board,
-            "driver": None if driver is None or self.find(driver.number) is None else driver.number,
+            "driver": self.driver,
             "clients": len(self._clients),
             "jobs": self._jobs.view(),
         }

@@ -312,10 +312,12 @@ class PageServer:
     async def _ticket(self, browser: Browser) -> str:
         return browser.new_ticket()
 
-    async def _take(self, browser: Browser, number: int) -> None:
+    async def _take(self, browser: Browser, number: int, taken_from: int | None = None) -> None:
         client = self._live.find(number)
         if client is None or client.browser is not browser:
             raise RefusedError("this page has no live connection")
+        if self._live.driver not in (None, number, taken_from):
+            raise RefusedError("another browser drives: say that you take control from it")
         await self._driving.take(client)
 
     async def _give(self, browser: Browser, source: str) -> None:

@@ -1,6 +1,5 @@
 /** Drive: the robot in its hall, and everything to drive it by. */
 
-import { Commander } from "../command";
 import { WHEELS, type Context, type View } from "../context";
 import { call, live } from "../net";
 import type { Camera, Scene } from "../scene";
@@ -8,37 +7,13 @@ import { makeStick } from "../stick";
 import { field, h, number, quality, setText, toast } from "../ui";
 
 const LIGHTS = ["off", "dim", "high beam", "flash all", "flash left", "flash right", "pulsation", "rotation", "running"];
-const KEYS: Record<string, [number, number]> = {
-  ArrowUp: [0, 1],
-  ArrowDown: [0, -1],
-  ArrowLeft: [-1, 0],
-  ArrowRight: [1, 0],
-};
-const DEAD_ZONE = 0.12;
 const TWIST = 1;
 const WHEEL_NAMES: Record<string, string> = { fl: "front left", rl: "rear left", fr: "front right", rr: "rear right" };
 
-let share = 0.5;
-
 export function driveView(context: Context): View {
   const { robot } = context;
-  const commander = new Commander();
-  const pressed = new Set<string>();
-  let gamepadHeld = false;
-
-  function twist(x: number, y: number): void {
-    stick.show(x, y);
-    commander.hold({
-      mode: "twist",
-      linear: y * share * robot.max_linear_m_s,
-      turn: -x * share * robot.max_angular_rad_s,
-    });
-  }
-
-  const stick = makeStick((x, y) => {
-    if ((x || y) && !live.drives) return void toast("Take control first.");
-    twist(x, y);
-  });
+  const { wheel: hand } = context;
+  const stick = makeStick((x, y) => hand.twist(x, y));
 
   // --- the picture ------------------------------------------------------------------------------
 
@@ -85,12 +60,12 @@ export function driveView(context: Context): View {
 
   function wheels(): void {
     const rpm = sliders.map(({ wheel, input, shown }) => {
-      const forward = (Number(input.value) / 100) * share * robot.max_rpm;
+      const forward = (Number(input.value) / 100) * hand.share * robot.max_rpm;
       setText(shown, number(forward));
       return wheel[1] === "l" ? forward : -forward;
     });
     if (rpm.some(Boolean) && !live.drives) return void toast("Take control first.");
-    commander.hold({ mode: "wheels", rpm: rpm as [number, number, number, number] });
+    hand.commander.hold({ mode: "wheels", rpm: rpm as [number, number, number, number] });
   }
 
   const wheelBox = h(
@@ -103,27 +78,25 @@ export function driveView(context: Context): View {
     modes.append(
       h("button", { type: "button", "aria-pressed": String(one), onclick: (event: Event) => {
         for (const other of modes.children) other.setAttribute("aria-pressed", String(other === event.currentTarget));
-        if (live.drives) commander.stop();
+        if (live.drives) hand.halt();
         wheelBox.hidden = one;
         stick.element.hidden = !one;
       } }, name),
     );
   }
 
-  const limit = h("input", { type: "range", min: 5, max: 100, step: 5, value: share * 100 });
-  const limitShown = h("output", {}, `${share * 100} %`);
+  const limit = h("input", { type: "range", min: 5, max: 100, step: 5, value: hand.share * 100 });
+  const limitShown = h("output", {}, `${hand.share * 100} %`);
   limit.addEventListener("input", () => {
-    share = Number(limit.value) / 100;
+    hand.share = Number(limit.value) / 100;
     setText(limitShown, `${limit.value} %`);
   });
 
-  const halt = h("button", { type: "button", class: "halt", "aria-keyshortcuts": "S", onclick: halted }, "Stop driving ", h("kbd", {}, "S"));
-  function halted(): void {
-    pressed.clear();
-    stick.show(0, 0);
+  const halt = h("button", { type: "button", class: "halt", "aria-keyshortcuts": "S", onclick: () => hand.halt() }, "Stop driving ", h("kbd", {}, "S"));
+  hand.onStick = (x, y) => stick.show(x, y);
+  hand.onHalt = () => {
     for (const { input, shown } of sliders) [input.value, shown.textContent] = ["0", "0"];
-    commander.stop();
-  }
+  };
 
   // --- lights -----------------------------------------------------------------------------------
 
@@ -207,62 +180,6 @@ export function driveView(context: Context): View {
     "control.mode",
   ]);
 
-  // --- keys, gamepad, letting go ----------------------------------------------------------------
-
-  function steer(): void {
-    let [x, y] = [0, 0];
-    for (const key of pressed) {
-      x += KEYS[key]![0];
-      y += KEYS[key]![1];
-    }
-    twist(x, y);
-  }
-
-  const onDown = (event: KeyboardEvent): void => {
-    const target = event.target as HTMLElement;
-    if (target.matches("input, textarea, select") || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === "s" || event.key === "S") return halted();
-    if (!(event.key in KEYS)) return;
-    event.preventDefault();
-    if (!live.drives) return void (event.repeat || toast("Take control first."));
-    if (!pressed.has(event.key)) {
-      pressed.add(event.key);
-      steer();
-    }
-  };
-  const onUp = (event: KeyboardEvent): void => {
-    if (pressed.delete(event.key)) steer();
-  };
-  const letGo = (): void => {
-    if (pressed.size || commander.active) halted();
-  };
-  const onHide = (): void => {
-    if (document.hidden) letGo();
-  };
-  const stopSlow = live.onSlow(() => {
-    if (!live.drives && commander.active) {
-      pressed.clear();
-      commander.hold({ mode: "twist", linear: 0, turn: 0 });
-      stick.show(0, 0);
-    }
-  });
-  const gamepad = window.setInterval(() => {
-    const pad = navigator.getGamepads?.().find((each) => each?.connected);
-    if (!pad || !live.drives) return;
-    const dead = (value: number | undefined): number => (Math.abs(value ?? 0) < DEAD_ZONE ? 0 : value!);
-    const [x, y] = [dead(pad.axes[0]), -dead(pad.axes[1])];
-    if (x || y) {
-      gamepadHeld = true;
-      twist(x, y);
-    } else if (gamepadHeld) {
-      gamepadHeld = false;
-      twist(0, 0);
-    }
-  }, 50);
-  window.addEventListener("keydown", onDown);
-  window.addEventListener("keyup", onUp);
-  window.addEventListener("blur", letGo);
-  document.addEventListener("visibilitychange", onHide);
   const stopFrames = live.onFrame(instruments);
 
   const element = h(
@@ -286,7 +203,7 @@ export function driveView(context: Context): View {
       h("label", { class: "limit" }, h("span", {}, "Speed limit"), limit, limitShown),
       halt,
       h("div", { class: "lights" }, field("Lights", light), colour),
-      h("p", { class: "hint" }, h("kbd", {}, "↑"), h("kbd", {}, "↓"), h("kbd", {}, "←"), h("kbd", {}, "→"), " drive while held, ", h("kbd", {}, "S"), " stops, ", h("kbd", {}, "X"), " emergency stop"),
+      h("p", { class: "hint" }, h("kbd", {}, "↑"), h("kbd", {}, "↓"), h("kbd", {}, "←"), h("kbd", {}, "→"), " drive while held, ", h("kbd", {}, "S"), " stops, ", h("kbd", {}, "X"), ", space or ", h("kbd", {}, "Esc"), " emergency stop"),
     ),
   );
 
@@ -294,15 +211,9 @@ export function driveView(context: Context): View {
     element,
     close() {
       closed = true;
-      letGo();
+      hand.onStick = hand.onHalt = () => {};
       scene?.close();
       stopFrames();
-      stopSlow();
-      window.clearInterval(gamepad);
-      window.removeEventListener("keydown", onDown);
-      window.removeEventListener("keyup", onUp);
-      window.removeEventListener("blur", letGo);
-      document.removeEventListener("visibilitychange", onHide);
       live.want("drive", []);
       live.want("scene", []);
     },

@@ -1,4 +1,4 @@
-import{l as Rn,h as Es,W as ir,q as _a}from"./index-D9heufWA.js";/**
+import{l as Rn,h as Es,W as ir,q as _a}from"./index-CCLLfA7t.js";/**
  * @license
  * Copyright 2010-2025 Three.js Authors
  * SPDX-License-Identifier: MIT
