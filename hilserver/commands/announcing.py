@@ -9,7 +9,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # what it speaks of takes seconds to import, and its first li
     from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
-COMPILING_EVERY_S = 5.0
+COMPILING_EVERY_S = 4.5
 _NOWHERE: dict[str, object] = dict.fromkeys(("opcua", "metrics", "shield", "foxglove", "ros2"))
 
 
@@ -48,7 +48,8 @@ class Announcer:
         self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
         writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nobody took them", {})
         self.page_url = ""
-        self._compiled, self._next_s = 0, 0.0
+        self._compiled: list[str] = []
+        self._next_s = 0.0
 
     def say(self, text: str, event: str = "", **details: object) -> None:
         """Say `text` to people, or `event` (by default the text) and `details` to programs."""
@@ -78,21 +79,26 @@ class Announcer:
         if self._writer.is_watched:
             self.say(f"hilserver is starting, version {__version__}; stop it with Ctrl-C")
 
-    def compiling(self, function: str) -> None:
-        """Say now and then, to whoever reads along, that something is being compiled."""
-        if not self._writer.is_watched:
-            return
-        self._compiled += 1
+    def compiling(self, functions: Sequence[str]) -> None:
+        """Say now and then, to whoever reads along, what is being compiled; none: still the last.
+
+        Parameters
+        ----------
+        functions : sequence of str
+            Those that were begun since the last call.
+        """
         now_s = time.monotonic()
-        if self._compiled == 1:
+        self._compiled += functions
+        if not self._writer.is_watched or now_s < self._next_s:
+            return
+        if not self._next_s:
             self.say(
                 "hilserver is compiling the model for this computer; the first start of a version"
                 " or of a new kind of robot takes a minute or two"
             )
-        elif now_s >= self._next_s:
-            self.say(f"hilserver is compiling: {self._compiled} functions, now '{function}'")
-        else:
-            return
+        elif self._compiled:
+            count, newest = len(self._compiled), self._compiled[-1]
+            self.say(f"hilserver is compiling: {count} functions, now '{newest}'")
         self._next_s = now_s + COMPILING_EVERY_S
 
     def page(self, url: str) -> None:

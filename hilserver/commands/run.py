@@ -74,9 +74,11 @@ def run(args: argparse.Namespace) -> int:
         announcer.starting()
         try:
             check_free(image)
+            from hilserver.commands import compiled_start  # noqa: PLC0415
             from hilserver.program import compiling  # noqa: PLC0415
 
-            with compiling.telling(announcer.compiling):
+            child = compiling.in_child(compiled_start.command(args), announcer.compiling)
+            with child, compiling.telling(lambda name: announcer.compiling([name])):
                 from hilserver.commands.running import serve  # noqa: PLC0415
 
                 code = serve(args, guard, announcer)

@@ -15,7 +15,7 @@ from hilserver.image import word
 from hilserver.image.control_words import ControlWords
 from hilserver.image.queues import push_rows
 from hilserver.image.ring import copy_frame, copy_latest
-from hilserver.image.shared_file import SharedFile, map_read_only
+from hilserver.image.shared_file import OwnMemory, SharedFile, map_read_only
 from hilserver.image.status import GOOD
 from hilserver.signals import SignalTable
 
@@ -149,7 +149,7 @@ class ProcessImage(ImageReader):
     Parameters
     ----------
     name : str
-        Name in shared memory; one daemon each.
+        Name in shared memory; one daemon each. Empty: for this process alone.
     table : SignalTable
     live, fixed : mapping of int
         Words of the plant's regions: `live` ones belong to snapshots.
@@ -182,7 +182,8 @@ class ProcessImage(ImageReader):
             live=dict(live),
             fixed=dict(fixed),
         )
-        self._file = SharedFile(name, self.layout.total_words * 8)
+        n_bytes = self.layout.total_words * 8
+        self._file = SharedFile(name, n_bytes) if name else OwnMemory(n_bytes)
         words = np.frombuffer(self._file.map, dtype=np.int64)
         self._fill_header(words, base_period_ns)
         super().__init__(self._file.map)

@@ -13,7 +13,7 @@ from hilserver.errors import FailedError
 from hilserver.program.guard import on_forced_end
 from hilserver.program.shared_memory import FOLDER, MADE_UP, in_use, path_of
 
-__all__ = ["MADE_UP", "SharedFile", "map_read_only", "path_of", "sweep"]
+__all__ = ["MADE_UP", "OwnMemory", "SharedFile", "map_read_only", "path_of", "sweep"]
 
 _YOUNG_S = 60.0
 _OPEN_TRIES = 5
@@ -120,6 +120,18 @@ class SharedFile:
         self._revoke()
         self.path.unlink(missing_ok=True)
         os.close(self._fd)
+        with contextlib.suppress(BufferError):
+            self.map.close()
+
+
+class OwnMemory:
+    """Memory that no other process sees, for an image that nobody else asks for."""
+
+    def __init__(self, n_bytes: int) -> None:
+        self.map = mmap.mmap(-1, n_bytes)
+
+    def close(self) -> None:
+        """Free it once nothing looks at it any more."""
         with contextlib.suppress(BufferError):
             self.map.close()
 

@@ -1,9 +1,24 @@
-"""Says what is being compiled, while it is: a start that compiles takes a minute or two."""
+"""Compiles in a child, and says what: a start that compiles takes a minute or two.
+
+A compiler cannot be interrupted; a process can be killed. The child goes through the same start, so
+that the cache on disk has all of it.
+"""
 
 import contextlib
-from collections.abc import Callable, Iterator
+import os
+import select
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
 
 from numba.core import event
+from numba.core.caching import FunctionCache
+
+from hilserver.program import children
+from hilserver.program.ending import ENDING
+from hilserver.program.workers import end_with_parent
+
+TELL_EVERY_S = 1.0
 
 
 class _Compiling(event.Listener):  # type: ignore[misc]
@@ -25,3 +40,50 @@ def telling(tell: Callable[[str], None]) -> Iterator[None]:
     """
     with event.install_listener("numba:compile", _Compiling(tell)):
         yield
+
+
+@contextlib.contextmanager
+def in_child(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> Iterator[None]:
+    """Run `command` before anything is compiled in the block; what it caches is not compiled here.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Its child's `main` is `as_child`. It runs once, and only if something is not in the cache.
+    tell : callable
+        Called every second, and whenever it goes on, with the functions that it compiles now.
+    """
+    load, waiting = FunctionCache.load_overload, [command]
+
+    def load_or_fill(self: FunctionCache, *what: object) -> object:
+        found = load(self, *what)
+        if found is None and waiting:
+            _run(waiting.pop(), tell)
+            found = load(self, *what)
+        return found
+
+    FunctionCache.load_overload = load_or_fill
+    try:
+        yield
+    finally:
+        FunctionCache.load_overload = load
+
+
+def _run(command: Sequence[str], tell: Callable[[Sequence[str]], None]) -> None:
+    """Run a child to its end; one that fails leaves its work, and what it complains of, to us."""
+    quiet = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    with children.piped([*command, str(os.getpid())], name="compiler", **quiet) as child:
+        assert child.stdout is not None
+        data = b" "
+        while data:
+            tell(data.decode(errors="replace").split())
+            is_news = select.select([child.stdout], [], [], TELL_EVERY_S)[0]
+            data = os.read(child.stdout.fileno(), 1 << 12) if is_news else b" "
+
+
+def as_child(main: Callable[[], object], parent: int) -> None:
+    """Run `main` and tell `parent` what it compiles; end with it, and when it says so."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the parent's guard takes its own signals
+    end_with_parent(parent)
+    with telling(lambda name: print(name, flush=True)):
+        main()

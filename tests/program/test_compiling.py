@@ -1,0 +1,45 @@
+"""A child compiles what is not in the cache, once; the rest of the program finds it there."""
+
+import json
+import os
+import subprocess
+
+from hilserver.program.children import python
+
+PROGRAM = """
+import json, sys
+from hilserver.program import compiling
+
+def main():
+    from hilserver.compiled.histogram import bucket_index
+    assert bucket_index(5) == 0
+
+if len(sys.argv) > 2:
+    compiling.as_child(main, int(sys.argv[2]))
+else:
+    told, own = [], []
+    child = [sys.executable, *([__file__, 'child'] if sys.argv[1] == 'works' else ['absent.py'])]
+    with compiling.telling(own.append), compiling.in_child(child, told.extend):
+        main()
+    print(json.dumps([told, own]))
+"""
+
+
+def compiled(folder, child="works"):
+    """Return what the child has compiled, and what the program itself, the outermost first."""
+    program = folder / "program.py"
+    program.write_text(PROGRAM)
+    cold = os.environ | {"HILSERVER_CACHE_DIR": str(folder / "cache")}
+    done = subprocess.run(
+        python(str(program), child), capture_output=True, text=True, env=cold, check=True
+    )
+    return [names[:1] for names in json.loads(done.stdout)]
+
+
+def test_a_child_compiles_once_what_is_not_in_the_cache(tmp_path):
+    assert compiled(tmp_path) == [["bucket_index"], []]
+    assert compiled(tmp_path) == [[], []]
+
+
+def test_where_the_child_fails_the_program_compiles_itself(tmp_path):
+    assert compiled(tmp_path, "fails") == [[], ["bucket_index"]]
