@@ -25,6 +25,7 @@ END_WITHIN_S = 3.0
 LATEST_S = 20.0
 FIRST_LINE_S = 0.3
 SILENT_AT_MOST_S = 10.0
+OTHER_LINES = 20
 FEATURES = {
     "plain": "page: {enabled: false}\n",
     "cold": "page: {enabled: false}\n",
@@ -230,28 +231,39 @@ def test_a_blocked_event_loop_does_not_hold_up_the_end(tmp_path):
     assert not path_of(image).exists()
 
 
-def beats(url):
-    with urllib.request.urlopen(url.replace("/metrics", "/healthz"), timeout=5) as answer:
-        return answer.status == 200
+def is_running(metrics_url):
+    url = metrics_url.replace("/metrics", "/healthz")
+    with urllib.request.urlopen(url, timeout=5) as answer:
+        return json.load(answer)["state"] == "running"
 
 
-@pytest.mark.parametrize("kind", ["pipe", "terminal"])
-def test_who_does_not_read_its_lines_does_not_stop_it(tmp_path, kind):
+@pytest.mark.parametrize(
+    ("kind", "seconds"),
+    [("pipe", 3), ("terminal", 3), pytest.param("terminal", 30, marks=pytest.mark.long)],
+)
+def test_who_does_not_read_its_lines_loses_nothing_else(tmp_path, kind, seconds):
     """Ctrl-S, or a pipe whose reader stands still."""
     reading, writing = pty.openpty() if kind == "terminal" else os.pipe()
     image = image_name()
-    text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\npage: {{enabled: false}}\n{NO_LIMITS}"
+    text = f"image: {{name: {image}}}\nmetrics: {{port: 0}}\npage: {{enabled: false}}\n"
+    text += "scheduler: {limits: {single_overrun_ms: null, consecutive_overruns: null}}\n"
     text += "opcua: {enabled: false}\nlogging: {format: json, level: DEBUG, repeat_window_s: 0}\n"
     (tmp_path / "config.yaml").write_text(text)
     command = [sys.executable, "-c", CHATTY]
     with subprocess.Popen(command, stderr=writing, cwd=tmp_path) as process:
         os.close(writing)
         try:
-            shown = until(reading, b'"hilserver is running"').decode()
-            metrics = re.findall(r"http://[^\"]+/metrics", shown)[-1]
-            for _ in range(6):  # from here on nobody reads, and it writes 200 kB a second
+            shown = until(reading, rb'"hilserver is running"')
+            metrics = re.findall(rb"http://[^\"]+/metrics", shown)[-1].decode()
+            hold(reading, kind, b"\x13")
+            for _ in range(2 * seconds):  # it writes 200 kB a second
                 time.sleep(0.5)
-                assert beats(metrics)
+                assert is_running(metrics)
+            hold(reading, kind, b"\x11")
+            shown += until(reading, rb"(\d+) lines were lost[^\n]*\n")
+            shown += until(reading, rb"line \d+ x{1000}[^\n]*\n")
+            hold(reading, kind, b"\x13")
+            time.sleep(0.5)
             process.terminate()
             start_s = time.monotonic()
             assert process.wait(30) == 0
@@ -260,24 +272,35 @@ def test_who_does_not_read_its_lines_does_not_stop_it(tmp_path, kind):
             process.kill()
     os.close(reading)
     assert not path_of(image).exists()
+    numbers = [int(number) for number in re.findall(rb"line (\d+) x{1000}", shown)]
+    lost = sum(map(int, re.findall(rb"(\d+) lines were lost", shown)))
+    missing = numbers[-1] + 1 - len(numbers)
+    assert missing <= lost <= missing + OTHER_LINES
 
 
-def until(fd, word):
+def hold(terminal, kind, key):
+    """Press Ctrl-S or Ctrl-Q; nobody reads anyway."""
+    if kind == "terminal":
+        os.write(terminal, key)
+
+
+def until(fd, pattern):
     shown = b""
-    while word not in shown:
+    while not re.search(pattern, shown[-20_000:]):
         shown += os.read(fd, 4096)
     return shown
 
 
 CHATTY = """
+import itertools
 import sys
 import structlog
 from hilserver.daemon.daemon import Daemon
-supervise = Daemon._supervise
+supervise, numbers = Daemon._supervise, itertools.count()
 def _supervise(self, *arguments):
     supervise(self, *arguments)
     for _ in range(20):
-        structlog.get_logger('chatty').info('x' * 1000)
+        structlog.get_logger('chatty').info(f'line {next(numbers)} ' + 'x' * 1000)
 Daemon._supervise = _supervise
 from hilserver.commands import main
 sys.exit(main(['run', '-c', 'config.yaml']))
