@@ -110,13 +110,9 @@ $(VENV)/.run: pyproject.toml constraints.txt | $(BIN)/python
 	@$(PIP) install --constraint constraints.txt --editable .
 	@touch $@
 
-.PHONY: constraints
-constraints: test ## Renew the versions that make run keeps to, once all tests have passed with the newest
-	@$(BIN)/python .ci/constraints.py > constraints.txt
-
 $(VENV)/.physics: $(VENV)/.run
 	@echo "installing the physics of the mechatronic model (a minute)"
-	@$(PIP) install --editable '.[physics]'
+	@$(PIP) install --constraint constraints.txt --editable '.[physics]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/python
