@@ -1,9 +1,10 @@
 """Certificates, keys and passwords of a configuration, looked at before anything starts."""
 
+from hilserver.commands.patching import warn
 from hilserver.daemon.assembly import Assembly
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_server.server import own_certificate
-from hilserver.io.page.listening import tls_context
+from hilserver.io.page.listening import key_notice, tls_context
 
 
 def check_credentials(assembly: Assembly) -> None:
@@ -26,8 +27,9 @@ def check_credentials(assembly: Assembly) -> None:
 
 
 def check_page(assembly: Assembly) -> None:
-    """Refuse files that the page could not use, see `check_credentials`."""
+    """Refuse files that the page could not use, see `check_credentials`; warn of a key for all."""
     tls = assembly.config.page.tls
     if tls is not None:
         with assembly.at("page", "tls"):
             tls_context(tls, assembly.folder)
+        warn(key_notice(tls, assembly.folder))

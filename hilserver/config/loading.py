@@ -13,6 +13,7 @@ from hilserver.errors import ConfigError, meant
 Model = TypeVar("Model", bound=BaseModel)
 Path_ = Sequence[str | int]
 MAX_BYTES = 1_000_000
+LIVE_BYTES = 100_000  # of a file that a running daemon reads: validating more holds its loop up
 MAX_COMPLAINTS = 20
 MAX_DEPTH = 50
 MAX_VALUES = 100_000
@@ -36,15 +37,15 @@ _WANTED = {
 _SECTIONS = ("model_type", "dict_type", "tuple_type", "list_type")
 
 
-def load(path: Path, model: type[Model]) -> Model:
-    """Read, parse and validate a configuration file.
+def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
+    """Read, parse and validate a configuration file of `most_bytes`.
 
     Raises
     ------
     ConfigError
         One line per complaint: file, line, key, what is wrong and what to write instead.
     """
-    root = _parse(path)
+    root = _parse(path, most_bytes)
     data = _construct(path, root)
     try:
         result = model.model_validate(data)
@@ -53,7 +54,7 @@ def load(path: Path, model: type[Model]) -> Model:
             for location, value in _booleans(data, result)
         ]
     except ValidationError as error:
-        errors = error.errors(include_url=False)
+        errors = error.errors(include_url=False)[:MAX_COMPLAINTS]
         complaints = [(e["loc"], _sentence(model, e)) for e in errors]
     if complaints:
         lines = [f"{path}:{_line(root, loc)}: {text}" for loc, text in complaints[:MAX_COMPLAINTS]]
@@ -69,8 +70,8 @@ def place(path: Path | None, location: Path_) -> str:
     return f"{path}:{_line(_parse(path), location)}: {key}"
 
 
-def _parse(path: Path) -> yaml.Node | None:
-    content, depth = _read(path), 0
+def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
+    content, depth = _read(path, most_bytes), 0
     try:
         text = content.decode("utf-8")
         # Events come one by one; composing recurses, so it is not left to find the depth out.
@@ -94,17 +95,17 @@ def _parse(path: Path) -> yaml.Node | None:
         raise ConfigError(f"{path}:{line}: not YAML: {str(error).splitlines()[0]}") from None
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path, most_bytes: int) -> bytes:
     try:
         mode = path.stat().st_mode
         if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
             raise ConfigError(f"{path}: is not a regular file; it is read more than once")
         with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+            content = file.read(most_bytes + 1)
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
-    if len(content) > MAX_BYTES:
-        raise ConfigError(f"{path}: larger than {MAX_BYTES} bytes; is it a configuration?")
+    if len(content) > most_bytes:
+        raise ConfigError(f"{path}: larger than {most_bytes} bytes; is it the right file?")
     return content
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from hilserver.config.loading import load, place
+from hilserver.config.loading import LIVE_BYTES, load, place
 from hilserver.config.plant import PlantConfig
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError
@@ -187,7 +187,7 @@ def load_patch(path: Path, group: str | None = None) -> Patch:
     ConfigError
         One line per complaint: file, line and key.
     """
-    model = load(path, ModelPatch)
+    model = load(path, ModelPatch, LIVE_BYTES)
     groups = model.groups or {}
     names = ", ".join(groups)
     if group is None and groups:

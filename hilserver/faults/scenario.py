@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from hilserver.config.loading import load, place
+from hilserver.config.loading import LIVE_BYTES, load, place
 from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.errors import ConfigError
@@ -72,7 +72,7 @@ def load_scenario(path: Path) -> Scenario:
     ConfigError
         One line per complaint: file, line, key.
     """
-    return load(path, Scenario)
+    return load(path, Scenario, LIVE_BYTES)
 
 
 def json_schema() -> dict[str, Any]:

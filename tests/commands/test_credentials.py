@@ -130,3 +130,15 @@ peers:
     assert ran.stdout == ""
     lines = [json.loads(line) for line in ran.stderr.splitlines()]
     assert "certificate ends" in [line["event"] for line in lines]
+
+
+def test_a_key_of_the_page_that_others_can_read_is_warned_of_once(tmp_path, capsys):
+    path = tmp_path / "config.yaml"
+    path.write_text(PAGE)
+    self_signed(tmp_path)
+    (tmp_path / "page.key").chmod(0o644)
+    assert main(["check", "-c", str(path)]) == 0
+    assert capsys.readouterr().err.count("page.key: can be read by others") == 1
+    (tmp_path / "page.key").chmod(0o600)
+    assert main(["check", "-c", str(path)]) == 0
+    assert "can be read" not in capsys.readouterr().err

@@ -175,3 +175,11 @@ def test_the_schema_accepts_what_the_model_accepts():
     assert validator.is_valid(grouped(asphalt=0.0, sand=-0.2))
     assert not validator.is_valid(PATCH | {"more": 1})
     assert not validator.is_valid(changed(value="much"))
+
+
+def test_a_flat_patch_of_900_kb_is_not_even_parsed(tmp_path):
+    """Before, validating its terms held the event loop up for more than a second."""
+    path = tmp_path / "flat.yaml"
+    path.write_text("terms:\n" + "".join(f"  t{i}: {{value: 1}}\n" for i in range(45_000)))
+    with pytest.raises(ConfigError, match=r"flat\.yaml: larger than 100000 bytes"):
+        load_patch(path)

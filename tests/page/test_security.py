@@ -134,6 +134,40 @@ async def test_names_stay_in_their_folder(visitor, arguments):
     await visitor.call("StopRecording")
 
 
+@pytest.mark.parametrize(
+    ("method", "arguments"),
+    [
+        ("write", ["twist.linear_m_s", "fast"]),
+        ("write", ["twist.linear_m_s", None]),
+        ("write", ["lights.command", 256]),
+        ("write", [{}, 1]),
+        ("take", ["me"]),
+        ("take", [1.5]),
+        ("login", [1, None]),
+        ("diagnose", [None]),
+        ("Force", ["battery.voltage_v", "21"]),
+        ("SetSpeed", [True]),
+        ("SetSpeed", []),
+        ("Step", [-1]),
+        ("StartScenario", ["\ud800"]),
+        (5, []),
+        ("Stop", {"a": 1}),
+        ("Stop", "now"),
+        ("Stop", 1),
+    ],
+)
+async def test_wrong_types_are_400_with_one_sentence(visitor, method, arguments):
+    """Before, most of them were 500 with a traceback in the log."""
+    headers = {"X-Hilserver-Token": visitor.token, "Origin": visitor.origin}
+    body = {"method": method, "arguments": arguments}
+    url = f"{visitor.url}api/call"
+    async with visitor.session.post(url, json=body, headers=headers) as response:
+        text = await response.text()
+        assert response.status == 400, text
+        assert "\n" not in text
+        assert "Traceback" not in text
+
+
 async def test_random_frames_end_the_socket_and_nothing_else(visitor, plant):
     rng = random.Random(7)
     for _ in range(40):

@@ -75,6 +75,14 @@ def tls_context(tls: PageTlsConfig, folder: Path) -> ssl.SSLContext:
     return context
 
 
+def key_notice(tls: PageTlsConfig, folder: Path) -> str | None:
+    """Return a warning if others on this computer can read the key of the page."""
+    key = folder / tls.key
+    if not key.stat().st_mode & 0o077:
+        return None
+    return f"{key}: can be read by others, who could then pose as this page; run chmod 600 {key}"
+
+
 def _no_password() -> str:
     raise ValueError  # without this function Python would ask for one at the terminal
 

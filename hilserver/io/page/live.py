@@ -96,7 +96,7 @@ class Live:
     stopping : Stopping
         Stops the robot; a tenth of the sockets is kept for those who may.
     door : Door
-        Told of sockets that are open.
+        Notes which sockets are open.
     """
 
     def __init__(

@@ -13,8 +13,9 @@ import structlog
 from aiohttp import web
 
 from hilserver.image import ImageReader
-from hilserver.io.opcua_server.method_table import METHODS
+from hilserver.io.opcua_server.method_table import METHODS, STRING
 from hilserver.io.page import bundle
+from hilserver.io.page.arguments import ANY, WrongTypeError, check, check_value
 from hilserver.io.page.browsers import COOKIE, Browser, Browsers
 from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
@@ -31,7 +32,7 @@ TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 BODY_BYTES = 65_536
 BODY_S = 5.0
 SWEEP_S = 60.0
-_METHODS = {method.name for method in METHODS}
+_METHODS = {method.name: method for method in METHODS}
 
 _log = structlog.get_logger(__name__)
 
@@ -223,13 +224,17 @@ class PageServer:
         try:
             async with asyncio.timeout(BODY_S):
                 data = await request.json()
-            name, arguments = str(data["method"]), list(data.get("arguments", ()))
+            name, arguments = data["method"], data.get("arguments", [])
         except TimeoutError:
             raise web.HTTPRequestTimeout(text="the call has not arrived") from None
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             raise web.HTTPBadRequest(text="a call has a method and arguments") from None
+        if not isinstance(name, str) or not isinstance(arguments, list):
+            raise web.HTTPBadRequest(text="a call has the name of a method and a list of arguments")
         try:
             result = await self._do(browser, name, arguments)
+        except WrongTypeError as error:
+            return web.json_response({"ok": False, "text": str(error)}, status=400)
         except RefusedError as error:
             return web.json_response({"ok": False, "text": str(error)}, status=409)
         response = web.json_response({"ok": True, "result": result})
@@ -237,32 +242,33 @@ class PageServer:
         return response
 
     async def _do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
-        own: dict[str, Callable[..., Awaitable[Any]]] = {
-            "login": self._login,
-            "logout": self._logout,
-            "session": self._session,
-            "ticket": self._ticket,
-            "take": self._take,
-            "give": self._give,
-            "write": self._write,
-            "diagnose": self._diagnose,
-            "cancel": self._cancel,
-            "keep": self._keep,
+        own: dict[str, tuple[Callable[..., Awaitable[Any]], tuple[str, ...]]] = {
+            "login": (self._login, (STRING, STRING)),
+            "logout": (self._logout, ()),
+            "session": (self._session, ()),
+            "ticket": (self._ticket, ()),
+            "take": (self._take, ("Int64", "Int64")),
+            "give": (self._give, (STRING,)),
+            "write": (self._write, (STRING, ANY)),
+            "diagnose": (self._diagnose, (STRING,)),
+            "cancel": (self._cancel, ("Int64",)),
+            "keep": (self._keep, ("Int64",)),
         }
-        if name not in own and name not in _METHODS:
+        if name in own:
+            check(name, arguments, own[name][1], optional=name == "take")
+        elif name in _METHODS:
+            check(name, arguments, [a.type for a in _METHODS[name].arguments])
+        else:
             raise RefusedError(f"there is no method '{name:.40}'")
         is_stop = name == "Stop"
         if name not in ("login", "logout", "session") and not (is_stop and browser.may_stop):
             await self._ready(browser)
         if is_stop:
             return self._stopping.press(browser)
-        try:
-            if name in own:
-                return await own[name](browser, *arguments)
-            await browser.hand.call(name, arguments)
-            _log.info("page call", method=name, user=browser.user or "anonymous")
-        except TypeError:
-            raise RefusedError(f"{name}: other arguments are needed") from None
+        if name in own:
+            return await own[name][0](browser, *arguments)
+        await browser.hand.call(name, arguments)
+        _log.info("page call", method=name, user=browser.user or "anonymous")
         return None
 
     async def _ready(self, browser: Browser) -> None:
@@ -327,6 +333,7 @@ class PageServer:
         known = next((s for s in self._setup.signals if s["name"] == name), None)
         if known is None or not known["writable"]:
             raise RefusedError(f"'{name!s:.60}' cannot be written")
+        check_value(name, value, known["type"])
         await browser.hand.write({name: value})
 
     def _may_work(self, browser: Browser) -> None:

@@ -1,7 +1,7 @@
-"""Stop from the page: pressed in shared memory first, told to the daemon afterwards.
+"""Stop from the page: pressed in shared memory first, reported to the daemon afterwards.
 
 The compiled step obeys the press, so that neither the daemon's event loop nor its OPC UA server is
-needed; the daemon is told for its event and its audit, by the one who pressed.
+needed; the daemon hears of it afterwards, for its event and its audit.
 """
 
 import asyncio
@@ -24,13 +24,13 @@ class Stopping:
     ----------
     image : str
         Name of the process image.
-    tell : callable
+    report : callable
         Calls Stop of the daemon for a browser; RefusedError if that fails.
     """
 
-    def __init__(self, image: str, tell: Callable[[Browser], Awaitable[None]]) -> None:
-        self._image, self._tell = image, tell
-        self._telling: dict[Browser, asyncio.Task[None]] = {}
+    def __init__(self, image: str, report: Callable[[Browser], Awaitable[None]]) -> None:
+        self._image, self._report = image, report
+        self._reporting: dict[Browser, asyncio.Task[None]] = {}
 
     def press(self, browser: Browser) -> None:
         """Stop the robot; returns once the press is in force.
@@ -46,15 +46,15 @@ class Stopping:
             press_stop(self._image)
         except FailedError as error:
             raise RefusedError(str(error)) from None
-        if browser not in self._telling:
-            task = asyncio.create_task(self._told(browser), name="tell of a stop")
-            self._telling[browser] = task
-            task.add_done_callback(lambda _: self._telling.pop(browser, None))
+        if browser not in self._reporting:
+            task = asyncio.create_task(self._say(browser), name="report a stop")
+            self._reporting[browser] = task
+            task.add_done_callback(lambda _: self._reporting.pop(browser, None))
 
-    async def _told(self, browser: Browser) -> None:
+    async def _say(self, browser: Browser) -> None:
         user = browser.user or "anonymous"
         try:
-            await self._tell(browser)
+            await self._report(browser)
             _log.info("page call", method="Stop", user=user)
         except RefusedError as error:
-            _log.warning("the robot is stopped; the daemon was not told", user=user, why=str(error))
+            _log.warning("stopped; the daemon has not heard of it", user=user, why=str(error))
