@@ -3,6 +3,7 @@
 Each returns the held-out prediction of all samples of a pose, for `regression.gain`.
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -13,11 +14,13 @@ from scipy.optimize import least_squares
 from benchmarks.gaussian_process import gaussian_process
 from benchmarks.sindy import sindy
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.regression.fitting import fit
-from hilserver.diagnosis.regression.gain import held_out
+from hilserver.diagnosis.regression.gain import Windows, held_out, of_halves, windows
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.replay.stack import Stack
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
 
@@ -129,6 +132,72 @@ def nine_terms(prepared: Prepared) -> Array:
     return held_out(prepared.problem, [rival.predict(rival.fitted(test)) for test in (0, 1)])
 
 
+class EndErrors(NineTerms):
+    """The same terms by what the gain is measured with: the error at the end of free runs."""
+
+    BY_M: Final = 0.05
+    BY_RAD: Final = 0.05
+    LARGEST: Final = 3.0
+    LATEST_S: Final = 0.69
+    F_SCALE: Final = 2.0
+    STARTS: Final = tuple(itertools.product((1.0, 0.5), (0.05, 0.3)))
+    """Factor of the turn, and delay in seconds."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        runs = windows(problem, HORIZON_S)
+        assert runs is not None
+        self.runs = runs
+
+    def fitted(self, test: int | None = None) -> Array:
+        """Return the nine values by the runs that lie outside one half."""
+        start, end, edge = self.runs.start[YAW], self.runs.end[YAW], self.stack.edges[YAW]
+        half = self.stack.half[self.stack.block[edge]]
+        keep = (half[start] != test) & (half[end] != test)
+
+        def residual(theta: Array) -> Array:
+            move, turn = end_errors(self.stack, self.predict(theta), self.runs)
+            parts = move.real / self.BY_M, move.imag / self.BY_M, turn / self.BY_RAD
+            return np.concatenate([part[keep] for part in parts])
+
+        most = np.full(len(self.NULL), self.LARGEST)
+        bounds = np.append(-most[:-1], 0.0), np.append(most[:-1], self.LATEST_S)
+        best = min(
+            (
+                least_squares(
+                    residual,
+                    (*self.NULL[:5], factor, *self.NULL[6:8], delay_s),
+                    bounds=bounds,
+                    loss="soft_l1",
+                    f_scale=self.F_SCALE,
+                    max_nfev=MOST_RUNS,
+                )
+                for factor, delay_s in self.STARTS
+            ),
+            key=lambda found: float(found.cost),
+        )
+        return np.asarray(best.x)
+
+
+def end_errors(
+    stack: Stack, predicted: Array, runs: Windows
+) -> tuple[NDArray[np.complex128], Array]:
+    """Return what a prediction misses at the end of free runs, x + iy [m] and yaw [rad]."""
+    x, y, yaw = (stack.edges[name] for name in (*POSITION, YAW))
+    off = stack.values[yaw] - predicted[yaw]
+    turn = off[runs.end[YAW]] - off[runs.start[YAW]]
+    start, end = runs.start[POSITION[0]], runs.end[POSITION[0]]
+    z, s = stack.values[x] + 1j * stack.values[y], predicted[x] + 1j * predicted[y]
+    said = (s[end] - s[start]) * np.exp(1j * off[runs.start[YAW]])
+    return z[end] - z[start] - said, np.angle(np.exp(1j * turn))
+
+
+def nine_terms_by_end(prepared: Prepared) -> Array:
+    """Return the held-out prediction of `EndErrors`."""
+    rival = EndErrors(prepared.problem)
+    return of_halves(prepared.problem, [rival.predict(rival.fitted(test)) for test in (0, 1)])
+
+
 def stepwise(prepared: Prepared) -> Array:
     """Return the held-out prediction of causes taken one by one as Schwarz's criterion (BIC) says.
 
@@ -177,6 +246,7 @@ def _most_promising(prepared: Prepared, point: Point, rows: NDArray[np.bool_]) -
 
 RIVALS: Final[Mapping[str, Callable[[Prepared], Array]]] = {
     "nine terms": nine_terms,
+    "nine terms, end errors": nine_terms_by_end,
     "stepwise": stepwise,
     "PySINDy": sindy,
     "Gaussian process": gaussian_process,

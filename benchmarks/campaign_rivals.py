@@ -12,7 +12,7 @@ from benchmarks.baselines import RIVALS, applies
 from benchmarks.diagnose_scoring import Score
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S, silent
-from hilserver.diagnosis.regression.gain import gains, reported
+from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
@@ -53,10 +53,10 @@ def answers(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, A
 
 def compared(pose: Prepared) -> dict[str, dict[str, float]]:
     """Return the held-out gain of every rival by quantity."""
-    problem, before, fold = pose.problem, pose.base.predicted, reported(pose.problem)
+    problem, before = pose.problem, pose.base.predicted
     rng, found = np.random.default_rng(0), {}
     for name, predict in RIVALS.items():
-        made = gains(problem, before, predict(pose), HORIZON_S, rng, fold=fold)
+        made = gains(problem, before, predict(pose), HORIZON_S, rng)
         found[name] = {quantity: one.ratio for quantity, one in made.items()}
     return found
 

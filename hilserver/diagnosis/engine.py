@@ -22,11 +22,11 @@ from hilserver.diagnosis.examine import (
 from hilserver.diagnosis.findings.ceiling import ceilings
 from hilserver.diagnosis.findings.estimate import estimate_of, joint
 from hilserver.diagnosis.findings.explain import of_two_wheels
+from hilserver.diagnosis.findings.nested import honest, judged_by_halves
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, named, worsened
-from hilserver.diagnosis.findings.worth import explained, with_worth
+from hilserver.diagnosis.findings.worth import Explained, with_worth
 from hilserver.diagnosis.memory import one_blas_thread
-from hilserver.diagnosis.regression.gain import crossed, gains, held_out, reported
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.showing import Shown, evidence
@@ -34,7 +34,6 @@ from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import (
     Finding,
     Findings,
-    Gain,
     LogFile,
     NotJudged,
     overall,
@@ -122,7 +121,8 @@ def judge(
         fitted |= _findings(j, found)
     lap("structure")
     tell("measuring the gain", 0.0)
-    own, before, after = _gains(judged, horizon_s, rng)
+    before, wholes = _explained(judged, seed, jobs)
+    own = {stage: whole.gains(whole.before, horizon_s, rng) for stage, whole in wholes.items()}
     totals = {key: gain for of_stage in own.values() for key, gain in of_stage.items()}
     notices = log.notices
     if test is not None:
@@ -131,10 +131,6 @@ def judge(
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
     estimates = {stage: estimate_of(j.prepared.problem, j.point) for stage, j in judged.items()}
-    wholes = {
-        stage: explained(j.prepared.problem, j.point, before[stage], after[stage])
-        for stage, j in judged.items()
-    }
     for i, f in fitted.items():
         stage = f.candidate.stage
         index = judged[stage].point.model.fitted.index(f)
@@ -174,7 +170,7 @@ def judge(
         notices=notices,
         decisions=tuple(decisions_of(judged)),
     )
-    shown = _shown(judged, before, after)
+    shown = _shown(judged, {stage: whole.after[0] for stage, whole in wholes.items()}, before)
     terms = extension(found, fitted) if refusal is None else ()
     return Diagnosis(findings, evidence(log, shown, terms, timings))
 
@@ -193,23 +189,17 @@ def _findings(j: Judged, found: list[Finding]) -> dict[int, Fitted]:
     return fitted
 
 
-def _gains(
-    judged: Mapping[str, Judged], horizon_s: float, rng: np.random.Generator
-) -> tuple[dict[str, dict[str, Gain]], dict[str, Array], dict[str, Array]]:
-    """Return the gains of every stage, and its predictions before and after."""
-    found: dict[str, dict[str, Gain]] = {}
-    before, after = {}, {}
-    for stage, j in judged.items():
-        problem = j.prepared.problem
-        base = problem.point(Model(), j.point.poses)
-        before[stage] = base.predicted
-        after[stage] = base.predicted
-        if j.point.model.fitted:
-            after[stage] = held_out(problem, crossed(problem, j.point, j.point.model))
-        found[stage] = gains(
-            problem, before[stage], after[stage], horizon_s, rng, fold=reported(problem)
-        )
-    return found, before, after
+def _explained(
+    judged: Mapping[str, Judged], seed: int, jobs: int
+) -> tuple[dict[str, Array], dict[str, Explained]]:
+    """Return the predictions of every stage without a cause, and what its causes explain."""
+    halves = judged_by_halves(judged, seed, jobs)
+    before = {
+        stage: j.prepared.problem.point(Model(), j.point.poses).predicted
+        for stage, j in judged.items()
+    }
+    wholes = {stage: honest(j, halves.get(stage, ()), before[stage]) for stage, j in judged.items()}
+    return before, wholes
 
 
 def _ceilings(
@@ -227,7 +217,7 @@ def _ceilings(
 
 
 def _shown(
-    judged: Mapping[str, Judged], before: Mapping[str, Array], after: Mapping[str, Array]
+    judged: Mapping[str, Judged], after: Mapping[str, Array], before: Mapping[str, Array]
 ) -> dict[str, Shown]:
     return {
         stage: Shown(

@@ -7,13 +7,22 @@ import pytest
 from hilserver_injector import Recipe, make
 
 from benchmarks import diagnose
-from benchmarks.baselines import NineTerms, applies, nine_terms, stepwise
-from benchmarks.diagnose_recordings import Row, _figures
+from benchmarks.baselines import (
+    EndErrors,
+    NineTerms,
+    applies,
+    end_errors,
+    nine_terms,
+    nine_terms_by_end,
+    stepwise,
+)
+from benchmarks.diagnose_recordings import NINE_TERMS, Row, _figures
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import silent
-from hilserver.diagnosis.regression.gain import gains
+from hilserver.diagnosis.regression.gain import free_run_errors, gains
 from hilserver.diagnosis.regression.stages import prepare_all
+from hilserver.diagnosis.schema.findings import Gain
 from hilserver.measured.channels import GYRO, POSITION, YAW
 from tests.benchmarks.test_diagnose import arguments
 
@@ -23,12 +32,16 @@ RECIPE = Recipe(
 )
 
 
-@pytest.fixture(scope="module")
-def prepared():
-    recipe = replace(RECIPE, duration_s=40.0)
+def prepared_for(duration_s):
+    recipe = replace(RECIPE, duration_s=duration_s)
     log = measured(make(recipe)[0], recipe)
     slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
     return prepare_all(slim, assemble(None).robot, 1, silent)[0]["pose"]
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    return prepared_for(40.0)
 
 
 def test_nine_terms_find_gain_and_delay(prepared):
@@ -71,15 +84,43 @@ def test_without_a_heading_nothing_is_compared(prepared):
     assert not applies(blind.problem)
 
 
-def test_figures_are_mean_and_worst():
-    rows = [
-        Row("a", "yaw", 4.0, {"nine terms": 2.0}, 5.0),
-        Row("b", "yaw", 1.0, {"nine terms": 2.0}, 5.0),
+def row(name, engine, ahead):
+    gains = {
+        rival: Gain(horizon_s=5.0, before=ratio, after=1.0, ratio=ratio, ci95=None)
+        for rival, ratio in zip(NINE_TERMS, ahead, strict=True)
+    }
+    return Row(name, "yaw", engine, gains)
+
+
+def test_figures_are_mean_and_worst_beside_the_better_nine_terms():
+    rows = [row("a", 4.0, (4.0, 2.0)), row("b", 1.0, (1.0, 0.5))]
+    assert [(r.name, r.value, r.reference_name) for r in _figures(rows)] == [
+        ("yaw: geometric mean", pytest.approx(1.0), f"gain of {NINE_TERMS[1]}"),
+        ("yaw: worst", 0.5, "bound"),
     ]
-    assert [(r.name, r.value) for r in _figures(rows)] == [
-        ("yaw: geometric mean", pytest.approx(1.0)),
-        ("yaw: worst", 0.5),
-    ]
+
+
+def test_end_errors_are_those_of_the_gain(prepared):
+    """At the null the squares that the fit sees are the errors that the gain reports."""
+    problem = prepared.problem
+    rival = EndErrors(problem)
+    said = rival.predict(np.array(rival.NULL))
+    move, turn = end_errors(problem.stack, said, rival.runs)
+    shown = free_run_errors(problem, said, rival.runs)
+    assert np.abs(move) == pytest.approx(shown["position_m"].values)
+    assert np.abs(turn) == pytest.approx(shown["yaw_rad"].values)
+
+
+def test_end_errors_find_gain_and_delay_and_gain_on_held_out_blocks():
+    """Nine values of few free runs would say nothing of the others."""
+    made = prepared_for(240.0)
+    theta = EndErrors(made.problem).fitted()
+    assert theta[5] == pytest.approx(0.7, abs=0.02)
+    assert theta[8] == pytest.approx(LATE_S, abs=0.05)
+    rng = np.random.default_rng(0)
+    found = gains(made.problem, made.base.predicted, nine_terms_by_end(made), 5.0, rng)
+    assert found["yaw_rad"].ratio > 3.0
+    assert found["position_m"].ratio > 1.5
 
 
 @pytest.mark.parametrize("text", ["husky.yaml", "=run.csv", "husky.yaml="])

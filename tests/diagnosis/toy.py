@@ -46,6 +46,13 @@ class LinearStage(DriveStage):
         self.stack = make_stack(self.log, [SIGNAL], self.segments, block_s=block_s)
         self.columns = columns
 
+    def on(self, stack):
+        """Some of the samples, and of the columns."""
+        rows = np.searchsorted(self.stack.at, stack.at)
+        other = super().on(stack)
+        other.columns = {name: column[rows] for name, column in self.columns.items()}
+        return other
+
     def predict(self, terms, poses=None, *, keep=False):
         predicted = np.zeros(len(self.stack))
         for name, value in terms.items():

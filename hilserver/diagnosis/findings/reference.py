@@ -29,7 +29,8 @@ it is.
 | `logs`, `seed`, `version`, `config_sha256` | what was judged, by what |
 | `baseline` | mean absolute error of the configured plant, data faults corrected |
 | `findings` | one entry per finding, below |
-| `total_gain` | error at the end of a free run, before and after, over held-out segments |
+| `total_gain` | error at the end of a free run, before and after, on blocks that had no part in \
+selection, noise and fit: all three are repeated without each half (of groups: the fit alone) |
 | `ceiling` | the ratio that a flexible regression on everything measured reaches |
 | `joint` | all fitted `parameters`, `value`, robust `covariance`, in reported units; or null |
 | `noise` | by channel `white_sd`, `ou_sd`, `ou_tau_s`, `tail_dof`, `step`, `limits`, below |
@@ -53,7 +54,7 @@ of an unknown structure, the signal in which it shows most, with its mean deviat
 | `p_adjusted` | probability of chance, all causes counted |
 | `explanation`, `separating_experiment` | in words |
 | `regressors` | what an unknown structure depends on, strongest first |
-| `gain` | as `total_gain`, of this finding alone |
+| `gain` | as `total_gain`, of this finding alone; 1 where a half by itself does not find it |
 | `matters` | of a fitted cause, by channel: `alone` and `with_partners`, below |
 
 | verdict | means |

@@ -6,15 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.regression.gain import (
-    channel_errors,
-    crossed,
-    errors,
-    held_out,
-    pooled_gains,
-    reported,
-)
-from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.gain import channel_errors, errors, pooled_gains
+from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
 from hilserver.measured.arrays import Array
@@ -50,7 +43,7 @@ class Explained:
         """Return the gain of every quantity over all problems."""
         return pooled_gains(
             [
-                errors(p, (b, a), horizon_s, fold=reported(p))
+                errors(p, (b, a), horizon_s)
                 for p, b, a in zip(self.problems, before, self.after, strict=True)
             ],
             rng,
@@ -74,24 +67,12 @@ class Explained:
             for name in problem.stack.channels:
                 found = channel_errors(problem, predicted, (name,))
                 if found is not None:
-                    own = found.of(problem, reported(problem)).values
-                    values.setdefault(name, []).append(own)
+                    values.setdefault(name, []).append(found.values)
         return {name: float(np.concatenate(parts).mean()) for name, parts in values.items()}
 
 
 def _ratio(before: float, after: float) -> float:
     return 1.0 if before == after else before / max(after, 1e-300)
-
-
-def explained(problem: Problem, point: Point, before: Array, after: Array) -> Explained:
-    """Return what the causes of one problem explain."""
-
-    def without(causes: frozenset[int]) -> Predictions:
-        model = without_causes(point.model, causes)
-        start = problem.point(model, point.poses)
-        return (held_out(problem, crossed(problem, start, model)),)
-
-    return Explained((problem,), (before,), (after,), without)
 
 
 def without_causes(model: Model, causes: Iterable[int]) -> Model:

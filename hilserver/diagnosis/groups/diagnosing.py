@@ -34,7 +34,7 @@ from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_rema
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import Member, refitted
 from hilserver.diagnosis.memory import one_blas_thread
-from hilserver.diagnosis.regression.gain import Pair, errors, pooled_gains, reported
+from hilserver.diagnosis.regression.gain import Pair, errors, pooled_gains
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.report.merging import merged
@@ -180,7 +180,7 @@ def _gains(
     for d, whole in zip(stages, wholes, strict=True):
         parts: list[dict[str, Pair]] = []
         for m, before, after in zip(d.members, whole.before, whole.after, strict=True):
-            own = errors(m.problem, (before, after), horizon_s, fold=reported(m.problem))
+            own = errors(m.problem, (before, after), horizon_s)
             parts.append(own)
             by_group[m.group] = by_group.get(m.group, {}) | pooled_gains([own], rng)
         total |= pooled_gains(parts, rng)

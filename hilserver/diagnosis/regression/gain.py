@@ -31,11 +31,6 @@ class Errors:
     values: Array
     block: NDArray[np.int64]
 
-    def of(self, problem: Problem, fold: int | None) -> "Errors":
-        """Return those of the blocks of a fold; all of them where it has none."""
-        mine = problem.stack.fold[self.block] == fold
-        return Errors(self.values[mine], self.block[mine]) if mine.any() else self
-
 
 def crossed(problem: Problem, point: Point, model: Model) -> list[Array]:
     """Return predictions of both folds by parameters fitted on the other fold.
@@ -59,10 +54,10 @@ def held_out(problem: Problem, predictions: Sequence[Array]) -> Array:
     return np.where(fold == 0, predictions[0], predictions[1])
 
 
-def reported(problem: Problem) -> int | None:
-    """Return the fold on which gains are reported: the odd blocks, where the log has its own."""
-    spans = problem.stage.log.spans
-    return 1 if len({s.block for s in spans} - {None}) > 1 else None
+def of_halves(problem: Problem, predictions: Sequence[Array]) -> Array:
+    """Return every sample's prediction by the selection and fit that did not see its half."""
+    half = problem.stack.half[problem.stack.block]
+    return np.where(half == 0, predictions[0], predictions[1])
 
 
 def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> Errors | None:
@@ -95,7 +90,8 @@ class Windows:
 def windows(problem: Problem, horizon_s: float) -> Windows | None:
     """Return free runs of one length inside segments; whole segments where they are shorter.
 
-    An infinite horizon means all segments whole.
+    An infinite horizon means all segments whole; others stay inside one half of the blocks, and
+    touch nothing that a prediction of it was fitted to.
     """
     stack = problem.stack
     names = [n for n in TAG if n in stack.edges]
@@ -103,14 +99,15 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
         return None
     edge = stack.edges[names[0]]
     t, segment = stack.t_s[edge], stack.segment[edge]
-    bounds = np.flatnonzero(np.diff(segment)) + 1
+    whole = np.isinf(horizon_s)
+    bounds = np.flatnonzero(np.diff(segment if whole else stack.pieces[edge])) + 1
     stretches = [
         (int(segment[a]), t[a:b])
         for a, b in zip([0, *bounds.tolist()], [*bounds.tolist(), len(t)], strict=True)
         if b - a >= 3
     ]
     longest_s = max((float(np.ptp(own)) for _, own in stretches), default=0.0)
-    whole, horizon_s = np.isinf(horizon_s), min(horizon_s, longest_s)
+    horizon_s = min(horizon_s, longest_s)
     runs: list[tuple[int, float, float]] = []
     for number, own in stretches:
         length = float(np.ptp(own))
@@ -185,11 +182,9 @@ def gains(
     after: Array,
     horizon_s: float,
     rng: np.random.Generator,
-    *,
-    fold: int | None = None,
 ) -> dict[str, Gain]:
-    """Return the gain of every quantity of a stage at one horizon, of one fold or of both."""
-    return pooled_gains([errors(problem, (before, after), horizon_s, fold=fold)], rng)
+    """Return the gain of every quantity of a stage at one horizon."""
+    return pooled_gains([errors(problem, (before, after), horizon_s)], rng)
 
 
 @dataclass(frozen=True)
@@ -201,26 +196,18 @@ class Pair:
     horizon_s: float
 
 
-def errors(
-    problem: Problem,
-    predictions: tuple[Array, Array],
-    horizon_s: float,
-    *,
-    fold: int | None = None,
-) -> dict[str, Pair]:
+def errors(problem: Problem, predictions: tuple[Array, Array], horizon_s: float) -> dict[str, Pair]:
     """Return the errors of every quantity of a stage, before and after."""
     out: dict[str, Pair] = {}
     w = windows(problem, horizon_s)
     if w is not None:
         first, second = (free_run_errors(problem, p, w) for p in predictions)
         for key in first:
-            pair = (first[key].of(problem, fold), second[key].of(problem, fold))
-            out[key] = Pair(*pair, w.horizon_s)
+            out[key] = Pair(first[key], second[key], w.horizon_s)
     for key, some in problem.stage.quantities.items():
         e = [channel_errors(problem, p, some) for p in predictions]
         if e[0] is not None and e[1] is not None:
-            pair = (e[0].of(problem, fold), e[1].of(problem, fold))
-            out[key] = Pair(*pair, 0.0 if np.isinf(horizon_s) else horizon_s)
+            out[key] = Pair(e[0], e[1], 0.0 if np.isinf(horizon_s) else horizon_s)
     return out
 
 

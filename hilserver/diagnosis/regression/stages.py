@@ -113,11 +113,7 @@ def prepare(
     candidates, reasons = judged_candidates(stage)
     candidates = [c for c in candidates if splits(stage.log, c) and c.cause not in barred]
     problem = Problem(stage)
-    poses = problem.start_poses({})
-    problem.learn_noise(problem.residual(problem.predict({}, poses)))
-    base = problem.point(Model(), poses, pose_steps=2)
-    problem.learn_noise(problem.residual(base.predicted))
-    base = problem.point(Model(), base.poses)
+    base = _as_configured(problem)
     coarse_rpm = _coarse(problem, base)
     if coarse_rpm is not None:
         candidates = [c for c in candidates if c.cause != SPEED_STEP]
@@ -129,11 +125,37 @@ def prepare(
         for i, column in enumerate(pool.map(lambda c: problem.column(base, c), candidates)):
             raw.append(column.astype(np.float32))
             tell(f"{stage.name}: effect of {candidates[i].label}", (i + 1) / len(candidates))
-    library = Library(problem, candidates, raw)
+    return _ready(problem, Library(problem, candidates, raw), base, coarse_rpm), reasons
+
+
+def without(p: Prepared, half: int) -> Prepared | None:
+    """Return a stage that has never seen one half of its blocks; None where nothing is left.
+
+    Only what the plant does to the columns is the same: noise and all that hangs on it are learned
+    anew.
+    """
+    stack, rows = p.problem.stack.without(half)
+    if not len(stack) or len(rows) == len(p.problem.stack):
+        return None
+    problem = Problem(p.problem.stage.on(stack), ripples=p.problem.ripples)
+    library = Library(problem, p.library.candidates, [raw[rows] for raw in p.library.raw])
+    return _ready(problem, library, _as_configured(problem), p.coarse_rpm)
+
+
+def _as_configured(problem: Problem) -> Point:
+    """Learn a first noise; return the model without any cause."""
+    poses = problem.start_poses({})
+    problem.learn_noise(problem.residual(problem.predict({}, poses)))
+    base = problem.point(Model(), poses, pose_steps=2)
+    problem.learn_noise(problem.residual(base.predicted))
+    return problem.point(Model(), base.poses)
+
+
+def _ready(problem: Problem, library: Library, base: Point, coarse_rpm: float | None) -> Prepared:
     clean(problem, library, base)
     base = problem.point(Model(), base.poses)
     library.rewhiten(base)
-    return Prepared(problem, library, base, coarse_rpm), reasons
+    return Prepared(problem, library, base, coarse_rpm)
 
 
 def _coarse(problem: Problem, base: Point) -> float | None:

@@ -21,7 +21,7 @@ from hilserver.diagnosis.replay.encoders import Driven, driven
 from hilserver.diagnosis.replay.kernels import run_pose, sample, sample_tag
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.positions import begins_anew, driven_place, paired
-from hilserver.diagnosis.replay.stack import make_stack
+from hilserver.diagnosis.replay.stack import Stack, make_stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
 from hilserver.measured.arrays import Array
@@ -142,6 +142,13 @@ class PoseStage(Stage):
             return True
         log = self.log
         return tell_motion(self.robot, lambda n: n in log and len(log[n].of(span)[0]) > 0)
+
+    def on(self, stack: Stack) -> "PoseStage":
+        """Return the stage with some of its samples."""
+        other = super().on(stack)
+        other._last = None
+        other._tag_rows()
+        return other
 
     def uncut(self) -> "PoseStage":
         """Return the stage with whole spans as its segments."""

@@ -1,7 +1,7 @@
 """All samples of one stage in one vector: by channel, then by segment, then by time."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
 
@@ -37,6 +37,11 @@ class Stack:
     fold : ndarray of int64, shape (n_blocks,)
         0 or 1: which half a block belongs to in held-out tests; a log's own blocks, else runs,
         segments or stretches, in turn.
+    half : ndarray of int64, shape (n_blocks,)
+        The same, but long stretches of few segments: those that selection never sees are as long as
+        a free run.
+    stretch : ndarray of int64, shape (n,)
+        What lies in one is continuous in time.
     """
 
     channels: tuple[str, ...]
@@ -50,6 +55,8 @@ class Stack:
     block: Indices
     n_blocks: int
     fold: Indices
+    half: Indices
+    stretch: Indices
 
     def __len__(self) -> int:
         return len(self.values)
@@ -59,11 +66,51 @@ class Stack:
         for name in self.channels:
             edge = self.edges[name]
             segment = self.segment[edge]
-            breaks = np.flatnonzero(np.diff(segment)) + 1
+            breaks = np.flatnonzero(np.diff(self.stretch[edge])) + 1
             bounds = [0, *breaks.tolist(), len(segment)]
             for a, b in pairwise(bounds):
                 if b > a:
                     yield name, int(segment[a]), slice(edge.start + a, edge.start + b)
+
+    @property
+    def pieces(self) -> Indices:
+        """The stretch of a half that each sample lies in, shape (n,); none crosses a segment."""
+        unit = self._units[self.block]
+        return np.asarray(self.segment * (1 + int(unit.max(initial=0))) + unit)
+
+    @property
+    def _units(self) -> Indices:
+        """Number of the stretch of one half that each block lies in."""
+        return np.concatenate([[0], np.cumsum(np.diff(self.half) != 0)])
+
+    def without(self, half: int) -> tuple["Stack", Indices]:
+        """Return the blocks outside a half as a stack with folds of its own, and its samples here.
+
+        What one half held out between two of its stretches is a gap: no noise runs across it.
+        """
+        kept = self.half != half
+        _, unit = np.unique(self._units[kept], return_inverse=True)
+        many = len(unit) and unit[-1] + 1 >= FOLD_RUNS
+        fold = (unit if many else np.arange(len(unit))) % 2
+        rows = np.flatnonzero(kept[self.block])
+        ends = {n: np.searchsorted(rows, [e.start, e.stop]) for n, e in self.edges.items()}
+        number = np.cumsum(kept) - 1
+        part = replace(
+            self,
+            edges={name: slice(int(a), int(b)) for name, (a, b) in ends.items()},
+            segment=self.segment[rows],
+            t_s=self.t_s[rows],
+            values=self.values[rows],
+            at=self.at[rows],
+            low=self.low[rows],
+            high=self.high[rows],
+            block=number[self.block[rows]],
+            n_blocks=len(fold),
+            fold=fold,
+            half=fold,
+            stretch=self.pieces[rows],
+        )
+        return part, rows
 
     def block_sums(self, samples: Array) -> Array:
         """Return the sums over each block, shape (n_blocks,) or (n_blocks, k)."""
@@ -117,7 +164,7 @@ def make_stack(
         parts["at"].append(at[keep])
     segment = np.concatenate(parts["segment"]).astype(np.int64)
     t_s = np.concatenate(parts["t_s"])
-    block, n_blocks, fold = _blocks(log, segments, segment, t_s, block_s)
+    block, n_blocks, fold, half = _blocks(log, segments, segment, t_s, block_s)
     return Stack(
         channels=tuple(names),
         edges=edges,
@@ -130,19 +177,22 @@ def make_stack(
         block=block,
         n_blocks=n_blocks,
         fold=fold,
+        half=half,
+        stretch=segment,
     )
 
 
 def _blocks(
     log: MeasuredLog, segments: Segments, segment: Indices, t_s: Array, block_s: float
-) -> tuple[Indices, int, Indices]:
-    """Return the sign-flip block of each sample, their number, and each block's fold."""
+) -> tuple[Indices, int, Indices, Indices]:
+    """Return the sign-flip block of each sample, their number, and each block's fold and half."""
     length = segments.end_s - segments.start_s
     own = [s.block for s in log.spans]
     if all(b is not None for b in own) and len(set(own)) > 1:
         labels = np.array([own[s] for s in segments.span], dtype=np.int64)
         names, number = np.unique(labels, return_inverse=True)
-        return number[segment], len(names), np.asarray(np.arange(len(names)) % 2)
+        fold = np.arange(len(names)) % 2
+        return number[segment], len(names), fold, fold
     per = np.maximum(1, np.rint(length / block_s)).astype(np.int64)
     start = np.concatenate([[0], np.cumsum(per)])
     inside = ((t_s - segments.start_s[segment]) / length[segment] * per[segment]).astype(np.int64)
@@ -151,8 +201,11 @@ def _blocks(
     # The segments of one run share its floor, its beginning and its course, so where there are
     # several runs, whole ones are held out.
     runs, run = np.unique(segments.span, return_inverse=True)
+    n = int(start[-1])
     if len(runs) >= FOLD_RUNS:
-        fold = run[owner] % 2
+        fold = half = run[owner] % 2
+    elif len(segments) >= FOLD_RUNS:
+        fold = half = owner % 2
     else:
-        fold = owner % 2 if len(segments) >= FOLD_RUNS else np.arange(len(owner)) % 2
-    return block, int(start[-1]), np.asarray(fold)
+        fold, half = np.arange(n) % 2, np.arange(n) * FOLD_RUNS // max(n, 1) % 2
+    return block, n, np.asarray(fold), np.asarray(half)

@@ -2,7 +2,8 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Final
+from copy import copy
+from typing import ClassVar, Final, Self
 
 import numpy as np
 
@@ -89,6 +90,12 @@ class Stage(ABC):
         """
         del predicted, poses
         return None
+
+    def on(self, stack: Stack) -> Self:
+        """Return the stage with some of its samples."""
+        other = copy(self)
+        other.stack = stack
+        return other
 
     def uncut(self) -> "Stage":
         """Return the stage with whole spans as its segments."""

@@ -9,7 +9,7 @@ from hilserver.diagnosis.catalogue.candidate import wave
 from hilserver.diagnosis.findings.estimate import Estimate, estimate_of, joint
 from hilserver.diagnosis.findings.outcome import parameters
 from hilserver.diagnosis.findings.sensors import noise_of
-from hilserver.diagnosis.findings.worth import explained, with_worth
+from hilserver.diagnosis.findings.worth import Explained, with_worth, without_causes
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import crossed, held_out
 from hilserver.diagnosis.replay.model import Model
@@ -82,7 +82,12 @@ def test_partners_take_over_what_one_cause_explains_alone(alike):
     estimate = estimate_of(problem, point)
     assert [estimate.partners(i) for i in range(3)] == [{1}, {0}, frozenset()]
     after = held_out(problem, crossed(problem, point, point.model))
-    whole = explained(problem, point, np.zeros(N), after)
+
+    def without(causes):
+        start = problem.point(without_causes(point.model, causes), point.poses)
+        return (held_out(problem, crossed(problem, start, start.model)),)
+
+    whole = Explained((problem,), (np.zeros(N),), (after,), without)
     base, rng = sample.findings().findings[0], np.random.default_rng(0)
     found = [with_worth(base, i, whole, estimate, 5.0, rng).matters for i in range(3)]
     one, _, alone = (item[toy.SIGNAL] for item in found)

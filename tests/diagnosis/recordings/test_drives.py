@@ -30,7 +30,7 @@ def causes(findings):
 @pytest.mark.parametrize(
     ("name", "mapping", "yaw", "position"),
     [
-        ("husky_mixed", "husky", 9.0, 2.6),
+        ("husky_mixed", "husky", 8.5, 2.6),
         ("warthog_asphalt", "warthog", 4.1, 2.2),
         ("warthog_gravel", "warthog", 3.5, 1.6),
         ("warthog_sand", "warthog", 3.4, 1.6),

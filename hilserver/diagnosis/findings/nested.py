@@ -1,0 +1,84 @@
+"""The honest gain: selection, noise and fit are repeated without the blocks that judge them.
+
+Parameters alone, refitted, would flatter: a selection that has seen a block has chosen causes for
+what is chance there, too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.decide.settling import Judged, settled
+from hilserver.diagnosis.findings.worth import Explained, Predictions, without_causes
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.gain import of_halves
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.stages import without
+from hilserver.diagnosis.replay.model import Model
+from hilserver.measured.arrays import Array
+
+HALVES = (0, 1)
+
+
+@dataclass(frozen=True)
+class Half:
+    """What one half of the blocks says of a stage; without samples it says nothing."""
+
+    problem: Problem
+    point: Point
+
+
+Halves = Sequence[Half | None]
+
+
+def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:
+    """Return for every stage with a cause what is found in it without each half of its blocks.
+
+    The wheels that move the pose turn as the drive's causes of the whole log say.
+    """
+    found: dict[str, list[Half | None]] = {n: [] for n, j in judged.items() if j.point.model.fitted}
+    for half in HALVES if found else ():
+        rng = np.random.default_rng(seed)
+        prepared = {name: without(j.prepared, half) for name, j in judged.items()}
+        scores = {n: p.library.scores(p.base) for n, p in prepared.items() if p is not None}
+        for name, halves in found.items():
+            p = prepared[name]
+            if p is None:
+                halves.append(None)
+                continue
+            beside = [s for other, s in scores.items() if other != name]
+            selected = select(p.problem, p.library, p.base, rng, jobs, beside)
+            halves.append(Half(p.problem, settled(p, selected, rng).point))
+    return dict(found)
+
+
+def honest(j: Judged, halves: Halves, before: Array) -> Explained:
+    """Return what the causes of a stage explain of blocks that had no part in choosing them."""
+    problem, fitted = j.prepared.problem, j.point.model.fitted
+    names = [
+        {f.candidate.cause, *(r.candidate.cause for r in j.ties.get(f.candidate.cause, ()))}
+        for f in fitted
+    ]
+
+    def without_some(causes: frozenset[int]) -> Predictions:
+        barred = set().union(*(names[i] for i in causes))
+        models = [Model() if half is None else _model(half, barred) for half in halves]
+        predicted = [
+            problem.point(model, j.point.poses, pose_steps=2).predicted if model.fitted else before
+            for model in models
+        ]
+        return (of_halves(problem, predicted),)
+
+    after = without_some(frozenset()) if fitted else (before,)
+    return Explained((problem,), (before,), after, without_some)
+
+
+def _model(half: Half, barred: set[str]) -> Model:
+    """Return what a half found, fitted anew without some causes."""
+    point = half.point
+    gone = [i for i, cause in enumerate(point.model.causes) if cause in barred]
+    if not gone:
+        return point.model
+    return fit(half.problem, without_causes(point.model, gone), point, iterations=3).model

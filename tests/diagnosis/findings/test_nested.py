@@ -1,0 +1,115 @@
+"""The honest gain: nothing that a half of the blocks judges was chosen, weighed or fitted by it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.decide.settling import settled
+from hilserver.diagnosis.findings import nested
+from hilserver.diagnosis.findings.nested import honest, judged_by_halves
+from hilserver.diagnosis.regression.problem import Problem
+from hilserver.diagnosis.regression.stages import Prepared, without
+from hilserver.diagnosis.replay.stack import FOLD_RUNS
+from tests.diagnosis import toy
+from tests.diagnosis.mutation import mutated
+
+N = 3000
+SEED = 3
+
+
+@pytest.fixture(autouse=True)
+def no_families(monkeypatch):
+    """A sum of columns has no motion that an unknown structure could depend on."""
+    monkeypatch.setattr("hilserver.diagnosis.decide.settling.families_of", lambda *_: [])
+
+
+def judged(values, columns):
+    problem = toy.problem(values, columns)
+    library, base = toy.library(problem)
+    p = Prepared(problem, library, base)
+    rng = np.random.default_rng(SEED)
+    return settled(p, select(problem, library, base, rng), rng)
+
+
+def drawn(sizes=(1.0, 1.0)):
+    rng = np.random.default_rng(SEED)
+    columns = {f"c{k}": 20.0 * toy.smooth(rng, N) for k in range(6)}
+    effects = sum(size * column for size, column in zip(sizes, columns.values(), strict=False))
+    return effects + rng.normal(size=N), columns
+
+
+def after(j):
+    halves = judged_by_halves({"drive": j}, SEED, 1)["drive"]
+    before = np.zeros(len(j.prepared.problem.stack))
+    return honest(j, halves, before).after[0]
+
+
+def no_prediction_saw_its_half():
+    values, columns = drawn()
+    stack = toy.problem(values, columns).stack
+    first = after(judged(values, columns))
+    for half in (0, 1):
+        rows = stack.half[stack.block] == half
+        spoilt = values.copy()
+        spoilt[rows] += 0.3 * columns["c3"][rows] + 0.3 * np.random.default_rng(9).normal(
+            size=rows.sum()
+        )
+        again = after(judged(spoilt, columns))
+        assert np.allclose(again[rows], first[rows], rtol=0.0, atol=1e-9), "saw its own half"
+        assert not np.allclose(again[~rows], first[~rows], rtol=0.0, atol=1e-3), "nothing was fed"
+
+
+def test_a_half_is_predicted_by_what_was_selected_and_fitted_without_it():
+    no_prediction_saw_its_half()
+
+
+def test_nested_halves_off():
+    """Causes and sizes of the whole log are no honest gain."""
+    line = "Half(p.problem, settled(p, selected, rng).point)"
+    whole = "Half(judged[name].prepared.problem, judged[name].point)"
+    with (
+        mutated(nested.judged_by_halves, line, whole),
+        pytest.raises(AssertionError, match="its own half"),
+    ):
+        no_prediction_saw_its_half()
+
+
+def test_a_cause_of_one_half_gains_nothing_in_the_other():
+    values, columns = drawn()
+    stack = toy.problem(values, columns).stack
+    columns["lure"] = np.where(stack.half[stack.block] == 0, 30.0 * toy.smooth(
+        np.random.default_rng(4), N), 0.0)  # fmt: skip
+    j = judged(values + 0.5 * columns["lure"], columns)
+    assert "lure" in j.point.model.causes
+    halves = judged_by_halves({"drive": j}, SEED, 1)["drive"]
+    whole = honest(j, halves, np.zeros(N))
+    index = j.point.model.causes.index("lure")
+    rows = stack.half[stack.block] == 0
+    unseen = whole.without(frozenset({index}))[0]
+    assert np.allclose(whole.after[0][rows], unseen[rows], atol=0.05)
+
+
+@pytest.mark.parametrize("seconds", [20.0, 60.0])
+def test_no_noise_and_no_free_run_crosses_what_was_held_out(seconds):
+    values = np.random.default_rng(0).normal(size=round(seconds / toy.PERIOD_S))
+    stack = toy.problem(values, {}).stack
+    assert len(np.unique(stack.pieces)) == FOLD_RUNS
+    for half in (0, 1):
+        part, rows = stack.without(half)
+        assert set(stack.half[stack.block[rows]]) == {1 - half}
+        assert np.array_equal(part.values, stack.values[rows])
+        for _, _, run in part.runs():
+            assert np.ptp(np.diff(part.t_s[run])) < 1e-6, "a run crosses a gap"
+        assert set(part.fold) == {0, 1}
+        assert part.block.max() == part.n_blocks - 1
+
+
+def test_a_stage_without_samples_of_one_half_says_nothing():
+    values, columns = drawn()
+    j = judged(values, columns)
+    stack = replace(j.prepared.problem.stack, half=np.zeros(j.prepared.problem.stack.n_blocks, int))
+    p = replace(j.prepared, problem=Problem(j.prepared.problem.stage.on(stack)))
+    assert without(p, 0) is None
+    assert without(p, 1) is None
