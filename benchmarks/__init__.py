@@ -6,6 +6,7 @@ It runs from a checkout and is no part of the installed package: ``python -m ben
 BENCHES = {
     "jitter": "wake latency under OPC UA load, page, body, ROS 2 and shield, against cyclictest",
     "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",
+    "stop": "how late dead-man and Stop are, idle and under each attack, worst of 200",
     "page": "what the operator page costs: server, plant's deadlines, browser",
     "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
     "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",

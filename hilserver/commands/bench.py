@@ -22,7 +22,7 @@ BENCHES = {
     "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
     "loop": "set-point to pose and back over TCP, two processes",
 }
-ELSEWHERE = ("attack", "diagnose", "mechatronic", "page", "ros2", "shield")
+ELSEWHERE = ("attack", "diagnose", "mechatronic", "page", "ros2", "shield", "stop")
 """Those of a checkout, in its folder ``benchmarks``."""
 
 

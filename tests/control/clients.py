@@ -35,8 +35,8 @@ SPEEDS_RPM = {
 ANSWER_WITHIN_S = 10.0
 M_S_PER_RPM = 2 * 3.141592653589793 * 0.085 / 60
 
-_processes = multiprocessing.get_context("forkserver")
-_processes.set_forkserver_preload(
+processes = multiprocessing.get_context("forkserver")
+processes.set_forkserver_preload(
     [
         "aiohttp",
         "asyncua",
@@ -58,8 +58,8 @@ class Client:
 
     def __init__(self, kind, doors):
         self.kind, self.doors = kind, doors
-        self._pipe, theirs = _processes.Pipe()
-        self.process = _processes.Process(target=_serve, args=(kind, asdict(doors), theirs))
+        self._pipe, theirs = processes.Pipe()
+        self.process = processes.Process(target=_serve, args=(kind, asdict(doors), theirs))
         self.process.start()
         theirs.close()
 
@@ -114,7 +114,7 @@ class Teleop(Client):
 
     def _take(self):
         where = os.ttyname(self._slave), self.doors.opcua, SPEEDS_RPM["teleop"] * M_S_PER_RPM
-        self.process = _processes.Process(target=_teleop, args=where)
+        self.process = processes.Process(target=_teleop, args=where)
         self.process.start()
         end_s, shown = time.monotonic() + ANSWER_WITHIN_S, ""
         while "control: " not in shown:
@@ -176,7 +176,7 @@ class _Source:
     def __init__(self, kind, doors):
         self.kind, self.doors, self.rpm = kind, doors, SPEEDS_RPM.get(kind, 0.0)
         self.m_s = self.rpm * M_S_PER_RPM
-        self._speaking = None
+        self._speaking, self.said_ns = None, 0
 
     async def serve(self, pipe):
         loop = asyncio.get_running_loop()
@@ -200,11 +200,16 @@ class _Source:
             return False, f"{type(error).__name__}: {error}"
 
     async def drive(self):
+        await self.hold()
+
+    async def hold(self):
+        """Say it again and again."""
         if self._speaking is None:
             self._speaking = asyncio.create_task(self._speak())
 
     async def _speak(self):
         while True:
+            self.said_ns = time.monotonic_ns()
             await self.say()
             await asyncio.sleep(self.every_s)
 
@@ -214,7 +219,7 @@ class _Source:
             self._speaking.cancel()
             await asyncio.gather(self._speaking, return_exceptions=True)
         self._speaking = None
-        return time.monotonic_ns()
+        return self.said_ns
 
 
 class OpcUa(_Source):
@@ -264,6 +269,12 @@ class OpcUa(_Source):
 
         given = [ua.Variant(a, ua.VariantType.UInt32) if type(a) is int else a for a in arguments]
         await self._node("methods").call_method(self._node(f"methods.{method}"), *given)
+
+    async def press(self):
+        """Stop; return when it was pressed."""
+        pressed_ns = time.monotonic_ns()
+        await self.call("Stop")
+        return pressed_ns
 
     async def close(self):
         await self._ua.disconnect()
@@ -324,6 +335,12 @@ class Page(_Source):
     async def say(self):
         command = {"mode": "twist", "linear": self.m_s, "turn": 0.0, "seen": self._stamp}
         await self._socket.send_json({"drive": command})
+
+    async def press(self):
+        """Stop, over the open socket; return when it was pressed."""
+        pressed_ns = time.monotonic_ns()
+        await self._socket.send_json({"stop": 1})
+        return pressed_ns
 
     async def close(self):
         await self._socket.close()

@@ -121,16 +121,17 @@ class Robot:
         (self.folder / "config.yaml").write_text(yaml.safe_dump(self.config), encoding="utf-8")
         log = self.folder / "daemon.log"
         command = [sys.executable, "-m", "tests.control.daemon", "run", "-c", "config.yaml"]
-        with log.open("w", encoding="utf-8") as errors:
-            self.process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stderr=errors, cwd=self.folder
-            )
+        self.process = self._spawned(command, log)
         end_s = time.monotonic() + START_WITHIN_S
         while RUNNING not in log.read_text(encoding="utf-8"):
             assert self.process.poll() is None, log.read_text(encoding="utf-8")
             assert time.monotonic() < end_s, log.read_text(encoding="utf-8")
             time.sleep(0.05)
         self.eye = Eye(self.config["image"]["name"])
+
+    def _spawned(self, command, log):
+        with log.open("w", encoding="utf-8") as errors:
+            return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors, cwd=self.folder)
 
     def hold(self, seconds):
         """Hold the interpreter lock of the daemon; returns at once."""
@@ -159,9 +160,9 @@ class Robot:
 
 
 @contextlib.contextmanager
-def running_robot(folder, **sections):
+def running_robot(folder, kind=Robot, **sections):
     with claimed_domain() as domain:
-        robot = Robot(folder, domain, **sections)
+        robot = kind(folder, domain, **sections)
         try:
             robot.start()
             yield robot

@@ -1,0 +1,74 @@
+"""How late a robot stops: dead-man and Stop, idle and beside every attack that a watcher can make.
+
+A client drives over the page, OPC UA or ROS 2, a process of its own. Dead-man: it falls silent, and
+the time counts from its last message; late is what exceeds the configured deadline. Stop: the time
+counts from the press, over the page's open socket, for OPC UA by its method (while the interpreter
+lock is held by the page, as everywhere else). Both end where the set-points begin to fall, read in
+shared memory by another process. All of it takes an hour and a half.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hilserver.bench.report import Result
+from tests.control.trials import ATTACKS, SOURCES
+
+SEED = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what is tried, and how often."""
+    parser.add_argument("--trials", type=int, default=200, help="for each figure")
+    for name, known in (("source", SOURCES), ("attack", ATTACKS)):
+        parser.add_argument(
+            f"--{name}", action="append", choices=known, help="can be given again; default: all"
+        )
+
+
+def run(args: argparse.Namespace) -> list[Result]:
+    """Try, and return the worst of every row beside its limit."""
+    sources, attacks = args.source or SOURCES, args.attack or ATTACKS
+    found = []
+    for row in _rows(sources, attacks, args.trials):
+        result = _result(row)
+        print(f"{result.name}: {result.value:.1f} ms, {result.reference_name}", file=sys.stderr)
+        found.append(result)
+    return found
+
+
+def _rows(sources: list[str], attacks: list[str], n: int) -> Iterator[Any]:
+    from tests.control.robot import running_robot  # noqa: PLC0415 - the clients of all sources
+    from tests.control.trials import trials  # noqa: PLC0415
+    from tests.control.trials.terminal import TerminalRobot  # noqa: PLC0415
+
+    for source in sources:
+        for attack in attacks:
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                running_robot(Path(folder), TerminalRobot, **trials.SETTINGS) as robot,
+                trials.Trials(robot, source, attack, SEED) as tried,
+            ):
+                for what in trials.WHATS:
+                    yield tried.row(what, n)
+
+
+def _result(row: Any) -> Result:
+    told = f"limit; p50 {row.at(0.5):.1f}, p99 {row.at(0.99):.1f} of {len(row.late_ms)}"
+    if row.n_stopped:
+        told += f"; stopped before in {row.n_stopped}"
+    if row.error:
+        told += f"; {row.error}"
+    worst_ms = row.at(1.0)
+    return Result(
+        f"{row.what}_{row.source}_{row.attack}",
+        worst_ms,
+        "ms",
+        reference=row.limit_ms,
+        reference_name=told,
+        ratio=worst_ms / row.limit_ms,
+        raw={"late_ms": row.late_ms, "stopped_before": row.n_stopped, "error": row.error},
+    )
