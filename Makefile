@@ -85,8 +85,9 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/hilserver check --schema config.schema.json
 
 .PHONY: pictures
-pictures: test-tools ## Take the pictures of the page anew, on a quiet computer (a few minutes)
+pictures: test-tools ## Take the pictures of page and dashboard anew, on a quiet computer (a few minutes)
 	@$(BIN)/python -m tests.page.pictures docs/how-to/page
+	@$(BIN)/python -m tests.grafana.picture docs/how-to/dashboard.webp
 
 .PHONY: clean
 clean: ## Remove everything that make has made

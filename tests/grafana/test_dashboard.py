@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from matplotlib import pyplot as plt
 
 from hilserver.daemon.metrics import METRICS
+from tests.grafana.picture import draw
 
 HERE = Path(__file__).parent
 GRAFANA = HERE.parents[1] / "deploy" / "grafana"
@@ -118,3 +120,17 @@ def test_provisioning_names_the_files_and_the_interval_of_the_scrapes() -> None:
     assert source["jsonData"]["timeInterval"] == scrapes
     [provider] = load("provisioning/dashboards/hilserver.yaml")["providers"]
     assert provider["type"] == "file"
+
+
+def test_every_panel_can_be_drawn() -> None:
+    def answer(panel: dict) -> list:
+        if panel["title"] == "Model gap":  # nobody measures
+            return []
+        return [("0.001", (-2.0, -1.0), (0.0, 1.0)), ("0.002", (-2.0, -1.0), (0.0, 3.0))]
+
+    figure = draw(DASHBOARD, answer)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert [title for title in titles if title] == [panel["title"] for panel in PANELS]
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert texts.count("No data") == 1
+    plt.close(figure)
