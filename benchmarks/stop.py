@@ -57,18 +57,18 @@ def _rows(sources: list[str], attacks: list[str], n: int) -> Iterator[Any]:
 
 
 def _result(row: Any) -> Result:
-    told = f"limit; p50 {row.at(0.5):.1f}, p99 {row.at(0.99):.1f} of {len(row.late_ms)}"
+    note = f"limit; p50 {row.at(0.5):.1f}, p99 {row.at(0.99):.1f} of {len(row.late_ms)}"
     if row.n_stopped:
-        told += f"; stopped before in {row.n_stopped}"
+        note += f"; stopped before in {row.n_stopped}"
     if row.error:
-        told += f"; {row.error}"
+        note += f"; {row.error}"
     worst_ms = row.at(1.0)
     return Result(
         f"{row.what}_{row.source}_{row.attack}",
         worst_ms,
         "ms",
         reference=row.limit_ms,
-        reference_name=told,
+        reference_name=note,
         ratio=worst_ms / row.limit_ms,
         raw={"late_ms": row.late_ms, "stopped_before": row.n_stopped, "error": row.error},
     )
