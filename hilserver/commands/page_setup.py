@@ -5,8 +5,10 @@ from pathlib import Path
 
 from hilserver.config.server import SECURE_POLICIES, OpcUaConfig, default_application_uri
 from hilserver.daemon.assembly import Assembly
+from hilserver.faults.model import FORMS
 from hilserver.io.opcua_server.access import Access
 from hilserver.io.page.setup import OpcUaAccess, Setup
+from hilserver.measured.mapping import builtin_mappings
 
 
 def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") -> Setup:
@@ -44,8 +46,15 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
             "tof_y_m": tof.mount_y_m,
             "tof_field_rad": tof.field_of_view_rad,
             "mass_height_m": config.mechatronic.centre_of_mass_m[2],
+            "has_body": config.mechatronic.enabled,
+            "body_senses": config.mechatronic.enabled and config.mechatronic.sensors == "body",
         },
         walls=walls,
+        faults=[
+            {"name": name, "text": f.text, "needs": f.needs, "takes": f.takes, "on": f.on}
+            for name, f in FORMS.items()
+        ],
+        mappings=list(builtin_mappings()),
         folders={name: str((folder / path).absolute()) for name, path in paths.items()},
         config_file="" if assembly.path is None else str(assembly.path.absolute()),
         base_folder=str(folder),

@@ -42,11 +42,17 @@ class Event:
 
 
 class EventBus:
-    """Hands every event to all subscribers and keeps the newest 256."""
+    """Hands every event to all subscribers; keeps the newest 256, and as many overruns."""
 
     def __init__(self) -> None:
-        self.recent: deque[Event] = deque(maxlen=256)
+        self._events: deque[Event] = deque(maxlen=256)
+        self._overruns: deque[Event] = deque(maxlen=256)
         self._subscribers: list[Callable[[Event], None]] = []
+
+    @property
+    def recent(self) -> list[Event]:
+        """What is kept, oldest first; a flood of overruns drives nothing else out."""
+        return sorted((*self._events, *self._overruns), key=lambda event: event.monotonic_ns)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call `callback` for every later event; return the function that ends it."""
@@ -60,6 +66,6 @@ class EventBus:
 
     def publish(self, event: Event) -> None:
         """Hand `event` to every subscriber, in the order of their subscription."""
-        self.recent.append(event)
+        (self._overruns if event.kind == EventKind.OVERRUN else self._events).append(event)
         for callback in tuple(self._subscribers):
             callback(event)

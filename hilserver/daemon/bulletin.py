@@ -9,7 +9,7 @@ from typing import Any
 from hilserver import __version__
 from hilserver.compiled.histogram import BOUNDS_NS
 from hilserver.core.control import Control
-from hilserver.core.events import EventBus
+from hilserver.core.events import EventBus, EventKind
 from hilserver.core.inputs import InputGate
 from hilserver.daemon import figures
 from hilserver.faults import Faults
@@ -37,6 +37,7 @@ class Bulletin:
     audit: Callable[[], Sequence[AuditItem]]
     gaps: Callable[[], Mapping[str, float]]
     patch: Callable[[], str | None]
+    patch_notice: Callable[[], str | None]
     scenario: Callable[[], dict[str, Any] | None]
     recording: Callable[[], dict[str, Any] | None]
 
@@ -59,6 +60,7 @@ class Bulletin:
             ],
             "gaps": _finite(self.gaps()),
             "patch": self.patch(),
+            "patch_notice": self.patch_notice(),
             "scenario": self.scenario(),
             "recording": self.recording(),
             "events": self._events(),
@@ -72,17 +74,23 @@ class Bulletin:
         return table
 
     def _events(self) -> list[dict[str, Any]]:
-        now_ns = time.monotonic_ns()
-        return [
-            {
-                "age_s": round((now_ns - event.monotonic_ns) * 1e-9, 1),
-                "kind": event.kind.value,
-                "severity": event.severity,
-                "source": event.source,
-                "text": event.message[:300],
-            }
-            for event in reversed(list(self.events.recent)[-EVENTS:])
-        ]
+        """Return the newest events, the newest first; the overruns of a slice are one."""
+        now_ns, shown = time.monotonic_ns(), dict[Any, dict[str, Any]]()
+        for event in reversed(self.events.recent):
+            is_overrun = event.kind == EventKind.OVERRUN
+            key = event.source if is_overrun else id(event)
+            if key in shown:
+                shown[key]["count"] += 1
+            elif len(shown) < EVENTS:
+                shown[key] = {
+                    "age_s": round((now_ns - event.monotonic_ns) * 1e-9, 1),
+                    "kind": event.kind.value,
+                    "severity": event.severity,
+                    "source": event.source,
+                    "text": event.message[:300],
+                    "count": 1,
+                }
+        return list(shown.values())
 
 
 class Notice:

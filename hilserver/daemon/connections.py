@@ -93,6 +93,7 @@ def make_notice(
         audit=lambda: audit,
         gaps=outputs.model_gap,
         patch=lambda: desk.patches.loaded,
+        patch_notice=lambda: desk.patches.notice,
         scenario=desk.scenarios.view,
         recording=desk.recordings.view,
     )

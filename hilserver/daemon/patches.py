@@ -31,6 +31,12 @@ class Patches:
         patch = self._assembly.patch
         return None if patch is None or patch.path is None else patch.path.name
 
+    @property
+    def notice(self) -> str | None:
+        """What the page says beside the name: the patch may not fit this configuration."""
+        patch = self._assembly.patch
+        return None if patch is None else patch.notice(self._assembly.config.sha256)
+
     async def load(self, name: str) -> None:
         """Lay a patch over the plant, in place of the one before.
 

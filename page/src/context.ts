@@ -15,6 +15,18 @@ export interface Robot {
   tof_field_rad: number;
   /** Of the body's centre of mass, standing. */
   mass_height_m: number;
+  /** Whether a body stands in the hall, and whether its sensors are the robot's. */
+  has_body: boolean;
+  body_senses: boolean;
+}
+
+/** A kind of fault: what it does, which numbers it needs and may have, and on what it acts. */
+export interface FaultForm {
+  name: string;
+  text: string;
+  needs: string[];
+  takes: string[];
+  on: string[];
 }
 
 export interface Context {
@@ -22,6 +34,7 @@ export interface Context {
   signals: Signal[];
   robot: Robot;
   walls: [number, number, number, number][];
+  faults: FaultForm[];
   wheel: Wheel;
 }
 

@@ -1,10 +1,10 @@
 /** The frame around the views: state, who drives, emergency stop, and the way between views. */
 
 import "./style.css";
-import type { Context, Robot, View } from "./context";
+import type { Context, View } from "./context";
 import { may, WHEELS } from "./context";
 import { call, get, live, type Session, type Signal } from "./net";
-import { grewLately, overruns } from "./overruns";
+import { lateness } from "./overruns";
 import { Wheel } from "./wheel";
 import { action, ask, field, h, micros, number, setText, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
@@ -60,7 +60,9 @@ function figure(name: string): HTMLElement {
 }
 
 const factor = figure("Real time");
-const margin = figure("Margin");
+const margin = h("span", {}, "–");
+const why = h("small", { class: "why" });
+figure("Margin").replaceChildren(margin, why);
 const battery = figure("Battery");
 
 function header(context: Context): HTMLElement {
@@ -156,10 +158,10 @@ function showBoard(context: Context): void {
   setText(factor, board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(2)}×`);
   const plant = board.slices?.["plant"];
   setText(margin, micros(plant?.["margin_last_us"] as number | null | undefined));
-  const late = !!plant && grewLately("plant", overruns(plant));
-  margin.classList.toggle("warn", late);
-  const least = micros(plant?.["margin_min_us"] as number | null | undefined);
-  margin.title = `Least so far: ${least}${late ? "; red: the plant was late a moment ago" : ""}`;
+  const late = plant ? lateness("plant", plant) : "";
+  margin.classList.toggle("warn", !!late);
+  setText(why, late);
+  margin.title = `Least so far: ${micros(plant?.["margin_min_us"] as number | null | undefined)}`;
 }
 
 function showAge(): void {
@@ -255,7 +257,7 @@ async function start(): Promise<void> {
   if (session.needs_login) session = await login(session);
   const [table, hall] = await Promise.all([
     get<{ signals: Signal[] }>("signals"),
-    get<{ walls: Context["walls"]; robot: Robot }>("hall"),
+    get<Pick<Context, "walls" | "robot" | "faults">>("hall"),
   ]);
   const wheels = new Wheel(hall.robot, () => void emergencyStop());
   const context: Context = { session, signals: table.signals, ...hall, wheel: wheels };

@@ -42,9 +42,10 @@ export interface Board {
   faults: { name: string; fault: string; place: string; acts: boolean }[];
   gaps: Record<string, number>;
   patch: string | null;
+  patch_notice?: string | null;
   recording?: { name: string; bytes: number } | null;
   scenario?: { name: string; seconds: number; length_s: number } | null;
-  events: { age_s: number; kind: string; severity: number; source: string; text: string }[];
+  events: { age_s: number; kind: string; severity: number; source: string; text: string; count: number }[];
 }
 
 export interface Job {
@@ -56,6 +57,10 @@ export interface Job {
   text: string;
   folder: string;
   files: string[];
+  /** Whether it gets hardly any time because others take it. */
+  waits: boolean;
+  /** The mapping that a diagnosis has guessed for a log whose columns it does not know. */
+  mapping: string;
 }
 
 export interface Slow {
@@ -116,6 +121,11 @@ async function post<T>(limitMs: number, method: string, args: unknown[], body?: 
   return answer.result as T;
 }
 
+/** Send a log; throws with the sentence that says why not. */
+export function upload(file: File): Promise<number> {
+  return post<number>(UPLOAD_MS, "upload", [file.name], file);
+}
+
 /** Ask the server to do something; throws with the sentence that says why not. */
 export function call<T = unknown>(method: string, ...args: unknown[]): Promise<T> {
   return post<T>(CALL_MS, method, args);
@@ -131,6 +141,7 @@ const VERSION = 1;
 const HEAD_BYTES = 16;
 const STALE_MS = 700;
 const CALL_MS = 20_000;
+const UPLOAD_MS = 3_600_000;
 const STOP_SOCKET_MS = 200;
 const STOP_REQUEST_MS = 1500;
 const STOP_TRIES = 5;

@@ -16,7 +16,9 @@ export function grewLately(name: string, count: number): boolean {
 
 export const OVERRUNS = ["late_wakes", "long_runs", "missed_ticks"] as const;
 
-/** How many overruns of all kinds a slice has had. */
-export function overruns(slice: Slice): number {
-  return OVERRUNS.reduce((sum, key) => sum + Number(slice[key] ?? 0), 0);
+/** Why a slice was late in the last seconds: "3 long runs"; empty if it was not. */
+export function lateness(name: string, slice: Slice): string {
+  return OVERRUNS.filter((key) => grewLately(`late ${name} ${key}`, Number(slice[key] ?? 0)))
+    .map((key) => key.replace("_", " "))
+    .join(", ");
 }

@@ -5,18 +5,30 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { Context } from "./context";
 import { WHEELS } from "./context";
 import { live } from "./net";
-import { h, quality } from "./ui";
+import { CORNERS, ghostPose, ghosts, gridStep, hallOf, lampOf, pictureSignals, rays, robotPose, robotSize, TRAIL_STEP_M, type Ghost, type Pose } from "./poses";
+import { h } from "./ui";
 
 export type Camera = "orbit" | "follow" | "top";
 
+/** What draws the hall and the robot. */
+export interface Picture {
+  readonly element: HTMLElement;
+  /** Which ghost has which colour; empty while there are none. */
+  readonly keys: HTMLElement;
+  watch(parent: HTMLElement): void;
+  look(camera: Camera): void;
+  clearTrail(): void;
+  close(): void;
+}
+
 const TRAIL = 3000;
-const TRAIL_STEP_M = 0.015;
 const WALL_HEIGHT_M = 0.5;
-const CORNERS = ["fl", "fr", "rl", "rr"] as const;
-const FAR_M = 4.99;
+const USUAL_M = 0.6; // the robot that all distances of the camera were chosen for
 
 interface Palette {
   floor: number;
+  outside: number;
+  ink: string;
   grid: number;
   wall: number;
   sky: number;
@@ -24,8 +36,8 @@ interface Palette {
   trail: number;
 }
 
-const LIGHT: Palette = { floor: 0xe8ecf1, grid: 0xc9d1da, wall: 0xa7b3c0, sky: 0xdfe6ee, body: 0x1464b4, trail: 0x0b6bcb };
-const DARK: Palette = { floor: 0x1a212b, grid: 0x2b3643, wall: 0x46566a, sky: 0x10161e, body: 0x3b8be0, trail: 0x58a6ff };
+const LIGHT: Palette = { floor: 0xe8ecf1, outside: 0xd3dbe4, ink: "#3c4856", grid: 0xc9d1da, wall: 0xa7b3c0, sky: 0xdfe6ee, body: 0x1464b4, trail: 0x0b6bcb };
+const DARK: Palette = { floor: 0x1a212b, outside: 0x141a22, ink: "#a9b6c4", grid: 0x2b3643, wall: 0x46566a, sky: 0x10161e, body: 0x3b8be0, trail: 0x58a6ff };
 
 function isDark(): boolean {
   const chosen = document.documentElement.dataset.theme;
@@ -33,21 +45,25 @@ function isDark(): boolean {
 }
 
 /** A second robot, translucent: where another model, or the real one, is. */
-interface Ghost {
-  name: string;
-  signals: string[];
+interface ShownGhost extends Ghost {
   group: THREE.Group;
   key: HTMLElement;
 }
 
-const GHOSTS = [
-  { name: "Body", colour: 0x0f8a6d, signals: ["mech.x_m", "mech.y_m", "mech.yaw_rad", "mech.z_m", "mech.roll_rad", "mech.pitch_rad"] },
-  { name: "Measured", colour: 0xd97706, signals: ["x_m", "y_m", "yaw_rad"].map((axis) => `measured.pose.${axis}`) },
-  { name: "Measured tag", colour: 0xb4308f, signals: ["x_m", "y_m", "yaw_rad"].map((axis) => `measured.nav.${axis}`) },
-];
-
-function lampOf(place: string): string[] {
-  return ["red", "green", "blue"].map((colour) => `lights.${place}.${colour}`);
+/** A word on the floor. */
+function label(text: string, colour: string, height: number): THREE.Mesh {
+  const canvas = document.createElement("canvas");
+  Object.assign(canvas, { width: 128, height: 48 });
+  const pen = canvas.getContext("2d")!;
+  pen.font = "30px system-ui, sans-serif";
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  pen.fillStyle = colour;
+  pen.fillText(text, 64, 26);
+  const map = new THREE.CanvasTexture(canvas);
+  const mesh = new THREE.Mesh(new THREE.PlaneGeometry((height * 128) / 48, height), new THREE.MeshBasicMaterial({ map, transparent: true, depthWrite: false }));
+  mesh.position.z = 0.004;
+  return mesh;
 }
 
 class RobotModel {
@@ -59,23 +75,24 @@ class RobotModel {
     const robot = context.robot;
     const radius = robot.wheel_radius_m;
     const base = robot.wheelbase_m ?? 0;
-    const wide = robot.track_m - 0.07;
+    const k = Math.max(1, robotSize(context) / USUAL_M);
+    const wide = robot.track_m - 0.07 * k;
     const long = Math.max(base + radius * 1.1, 0.3);
     const material = (color: number, extra = {}): THREE.MeshStandardMaterial =>
       new THREE.MeshStandardMaterial({ color: ghost ? palette.body : color, roughness: 0.55, metalness: 0.1, transparent: ghost, opacity: ghost ? 0.4 : 1, depthWrite: !ghost, ...extra });
-    const body = new THREE.Mesh(new THREE.BoxGeometry(long, wide, 0.11), material(palette.body));
-    body.position.z = radius + 0.035;
-    const deck = new THREE.Mesh(new THREE.BoxGeometry(long * 0.62, wide * 0.78, 0.03), material(0x202a36));
-    deck.position.set(-0.02, 0, radius + 0.1);
-    const nose = new THREE.Mesh(new THREE.ConeGeometry(0.035, 0.08, 3), material(0xffffff));
+    const body = new THREE.Mesh(new THREE.BoxGeometry(long, wide, 0.11 * k), material(palette.body));
+    body.position.z = radius + 0.035 * k;
+    const deck = new THREE.Mesh(new THREE.BoxGeometry(long * 0.62, wide * 0.78, 0.03 * k), material(0x202a36));
+    deck.position.set(-0.02 * k, 0, radius + 0.1 * k);
+    const nose = new THREE.Mesh(new THREE.ConeGeometry(0.035 * k, 0.08 * k, 3), material(0xffffff));
     nose.rotation.z = -Math.PI / 2;
-    nose.position.set(long * 0.36, 0, radius + 0.1);
+    nose.position.set(long * 0.36, 0, radius + 0.1 * k);
     for (const part of [body, deck, nose]) {
       part.castShadow = !ghost;
       this.group.add(part);
     }
-    const tyre = new THREE.CylinderGeometry(radius, radius, 0.06, 24);
-    const spoke = new THREE.BoxGeometry(radius * 1.5, 0.064, 0.022);
+    const tyre = new THREE.CylinderGeometry(radius, radius, 0.06 * k, 24);
+    const spoke = new THREE.BoxGeometry(radius * 1.5, 0.064 * k, radius * 0.26);
     for (const name of WHEELS) {
       const wheel = new THREE.Group();
       const rubber = new THREE.Mesh(tyre, material(0x22272e));
@@ -92,11 +109,11 @@ class RobotModel {
       this.group.add(wheel);
     }
     if (ghost) return;
-    const lamp = new THREE.BoxGeometry(0.02, 0.06, 0.035);
+    const lamp = new THREE.BoxGeometry(0.02 * k, 0.06 * k, 0.035 * k);
     for (const [x, y] of [[1, 1], [1, -1], [-1, 1], [-1, -1]] as const) {
       const shine = new THREE.MeshStandardMaterial({ color: 0x333a43, emissive: 0x000000 });
       const box = new THREE.Mesh(lamp, shine);
-      box.position.set((x * long) / 2, y * (wide / 2 - 0.04), radius + 0.045);
+      box.position.set((x * long) / 2, y * (wide / 2 - 0.04 * k), radius + 0.045 * k);
       this.lamps.push(shine);
       this.group.add(box);
     }
@@ -112,9 +129,8 @@ class RobotModel {
 }
 
 /** Everything drawn. Throws where there is no WebGL. */
-export class Scene {
+export class Scene implements Picture {
   readonly element: HTMLElement;
-  /** Which ghost has which colour; empty while there are none. */
   readonly keys = h("ul", { class: "keys" });
   rays = true;
   private renderer: THREE.WebGLRenderer;
@@ -122,7 +138,10 @@ export class Scene {
   private camera = new THREE.PerspectiveCamera(45, 1, 0.05, 100);
   private controls: OrbitControls;
   private robot: RobotModel;
-  private ghosts: Ghost[] = [];
+  private ghosts: ShownGhost[] = [];
+  /** Floor and grid, which go along where there are no walls. */
+  private ground = new THREE.Group();
+  private readonly k: number;
   private finder: THREE.LineSegments;
   private trail: THREE.Line;
   private trailCount = 0;
@@ -137,7 +156,8 @@ export class Scene {
   private readonly signals: string[];
 
   constructor(private context: Context) {
-    this.signals = Scene.signals(context);
+    this.signals = pictureSignals(context);
+    this.k = Math.max(1, robotSize(context) / USUAL_M);
     this.renderer = new THREE.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.shadowMap.enabled = true;
@@ -149,7 +169,8 @@ export class Scene {
     this.controls = new OrbitControls(this.camera, this.element);
     this.controls.maxPolarAngle = Math.PI / 2 - 0.05;
     this.controls.minDistance = 0.6;
-    this.controls.maxDistance = 30;
+    this.controls.maxDistance = Math.max(30, 4 * hallOf(context).size);
+    this.camera.far = 4 * this.controls.maxDistance;
     this.controls.addEventListener("change", () => this.changed());
     this.robot = new RobotModel(context, this.palette, false);
     this.finder = new THREE.LineSegments(
@@ -175,29 +196,20 @@ export class Scene {
     this.observer.observe(parent);
   }
 
-  /** Signals that the picture is made of. */
-  static signals(context: Context): string[] {
-    const names = ["pose.x_m", "pose.y_m", "pose.yaw_rad"];
-    for (const wheel of WHEELS) names.push(`wheel.${wheel}.angle_rad`);
-    for (const corner of CORNERS) names.push(`tof.${corner}_m`, ...lampOf(corner));
-    for (const { signals } of GHOSTS) names.push(...signals);
-    const known = new Set(context.signals.map((signal) => signal.name));
-    return names.filter((name) => known.has(name));
-  }
-
   look(mode: Camera): void {
     this.mode = mode;
     this.controls.enableRotate = mode === "orbit";
-    const [x, y] = this.pose();
-    const [cx, cy, size] = this.middle();
+    const { x, y } = robotPose(this.context);
+    const { size, ...hall } = hallOf(this.context);
+    const [cx, cy] = this.context.walls.length ? [hall.x, hall.y] : [x, y];
     if (mode === "top") {
       this.controls.target.set(cx, cy, 0);
       this.camera.position.set(cx, cy - 0.01, size * 1.35);
     } else if (mode === "orbit") {
       this.controls.target.set(cx, cy - size * 0.03, 0);
-      this.camera.position.set(cx - size * 0.5, cy - size * 0.72, size * 0.62);
+      this.camera.position.set(cx - size * 0.56, cy - size * 0.85, size * 0.78);
     } else {
-      this.controls.target.set(x, y, 0.15);
+      this.controls.target.set(x, y, 0.15 * this.k);
     }
     this.controls.update();
     this.changed();
@@ -232,18 +244,9 @@ export class Scene {
     this.changed();
   };
 
-  private middle(): [number, number, number] {
-    const walls = this.context.walls;
-    if (!walls.length) return [0, 0, 6];
-    const xs = walls.flatMap((w) => [w[0], w[2]]);
-    const ys = walls.flatMap((w) => [w[1], w[3]]);
-    const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    return [(x0 + x1) / 2, (y0 + y1) / 2, Math.max(x1 - x0, y1 - y0)];
-  }
-
   private build(): void {
     const p = this.palette;
-    const [cx, cy, size] = this.middle();
+    const { x: cx, y: cy, size, ...hall } = hallOf(this.context);
     this.scene.background = new THREE.Color(p.sky);
     this.scene.fog = new THREE.Fog(p.sky, size * 1.8, size * 4);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8090a0, isDark() ? 1.1 : 1.9));
@@ -255,14 +258,24 @@ export class Scene {
     const reach = size * 0.6;
     Object.assign(sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, far: size * 3 });
     this.scene.add(sun, sun.target);
-    const floor = new THREE.Mesh(new THREE.PlaneGeometry(size * 6, size * 6), new THREE.MeshStandardMaterial({ color: p.floor, roughness: 1 }));
-    floor.position.set(cx, cy, 0);
-    floor.receiveShadow = true;
-    const cells = Math.ceil(size * 1.5);
-    const grid = new THREE.GridHelper(cells, cells, p.grid, p.grid);
+    this.ground = new THREE.Group();
+    const plane = (wide: number, high: number, color: number, z: number): THREE.Mesh => {
+      const mesh = new THREE.Mesh(new THREE.PlaneGeometry(wide, high), new THREE.MeshStandardMaterial({ color, roughness: 1 }));
+      mesh.position.set(cx, cy, z);
+      mesh.receiveShadow = true;
+      return mesh;
+    };
+    const inside = this.context.walls.length > 0;
+    this.ground.add(plane(size * 8, size * 8, inside ? p.outside : p.floor, inside ? -0.004 * this.k : 0));
+    if (inside) this.ground.add(plane(hall.right - hall.left, hall.top - hall.bottom, p.floor, 0));
+    const step = gridStep(size);
+    const cells = 2 * Math.ceil((size * 0.75) / step);
+    const grid = new THREE.GridHelper(cells * step, cells, p.grid, p.grid);
     grid.rotation.x = Math.PI / 2;
-    grid.position.set(Math.round(cx), Math.round(cy), 0.002);
-    this.scene.add(floor, grid);
+    grid.position.set(Math.round(cx / step) * step, Math.round(cy / step) * step, 0.002);
+    this.ground.add(grid);
+    this.scene.add(this.ground);
+    if (inside) this.addScale(hall, step, p.ink, size * 0.035);
     const material = new THREE.MeshStandardMaterial({ color: p.wall, roughness: 0.9 });
     for (const [x1, y1, x2, y2] of this.context.walls) {
       const length = Math.hypot(x2 - x1, y2 - y1);
@@ -274,21 +287,32 @@ export class Scene {
     }
     (this.trail.material as THREE.LineBasicMaterial).color.set(p.trail);
     this.scene.add(this.robot.group, this.finder, this.trail);
-    this.ghosts = GHOSTS.map(({ name, colour, signals }) => {
-      const { group } = new RobotModel(this.context, { ...p, body: colour }, true);
+    this.robot.group.rotation.order = "ZYX";
+    this.ghosts = ghosts(this.context).map((ghost) => {
+      const { group } = new RobotModel(this.context, { ...p, body: Number(`0x${ghost.colour.slice(1)}`) }, true);
       group.visible = false;
       group.rotation.order = "ZYX";
       const swatch = h("span", { class: "swatch" });
-      swatch.style.background = `#${colour.toString(16).padStart(6, "0")}`;
+      swatch.style.background = ghost.colour;
       this.scene.add(group);
-      return { name, signals, group, key: h("li", { hidden: true }, swatch, name) };
+      return { ...ghost, group, key: h("li", { hidden: true }, swatch, ghost.name) };
     });
     this.keys.replaceChildren(...this.ghosts.map(({ key }) => key));
   }
 
-  private pose(): [number, number, number] {
-    const [x, y, yaw] = ["x_m", "y_m", "yaw_rad"].map((axis) => live.value(`pose.${axis}`));
-    return [x || 0, y || 0, yaw || 0];
+  /** Metres along two walls. */
+  private addScale(hall: { left: number; right: number; bottom: number; top: number }, step: number, ink: string, height: number): void {
+    const digits = step < 1 ? Math.ceil(-Math.log10(step)) : 0;
+    for (let x = Math.ceil(hall.left / step) * step; x <= hall.right; x += step) {
+      const mark = label(`${x.toFixed(digits).replace(/^-0$/, "0")} m`, ink, height);
+      mark.position.setX(x).setY(hall.bottom - height);
+      this.scene.add(mark);
+    }
+    for (let y = Math.ceil(hall.bottom / step) * step; y <= hall.top; y += step) {
+      const mark = label(`${y.toFixed(digits).replace(/^-0$/, "0")} m`, ink, height);
+      mark.position.setX(hall.left - 1.6 * height).setY(y);
+      this.scene.add(mark);
+    }
   }
 
   private changed(): void {
@@ -320,50 +344,59 @@ export class Scene {
   }
 
   private place(): void {
-    const [x, y, yaw] = this.pose();
-    this.robot.group.position.set(x, y, 0);
-    this.robot.group.rotation.z = yaw;
+    const pose = robotPose(this.context);
+    const { x, y, yaw } = pose;
+    this.put(this.robot.group, pose);
     WHEELS.forEach((wheel, i) => {
       const angle = live.value(`wheel.${wheel}.angle_rad`) || 0;
       this.robot.wheels[i]!.rotation.y = wheel[1] === "l" ? angle : -angle;
     });
-    this.placeRays(x, y, yaw);
+    this.placeRays();
     this.extendTrail(x, y);
     this.ghosts.forEach((ghost) => this.placeGhost(ghost));
     this.robot.light();
     if (this.mode === "follow") {
-      const back = 1.9;
-      this.camera.position.set(x - back * Math.cos(yaw), y - back * Math.sin(yaw), 1.05);
-      this.controls.target.set(x + 0.6 * Math.cos(yaw), y + 0.6 * Math.sin(yaw), 0.1);
+      const [back, ahead, k] = [1.9 * this.k, 0.6 * this.k, this.k];
+      this.camera.position.set(x - back * Math.cos(yaw), y - back * Math.sin(yaw), 1.05 * k);
+      this.controls.target.set(x + ahead * Math.cos(yaw), y + ahead * Math.sin(yaw), 0.1 * k);
       this.camera.lookAt(this.controls.target);
     }
+    if (!this.context.walls.length) this.goAlong(x, y);
   }
 
-  private placeGhost({ signals, group, key }: Ghost): void {
-    const [x, y, yaw, z, roll, pitch] = signals.map((name) => {
-      const reading = live.get(name);
-      return reading && quality(reading.status) !== "bad" && quality(reading.status) !== "uncertain" ? reading.value : NaN;
-    });
-    group.visible = Number.isFinite(x! + y! + yaw!) && (x !== 0 || y !== 0 || yaw !== 0);
-    key.hidden = !group.visible;
-    if (!group.visible) return;
-    group.position.set(x!, y!, z === undefined ? 0 : z - this.context.robot.mass_height_m);
-    group.rotation.set(roll ?? 0, pitch ?? 0, yaw!);
+  /** Where no walls say what is to be seen, floor and camera go along with the robot. */
+  private goAlong(x: number, y: number): void {
+    const { size } = hallOf(this.context);
+    const step = gridStep(size);
+    this.ground.position.set(Math.round(x / step) * step, Math.round(y / step) * step, 0);
+    const { target } = this.controls;
+    const [dx, dy] = [x - target.x, y - target.y];
+    const excess = Math.hypot(dx, dy) - size * 0.35;
+    if (this.mode === "follow" || excess <= 0) return;
+    const share = excess / Math.hypot(dx, dy);
+    target.add(new THREE.Vector3(dx * share, dy * share, 0));
+    this.camera.position.add(new THREE.Vector3(dx * share, dy * share, 0));
+    this.controls.update();
   }
 
-  private placeRays(x: number, y: number, yaw: number): void {
-    const { tof_x_m: mx, tof_y_m: my } = this.context.robot;
+  private put(group: THREE.Group, { x, y, z, roll, pitch, yaw }: Pose): void {
+    group.position.set(x, y, z);
+    group.rotation.set(roll, pitch, yaw);
+  }
+
+  private placeGhost(ghost: ShownGhost): void {
+    const pose = ghostPose(ghost);
+    ghost.group.visible = pose !== null;
+    ghost.key.hidden = pose === null;
+    if (pose) this.put(ghost.group, pose);
+  }
+
+  private placeRays(): void {
     const points = this.finder.geometry.getAttribute("position") as THREE.BufferAttribute;
-    CORNERS.forEach((name, i) => {
-      const range = live.value(`tof.${name}_m`);
-      const forward = name[0] === "f" ? 1 : -1;
-      const side = name[1] === "l" ? my : -my;
-      const seen = Number.isFinite(range) && range < FAR_M;
-      const sx = x + forward * mx * Math.cos(yaw) - side * Math.sin(yaw);
-      const sy = y + forward * mx * Math.sin(yaw) + side * Math.cos(yaw);
-      const length = seen ? range * forward : 0;
-      points.setXYZ(2 * i, sx, sy, 0.12);
-      points.setXYZ(2 * i + 1, sx + length * Math.cos(yaw), sy + length * Math.sin(yaw), 0.12);
+    rays(this.context).forEach((ray, i) => {
+      const [x1, y1, x2, y2] = ray ?? [0, 0, 0, 0];
+      points.setXYZ(2 * i, x1, y1, 0.12 * this.k);
+      points.setXYZ(2 * i + 1, x2, y2, 0.12 * this.k);
     });
     points.needsUpdate = true;
     this.finder.visible = this.rays;

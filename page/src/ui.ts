@@ -126,6 +126,12 @@ export function action(
   return button;
 }
 
+/** A button that stores a log on the reader's computer. */
+export function download(name: string): HTMLButtonElement {
+  const link = h("a", { href: `./api/logs/${encodeURIComponent(name)}`, download: name });
+  return h("button", { type: "button", class: "quiet", "aria-label": `Download ${name}`, onclick: () => link.click() }, "Download");
+}
+
 /** Ask before something is done; whether it may be. */
 export function ask(title: string, text: string, yes: string, ...more: Child[]): Promise<boolean> {
   const dialog = h("dialog", { class: "panel ask", "aria-label": title });

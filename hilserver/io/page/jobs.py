@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import re
 import shutil
 import sys
@@ -18,8 +19,16 @@ from hilserver.io.page.setup import Setup
 MAX_KEPT = 20
 LOG_SUFFIXES = (".csv", ".mcap", ".parquet", ".db3")
 STOP_LIMIT_S = 5.0
+SHARE_OVER_S = 8.0
+MAPPING_CHARACTERS = 32_768
+MAPPING = ".mapping.yaml"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _PROGRESS = re.compile(r"^\s*(\d{1,3})% (.{1,200})$")
+
+
+def is_plain(name: object) -> bool:
+    """Whether `name` is a plain file name: no path, nothing hidden."""
+    return isinstance(name, str) and _NAME.fullmatch(name) is not None
 
 
 def files_in(folder: Path, *suffixes: str) -> Iterator[dict[str, Any]]:
@@ -33,12 +42,34 @@ def files_in(folder: Path, *suffixes: str) -> Iterator[dict[str, Any]]:
 
 def file_in(folder: Path, name: object) -> Path:
     """Return a file by its plain name; RefusedError if there is none."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
+    if not is_plain(name):
         raise RefusedError(f"{str(name)!r:.60} is no plain file name")
-    path = folder / name
+    path = folder / str(name)
     if not path.is_file():
         raise RefusedError(f"there is no '{name}' in the folder {folder.name}")
     return path
+
+
+class ShareOfTime:
+    """Whether a process gets hardly any time: idle priority takes only what nobody else wants."""
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[float, float]] = deque(maxlen=32)
+
+    def is_small(self, pid: int, over_s: float = SHARE_OVER_S) -> bool:
+        """Whether it had less than a tenth of the last seconds, once as many have gone by."""
+        now_s = time.monotonic()
+        if not self._marks or now_s - self._marks[-1][0] >= over_s / 8:
+            try:
+                words = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1]
+            except (OSError, IndexError):
+                return False
+            ticks = sum(int(word) for word in words.split()[11:15])  # with ended children: proc(5)
+            self._marks.append((now_s, ticks / os.sysconf("SC_CLK_TCK")))
+        while len(self._marks) > 2 and now_s - self._marks[1][0] >= over_s:
+            self._marks.popleft()
+        (then_s, then_used_s), (last_s, used_s) = self._marks[0], self._marks[-1]
+        return last_s - then_s >= over_s / 2 and used_s - then_used_s < 0.1 * (last_s - then_s)
 
 
 @dataclass
@@ -54,15 +85,27 @@ class Job:
     text: str = ""
     started_s: float = field(default_factory=time.time)
     process: asyncio.subprocess.Process | None = None
+    share_of_time: ShareOfTime = field(default_factory=ShareOfTime)
 
     def view(self) -> dict[str, Any]:
         """Return what a browser is shown."""
         keys = ("number", "log", "state", "share", "stage", "text", "started_s")
         files = [f["name"] for f in files_in(self.folder)] if self.state == "done" else []
+        pid = self.process.pid if self.process and self.state == "running" else None
         return {key: getattr(self, key) for key in keys} | {
             "folder": self.folder.name,
             "files": files,
+            "waits": pid is not None and self.share_of_time.is_small(pid),
+            "mapping": self._guess() if self.state == "failed" else "",
         }
+
+    def _guess(self) -> str:
+        """Return the mapping that the diagnosis has guessed for a log of others."""
+        try:
+            with (self.folder / "mapping.yaml").open(encoding="utf-8") as file:
+                return file.read(MAPPING_CHARACTERS)
+        except (OSError, UnicodeDecodeError):
+            return ""
 
 
 class Jobs:
@@ -78,8 +121,10 @@ class Jobs:
         """Return all jobs, the newest first."""
         return [job.view() for job in reversed(self._jobs)]
 
-    def diagnose(self, log: object) -> int:
+    def diagnose(self, log: object, mapping: str = "") -> int:
         """Start a diagnosis of a log; return its number.
+
+        `mapping` names one that is built in; without it that is taken which was saved for the log.
 
         Raises
         ------
@@ -87,6 +132,11 @@ class Jobs:
             If there is no such log, or one is running.
         """
         path = file_in(self._setup.folder("recordings"), log)
+        if mapping and mapping not in self._setup.mappings:
+            raise RefusedError(f"there is no built-in mapping '{mapping:.60}'")
+        own = path.with_name(path.name + MAPPING)
+        if not mapping and own.is_file():
+            mapping = str(own)
         running = next((job for job in self._jobs if job.state == "running"), None)
         if running is not None:
             raise RefusedError(f"the diagnosis of {running.log} is running; wait or cancel it")
@@ -95,10 +145,21 @@ class Jobs:
         job = Job(self._next, path.name, folder)
         self._next += 1
         self._jobs.append(job)
-        task = asyncio.create_task(self._run(job, path), name=f"diagnosis {job.number}")
+        task = asyncio.create_task(self._run(job, path, mapping), name=f"diagnosis {job.number}")
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return job.number
+
+    def map(self, log: object, text: str) -> None:
+        """Keep a mapping for a log, for its next diagnoses; an empty one forgets it."""
+        path = file_in(self._setup.folder("recordings"), log)
+        own = path.with_name(path.name + MAPPING)
+        if len(text) > MAPPING_CHARACTERS:
+            raise RefusedError(f"a mapping has at most {MAPPING_CHARACTERS} characters")
+        if text.strip():
+            own.write_text(text, encoding="utf-8")
+        else:
+            own.unlink(missing_ok=True)
 
     def cancel(self, number: object) -> None:
         """End a diagnosis; there is no report then."""
@@ -138,9 +199,11 @@ class Jobs:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    async def _run(self, job: Job, log: Path) -> None:
+    async def _run(self, job: Job, log: Path, mapping: str) -> None:
         words = [sys.executable, "-m", "hilserver.io.page.quietly", "diagnose", str(log)]
         words += ["-o", str(job.folder), "--jobs", "1"]
+        if mapping:
+            words += ["--mapping", mapping]
         if self._setup.config_file:
             words += ["-c", self._setup.config_file]
         try:

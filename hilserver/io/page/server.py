@@ -21,12 +21,14 @@ from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
+from hilserver.io.page.history import MAX_SIGNALS, history
 from hilserver.io.page.jobs import LOG_SUFFIXES, Jobs, files_in
 from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live
 from hilserver.io.page.log_in import LogIns
 from hilserver.io.page.setup import Setup
 from hilserver.io.page.stopping import Stopping
+from hilserver.io.page.uploads import Uploads
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 BODY_BYTES = 65_536
@@ -58,9 +60,12 @@ class PageServer:
         self._log_ins = LogIns(setup.opcua.max_failed_logins)
         self._driving = Driving(setup.page.deadman_ms)
         self._jobs = Jobs(setup)
+        self._uploads = Uploads(setup.folder("recordings"))
+        self._image = ImageReader.attach(setup.image)
+        self._slots = {signal["name"]: signal["slot"] for signal in setup.signals}
         self._live = Live(
-            ImageReader.attach(setup.image),
-            {signal["name"]: signal["slot"] for signal in setup.signals},
+            self._image,
+            self._slots,
             self._driving,
             rate_hz=setup.page.rate_hz,
             max_clients=setup.page.max_clients,
@@ -114,6 +119,9 @@ class PageServer:
                 web.get("/api/signals", self._signals),
                 web.get("/api/hall", self._hall),
                 web.get("/api/logs", self._logs),
+                web.get("/api/logs/{name}", self._download),
+                web.post("/api/logs/{name}", self._upload),
+                web.get("/api/history", self._history),
                 web.get("/api/jobs", self._list_jobs),
                 web.get("/api/reports/{folder}/{name}", self._report),
                 web.post("/api/call", self._call),
@@ -178,7 +186,13 @@ class PageServer:
 
     async def _hall(self, request: web.Request) -> web.Response:
         self._reader(request)
-        return web.json_response({"walls": self._setup.walls, "robot": self._setup.robot})
+        return web.json_response(
+            {
+                "walls": self._setup.walls,
+                "robot": self._setup.robot,
+                "faults": self._setup.faults,
+            }
+        )
 
     async def _logs(self, request: web.Request) -> web.Response:
         self._reader(request)
@@ -190,8 +204,26 @@ class PageServer:
                 "patches": list(files_in(folder("patches"), ".yaml", ".yml")),
                 "snapshots": list(files_in(folder("snapshots"))),
                 "folders": {name: folder(name).name for name in self._setup.folders},
+                "mappings": self._setup.mappings,
             }
         )
+
+    async def _download(self, request: web.Request) -> web.StreamResponse:
+        self._reader(request)
+        try:
+            return self._uploads.download(request.match_info["name"])
+        except RefusedError as error:
+            raise web.HTTPNotFound(text=str(error)) from None
+
+    async def _history(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        names = request.query.getall("name", [])
+        unknown = next((name for name in names if name not in self._slots), None)
+        if unknown is not None or len(names) > MAX_SIGNALS:
+            raise web.HTTPBadRequest(
+                text=f"there is no signal '{unknown}', or too many are asked for"
+            )
+        return web.json_response(history(self._image, self._slots, names))
 
     async def _list_jobs(self, request: web.Request) -> web.Response:
         self._reader(request)
@@ -215,10 +247,24 @@ class PageServer:
 
     # --- what it does -----------------------------------------------------------------------------
 
-    async def _call(self, request: web.Request) -> web.Response:
+    def _poster(self, request: web.Request) -> Browser:
         browser = self._known(request)
         if not browser.knows(request.headers.get(TOKEN_HEADER, "")):
             raise web.HTTPForbidden(text="no valid token")
+        return browser
+
+    async def _upload(self, request: web.Request) -> web.Response:
+        browser = self._poster(request)
+        try:
+            await self._ready(browser)
+            self._may_work(browser)
+            size = await self._uploads.take(request.match_info["name"], request)
+        except RefusedError as error:
+            return web.json_response({"ok": False, "text": str(error)}, status=409)
+        return web.json_response({"ok": True, "result": size})
+
+    async def _call(self, request: web.Request) -> web.Response:
+        browser = self._poster(request)
         if request.content_type != "application/json":
             raise web.HTTPUnsupportedMediaType(text="a call is JSON")
         try:
@@ -250,12 +296,13 @@ class PageServer:
             "take": (self._take, ("Int64", "Int64")),
             "give": (self._give, (STRING,)),
             "write": (self._write, (STRING, ANY)),
-            "diagnose": (self._diagnose, (STRING,)),
+            "diagnose": (self._diagnose, (STRING, STRING)),
+            "map": (self._map, (STRING, STRING)),
             "cancel": (self._cancel, ("Int64",)),
             "keep": (self._keep, ("Int64",)),
         }
         if name in own:
-            check(name, arguments, own[name][1], optional=name == "take")
+            check(name, arguments, own[name][1], optional=name in ("take", "diagnose"))
         elif name in _METHODS:
             check(name, arguments, [a.type for a in _METHODS[name].arguments])
         else:
@@ -340,9 +387,13 @@ class PageServer:
         if "Start" not in browser.hand.rights.methods:
             raise RefusedError("your role does not allow this")
 
-    async def _diagnose(self, browser: Browser, log: str) -> int:
+    async def _diagnose(self, browser: Browser, log: str, mapping: str = "") -> int:
         self._may_work(browser)
-        return self._jobs.diagnose(log)
+        return self._jobs.diagnose(log, str(mapping))
+
+    async def _map(self, browser: Browser, log: str, text: str) -> None:
+        self._may_work(browser)
+        self._jobs.map(log, str(text))
 
     async def _cancel(self, browser: Browser, number: int) -> None:
         self._may_work(browser)

@@ -56,6 +56,10 @@ class Setup:
         x1, y1, x2, y2 [m] of each.
     folders : dict of str
         Absolute paths: recordings, scenarios, patches, reports, snapshots.
+    faults : list of dict
+        Every kind of fault: name, description, parameters that it needs and takes, what it acts on.
+    mappings : list of str
+        Names of the built-in mappings for logs of others.
     config_file : str
         The configuration that a diagnosis is to use; empty: the defaults.
     base_folder : str
@@ -69,6 +73,8 @@ class Setup:
     robot: dict[str, Any]
     walls: list[list[float]]
     folders: dict[str, str]
+    faults: list[dict[str, Any]] = field(default_factory=list)
+    mappings: list[str] = field(default_factory=list)
     config_file: str = ""
     base_folder: str = "."
 

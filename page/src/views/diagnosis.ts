@@ -1,8 +1,8 @@
 /** Diagnosis: choose a log, follow the work, read the report, load the patch, see the gap. */
 
 import { may, type Context, type View } from "../context";
-import { call, get, live, type Job } from "../net";
-import { action, bytes, h, number, setText, svg, toast } from "../ui";
+import { call, get, live, upload, type Job } from "../net";
+import { action, ask, bytes, download, field, h, number, setText, svg, toast } from "../ui";
 
 const COURSE = 120; // a minute of boards
 const courses = new Map<string, number[]>();
@@ -12,19 +12,24 @@ export function diagnosisView(context: Context): View {
   const jobs = h("ul", { class: "jobs" });
   const patches = h("ul", { class: "list" });
   const patch = h("p", { class: "hint", role: "status" });
+  const misfit = h("p", { class: "misfit", role: "alert", hidden: true });
+  const mayWork = may(context, "Start");
+  let mappings: string[] = [];
   const gaps = h("dl", { class: "pairs" });
-  const frame = h("iframe", { sandbox: "", title: "Report of the diagnosis", hidden: true });
-  const empty = h("p", { class: "note" }, "The report stands here when a diagnosis is done.");
+  const frame = h("iframe", { sandbox: "", title: "Report of the diagnosis" });
+  const report = h("section", { class: "panel report", "aria-label": "Report", hidden: true }, frame);
   const units = new Map(context.signals.map((signal) => [signal.name, signal.unit]));
 
   async function load(): Promise<void> {
-    const files = await get<{ logs: { name: string; bytes: number }[]; patches: { name: string }[]; folders: Record<string, string> }>("logs");
+    const files = await get<{ logs: { name: string; bytes: number }[]; patches: { name: string }[]; folders: Record<string, string>; mappings: string[] }>("logs");
+    mappings = files.mappings;
     logs.replaceChildren(
       ...(files.logs.length
         ? files.logs.map((log) =>
             h("li", {}, h("code", {}, log.name), h("span", { class: "hint" }, bytes(log.bytes)),
-              action("Diagnose", async () => toast(`Diagnosis ${await call("diagnose", log.name)} has started.`), { disabled: !may(context, "Start"), "aria-label": `Diagnose ${log.name}` })))
-        : [h("li", { class: "note" }, `No logs yet: record a run, or put one into the folder ${files.folders["recordings"]}.`)]),
+              download(log.name),
+              action("Diagnose", () => diagnose(log.name), { disabled: !mayWork, "aria-label": `Diagnose ${log.name}` })))
+        : [h("li", { class: "note" }, `No logs yet: record a run, upload a log, or put one into the folder ${files.folders["recordings"]}.`)]),
     );
     patches.replaceChildren(
       ...(files.patches.length
@@ -34,10 +39,37 @@ export function diagnosisView(context: Context): View {
   }
   load().catch((error: Error) => toast(error.message, "error"));
 
+  async function diagnose(log: string, mapping = ""): Promise<void> {
+    toast(`Diagnosis ${await call("diagnose", log, mapping)} has started.`);
+  }
+
+  /** A log of others: which of its columns is which signal? */
+  async function name(job: Job): Promise<void> {
+    const text = h("textarea", { rows: 16, spellcheck: "false" });
+    text.value = job.mapping;
+    const known = h("select", {}, h("option", { value: "" }, "the mapping below"), ...mappings.map((each) => h("option", { value: each }, `built in: ${each}`)));
+    const said = `The columns of ${job.log} are no signals of hilserver. The mapping below is a guess: check and complete it. It is kept beside the log.`;
+    if (!(await ask("Name the columns", said, "Diagnose with it", field("Take", known), field("Mapping", text)))) return;
+    if (!known.value) await call("map", job.log, text.value);
+    await diagnose(job.log, known.value);
+  }
+
+  const picker = h("input", { type: "file", accept: ".csv,.mcap,.parquet,.db3", hidden: true });
+  picker.addEventListener("change", () => void send.click());
+  const send = action("Upload a log", async () => {
+    const file = picker.files?.[0];
+    if (!file) return picker.click();
+    picker.value = "";
+    toast(`${file.name} is sent: ${bytes(file.size)}.`);
+    const size = await upload(file);
+    toast(`${file.name} is here: ${bytes(size)}.`);
+    await load();
+  }, { disabled: !mayWork });
+
   function read(job: Job): void {
     frame.src = `./api/reports/${job.folder}/report.html`;
-    frame.hidden = false;
-    empty.hidden = true;
+    report.hidden = false;
+    element.classList.add("reading");
   }
 
   let shown = "";
@@ -48,6 +80,8 @@ export function diagnosisView(context: Context): View {
       shown = text;
       jobs.replaceChildren(...(told.length ? told.map((job) => jobItem(job)) : [h("li", { class: "note" }, "No diagnosis yet.")]));
     }
+    misfit.hidden = !board.patch_notice;
+    setText(misfit, `${board.patch} ${(board.patch_notice ?? "").replace(/^[^:]*: /, "")}.`);
     setText(patch, board.patch ? `${board.patch} is loaded.` : "No patch is loaded.");
     const entries = Object.entries(board.gaps ?? {});
     const none = h("div", {}, h("dt", {}, "No measured values come in."), h("dd", {}, ""));
@@ -62,10 +96,12 @@ export function diagnosisView(context: Context): View {
       h("div", { class: "job-head" }, h("code", {}, job.log), h("span", { class: "chip" }, job.state)),
       job.state === "running" && h("progress", { max: 1, value: job.share, "aria-label": `Progress of ${job.log}` }),
       job.state === "running" && h("span", { class: "hint" }, `${Math.round(job.share * 100)} % ${job.stage}`),
+      job.state === "running" && job.waits && h("span", { class: "hint waits" }, "It waits: others take all processor time, and a diagnosis only takes what they leave."),
       job.text && !done && h("pre", { tabindex: "0" }, job.text),
       done && h("pre", { tabindex: "0" }, job.text),
       h("div", { class: "buttons" },
         job.state === "running" && action("Cancel", () => call("cancel", job.number)),
+        job.mapping && action("Name the columns …", () => name(job), { class: "primary", disabled: !mayWork }),
         done && job.files.includes("report.html") && h("button", { type: "button", class: "primary", onclick: () => read(job) }, "Read the report"),
         done && job.files.includes("model_patch.yaml") && action("Load the patch", async () => { await call("LoadPatch", await call("keep", job.number)); await load(); }, { disabled: !may(context, "LoadPatch") })),
     );
@@ -77,12 +113,14 @@ export function diagnosisView(context: Context): View {
     "div",
     { class: "diagnosis" },
     h("div", { class: "column" },
-      h("section", { class: "panel", "aria-label": "Logs" }, h("h2", {}, "Logs"), logs),
+      h("section", { class: "panel", "aria-label": "Logs" }, h("h2", {}, "Logs"), logs, picker, send),
       h("section", { class: "panel", "aria-label": "Diagnoses" }, h("h2", {}, "Diagnoses"), jobs),
-      h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, patches, action("Remove the patch", () => call("RemovePatch"), { disabled: !may(context, "RemovePatch") })),
+      h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, misfit, patches, action("Remove the patch", () => call("RemovePatch"), { disabled: !may(context, "RemovePatch") })),
       h("section", { class: "panel", "aria-label": "Gap" }, h("h2", {}, "Measured minus simulated"), gaps)),
-    h("section", { class: "panel report", "aria-label": "Report" }, empty, frame),
+    report,
   );
+  const newest = live.slow.jobs.find((job) => job.state === "done" && job.files.includes("report.html"));
+  if (newest) read(newest);
   return { element, close: stopSlow };
 }
 

@@ -2,7 +2,9 @@
 
 import { WHEELS, type Context, type View } from "../context";
 import { call, live } from "../net";
-import type { Camera, Scene } from "../scene";
+import { Plan } from "../plan";
+import { pictureSignals } from "../poses";
+import type { Camera, Picture } from "../scene";
 import { makeStick } from "../stick";
 import { field, h, number, quality, setText, toast } from "../ui";
 
@@ -18,19 +20,23 @@ export function driveView(context: Context): View {
   // --- the picture ------------------------------------------------------------------------------
 
   const stage = h("div", { class: "stage" });
-  let scene: Scene | null = null;
+  let scene: Picture | null = null;
   let closed = false;
+  function draw(picture: Picture): void {
+    scene = picture;
+    stage.prepend(picture.element, picture.keys);
+    picture.watch(stage);
+    live.want("scene", pictureSignals(context));
+  }
   import("../scene")
-    .then(({ Scene }) => {
-      if (closed) return;
-      scene = new Scene(context);
-      stage.prepend(scene.element, scene.keys);
-      scene.watch(stage);
-      live.want("scene", Scene.signals(context));
-    })
+    .then(({ Scene }) => closed || draw(new Scene(context)))
     .catch(() => {
+      if (closed) return;
       stage.classList.add("plain");
-      stage.prepend(h("p", { class: "note" }, "This browser shows no 3D picture (WebGL is off). Driving and the emergency stop work all the same."));
+      draw(new Plan(context));
+      stage.append(h("p", { class: "note flat" }, "Seen from above: WebGL is off in this browser."));
+      for (const button of cameras.children) (button as HTMLElement).hidden = button.textContent === "Orbit";
+      (cameras.children[2] as HTMLElement).click();
     });
 
   const cameras = h("div", { class: "segments", role: "group", "aria-label": "Camera" });

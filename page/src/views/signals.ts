@@ -1,26 +1,12 @@
 /** Signals: every value with unit, quality and age; forces, faults, scenarios. */
 
-import { may, type Context, type View } from "../context";
+import { may, type Context, type FaultForm, type View } from "../context";
 import { call, get, live, type Signal } from "../net";
 import { action, field, h, number, quality, qualityName, seconds, setText, signalName, toast } from "../ui";
 
-const FAULTS: Record<string, Record<string, number>> = {
-  bias: { offset: 1 },
-  noise: { sd: 0.1 },
-  scale: { factor: 1.1 },
-  stuck: {},
-  delay: { delay_s: 0.1 },
-  jitter: { jitter_s: 0.05 },
-  drop: { probability: 0.2 },
-  hold: { every_s: 0.1 },
-  quantise: { step: 0.1 },
-  spike: { size: 10, probability: 0.01 },
-  disconnect: {},
-  "shield.dead_command_timeout": {},
-  "shield.yaw_rate_without_60_2pi": {},
-  "shield.front_wheels_swapped": {},
-  "shield.rpm_unsigned": {},
-  "shield.imu_raw_units": {},
+/** Where a number begins that the one who injects has not thought about. */
+const DEFAULTS: Record<string, number> = {
+  offset: 1, sd: 0.1, factor: 1.1, delay_s: 0.1, jitter_s: 0.05, probability: 0.2, every_s: 0.1, step: 0.1, size: 10, value: 0,
 };
 
 interface Row {
@@ -57,26 +43,46 @@ export function signalsView(context: Context): View {
   // --- faults -----------------------------------------------------------------------------------
 
   const active = h("ul", { class: "list" });
-  const kind = h("select", {}, ...Object.keys(FAULTS).map((name) => h("option", {}, name)));
+  const kind = h("select", {}, ...context.faults.map(({ name }) => h("option", {}, name)));
+  const meaning = h("small", { class: "hint" });
+  const peer = h("select", {});
   const on = h("input", { list: "signal-names", value: "imu.gyro_z_rad_s" });
   const parameters = h("div", { class: "parameters" });
   const lasts = h("input", { type: "number", min: 0, step: 0.1, value: 5 });
   const inputs = new Map<string, HTMLInputElement>();
 
+  const place = h("select", {}, h("option", { value: "signal" }, "a signal"), h("option", { value: "peer" }, "a peer's link"));
+  const placeField = field("Acts on", place);
+  const onField = field("Signal", on);
+  const peerField = field("Peer", peer);
+  const form = (): FaultForm => context.faults.find(({ name }) => name === kind.value)!;
+
   function showKeys(): void {
+    const { text, needs, takes, on: places } = form();
+    setText(meaning, text.replaceAll("`", "").replace(/^./, (first) => first.toUpperCase()) + ".");
     inputs.clear();
-    const wanted = FAULTS[kind.value] ?? {};
-    for (const [key, value] of Object.entries(wanted)) inputs.set(key, h("input", { type: "number", step: "any", value }));
+    for (const key of needs) inputs.set(key, h("input", { type: "number", step: "any", value: DEFAULTS[key] }));
+    for (const key of takes) inputs.set(key, h("input", { type: "number", step: "any", placeholder: "not set" }));
     parameters.replaceChildren(...[...inputs].map(([key, input]) => field(key, input)));
-    on.disabled = kind.value.startsWith("shield.");
+    placeField.hidden = places.length < 2;
+    if (places.length === 1) place.value = places[0]!;
+    showPlace();
+  }
+  function showPlace(): void {
+    const none = !form().on.length;
+    onField.hidden = none || place.value !== "signal";
+    peerField.hidden = none || place.value !== "peer";
+    const names = Object.keys(live.slow.board.peers ?? {});
+    if (names.join() !== [...peer.options].map(({ value }) => value).join()) peer.replaceChildren(...names.map((name) => h("option", {}, name)));
   }
   kind.addEventListener("change", showKeys);
+  place.addEventListener("change", showPlace);
   showKeys();
 
   async function inject(): Promise<void> {
     const fault: Record<string, unknown> = { fault: kind.value };
-    if (!on.disabled) fault["signal"] = on.value;
-    for (const [key, input] of inputs) fault[key] = Number(input.value);
+    if (form().on.length) fault[place.value] = place.value === "signal" ? on.value : peer.value;
+    for (const [key, input] of inputs) if (input.value !== "") fault[key] = Number(input.value);
     if (Number(lasts.value) > 0) fault["for_s"] = Number(lasts.value);
     await call("InjectFault", JSON.stringify(fault));
   }
@@ -144,7 +150,7 @@ export function signalsView(context: Context): View {
       "div",
       { class: "column" },
       h("section", { class: "panel", "aria-label": "Faults" }, h("h2", {}, "Faults and forces"), active,
-        h("div", { class: "form" }, field("Kind", kind), field("Signal", on), parameters, field("Lasts [s]", lasts, "0: until cleared"),
+        h("div", { class: "form" }, field("Kind", kind), meaning, placeField, onField, peerField, parameters, field("Lasts [s]", lasts, "0: until cleared"),
           h("div", { class: "buttons" }, action("Inject", inject, { class: "primary", disabled: !may(context, "InjectFault") }), action("Clear all", () => call("ClearFaults"), { disabled: !may(context, "ClearFaults") })))),
       h("section", { class: "panel", "aria-label": "Scenarios" }, h("h2", {}, "Scenarios"), running, scenarios, action("Stop", () => call("StopScenario"), { disabled: !may(context, "StopScenario") })),
       h("datalist", { id: "signal-names" }, ...context.signals.map((signal) => h("option", { value: signal.name }))),

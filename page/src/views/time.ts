@@ -2,13 +2,22 @@
 
 import { may, type Context, type View } from "../context";
 import { call, get, live } from "../net";
-import { action, bytes, field, h, seconds, setText, toast } from "../ui";
+import { action, bytes, download, field, h, seconds, setText, toast } from "../ui";
 
 interface File {
   name: string;
   bytes: number;
   modified_s: number;
 }
+
+/** Commands and states first; of overruns one line for each slice, below. */
+const GROUPS: Record<string, string[]> = {
+  "Commands and states": ["state", "safe_state", "setpoint_refused"],
+  Peers: ["peer_lost", "peer_restored", "peer_fault"],
+  "Model gap": ["model_gap"],
+  Overruns: ["overrun"],
+};
+const hiddenGroups = new Set<string>();
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 
@@ -48,12 +57,22 @@ export function timeView(context: Context): View {
     const files = await get<{ snapshots: File[]; logs: File[]; folders: Record<string, string> }>("logs");
     snapshots.replaceChildren(...entries(files.snapshots, "No snapshots yet.", (each) =>
       action("Load", () => call("LoadSnapshot", each.name), { disabled: !may(context, "LoadSnapshot"), "aria-label": `Load ${each.name}` })));
-    recordings.replaceChildren(...entries(files.logs, "No recordings yet.", () => null));
+    recordings.replaceChildren(...entries(files.logs, "No recordings yet.", (each) => download(each.name)));
   }
   load().catch((error: Error) => toast(error.message, "error"));
 
   // --- what has happened ------------------------------------------------------------------------
 
+  const filters = h("div", { class: "segments", role: "group", "aria-label": "Events shown" });
+  for (const group of Object.keys(GROUPS)) {
+    const button = h("button", { type: "button", "data-group": group, "aria-pressed": String(!hiddenGroups.has(group)) }, group);
+    button.addEventListener("click", () => {
+      if (!hiddenGroups.delete(group)) hiddenGroups.add(group);
+      button.setAttribute("aria-pressed", String(!hiddenGroups.has(group)));
+      slow();
+    });
+    filters.append(button);
+  }
   const events = h("ol", { class: "events", tabindex: "0", "aria-label": "Events, the newest first" });
 
   function slow(): void {
@@ -68,8 +87,19 @@ export function timeView(context: Context): View {
     }
     setText(record, board.recording ? "Stop" : "Record");
     setText(recording, board.recording ? `${board.recording.name}: ${bytes(board.recording.bytes)}` : "Nothing is being recorded.");
-    events.replaceChildren(...(board.events ?? []).map((event) =>
-      h("li", { class: event.severity >= 500 ? "severe" : "" }, h("time", {}, `${seconds(event.age_s)} ago`), h("span", {}, h("b", {}, event.source), ` ${event.text}`))));
+    const order = Object.keys(GROUPS);
+    const told = (board.events ?? []).map((event) => ({ ...event, group: order.find((name) => GROUPS[name]!.includes(event.kind)) ?? order[0]! }));
+    for (const button of filters.children as HTMLCollectionOf<HTMLElement>) {
+      const count = told.reduce((sum, event) => sum + (event.group === button.dataset.group ? event.count : 0), 0);
+      setText(button, `${button.dataset.group} ${count}`);
+    }
+    const shown = told.filter(({ group }) => !hiddenGroups.has(group));
+    const rest = (group: string): number => (group === "Overruns" ? 1 : 0); // one line each, below what was done
+    shown.sort((one, other) => rest(one.group) - rest(other.group) || one.age_s - other.age_s);
+    events.replaceChildren(...(shown.length ? shown : []).map((event) =>
+      h("li", { class: event.severity >= 500 ? "severe" : "" }, h("time", {}, `${seconds(event.age_s)} ago`),
+        h("span", {}, h("b", {}, event.source), ` ${event.text}`, event.count > 1 && h("small", { class: "chip" }, `${event.count} times`)))));
+    if (!shown.length) events.append(h("li", { class: "note" }, "Nothing of this kind has happened lately."));
   }
   slow();
   live.want("time", ["sim.time_s", "sim.tick"]);
@@ -83,13 +113,14 @@ export function timeView(context: Context): View {
   const element = h(
     "div",
     { class: "time" },
-    h("section", { class: "panel", "aria-label": "Clock" }, clock, tick,
-      h("div", { class: "buttons" }, run, reset),
-      h("div", { class: "buttons" }, steps, step, h("span", { class: "hint" }, "ticks, while paused")),
-      h("h2", {}, "Speed"), speeds, resetNumbers),
-    h("section", { class: "panel", "aria-label": "Snapshots" }, h("h2", {}, "Snapshots"), h("div", { class: "buttons" }, field("Name", name), save), snapshots),
-    h("section", { class: "panel", "aria-label": "Recording" }, h("h2", {}, "Recording"), recording, h("div", { class: "buttons" }, field("File", file), record), recordings),
-    h("section", { class: "panel wide", "aria-label": "Events" }, h("h2", {}, "Events"), events),
+    h("div", { class: "column" },
+      h("section", { class: "panel", "aria-label": "Clock" }, clock, tick,
+        h("div", { class: "buttons" }, run, reset),
+        h("div", { class: "buttons" }, steps, step, h("span", { class: "hint" }, "ticks, while paused")),
+        h("h2", {}, "Speed"), speeds, resetNumbers),
+      h("section", { class: "panel", "aria-label": "Snapshots" }, h("h2", {}, "Snapshots"), h("div", { class: "buttons" }, field("Name", name), save), snapshots),
+      h("section", { class: "panel", "aria-label": "Recording" }, h("h2", {}, "Recording"), recording, h("div", { class: "buttons" }, field("File", file), record), recordings)),
+    h("section", { class: "panel happened", "aria-label": "Events" }, h("h2", {}, "Events"), filters, events),
   );
   return {
     element,

@@ -3,7 +3,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Context, View } from "../context";
-import { live, type Figures, type Slice } from "../net";
+import { get, live, type Figures, type Slice } from "../net";
 import { grewLately, OVERRUNS } from "../overruns";
 import { bytes, h, micros, number, seconds, setText, signalName, toast } from "../ui";
 
@@ -46,6 +46,23 @@ class History {
 
   follow(name: string): void {
     if (!this.series.has(name)) this.series.set(name, this.times.map(() => null));
+  }
+
+  /** Take in what the ring held: older times in front, and what a new signal was meanwhile. */
+  merge(times: number[], series: Record<string, (number | null)[]>): void {
+    const first = this.times[0] ?? Infinity;
+    const older = times.filter((t) => t < first);
+    if (older.length && first - older[older.length - 1]! > HOLE_S) return;
+    for (const [name, values] of this.series) {
+      const told = series[name];
+      let at = 0;
+      for (let i = 0; told && i < values.length && times.length; i++) {
+        while (at + 1 < times.length && times[at + 1]! <= this.times[i]!) at++;
+        if (values[i] === null && this.times[i]! <= times[times.length - 1]!) values[i] = told[at] ?? null;
+      }
+      values.unshift(...older.map((_, i) => told?.[i] ?? null));
+    }
+    this.times.unshift(...older);
   }
 
   clear(): void {
@@ -109,7 +126,7 @@ export function watchView(context: Context): View {
       const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", labelFont: "11px system-ui" };
       this.element.firstElementChild!.replaceChildren(
         ...this.names.map((name, i) =>
-          h("span", { class: "legend" }, this.swatch(i), h("code", {}, name), h("b", { "data-name": name }, "–"), h("i", {}, units.get(name) ?? ""),
+          h("span", { class: "legend" }, this.swatch(i), signalName(name), h("b", { "data-name": name }, "–"), h("i", {}, units.get(name) ?? ""),
             h("button", { type: "button", class: "x", "aria-label": `Remove ${name}`, onclick: () => this.remove(name) }, "×")),
         ),
       );
@@ -168,8 +185,17 @@ export function watchView(context: Context): View {
     }
   }
 
+  const begun = new Set<string>();
   function subscribe(): void {
-    live.want("watch", ["sim.time_s", ...groups.flat()]);
+    const names = [...new Set(groups.flat())];
+    live.want("watch", ["sim.time_s", ...names]);
+    const fresh = names.filter((name) => !begun.has(name)).slice(0, 24);
+    for (const name of fresh) begun.add(name);
+    if (!fresh.length) return;
+    const query = fresh.map((name) => `name=${encodeURIComponent(name)}`).join("&");
+    get<{ times: number[]; series: Record<string, (number | null)[]> }>(`history?${query}`)
+      .then(({ times, series }) => history.merge(times, series))
+      .catch(() => {}); // the plot begins with what comes in
   }
 
   function open(names: string[]): void {

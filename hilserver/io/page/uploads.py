@@ -1,0 +1,98 @@
+"""Logs from and to a browser: bounded, streamed, and never over one that is there."""
+
+import asyncio
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import IO
+
+from aiohttp import web
+
+from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.jobs import LOG_SUFFIXES, file_in, is_plain
+
+MAX_BYTES = 1 << 30
+KEPT_FREE_BYTES = 1 << 30
+PIECE_BYTES = 1 << 18
+PIECE_S = 30.0
+_Part = IO[bytes]
+
+
+class Uploads:
+    """Takes logs into a folder, one at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._one = asyncio.Lock()
+
+    def download(self, name: str) -> web.FileResponse:
+        """Return a log; RefusedError if there is none."""
+        path = file_in(self._folder, name)
+        return web.FileResponse(
+            path,
+            headers={
+                "Content-Type": "application/octet-stream",
+                "Content-Disposition": f'attachment; filename="{path.name}"',
+            },
+        )
+
+    async def take(self, name: str, request: web.Request) -> int:
+        """Store what a request brings; return its size in bytes.
+
+        Raises
+        ------
+        RefusedError
+            If the name is taken or no log's, another one is coming in, or it is too large.
+        """
+        if not is_plain(name) or Path(name).suffix not in LOG_SUFFIXES:
+            raise RefusedError(
+                f"{name!r:.60} is no name of a log: letters, digits, _ . - and one of"
+                f" {', '.join(LOG_SUFFIXES)}"
+            )
+        if self._one.locked():
+            raise RefusedError("another log is coming in; wait until it is complete")
+        async with self._one:
+            target = self._folder / name
+            try:
+                part = await asyncio.to_thread(self._begin, target)
+                with part:
+                    size = await self._copy(request, part)
+                    await asyncio.to_thread(_complete, part, target)
+            except FileExistsError:
+                raise RefusedError(
+                    f"there is a log '{name}' already; give this one another name"
+                ) from None
+            except OSError as error:
+                raise RefusedError(f"{name} cannot be stored: {error.strerror}") from None
+            return size
+
+    def _begin(self, target: Path) -> _Part:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        if target.exists():
+            raise FileExistsError
+        return tempfile.NamedTemporaryFile(prefix=".upload-", dir=self._folder)
+
+    async def _copy(self, request: web.Request, part: _Part) -> int:
+        room = min(MAX_BYTES, shutil.disk_usage(self._folder).free - KEPT_FREE_BYTES)
+        size = 0
+        while True:
+            try:
+                async with asyncio.timeout(PIECE_S):
+                    piece = await request.content.read(PIECE_BYTES)
+            except TimeoutError:
+                raise RefusedError("the log has not arrived completely") from None
+            if not piece:
+                return size
+            size += len(piece)
+            if size > room:
+                raise RefusedError(
+                    f"the log is larger than the {max(room, 0) >> 20} MB that are to be had here"
+                )
+            await asyncio.to_thread(part.write, piece)
+
+
+def _complete(part: _Part, target: Path) -> None:
+    part.flush()
+    os.fchmod(part.fileno(), 0o644)
+    os.link(part.name, target)  # refuses where somebody was faster

@@ -1,0 +1,56 @@
+"""Logs that come in over the page: whole or not at all, and never over one that is there."""
+
+import aiohttp
+import pytest
+from aiohttp import web
+from aiohttp.test_utils import TestClient, TestServer
+
+from hilserver.io.page import uploads as module
+from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.uploads import Uploads
+
+
+@pytest.fixture
+async def send(tmp_path):
+    uploads = Uploads(tmp_path / "logs")
+
+    async def take(request):
+        try:
+            return web.json_response(await uploads.take(request.match_info["name"], request))
+        except RefusedError as error:
+            return web.json_response(str(error), status=409)
+
+    application = web.Application()
+    application.add_routes([web.post("/{name}", take)])
+    async with TestClient(TestServer(application)) as client:
+
+        async def send(name, data):
+            async with client.post(f"/{name}", data=data) as response:
+                return response.status, await response.json()
+
+        yield send
+    assert not list((tmp_path / "logs").glob(".*"))
+
+
+async def test_a_log_comes_in_whole(send, tmp_path):
+    data = b"t,x\n" * 200_000
+    assert await send("run.csv", data) == (200, len(data))
+    assert (tmp_path / "logs" / "run.csv").read_bytes() == data
+    status, text = await send("run.csv", b"other")
+    assert (status, "already" in text) == (409, True)
+    assert (tmp_path / "logs" / "run.csv").read_bytes() == data
+
+
+@pytest.mark.parametrize("name", ["run.exe", ".hidden.csv", "a b.csv", "..csv"])
+async def test_names_are_those_of_logs(send, name):
+    assert (await send(name, b"x"))[0] == 409
+
+
+async def test_what_is_too_large_is_not_kept(send, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "MAX_BYTES", 1000)
+    try:
+        status, text = await send("large.csv", b"x" * 1_000_000)
+        assert (status, "larger" in text) == (409, True)
+    except aiohttp.ClientConnectionError:
+        pass  # it was refused while we still sent
+    assert not (tmp_path / "logs" / "large.csv").exists()
