@@ -22,7 +22,7 @@ from hilserver.diagnosis.examine import (
 from hilserver.diagnosis.findings.ceiling import ceilings
 from hilserver.diagnosis.findings.estimate import estimate_of, joint
 from hilserver.diagnosis.findings.explain import of_two_wheels
-from hilserver.diagnosis.findings.nested import honest, judged_by_halves
+from hilserver.diagnosis.findings.nested import honest, judged_by_halves, predicts
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, named, worsened
 from hilserver.diagnosis.findings.worth import Explained, with_worth
@@ -121,23 +121,33 @@ def judge(
         fitted |= _findings(j, found)
     lap("structure")
     tell("measuring the gain", 0.0)
-    before, wholes = _explained(judged, seed, jobs)
-    own = {stage: whole.gains(whole.before, horizon_s, rng) for stage, whole in wholes.items()}
+    before, wholes, patched = _explained(judged, seed, jobs)
+    own, of_patch = (
+        {stage: whole.gains(whole.before, horizon_s, rng) for stage, whole in some.items()}
+        for some in (wholes, patched)
+    )
     totals = {key: gain for of_stage in own.values() for key, gain in of_stage.items()}
     notices = log.notices
     if test is not None:
-        models = {stage: j.point.model for stage, j in judged.items()}
-        totals = gain_on(check(test, robot).log, robot, models, horizon_s, rng)
+        other = check(test, robot).log
+        totals, of_patch[""] = (
+            gain_on(other, robot, models, horizon_s, rng)
+            for models in (
+                {stage: j.whole.model for stage, j in judged.items()},
+                {stage: j.point.model for stage, j in judged.items()},
+            )
+        )
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
     estimates = {stage: estimate_of(j.prepared.problem, j.point) for stage, j in judged.items()}
     for i, f in fitted.items():
         stage = f.candidate.stage
         index = judged[stage].point.model.fitted.index(f)
+        only = own[stage] if judged[stage].whole is judged[stage].point else None
         found[i] = with_worth(
-            found[i], index, wholes[stage], estimates[stage], horizon_s, rng, own[stage]
+            found[i], index, wholes[stage], estimates[stage], horizon_s, rng, only
         )
-    refusal = worsened(totals, *own.values())
+    refusal = worsened(*of_patch.values())
     if refusal is not None:
         notices = (*notices, refusal)
     ceiling = _ceilings(judged, before, horizon_s, rng)
@@ -158,7 +168,7 @@ def judge(
         config_sha256=config_sha256,
         baseline={key: gain.before for key, gain in totals.items()},
         findings=tuple(found),
-        total_gain=totals if fitted else {},
+        total_gain=totals if found and any(map(predicts, judged.values())) else {},
         ceiling=ceiling,
         joint=joint(list(estimates.values())),
         noise=noise_of_all(judged),
@@ -191,15 +201,20 @@ def _findings(j: Judged, found: list[Finding]) -> dict[int, Fitted]:
 
 def _explained(
     judged: Mapping[str, Judged], seed: int, jobs: int
-) -> tuple[dict[str, Array], dict[str, Explained]]:
-    """Return the predictions of every stage without a cause, and what its causes explain."""
+) -> tuple[dict[str, Array], dict[str, Explained], dict[str, Explained]]:
+    """Return the predictions of every stage without a cause, and what its causes explain.
+
+    Last what those with a name explain by themselves: a patch has no others.
+    """
     halves = judged_by_halves(judged, seed, jobs)
-    before = {
-        stage: j.prepared.problem.point(Model(), j.point.poses).predicted
-        for stage, j in judged.items()
-    }
-    wholes = {stage: honest(j, halves.get(stage, ()), before[stage]) for stage, j in judged.items()}
-    return before, wholes
+    before, wholes, patched = {}, {}, {}
+    for stage, j in judged.items():
+        base = before[stage] = j.prepared.problem.point(Model(), j.point.poses).predicted
+        mine = halves.get(stage, ())
+        wholes[stage] = patched[stage] = honest(j, mine, base)
+        if any(half is not None and half.whole is not half.point for half in mine):
+            patched[stage] = honest(j, mine, base, named=True)
+    return before, wholes, patched
 
 
 def _ceilings(

@@ -37,6 +37,9 @@ class Judged:
     prepared: Prepared
     selected: Selected
     point: Point
+    """The causes that have a name."""
+    whole: Point
+    """What predicts: beside these, columns of causes that were found right and lost their names."""
     ties: Mapping[str, list[Rival]]
     unknown: list[Unknown]
     drift: dict[str, float]
@@ -106,7 +109,29 @@ def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         if c in point.model.causes
     }
     scores = p.library.scores(p.base)
-    return Judged(p, selected, point, kept, unknown, drift, scores, scrubbed, anchor, in_doubt)
+    whole = _predicting(problem, point, (weighed, selected.point), rows)
+    return Judged(
+        p, selected, point, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt
+    )
+
+
+def _predicting(
+    problem: Problem, point: Point, before: Iterable[Point], rows: list[SelectionRow]
+) -> Point:
+    """Return the model that predicts: one before causes lost their names, if it does so better.
+
+    A name may go because something else explains as much, is too large or too small. What it
+    predicts right on held-out blocks stays, as a column without a name.
+    """
+    whole, harm = point, None
+    for richer in before:
+        step = Step(problem, richer, whole)
+        if step.harms:
+            whole, harm = richer, step.gain
+    why = "no name, but held-out errors would grow without its column, which stays"
+    nameless = [c for c in whole.model.causes if c not in point.model.causes]
+    rows += [SelectionRow(cause, "refused", harm, why) for cause in nameless]
+    return whole
 
 
 def _named_only(

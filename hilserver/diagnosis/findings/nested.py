@@ -5,7 +5,6 @@ what is chance there, too.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,23 +13,13 @@ from hilserver.diagnosis.decide.settling import Judged, settled
 from hilserver.diagnosis.findings.worth import Explained, Predictions, without_causes
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import of_halves
-from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import without
 from hilserver.diagnosis.replay.model import Model
 from hilserver.measured.arrays import Array
 
 HALVES = (0, 1)
-
-
-@dataclass(frozen=True)
-class Half:
-    """What one half of the blocks says of a stage; without samples it says nothing."""
-
-    problem: Problem
-    point: Point
-
-
-Halves = Sequence[Half | None]
+Halves = Sequence[Judged | None]
+"""What is found without each half of the blocks; None where nothing is left."""
 
 
 def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:
@@ -38,7 +27,7 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
 
     The wheels that move the pose turn as the drive's causes of the whole log say.
     """
-    found: dict[str, list[Half | None]] = {n: [] for n, j in judged.items() if j.point.model.fitted}
+    found: dict[str, list[Judged | None]] = {n: [] for n, j in judged.items() if predicts(j)}
     for half in HALVES if found else ():
         rng = np.random.default_rng(seed)
         prepared = {name: without(j.prepared, half) for name, j in judged.items()}
@@ -50,35 +39,47 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
                 continue
             beside = [s for other, s in scores.items() if other != name]
             selected = select(p.problem, p.library, p.base, rng, jobs, beside)
-            halves.append(Half(p.problem, settled(p, selected, rng).point))
+            halves.append(settled(p, selected, rng))
     return dict(found)
 
 
-def honest(j: Judged, halves: Halves, before: Array) -> Explained:
-    """Return what the causes of a stage explain of blocks that had no part in choosing them."""
-    problem, fitted = j.prepared.problem, j.point.model.fitted
+def predicts(j: Judged) -> bool:
+    """Return whether a stage has a cause, with or without a name."""
+    return bool(j.whole.model.fitted)
+
+
+def honest(j: Judged, halves: Halves, before: Array, *, named: bool = False) -> Explained:
+    """Return what the causes of a stage explain of blocks that had no part in choosing them.
+
+    Parameters
+    ----------
+    named : bool
+        Only those that have a name, fitted without the others.
+    """
+    problem = j.prepared.problem
     names = [
         {f.candidate.cause, *(r.candidate.cause for r in j.ties.get(f.candidate.cause, ()))}
-        for f in fitted
+        for f in j.point.model.fitted
     ]
 
     def without_some(causes: frozenset[int]) -> Predictions:
         barred = set().union(*(names[i] for i in causes))
-        models = [Model() if half is None else _model(half, barred) for half in halves]
+        models = [Model() if half is None else _model(half, barred, named) for half in halves]
         predicted = [
             problem.point(model, j.point.poses, pose_steps=2).predicted if model.fitted else before
             for model in models
         ]
         return (of_halves(problem, predicted),)
 
-    after = without_some(frozenset()) if fitted else (before,)
+    after = without_some(frozenset()) if halves else (before,)
     return Explained((problem,), (before,), after, without_some)
 
 
-def _model(half: Half, barred: set[str]) -> Model:
+def _model(half: Judged, barred: set[str], named: bool) -> Model:
     """Return what a half found, fitted anew without some causes."""
-    point = half.point
+    point = half.point if named else half.whole
     gone = [i for i, cause in enumerate(point.model.causes) if cause in barred]
     if not gone:
         return point.model
-    return fit(half.problem, without_causes(point.model, gone), point, iterations=3).model
+    less = without_causes(point.model, gone)
+    return fit(half.prepared.problem, less, point, iterations=3).model

@@ -30,7 +30,8 @@ it is.
 | `baseline` | mean absolute error of the configured plant, data faults corrected |
 | `findings` | one entry per finding, below |
 | `total_gain` | error at the end of a free run, before and after, on blocks that had no part in \
-selection, noise and fit: all three are repeated without each half (of groups: the fit alone) |
+selection, noise and fit: all three are repeated without each half (of groups: the fit alone); \
+causes without a name predict as well, see `decisions` |
 | `ceiling` | the ratio that a flexible regression on everything measured reaches |
 | `joint` | all fitted `parameters`, `value`, robust `covariance`, in reported units; or null |
 | `noise` | by channel `white_sd`, `ou_sd`, `ou_tau_s`, `tail_dof`, `step`, `limits`, below |
@@ -86,8 +87,9 @@ rounded to, and its `limits`. Null: none (tails: Gaussian).
 
 ## model_patch.yaml
 
-No patch is written whose terms make a reported quantity worse on data that took no part in the
-fit (its whole `ci95` lies below 1); a notice says so.
+No patch is written whose terms, fitted and judged without columns that have no name, make a
+reported quantity worse on data that took no part in selection and fit (its whole `ci95` lies
+below 1); a notice says so.
 
 Terms by name with value, unit, interval and the range of speed, wheel speed, turn rate and voltage
 they were fitted in. `made_from` names findings, configuration and version. A term that the

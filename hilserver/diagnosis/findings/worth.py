@@ -33,10 +33,6 @@ class Explained:
     after: Predictions
     without: Callable[[frozenset[int]], Predictions]
 
-    def left_out(self, causes: frozenset[int], n: int) -> Predictions:
-        """Return the predictions without some of `n` causes."""
-        return self.before if len(causes) == n else self.without(causes)
-
     def gains(
         self, before: Predictions, horizon_s: float, rng: np.random.Generator
     ) -> dict[str, Gain]:
@@ -101,9 +97,9 @@ def with_worth(
         The gain of the whole model, where this is its only cause.
     """
     n = max(estimate.owner) + 1
-    alone = whole.left_out(frozenset({index}), n)
+    alone = whole.without(frozenset({index}))
     partners = estimate.partners(index)
-    together = whole.left_out(partners | {index}, n) if partners else alone
+    together = whole.without(partners | {index}) if partners else alone
     gain = total if n == 1 and total is not None else whole.gains(alone, horizon_s, rng)
     matters = whole.matters(alone, together)
     return finding.model_copy(update={"gain": gain, "matters": matters})

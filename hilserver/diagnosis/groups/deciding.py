@@ -65,7 +65,9 @@ def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
         if unknown or set(model.causes) != set(j.point.model.causes):
             explained = max(j.prepared.base.deviance - point.deviance, 0.0)
             unknown = remaining(problem, point, rng, families_of(problem, point), explained)
-        members.append(replace(member, judged=replace(j, point=point, unknown=unknown)))
+        members.append(
+            replace(member, judged=replace(j, point=point, whole=point, unknown=unknown))
+        )
     return replace(whole, members=tuple(members))
 
 

@@ -150,6 +150,8 @@ def explained_in_groups(d: Decided) -> Explained:
 
     def without(causes: frozenset[int]) -> Predictions:
         assert fitted is not None
+        if len(causes) == len(fitted.points[0].model.fitted):
+            return before
         models = [without_causes(point.model, causes) for point in fitted.points]
         slices = fitted.points[0].model.slices
         gone = [i for cause in causes for i in range(slices[cause].start, slices[cause].stop)]

@@ -101,6 +101,6 @@ def test_parts_hold_every_block_once():
 
 
 def test_what_changes_along_the_log_has_no_one_value():
-    found = Judged(None, None, SimpleNamespace(model=toy.model("a", "b")), {}, [], {"a": 1e-4},
-                   None, scrubs=False)  # fmt: skip
+    point = SimpleNamespace(model=toy.model("a", "b"))
+    found = Judged(None, None, point, point, {}, [], {"a": 1e-4}, None, scrubs=False)
     assert found.lasting.causes == ("b",)

@@ -9,6 +9,7 @@ from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.settling import settled
 from hilserver.diagnosis.findings import nested
 from hilserver.diagnosis.findings.nested import honest, judged_by_halves
+from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import Prepared, without
 from hilserver.diagnosis.replay.stack import FOLD_RUNS
@@ -67,8 +68,8 @@ def test_a_half_is_predicted_by_what_was_selected_and_fitted_without_it():
 
 def test_nested_halves_off():
     """Causes and sizes of the whole log are no honest gain."""
-    line = "Half(p.problem, settled(p, selected, rng).point)"
-    whole = "Half(judged[name].prepared.problem, judged[name].point)"
+    line = "halves.append(settled(p, selected, rng))"
+    whole = "halves.append(judged[name])"
     with (
         mutated(nested.judged_by_halves, line, whole),
         pytest.raises(AssertionError, match="its own half"),
@@ -113,3 +114,17 @@ def test_a_stage_without_samples_of_one_half_says_nothing():
     p = replace(j.prepared, problem=Problem(j.prepared.problem.stage.on(stack)))
     assert without(p, 0) is None
     assert without(p, 1) is None
+
+
+def test_a_column_without_a_name_predicts_and_is_in_no_patch():
+    values, columns = drawn()
+    j = judged(values, columns)
+    problem, base = j.prepared.problem, np.zeros(N)
+    assert set(j.point.model.causes) == {"c0", "c1"}
+    less = fit(problem, j.point.model.without(0), j.point)
+    nameless = replace(j, point=less, whole=j.point)
+    whole = honest(nameless, (nameless, nameless), base)
+    patch = honest(nameless, (nameless, nameless), base, named=True)
+    assert np.allclose(whole.after[0], j.point.predicted)
+    assert np.allclose(patch.after[0], less.predicted)
+    assert whole.gains((base,), 5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5
