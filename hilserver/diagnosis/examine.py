@@ -1,12 +1,13 @@
 """One set of logs: its faults, its stages, and what was decided of each of them."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hilserver.diagnosis.checks import Checked, check
 from hilserver.diagnosis.checks.frame import untold, without_kinematics
+from hilserver.diagnosis.decide import limited_duty
 from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.settling import Judged, settled
@@ -61,6 +62,8 @@ def examine(
     checked = check(log, robot)
     why = untold(checked.log, robot)
     log = checked.log if why is None else without_kinematics(checked.log, why)
+    log, limits = limited_duty.find(log, robot)
+    checked = replace(checked, findings=(*checked.findings, *limits))
     lap("checks")
     prepared, reasons = prepare_all(log, robot, jobs, tell, lost_setpoints=checked.lost_setpoints)
     lap("effects")

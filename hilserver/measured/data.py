@@ -122,6 +122,10 @@ class MeasuredLog:
         """Return the log with some channels replaced."""
         return replace(self, channels={**self.channels, **changed})
 
+    def with_limits(self, limits: Mapping[str, float]) -> "MeasuredLog":
+        """Return the log with the limits of some channels."""
+        return replace(self, limits={**self.limits, **limits})
+
     def without(self, names: Iterable[str]) -> "MeasuredLog":
         """Return the log without some channels."""
         left_out = frozenset(names)

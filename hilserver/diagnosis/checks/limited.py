@@ -1,6 +1,6 @@
 """Limited channels: readings that stand at one value while the robot goes beyond it."""
 
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,8 @@ AT: Final = 1.0 - 1e-9
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find limits of sensors; the log keeps them, for readings there are no measurements.
 
-    A duty that ends where the plant's own does is no fault.
+    A duty that ends where the plant's own does is no fault; for one that ends below see
+    `decide.limited_duty`.
     """
     most = robot.controller.limit_pct
     limits = {name: most for name in DUTIES if name in log and _ends_at(log[name].values, most)}
@@ -32,19 +33,26 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
             f"{GYRO}: no reading lies beyond {limit:.4g} rad/s although the robot turned faster:"
             " the sensor or its driver is limited; choose a larger range."
         )
-        found = [_finding(log[GYRO].values, limit, text)]
-    return replace(log, limits=limits), found
+        found = [limited([GYRO], log[GYRO].values, limit, "rad/s", text)]
+    return log.with_limits(limits), found
 
 
-def _finding(values: Array, limit: float, text: str) -> Finding:
+def limited(channels: Sequence[str], values: Array, limit: float, unit: str, text: str) -> Finding:
     """Return the finding with the limits that readings reached, each by itself."""
-    finding = data_fault("limited_channel", [GYRO], limit, None, "rad/s", text)
+    finding = data_fault("limited_channel", channels, limit, None, unit, text)
     reached = {
-        f"limited_channel.{end}": Parameter(value=side * limit, ci95=None, unit="rad/s")
+        f"limited_channel.{end}": Parameter(value=side * limit, ci95=None, unit=unit)
         for end, side in (("low", -1.0), ("high", 1.0))
         if (side * values >= limit * AT).any()
     }
     return finding.model_copy(update={"parameters": {**finding.parameters, **reached}})
+
+
+def piled_up(values: Array) -> float | None:
+    """Return the largest reading of either sign if more stand there than by chance; or None."""
+    limit = float(np.abs(values).max(initial=0.0))
+    at = np.count_nonzero(np.abs(values) >= limit * AT)
+    return limit if limit > 0.0 and at >= FEWEST_PIECES else None
 
 
 def _ends_at(values: Array, most: float) -> bool:
@@ -53,13 +61,13 @@ def _ends_at(values: Array, most: float) -> bool:
 
 def _limit(values: Array, asked: Array | None) -> float | None:
     """Return the largest reading if the turn that was asked for goes on beyond it."""
-    if asked is None or len(values) < FEWEST_PIECES:
+    limit = piled_up(values)
+    if asked is None or limit is None:
         return None
-    limit = float(np.abs(values).max())
     at = np.abs(values) >= limit * AT
     inside = np.abs(values) < NEARLY_ALL * limit
     power = float(asked[inside] @ asked[inside])
-    if at.sum() < FEWEST_PIECES or power == 0.0:
+    if power == 0.0:
         return None
     ratio = float(asked[inside] @ values[inside]) / power
     beyond = np.sign(values[at]) * ratio * asked[at] / limit - 1.0
