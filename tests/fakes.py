@@ -3,7 +3,11 @@
 import itertools
 import os
 
-from hilserver.image import ProcessImage
+from hilserver.core.inputs import InputGate
+from hilserver.core.leases import Leases
+from hilserver.image import ProcessImage, leases
+from hilserver.image.leases import show_outcome
+from hilserver.image.queues import latch_rows
 from hilserver.signals import Ranges, robot_table
 
 RANGES = Ranges(max_rpm=90.0, max_linear_m_s=0.8, max_angular_rad_s=3.0)
@@ -19,8 +23,19 @@ def image_name():
 
 
 def make_image(table=None, **options):
-    settings = {"live": {}, "fixed": {}, "base_period_ns": 1_000_000, "ring_length": 16}
+    fixed = {leases.REGION: leases.words_needed(8)}
+    settings = {"live": {}, "fixed": fixed, "base_period_ns": 1_000_000, "ring_length": 16}
     return ProcessImage(image_name(), table or make_table(), **(settings | options))
+
+
+def make_gate(table, image, events, ramp_ticks=0, **options):
+    return InputGate(table, image, events, Leases(image, ramp_ticks), **options)
+
+
+def latch_inputs(image, tick=0):
+    """Take what was pushed, and write into the frame what whoever drives commands."""
+    latch_rows(tick, image.values, image.words)
+    show_outcome(image.values, image.words)
 
 
 class ManualClock:

@@ -110,6 +110,11 @@ class ControlConfig(Section):
     priority: tuple[Source, ...] = Field(
         SOURCES, description="Who may take control from whom, highest first"
     )
+    fallback: Literal["nobody", "before"] = Field(
+        "nobody",
+        description="Who has control when the one that has it is gone; before: the source before,"
+        " except after a Stop, a lapsed command or the safe state",
+    )
     opcua_stale_after_ms: float | None = Field(
         None,
         gt=0,

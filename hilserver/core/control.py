@@ -44,8 +44,6 @@ class Control:
 
     Parameters
     ----------
-    safe_ramp_ticks : int
-        Ticks after which the set-points have reached zero and the drive is disabled.
     reset_statistics : callable
         Starts every timing figure anew.
     speed_changed : callable
@@ -63,7 +61,6 @@ class Control:
         pacing: Pacing,
         snapshots: SnapshotStore,
         *,
-        safe_ramp_ticks: int,
         reset_statistics: Callable[[], None] = lambda: None,
         speed_changed: Callable[[float], None] = lambda _factor: None,
         measured_pose: Callable[[], tuple[float, float, float] | None] = lambda: None,
@@ -81,9 +78,7 @@ class Control:
         self._events = events
         self._pacing = pacing
         self._snapshots = snapshots
-        self._safe_ramp_ticks = safe_ramp_ticks
         self._causes: dict[str, str] = {}
-        self._disable_at = 0
         self._stop_taken = 0
         self._pose_requests = 0.0
 
@@ -122,6 +117,7 @@ class Control:
         """Stop the plant at the next tick; inputs and outputs stay visible."""
         state = self._next(Command.PAUSE)
         self._pacing.pause()
+        self._gate.end()
         self._go(state, state.word)
 
     def step(self, n: int) -> None:
@@ -159,7 +155,7 @@ class Control:
             return
         if self.state is State.PAUSED:
             self._pacing.resume()
-        self._disable_at = self._pacing.tick + self._safe_ramp_ticks
+        self._gate.may_fall_back = False
         self._go(state, reason)
 
     def clear_cause(self, cause: str) -> None:
@@ -168,10 +164,6 @@ class Control:
         if ended is not None and not self._causes and self.state is State.SAFE:
             text = f"what led to the safe state has ended ({ended}): call Reset to drive on"
             self._events.publish(Event(EventKind.STATE, 300, "daemon", text))
-
-    def zero_setpoints(self) -> None:
-        """Set all set-points to zero at once, without leaving the running state."""
-        self._gate.stop()
 
     def reset(self) -> None:
         """Acknowledge the safe state; otherwise put the simulation back to its start."""
@@ -188,8 +180,8 @@ class Control:
     def _acknowledge(self) -> None:
         if self._causes:
             raise ControlRefused(f"Reset has to wait: {'; '.join(self._causes.values())}")
-        self._gate.stop()
-        self._image.control.fault = self._image.control.drive_off = 0
+        self._gate.end()
+        self._image.control.fault = 0
         self._image.control.stop_acknowledged = self._stop_taken
         self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
 
@@ -240,7 +232,7 @@ class Control:
     async def load_snapshot(self, name: str) -> None:
         """Continue from a saved state; version, kernels, signals and parameters have to match."""
         self._next(Command.LOAD_SNAPSHOT)
-        await self._snapshots.load(name)
+        await self._snapshots.load(name, ends_leases=True)
 
     def set_speed(self, factor: float) -> None:
         """Run at `factor` times real time (0.01 .. 100)."""
@@ -255,9 +247,7 @@ class Control:
         self._go(self._next(Command.END), reason)
 
     def supervise(self) -> None:
-        """Finish the safe state's ramp; take over what the plant has acted on already."""
-        if self.state is State.SAFE and self._pacing.tick >= self._disable_at:
-            self._image.control.drive_off = 1
+        """Take over what the plant has acted on already."""
         self._take_stop()
         if code := self._image.control.fault:
             self.enter_safe(fault_of(code).text, cause=None)

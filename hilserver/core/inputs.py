@@ -10,27 +10,19 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import StrEnum
+from typing import cast
 
 from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.leases import NOBODY, OFFERING, Leases
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
 from hilserver.image.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
-    GOOD,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
-from hilserver.plant.layout import WHEELS
+from hilserver.plant.layout import U_MODE
 from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.signals.numbers import is_finite_number
-
-SETPOINTS = (
-    *(f"wheel.{wheel}.setpoint_rpm" for wheel in WHEELS),
-    "twist.linear_m_s",
-    "twist.angular_rad_s",
-    "twist.lateral_m_s",
-    *(f"wheel.{wheel}.duty_command_pct" for wheel in WHEELS),
-)
-"""What a stop sets to zero."""
 
 
 class Refusal(StrEnum):
@@ -87,10 +79,15 @@ class InputGate:
     monotonic_ns : callable
         Clock for the age of inputs.
 
+    fallback : str
+        Who has control when its holder is gone: ``nobody``, or the source ``before``.
+
     Attributes
     ----------
-    on_setpoints : list of callable
-        Called with the source whenever a set-point of it was accepted.
+    owner : str
+        Kind of source that has control, or ``nobody``.
+    may_fall_back : bool
+        Set to False by what ended a command; taking control sets it anew.
     """
 
     def __init__(
@@ -98,13 +95,18 @@ class InputGate:
         table: SignalTable,
         image: ProcessImage,
         events: EventBus,
+        leases: Leases,
         *,
         owner: str = "opcua",
         priority: Sequence[str] = SOURCES,
+        fallback: str = NOBODY,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.owner = owner
+        self.owner, self.leases = owner, leases
+        leases.begin(owner)
         self.priority = tuple(priority)
+        self.may_fall_back = True
+        self._fallback, self._before, self._holder = fallback, NOBODY, cast("object", None)
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.accepted: Counter[str] = Counter()
         self._table = table
@@ -115,11 +117,14 @@ class InputGate:
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
-        self._setpoint_slots = frozenset(slot for name in SETPOINTS for slot in table[name].slots)
-        self.on_setpoints: list[Callable[[str], None]] = []
 
     def write(
-        self, source: str, values: Mapping[str, object], *, received_ns: int | None = None
+        self,
+        source: str,
+        values: Mapping[str, object],
+        *,
+        received_ns: int | None = None,
+        renews: bool = True,
     ) -> dict[str, Refusal]:
         """Check `values` and hand the accepted ones, as one group, to the next tick.
 
@@ -131,6 +136,8 @@ class InputGate:
             Signal name to number, Boolean, or four numbers for an array.
         received_ns : int, optional
             When they came in, CLOCK_MONOTONIC; now by default.
+        renews : bool
+            Whether what the source holds may go on; False while it lacks something.
 
         Returns
         -------
@@ -140,14 +147,22 @@ class InputGate:
         now_ns = self._now_ns() if received_ns is None else received_ns
         refused: dict[str, Refusal] = {}
         rows: dict[str, list[Row]] = {}
+        kind, offered = kind_of(source), []
         for name, value in values.items():
-            checked = self._check(source, name, value)
+            checked = self._check(name, value)
             if isinstance(checked, Refusal):
                 refused[name] = checked
-            else:
-                slots = self._table[name].slots
-                rows[name] = [Row(s, v) for s, v in zip(slots, checked, strict=True)]
-        if rows and not self._image.push([row for group in rows.values() for row in group]):
+                continue
+            signal = self._table[name]
+            found = [Row(s, v) for s, v in zip(signal.slots, checked, strict=True)]
+            if signal.is_measured or kind == self.owner:
+                rows[name] = found
+                continue
+            refused[name] = Refusal.NOT_IN_CONTROL
+            if kind in OFFERING:
+                offered += found
+        group = offered + [row for found in rows.values() for row in found]
+        if group and not self._image.push(self._placed(source, group, renews=renews)):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows = {}
         if rows:
@@ -156,7 +171,18 @@ class InputGate:
             self._report(source, name, values[name], reason)
         return refused
 
-    def _check(self, source: str, name: str, value: object) -> tuple[float, ...] | Refusal:
+    def _placed(self, source: str, rows: list[Row], *, renews: bool) -> list[Row]:
+        """Return rows for the place of the source's kind, and what renews its lease."""
+        kind, place = kind_of(source), self.leases.place
+        placed = [row._replace(slot=place(kind, row.slot)) for row in rows]
+        is_command = any(not self._table.by_slot(row.slot).is_measured for row in rows)
+        return placed + self.leases.renewal(source) if renews and is_command else placed
+
+    def renew(self, source: str) -> None:
+        """Let what `source` holds go on: it was heard, and has nothing new to say."""
+        self._image.push(self.leases.renewal(source))
+
+    def _check(self, name: str, value: object) -> tuple[float, ...] | Refusal:
         if name not in self._table or self._table[name].hidden:
             return Refusal.UNKNOWN_SIGNAL
         signal = self._table[name]
@@ -165,8 +191,6 @@ class InputGate:
         checked = check_value(signal, value)
         if isinstance(checked, Refusal):
             return checked
-        if not signal.is_measured and kind_of(source) != self.owner:
-            return Refusal.NOT_IN_CONTROL
         return checked
 
     def _remember(self, source: str, groups: Iterable[list[Row]], now_ns: int) -> None:
@@ -180,14 +204,6 @@ class InputGate:
         self.accepted[source] += 1
         if changed and self._change is None:
             self._change = (now_ns, self._image.pushed_rows)
-        if any(row.slot in self._setpoint_slots for group in groups for row in group):
-            for callback in self.on_setpoints:
-                callback(source)
-
-    def holds_setpoints(self, source: str) -> bool:
-        """Whether a set-point that `source` wrote last is not zero."""
-        newest = (self._newest.get(slot) for slot in self._setpoint_slots)
-        return any(found and found[0] == source and found[1] != 0.0 for found in newest)
 
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
         self.rejected[(source, reason.value)] += 1
@@ -211,19 +227,29 @@ class InputGate:
             return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
 
-    def take(self, kind: str) -> None:
-        """Give control to the sources of `kind`.
+    def take(self, kind: str, holder: object = None) -> None:
+        """Give control to the sources of `kind`, or to nobody.
+
+        Parameters
+        ----------
+        holder : object
+            Whose it is; when that is `gone`, control goes on.
 
         Raises
         ------
         ControlRefused
-            If `kind` is unknown, or stands below the present owner in `priority`.
+            If `kind` is unknown, or the plant does not take more.
         """
-        if kind not in self.priority:
+        if kind not in (*self.priority, NOBODY):
             known = ", ".join(self.priority)
             raise ControlRefused(f"'{kind}' cannot take control; sources are {known}")
-        before, self.owner = self.owner, kind
+        if (kind, holder) == (self.owner, self._holder):
+            return
+        if not self._image.push([self.leases.hand_over(kind)]):
+            raise ControlRefused("the queue of inputs is full: ask again")
+        before, self.owner, self._holder = self.owner, kind, holder
         if kind != before:
+            self._before, self.may_fall_back = before, True
             text = f"control goes from '{before}' to '{kind}'"
             self._events.publish(Event(EventKind.STATE, 300, kind, text))
 
@@ -232,8 +258,8 @@ class InputGate:
         order = self.priority
         return kind in order and (other not in order or order.index(kind) <= order.index(other))
 
-    def request(self, requester: str, kind: str) -> None:
-        """Let `requester` hand control to `kind`, if it may.
+    def request(self, requester: str, kind: str, holder: object = None) -> None:
+        """Let `requester` hand control to `kind`, if it may; "nobody" gives it back.
 
         Raises
         ------
@@ -242,27 +268,43 @@ class InputGate:
         """
         if not self.outranks(requester, self.owner):
             raise ControlRefused(f"'{self.owner}' has control and outranks '{requester}'")
+        if kind == NOBODY and requester == self.owner:
+            self._fall_back("gives control back")
+        else:
+            self.take(kind, holder if kind == requester else None)
+
+    def gone(self, holder: object) -> None:
+        """Let control go on: who held it is no longer there."""
+        if holder is not None and holder is self._holder:
+            self._fall_back("is gone")
+
+    def _fall_back(self, why: str) -> None:
+        gone, before = self.owner, self._before
+        kind = before if self._fallback == "before" and self.may_fall_back else NOBODY
         self.take(kind)
+        who = "nobody drives" if kind == NOBODY else f"'{kind}' drives again"
+        self._events.publish(Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}"))
 
     def mark_stale(self, source: str) -> None:
         """Keep what the source wrote last, with status UncertainLastUsableValue."""
         slots = [slot for slot, (writer, _) in self._newest.items() if writer == source]
-        self._image.push([Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots])
+        rows = [Row(slot, math.nan, UNCERTAIN_LAST_USABLE_VALUE) for slot in slots]
+        self._image.push(self._placed(source, rows, renews=False))
 
-    def expect(self, names: Iterable[str]) -> None:
+    def expect(self, source: str, names: Iterable[str]) -> None:
         """Mark signals that a configured source will write: BadWaitingForInitialData until then."""
         rows = [
             Row(slot, self._table.by_slot(slot).initial, BAD_WAITING_FOR_INITIAL_DATA)
             for name in names
             for slot in self._table[name].slots
         ]
-        self._image.push(rows)
+        self._image.push(self._placed(source, rows, renews=False))
 
-    def stop(self) -> None:
-        """Set all set-points to zero: what remains of a lost source must not drive on."""
-        self._image.push([Row(self._table.slot(name), 0.0, GOOD) for name in SETPOINTS])
-        for name in SETPOINTS:
-            self._newest.pop(self._table.slot(name), None)
+    def end(self) -> None:
+        """End every lease: nothing is commanded until a source does so anew."""
+        self._image.push([self.leases.end()])
+        for slot in range(U_MODE):
+            self._newest.pop(slot, None)
 
     def age_s(self, source: str) -> float | None:
         """Return the time since the source's last accepted write [s], None before the first."""

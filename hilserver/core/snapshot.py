@@ -22,7 +22,12 @@ from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
-from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS, REQUEST_SAVE
+from hilserver.image.layout import (
+    REQUEST_LOAD,
+    REQUEST_PARAMETERS,
+    REQUEST_RESTART,
+    REQUEST_SAVE,
+)
 from hilserver.image.requests import is_done, post_request
 from hilserver.kernel.adoption import unfit
 
@@ -82,7 +87,7 @@ class SnapshotStore:
         if self._lock.locked():
             raise ControlRefused("Reset has to wait: a snapshot is being saved or loaded")
         self._image.shadow[:] = self.initial
-        post_request(REQUEST_LOAD, 0, self._image.words)
+        post_request(REQUEST_RESTART, 0, self._image.words)
 
     async def save(self, name: str) -> Path:
         """Save the state between two ticks; return the file.
@@ -107,8 +112,13 @@ class SnapshotStore:
         await asyncio.to_thread(_write, path, state, meta)
         return path
 
-    async def load(self, name: str) -> int:
+    async def load(self, name: str, *, ends_leases: bool = False) -> int:
         """Continue from a saved state; return its tick.
+
+        Parameters
+        ----------
+        ends_leases : bool
+            Whether nothing is commanded until a source does so anew; else the robot drives on.
 
         Raises
         ------
@@ -124,7 +134,7 @@ class SnapshotStore:
             )
         if state.shape != self._image.shadow.shape:
             raise ControlRefused(f"snapshot '{name}' holds a state of a different size")
-        await self.restore(state, int(meta["tick"]))
+        await self.restore(state, int(meta["tick"]), ends_leases=ends_leases)
         return int(meta["tick"])
 
     async def capture(self) -> int:
@@ -133,7 +143,9 @@ class SnapshotStore:
             await self._serve(REQUEST_SAVE, 0)
             return self._image.control.request_tick
 
-    async def restore(self, state: NDArray[np.int64], tick: int) -> None:
+    async def restore(
+        self, state: NDArray[np.int64], tick: int, *, ends_leases: bool = False
+    ) -> None:
         """Continue from `state`, as a snapshot or a recording holds it, at `tick`.
 
         Raises
@@ -146,7 +158,7 @@ class SnapshotStore:
             raise ControlRefused(f"the state is damaged ({what}); take another file")
         async with self._lock:
             self._image.shadow[:] = state
-            await self._serve(REQUEST_LOAD, tick)
+            await self._serve(REQUEST_RESTART if ends_leases else REQUEST_LOAD, tick)
 
     async def exchange(
         self, numbers: Mapping[str, NDArray[np.float64]], parameters: Mapping[str, Any]

@@ -6,8 +6,7 @@ three of its four set-points. A peer is fresh from the moment at which something
 every input that commands had a value; until then it is waited for, not lost, so that the two sides
 can be started in any order and nodes may appear after their server.
 
-While our own event loop is held up, nobody listens: what the peer sends meanwhile waits in the
-socket, or was not even asked for. That is no silence of the peer, and does not count as its age.
+It tells; the command that a peer holds lapses in the step, whatever becomes of Python.
 """
 
 from collections.abc import Collection
@@ -39,35 +38,23 @@ class Staleness:
         self.reason = "never heard"
         self._commanding = frozenset(commanding)
         self._known = False
+        self._checked_ns: int | None = None
         self._heard_ns: int | None = None
-        self._excused = False
         self._unusable_since_ns: dict[str, int] = {}
+
+    @property
+    def lacks_input(self) -> bool:
+        """Whether an input that commands has no usable value now."""
+        return not self._commanding.isdisjoint(self._unusable_since_ns)
 
     @property
     def waiting(self) -> bool:
         """Whether a stale peer still lacks an input that commands: nothing may be driven by it."""
-        return self.stale and not self._commanding.isdisjoint(self._unusable_since_ns)
+        return self.stale and self.lacks_input
 
     def heard(self, now_ns: int) -> None:
         """Note that something new arrived: a newer number, or a value where nothing counts."""
         self._heard_ns = now_ns
-        self._excused = False
-
-    def held_up(self, from_ns: int, to_ns: int) -> None:
-        """Leave a time in which nobody listened out of all ages.
-
-        Only once until something new is heard: a loop that is late again and again still calls a
-        silent peer silent.
-        """
-        if self._heard_ns is None or self._excused:
-            return
-
-        def moved(since_ns: int) -> int:
-            return since_ns + max(0, to_ns - max(since_ns, from_ns))
-
-        self._excused = True
-        self._heard_ns = moved(self._heard_ns)
-        self._unusable_since_ns = {k: moved(t) for k, t in self._unusable_since_ns.items()}
 
     def unusable(self, name: str, now_ns: int) -> None:
         """Note that the newest sample of the input `name` cannot be used."""
@@ -80,6 +67,10 @@ class Staleness:
     def check(self, now_ns: int) -> Transition | None:
         """Return what changed since the last check; `stale` and `reason` are then up to date."""
         reason = self._why_stale(now_ns)
+        since_ns = 0 if self._checked_ns is None else now_ns - self._checked_ns
+        self._checked_ns = now_ns
+        if reason and not self.stale and since_ns > self.limit_ns:
+            reason = f"our event loop stood still for {since_ns / 1e6:.0f} ms"
         was_stale, self.stale = self.stale, bool(reason)
         if reason:
             self.reason = reason

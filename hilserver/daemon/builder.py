@@ -14,15 +14,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
+from hilserver.config.root import Config
 from hilserver.config.timing import LimitsConfig
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
+from hilserver.core.leases import TELEOP, Leases
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
-from hilserver.image import ProcessImage, board
+from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
 from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
@@ -39,6 +41,8 @@ from hilserver.signals import SignalTable
 LINEAR_BINS = 10_000
 VIRTUAL_RING = 2048
 """Frames that are read between two batches of virtual time."""
+OTHER_LEASES = 5
+"""Of those that are no peers: see `leases_of`."""
 UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
 """Asks nothing of the operating system."""
 
@@ -163,12 +167,14 @@ def build(assembly: Assembly, pace: Pace | None = None) -> Core:
 
 def _image(assembly: Assembly, pace: Pace) -> ProcessImage:
     is_made_up, composition = pace.image == MADE_UP, assembly.composition
+    held = leases.words_needed(OTHER_LEASES + len(assembly.config.peers))
     statistics = words_needed(len(assembly.slices), LINEAR_BINS)
     return ProcessImage(
         f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}" if is_made_up else pace.image,
         assembly.table,
         live=composition.live_regions,
-        fixed=composition.fixed_regions | {"statistics": statistics, board.REGION: board.WORDS},
+        fixed=composition.fixed_regions
+        | {"statistics": statistics, board.REGION: board.WORDS, leases.REGION: held},
         base_period_ns=assembly.base_period_ns,
         ring_length=pace.ring_frames,
         queue_rows=pace.queue_rows,
@@ -187,8 +193,10 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         table,
         image,
         events,
+        leases_of(config, image, assembly.base_period_ns),
         owner=config.first_source,
         priority=config.sources,
+        fallback=config.control.fallback,
     )
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
@@ -204,6 +212,19 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         lines=lines,
     )
     return Core(assembly, image, step, scheduler, events, gate, snapshots, lines, faults)
+
+
+def leases_of(config: Config, image: ProcessImage, period_ns: int) -> Leases:
+    """Return the leases of every source that a configuration has, before the first tick."""
+    found = Leases(image, round(config.plant.safe_ramp_s * 1e9 / period_ns))
+    found.add("opcua", config.control.opcua_stale_after_ms, "ramp")
+    found.add(TELEOP, config.page.deadman_ms, "zero")
+    found.add("page", config.page.deadman_ms, "zero")
+    found.add("ros2", config.ros2.stale_after_ms, config.ros2.on_stale)
+    found.add("shield", config.shield.stale_after_ms, config.shield.on_stale)
+    for peer in config.peers:
+        found.add(f"peer:{peer.name}", peer.stale_after_ms, peer.on_stale)
+    return found
 
 
 def _scheduler(

@@ -45,7 +45,6 @@ def make_peers(
                 peer,
                 gate=core.gate,
                 on_stale=supervision.on_stale,
-                on_restored=supervision.on_restored,
                 events=core.events,
                 read_output=outputs.read,
                 clock=clock,

@@ -15,7 +15,6 @@ import structlog
 
 from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
-from hilserver.core.deadman import DeadMan
 from hilserver.core.events import Event, EventKind
 from hilserver.daemon import figures
 from hilserver.daemon.assembly import Assembly
@@ -108,7 +107,6 @@ class Daemon:
             self.events,
             self.scheduler,
             core.snapshots,
-            safe_ramp_ticks=round(config.plant.safe_ramp_s * 1e9 / period_ns),
             reset_statistics=self._reset_statistics,
             speed_changed=self._watch_communication,
             measured_pose=self.outputs.measured_pose,
@@ -125,7 +123,6 @@ class Daemon:
         self.shield = make_shield(core, self.supervision)
         self.ros2 = make_ros2(core, self.clock, self.supervision)
         self.foxglove = make_foxglove(core, self.clock)
-        self.deadman = DeadMan(self.gate, self.events, config.page.deadman_ms * 1e-3)
         self.desk = make_desk(core, self.stage)
         self._notice = make_notice(
             core, self.control, self.outputs, self._statuses, self.audit, self.desk
@@ -187,7 +184,7 @@ class Daemon:
         await self.scheduler.start()
         self._take_audit()
         for peer in self.peers:
-            self.gate.expect(peer.config.inputs)
+            self.gate.expect(f"peer:{peer.config.name}", peer.config.inputs)
         await self._start_parts(early=False)
         idle = asyncio.create_task(self._idle(), name="idle")
         self._resources.callback(idle.cancel)
@@ -303,8 +300,6 @@ class Daemon:
     def _on_event(self, event: Event) -> None:
         if event.kind in (EventKind.STATE, EventKind.SAFE_STATE) and self.scheduler.paused:
             asyncio.get_running_loop().call_soon(self._publish, 0, 0)
-        if event.kind is EventKind.STATE:
-            self.supervision.act_on_silence()
 
     def _restart_faults(self) -> None:
         """After a reset: no fault, no force, and the scenario from its beginning."""

@@ -92,7 +92,6 @@ class Scenarios:
             raise ControlRefused("no scenario is playing")
         self._faults.reset()
         if self._gate.owner == "scenario":
-            self._gate.stop()
             self._gate.take(playing.owner)
 
     def view(self) -> dict[str, Any] | None:

@@ -58,7 +58,7 @@ def _use_limits(daemon: Daemon, config: Config, _out: Stream | None) -> None:
 
 
 def _use_operator_limit(daemon: Daemon, config: Config, _out: Stream | None) -> None:
-    daemon.supervision.opcua_stale_after_ms = config.control.opcua_stale_after_ms
+    daemon.gate.leases.limit("opcua", config.control.opcua_stale_after_ms)
 
 
 RELOADABLE: dict[str, Callable[[Daemon, Config, Stream | None], None]] = {

@@ -6,7 +6,7 @@ from hilserver.body.export import robot_urdf
 from hilserver.core.clock import UtcClock
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core
-from hilserver.daemon.supervision import Silence, Supervision
+from hilserver.daemon.supervision import Supervision
 from hilserver.plant.layout import P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.ros.robot import Shape
 
@@ -21,7 +21,6 @@ def make_ros2(core: Core, clock: UtcClock, supervision: Supervision) -> "Ros2Nod
         return None
     from hilserver.io.ros2.node import NAME, Ros2Node, World  # noqa: PLC0415 -- an extra
 
-    host = Silence("the ROS 2 host", config.on_stale)
     world = World(
         table=core.table,
         shape=shape_of(core.assembly),
@@ -30,8 +29,7 @@ def make_ros2(core: Core, clock: UtcClock, supervision: Supervision) -> "Ros2Nod
         clock=clock,
         description=lambda prefix: robot_urdf(core.assembly.body, prefix),
         latest=core.image.latest,
-        on_stale=lambda: supervision.on_silence(NAME, host),
-        on_restored=lambda: supervision.on_sound(NAME),
+        on_stale=lambda: supervision.on_stale(NAME),
         period_ns=core.assembly.base_period_ns,
     )
     return Ros2Node(config, world, core.lines[NAME])

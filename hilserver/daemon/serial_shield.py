@@ -5,7 +5,7 @@ import math
 
 from hilserver.core.inputs import InputGate
 from hilserver.daemon.builder import Core
-from hilserver.daemon.supervision import Silence, Supervision
+from hilserver.daemon.supervision import Supervision
 from hilserver.image import Row
 from hilserver.io.peer_faults import FaultBook
 from hilserver.io.shield import ShieldLink, ShieldStatus
@@ -14,8 +14,6 @@ from hilserver.io.shield.device import SOURCE, Device
 from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.status import NAME
 from hilserver.scheduler import RealtimeSettings
-
-SILENT = "the shield's host"
 
 
 def make_shield(core: Core, supervision: Supervision) -> ShieldLink | None:
@@ -40,6 +38,11 @@ def make_shield(core: Core, supervision: Supervision) -> ShieldLink | None:
         max_rpm=core.table["wheel.fl.setpoint_rpm"].high,
         apply=Gains(core).apply,
     )
+
+    def renew(limit_ns: int) -> None:
+        core.gate.leases.limit(SOURCE, limit_ns * 1e-6)
+        core.gate.renew(SOURCE)
+
     return ShieldLink(
         config,
         open_line=open_line,
@@ -48,8 +51,8 @@ def make_shield(core: Core, supervision: Supervision) -> ShieldLink | None:
         status=status,
         device=device,
         faults=faults,
-        on_silent=lambda: supervision.on_silence(SOURCE, Silence(SILENT, config.on_stale)),
-        on_heard=lambda: supervision.on_sound(SOURCE),
+        on_silent=lambda: supervision.on_stale(SOURCE),
+        renew=renew,
         publish=core.events.publish,
         realtime=_realtime(core),
     )

@@ -144,7 +144,8 @@ class Stage:
                 if isinstance(numbers, Refusal):
                     continue
                 slots = self._table[name].slots
-                rows += [Row(s, n, tick=tick) for s, n in zip(slots, numbers, strict=True)]
+                places = [self._gate.leases.place("scenario", slot) for slot in slots]
+                rows += [Row(s, n, tick=tick) for s, n in zip(places, numbers, strict=True)]
         return rows
 
     def _numbers(self, name: str, value: Any) -> tuple[float, ...] | Refusal:

@@ -20,6 +20,7 @@ JSON_WORDS = 32768
 REQUEST_SAVE = 1
 REQUEST_LOAD = 2
 REQUEST_PARAMETERS = 3
+REQUEST_RESTART = 4
 
 ROW_WORDS = 4  # tick, slot, value, status
 FRAME_HEADER_WORDS = 4  # sequence, tick, planned_ns, rows of `now` latched so far

@@ -11,8 +11,9 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
-from hilserver.image import word
+from hilserver.image import leases, word
 from hilserver.image.layout import ROW_WORDS
+from hilserver.image.leases import apply_lease
 
 
 @kernel("int64(float64[:, ::1], int64, int64, int64, int64, float64[::1], int64[::1])")
@@ -44,11 +45,20 @@ def push_rows(
 @kernel()
 def _apply(place: int, values: Any, words: Any) -> None:
     slot, value = int(values[place + 1]), values[place + 2]
+    lease, status = words[word.LEASES], int(values[place + 3])
+    if lease > 0 and slot >= words[word.N_SLOTS]:
+        apply_lease(slot - words[word.N_SLOTS], value, status, values, words)
+        return
+    if lease > 0 and slot < words[word.SETPOINT_SLOTS] + 2 and words[word.STATE] >= 0:
+        kind = int(values[lease + leases.OWNER])
+        if kind >= 0:  # it is meant for whoever drives
+            apply_lease(leases.VALUES + kind * leases.ROW + slot, value, status, values, words)
+        return
     if not math.isnan(value):
         values[words[word.FRAME_BASE] + slot] = value
         if slot < words[word.SETPOINT_SLOTS]:
             words[word.COMMANDED] = 1
-    words[words[word.STATUS_BASE] + slot] = int(values[place + 3])
+    words[words[word.STATUS_BASE] + slot] = status
 
 
 @kernel()

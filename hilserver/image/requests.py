@@ -2,6 +2,7 @@
 
 The daemon fills or reads the shadow copy and posts a request; the plant's next latch serves it.
 Other parameters are taken over in the same way, and the state that they meet is saved with them.
+A restart ends every lease besides: nobody drives on by what was commanded before.
 The live regions lie in one piece, so that a request costs one copy of some ten kilobytes.
 """
 
@@ -10,7 +11,7 @@ from typing import Any
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.image import word
-from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS
+from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS, REQUEST_RESTART
 
 
 @kernel("int64(int64, int64, int64[::1])")
@@ -36,7 +37,7 @@ def serve_request(tick: int, words: Any) -> int:
     if number == words[word.REQUEST_DONE]:
         return tick
     live, shadow = words[word.LIVE_BASE], words[word.SHADOW_BASE]
-    if words[word.REQUEST_KIND] == REQUEST_LOAD:
+    if words[word.REQUEST_KIND] in (REQUEST_LOAD, REQUEST_RESTART):
         for i in range(words[word.LIVE_LENGTH]):
             words[live + i] = words[shadow + i]
         tick = words[word.REQUEST_TICK]

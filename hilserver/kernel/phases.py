@@ -4,11 +4,14 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
-from hilserver.image import word
+from hilserver.image import leases, word
+from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
+from hilserver.image.leases import adopt_outcome, end_leases, show_outcome
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
 from hilserver.image.status import GOOD, UNCERTAIN
+from hilserver.kernel.modifier_layout import H_TIMEOUT_DEAD
 from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
 from hilserver.kernel.places import Places
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, N_U, N_Y
@@ -28,6 +31,46 @@ def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
 
 
 @kernel()
+def _lapse(entry: int, at: Places, values: Any, words: Any) -> None:
+    """End a lease by its policy; what it held was not renewed in time."""
+    words[entry + leases.LAPSED] = 1
+    words[entry + leases.STALLED] = words[word.HEARTBEAT_AGE]
+    policy, n = words[entry + leases.POLICY], words[word.SETPOINT_SLOTS]
+    row = words[word.LEASES] + leases.VALUES + words[entry + leases.KIND] * leases.ROW
+    if policy == leases.SAFE:
+        words[entry + leases.LAPSED] = 2
+        enter_safe(faults.SILENCE, at, values, words)
+    elif policy != leases.HOLD:
+        for i in range(n):
+            if values[row + i] != 0.0:
+                words[entry + leases.LAPSED] = 2
+            values[row + i] = 0.0
+    if policy == leases.DEVICE:
+        words[entry + leases.LAPSED] = 2
+        values[row + n + 1] = 0.0
+
+
+@kernel()
+def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
+    """Renew the leases, let those lapse by which the robot is driven, write the outcome."""
+    lease, base = words[word.LEASES], words[word.MODIFIERS]
+    held = base > 0 and words[base + H_TIMEOUT_DEAD] != 0
+    for e in range(words[lease + leases.COUNT]):
+        entry = lease + leases.ENTRIES + e * leases.ENTRY
+        if words[entry + leases.RENEWED] != 0:
+            words[entry + leases.RENEWED] = words[entry + leases.LAPSED] = 0
+            words[entry + leases.SINCE] = max(now_ns, 1)
+            continue
+        limit_ns, since_ns = words[entry + leases.LIMIT], words[entry + leases.SINCE]
+        if held or limit_ns == 0 or since_ns == 0 or words[entry + leases.LAPSED] != 0:
+            continue
+        drives = words[entry + leases.KIND] == values[lease + leases.OWNER]
+        if drives and now_ns - since_ns > limit_ns:
+            _lapse(entry, at, values, words)
+    show_outcome(values, words)
+
+
+@kernel()
 def _take_state(at: Places, values: Any, words: Any) -> None:
     """Show the daemon's state; drive to zero in the safe one, after a fault and after Stop.
 
@@ -40,6 +83,17 @@ def _take_state(at: Places, values: Any, words: Any) -> None:
     is_safe = is_stopped or state == SAFE or words[word.FAULT] != 0
     values[words[word.FRAME_BASE] + at.state] = state
     values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE if is_safe else COMMAND_NORMAL
+    words[word.SAFE_TICKS] = words[word.SAFE_TICKS] + 1 if is_safe else 0
+
+
+@kernel()
+def _drive_on(now_ns: int, values: Any, words: Any) -> None:
+    """Go on from a state that was restored: by what it commands, or at zero."""
+    kind = words[word.REQUEST_KIND]
+    if kind in (REQUEST_LOAD, REQUEST_RESTART):
+        adopt_outcome(now_ns, values, words)
+    if kind == REQUEST_RESTART:
+        end_leases(values, words)
 
 
 @kernel()
@@ -55,17 +109,22 @@ def _watch_heartbeat(at: Places, values: Any, words: Any) -> None:
 
 
 @kernel()
-def latch(tick: int, at: Places, values: Any, words: Any) -> int:
+def latch(tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
     """Serve a snapshot request, take the inputs of this tick, return the tick to execute.
 
     The daemon's state is an input like others, so that a replay shows it at the same ticks.
     """
+    served = words[word.REQUEST_DONE]
     tick = serve_request(tick, words)
     restore_true_values(tick, values, words)
+    if words[word.REQUEST_DONE] != served:
+        _drive_on(planned_ns, values, words)
     _take_state(at, values, words)
     latch_rows(tick, values, words)
+    if words[word.LEASES] > 0 and words[word.STATE] >= 0:
+        drive(planned_ns, at, values, words)
     modify_inputs(tick, values, words)
-    if words[word.DRIVE_OFF] != 0:
+    if 0 < words[word.SAFE_RAMP] < words[word.SAFE_TICKS]:
         values[words[word.FRAME_BASE] + at.enable] = 0.0
     if words[word.HEARTBEAT_LIMIT] > 0:
         _watch_heartbeat(at, values, words)

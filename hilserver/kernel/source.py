@@ -30,7 +30,7 @@ _PHASES = """
 @kernel(STEP_SIGNATURE)
 def step(phase, tick, planned_ns, values, words):
     if phase == LATCH:
-        return phases.latch(tick, AT, values, words)
+        return phases.latch(tick, planned_ns, AT, values, words)
     if phase == PUBLISH:
         fitted.flag_unfitted({limits}, values, words)
         return phases.publish(tick, planned_ns, AT, values, words)

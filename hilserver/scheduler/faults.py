@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 SINGLE_OVERRUN: Final = 1
 CONSECUTIVE_OVERRUNS: Final = 2
 COMMUNICATION: Final = 3
+SILENCE: Final = 4
 BODY: Final = 1000
 """What the mechatronic model's slice returns when its numbers are no longer good."""
 
@@ -34,6 +35,7 @@ _FAULTS: Final = {
         "mechatronic",
         "the mechatronic model has left its valid range and stands still until SetPose or Reset",
     ),
+    SILENCE: Fault("silence", "the source in control is silent"),
     COMMUNICATION: Fault("communication", "the communication side did not answer in time"),
 }
 

@@ -6,7 +6,6 @@ import pytest
 
 from hilserver.core.control import Control
 from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import InputGate
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import TRANSITIONS, Command
 from hilserver.errors import ControlRefused
@@ -15,7 +14,7 @@ from hilserver.kernel.phases import enter_safe, latch
 from hilserver.kernel.places import Places
 from hilserver.plant.layout import N_X
 from hilserver.signals import State
-from tests.fakes import make_image, make_table
+from tests.fakes import make_gate, make_image, make_table
 
 
 class Pacing:
@@ -44,7 +43,7 @@ class World:
         self.image = make_image(self.table, live={"x": N_X})
         self.events = EventBus()
         self.pacing = Pacing()
-        self.gate = InputGate(self.table, self.image, self.events, owner="opcua")
+        self.gate = make_gate(self.table, self.image, self.events, ramp_ticks=5, owner="opcua")
         snapshots = SnapshotStore(self.image, tmp_path / "snapshots", {"parameters": "abc"})
         self.control = Control(
             self.table,
@@ -53,7 +52,6 @@ class World:
             self.events,
             self.pacing,
             snapshots,
-            safe_ramp_ticks=500,
         )
         self.control.started()
 
@@ -63,7 +61,13 @@ class World:
         return Places(*[0] * 8, *map(self.table.slot, names))
 
     def latch(self):
-        self.pacing.tick = latch(self.pacing.tick, self.at, self.image.values, self.image.words)
+        self.pacing.tick = latch(
+            self.pacing.tick,
+            self.pacing.tick * 1_000_000,
+            self.at,
+            self.image.values,
+            self.image.words,
+        )
 
     def value(self, name):
         return self.image.frame_values[self.table.slot(name)]
@@ -128,9 +132,8 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
     control.supervise()
     world.latch()
     assert world.value("drive.enable") == 1.0, "still ramping"
-    world.pacing.tick = 500
-    control.supervise()
-    world.latch()
+    for _ in range(5):
+        world.latch()
     assert world.value("drive.enable") == 0.0
     assert world.events.recent[-1].kind is EventKind.SAFE_STATE
     assert world.events.recent[-1].message.endswith("call Reset once this has ended")
@@ -150,27 +153,27 @@ def test_safe_state_disables_the_drive_after_the_ramp_and_waits_for_reset(world)
 
 
 async def test_a_reset_does_not_get_into_a_snapshot_being_saved(world):
-    world.image.frame_values[0] = 7.0
+    world.image.frame_values[20] = 7.0
     saving = asyncio.create_task(world.control.save_snapshot("now"))
     await asyncio.sleep(0.01)
     with pytest.raises(ControlRefused, match="has to wait"):
         world.control.reset()
     world.latch()
     await saving
-    world.image.frame_values[0] = 0.0
+    world.image.frame_values[20] = 0.0
     loading = asyncio.create_task(world.control.load_snapshot("now"))
     while not loading.done():
         world.latch()
         await asyncio.sleep(0.005)
     await loading
-    assert world.image.frame_values[0] == 7.0
+    assert world.image.frame_values[20] == 7.0
 
 
 def test_in_the_safe_state_nobody_enables_the_drive(world):
     control = world.control
     control.stop()
-    world.pacing.tick = 500
-    control.supervise()
+    for _ in range(6):
+        world.latch()
     assert world.gate.write("opcua", {"drive.enable": True}) == {}
     world.latch()
     assert world.value("drive.enable") == 0.0

@@ -7,24 +7,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.core.inputs import Refusal, check_value
 from hilserver.errors import ControlRefused
-from hilserver.image.queues import latch_rows
 from hilserver.image.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE
-from tests.fakes import ManualClock, make_image, make_table
+from tests.fakes import ManualClock, latch_inputs, make_gate, make_image, make_table
 
 
 @pytest.fixture
 def world():
     table, clock, events = make_table(), ManualClock(), EventBus()
     image = make_image(table, queue_rows=16)
-    gate = InputGate(table, image, events, owner="peer", monotonic_ns=clock)
+    gate = make_gate(table, image, events, owner="peer", monotonic_ns=clock)
     yield gate, image, events, clock
     image.close()
 
 
 def latched(image, name, tick=0):
-    latch_rows(tick, image.values, image.words)
+    latch_inputs(image, tick)
     return image.frame_values[make_table().slot(name)]
 
 
@@ -103,7 +102,7 @@ def test_refused_values_change_nothing_and_are_told(world, name, value, refusal)
     gate, image, events, _ = world
     before = image.frame_values.copy()
     assert gate.write("peer:a", {name: value}) == {name: refusal}
-    latch_rows(0, image.values, image.words)
+    latch_inputs(image)
     assert (image.frame_values == before).all()
     assert gate.rejected[("peer:a", refusal.value)] == 1
     assert events.recent[-1].kind is EventKind.SETPOINT_REFUSED
@@ -139,7 +138,7 @@ def test_control_is_with_one_source_and_the_refusal_says_whose(world):
     with pytest.raises(ControlRefused, match="outranks"):
         gate.request("peer", "peer")
     with pytest.raises(ControlRefused, match="sources are"):
-        gate.request("scenario", "nobody")
+        gate.request("scenario", "somebody")
 
 
 def test_measured_values_need_no_control(world):
@@ -176,10 +175,10 @@ def test_a_change_is_measured_to_the_first_frame_that_contains_it(world):
     assert gate.take_change(image.pushed_rows) is None
 
 
-def test_stop_zeroes_every_setpoint(world):
+def test_the_end_of_the_leases_zeroes_every_setpoint(world):
     gate, image, _, _ = world
     gate.write("peer:a", {"wheels.setpoints_rpm": [5.0, 5.0, -5.0, -5.0], "twist.linear_m_s": 0.1})
-    gate.stop()
+    gate.end()
     assert latched(image, "wheel.rr.setpoint_rpm") == 0.0
     assert latched(image, "twist.linear_m_s") == 0.0
 
@@ -191,8 +190,10 @@ def test_a_silent_source_taints_only_what_it_wrote_last(world):
     gate.take("opcua")
     gate.write("opcua", {"wheel.fl.setpoint_rpm": 10.0})
     gate.mark_stale("peer:a")
-    latch_rows(0, image.values, image.words)
+    latch_inputs(image)
     assert (image.frame_values[left], image.frame_status[left]) == (10.0, GOOD)
+    gate.take("peer")
+    latch_inputs(image)
     assert (image.frame_values[right], image.frame_status[right]) == (
         -40.0,
         UNCERTAIN_LAST_USABLE_VALUE,
@@ -203,6 +204,6 @@ def test_a_silent_source_brings_no_value_back(world):
     gate, image, _, _ = world
     gate.write("peer:a", {"wheel.fl.setpoint_rpm": 40.0})
     assert latched(image, "wheel.fl.setpoint_rpm") == 40.0
-    image.frame_values[:] = 0.0  # the simulation was reset
+    gate.end()  # as Reset does
     gate.mark_stale("peer:a")
     assert latched(image, "wheel.fl.setpoint_rpm") == 0.0

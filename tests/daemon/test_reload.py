@@ -86,7 +86,7 @@ async def test_a_running_daemon_takes_what_it_can(tmp_path: Path, monkeypatch) -
             "scheduler.limits.single_overrun_ms": "reload: changed",
         }
         assert given == [OverrunLimits(single_ns=0, consecutive=7)]
-        assert daemon.supervision.opcua_stale_after_ms == 250.0
+        assert daemon.gate.leases.limit_ms("opcua") == 250.0
         assert daemon.config.control.opcua_stale_after_ms == 250.0
         after = daemon.metrics.render()[0].decode()
         assert f'config="{daemon.config.sha256}"' in after, "hil_build_info names what is in force"

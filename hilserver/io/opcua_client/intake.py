@@ -20,8 +20,6 @@ from hilserver.io.peer_faults import FaultBook
 from hilserver.io.peer_status import PeerStatus
 
 SEQUENCE_SIGNAL = "input.sequence"
-CONTROL_RETRY_NS = 500_000_000
-"""While another source commands, a peer asks no more often than this."""
 
 REPEATS_TOLERATED = 3
 """So many batches may change values under one sequence number before it is called repeating."""
@@ -30,7 +28,9 @@ REPEATS_TOLERATED = 3
 class Gate(Protocol):
     """The input gate, as the link sees it."""
 
-    def write(self, source: str, values: Mapping[str, object]) -> Mapping[str, Refusal]:
+    def write(
+        self, source: str, values: Mapping[str, object], *, renews: bool = True
+    ) -> Mapping[str, Refusal]:
         """Take one group; return signal -> reason for what was refused."""
         ...
 
@@ -73,7 +73,6 @@ class Intake:
         self._staleness = staleness
         self._faults = faults
         self._utc_ns = utc_ns
-        self._pause_until_ns = 0
         self.begin_session()
 
     def begin_session(self) -> None:
@@ -204,12 +203,11 @@ class Intake:
     def _hand_over(self, now_ns: int) -> None:
         self._staleness.heard(now_ns)
         self._status.input_received_ns.update(dict.fromkeys(self._picture, now_ns))
-        if not self._picture or self._staleness.waiting or now_ns < self._pause_until_ns:
+        if not self._picture or self._staleness.waiting:
             return
-        refusals = self._gate.write(self._source, self._picture)
+        renews = not self._staleness.lacks_input
+        refusals = self._gate.write(self._source, self._picture, renews=renews)
         for signal, reason in refusals.items():
-            if reason == Refusal.NOT_IN_CONTROL:
-                self._pause_until_ns = now_ns + CONTROL_RETRY_NS
             if reason in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL):
                 continue
             value = self._picture.pop(signal)

@@ -64,9 +64,7 @@ class PeerLink:
     gate : Gate
         Takes the groups of inputs; ``write(source, values) -> refused``.
     on_stale : callable
-        ``on_stale(peer, action)``: the inputs have become too old.
-    on_restored : callable
-        ``on_restored(peer)``: they are fresh again; only ever after `on_stale`.
+        ``on_stale(source)``: the inputs have become too old.
     events : EventBus
     read_output : callable
         ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
@@ -89,8 +87,7 @@ class PeerLink:
         config: PeerConfig,
         *,
         gate: Gate,
-        on_stale: Callable[[str, str], None],
-        on_restored: Callable[[str], None],
+        on_stale: Callable[[str], None],
         events: EventBus,
         read_output: Callable[[str], Output],
         clock: UtcClock,
@@ -103,7 +100,6 @@ class PeerLink:
         self._security = security
         self.status = PeerStatus(config.name, config.endpoint)
         self._on_stale = on_stale
-        self._on_restored = on_restored
         self._events = events
         self._read_output = read_output
         self._clock = clock
@@ -147,23 +143,17 @@ class PeerLink:
             if transition is not None:
                 self._tell(transition, now_ns)
             self._faults.expire(now_ns)
-            due_ns = time.monotonic_ns() + int(WATCH_S * 1e9)
             await asyncio.sleep(WATCH_S)
-            woken_ns = time.monotonic_ns()
-            if woken_ns - due_ns > WATCH_S * 1e9:
-                self._staleness.held_up(due_ns, woken_ns)
 
     def _tell(self, transition: Transition, now_ns: int) -> None:
         name = self.config.name
         if transition is Transition.LOST:
             message = f"peer {name}: {self._staleness.reason}; on_stale is {self.config.on_stale}"
             self._events.publish(Event(EventKind.PEER_LOST, 800, name, message, now_ns))
-            self._on_stale(name, self.config.on_stale)
+            self._on_stale(f"peer:{name}")
             return
         message = f"peer {name} delivers fresh values"
         self._events.publish(Event(EventKind.PEER_RESTORED, 200, name, message, now_ns))
-        if transition is Transition.RESTORED:
-            self._on_restored(name)
 
     async def _run(self) -> None:
         backoff = Backoff()

@@ -21,6 +21,7 @@ from asyncua import ua
 from asyncua.crypto.permission_rules import User
 
 from hilserver.core.inputs import InputGate, Refusal, check_value, kind_of
+from hilserver.core.leases import NOBODY
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.io.opcua_server.access import Access
@@ -87,7 +88,11 @@ class WriteDoor:
         self._access = access
 
     def write(
-        self, items: Iterable[ua.WriteValue], user: User, source: str = SOURCE
+        self,
+        items: Iterable[ua.WriteValue],
+        user: User,
+        source: str = SOURCE,
+        holder: object = None,
     ) -> Generator[None, None, list[Answer]]:
         """Return one answer per item; what is accepted is latched together by one tick.
 
@@ -109,7 +114,7 @@ class WriteDoor:
                 self._hand_over(group, answers, source)
                 group = {}
             if name == CONTROL_SOURCE:
-                answers[position] = self._take_control(item.Value.Value, source)
+                answers[position] = self._take_control(item.Value.Value, source, holder)
             else:
                 group[name] = (position, self._value(self._table[name], item.Value.Value))
         self._hand_over(group, answers, source)
@@ -162,14 +167,14 @@ class WriteDoor:
         if accepted:
             self._variables.show_written(accepted, self._image.pushed_rows)
 
-    def _take_control(self, variant: ua.Variant, source: str) -> Answer:
+    def _take_control(self, variant: ua.Variant, source: str, holder: object) -> Answer:
         if variant.VariantType != ua.VariantType.String or variant.is_array:
             return Answer(_Codes.BadTypeMismatch, "control.source is a String")
-        if variant.Value not in self._gate.priority:
+        if variant.Value not in (*self._gate.priority, NOBODY):
             known = ", ".join(self._gate.priority)
             return Answer(_Codes.BadOutOfRange, f"sources are {known}")
         try:
-            self._gate.request(kind_of(source), variant.Value)
+            self._gate.request(kind_of(source), variant.Value, holder)
         except ControlRefused as error:
             return Answer(_Codes.BadUserAccessDenied, str(error))
         self._show_owner()

@@ -3,13 +3,14 @@
 import asyncio
 import itertools
 import secrets
+from collections.abc import Callable
 from typing import Any
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
 from hilserver.config.server import OpcUaConfig
-from hilserver.core.deadman import TELEOP
+from hilserver.core.leases import TELEOP
 from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.io.opcua_security.trust_list import TrustList
 from hilserver.io.opcua_server.access import Access
@@ -58,6 +59,7 @@ class RobotInternalServer(QuickInternalServer):
         self.subscription_service = Subscriptions(self.aspace, self.types, config)
         self.reader = Reader(self.aspace, access)
         self.sessions: dict[ua.NodeId, RobotSession] = {}
+        self.left: Callable[[object], None] = lambda _session: None
         tokens: list[type] = [ua.AnonymousIdentityToken] if access.admits_anonymous else []
         if access.has_users:
             tokens.append(ua.UserNameIdentityToken)

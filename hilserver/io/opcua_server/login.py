@@ -102,7 +102,7 @@ def _move(session: RobotSession, processor: Any) -> None:
     """Bind the session of another connection, which has proved to be the same client's."""
     if session.processor is not None and session.processor.session is session:
         session.processor.session = None
-    session.lose_connection()
+    session.drop_requests()
     session.bind(processor, processor.policy)
     processor.session = session
 

@@ -280,6 +280,7 @@ class OpcUaServer:
         iserver.methods = Methods(
             self._control, self._access, builder.node_id, self._faults, self._files
         )
+        iserver.left = self._left
         iserver.door = WriteDoor(
             iserver.aspace,
             robot_index,
@@ -290,6 +291,11 @@ class OpcUaServer:
             self._access,
             self._show_owner,
         )
+
+    def _left(self, session: object) -> None:
+        """Let control go on without the client that may have held it."""
+        self._gate.gone(session)
+        self._show_owner()
 
     def _show_owner(self) -> None:
         if self._gate.owner == self._owner_shown:

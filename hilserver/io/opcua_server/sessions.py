@@ -101,8 +101,13 @@ class RobotSession:
         self._certificate, self._policy_uri = policy.peer_certificate, policy.URI
 
     def lose_connection(self) -> None:
-        """Go on without a connection: another may take the session over."""
+        """Go on without a connection: another may take the session over, but not its control."""
         self.processor = None
+        self.drop_requests()
+        self.server.left(self)
+
+    def drop_requests(self) -> None:
+        """Forget what came in over a connection that is no longer ours."""
         self._requests.clear()
 
     def is_of(self, policy: Any) -> bool:
@@ -183,6 +188,7 @@ class RobotSession:
             return
         self.state = SessionState.CLOSED
         self.server.forget_session(self)
+        self.server.left(self)
         while self._requests:
             self._refuse(self._requests.popleft(), _Codes.BadSessionClosed)
         if delete_subscriptions:

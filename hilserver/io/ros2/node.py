@@ -34,7 +34,6 @@ NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
 WATCH_S: Final = 0.02
 LOOK_EVERY: Final = 25
-CONTROL_RETRY_NS: Final = 500_000_000
 
 _log = structlog.get_logger(__name__)
 
@@ -67,8 +66,8 @@ class World:
         The robot as URDF, with a prefix before the names of frames and joints.
     latest : callable
         The newest frame, None before the first.
-    on_stale, on_restored : callable
-        Called when the host falls silent, and when it is back.
+    on_stale : callable
+        Called when the host falls silent.
     """
 
     table: SignalTable
@@ -79,7 +78,6 @@ class World:
     description: Callable[[str], str]
     latest: Callable[[], Frame | None]
     on_stale: Callable[[], None]
-    on_restored: Callable[[], None]
     period_ns: int
 
 
@@ -120,7 +118,6 @@ class Ros2Node:
         self._tasks: list[asyncio.Task[None]] = []
         self._cycle = 0
         self._news_ns: int | None = None
-        self._pause_until_ns = 0
         self._seen: dict[str, int] = {}
 
     @property
@@ -285,15 +282,12 @@ class Ros2Node:
             self._hand_over(subscribed, values, now_ns)
 
     def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
-        is_paused = now_ns < self._pause_until_ns
-        refusals = {} if is_paused else self._world.gate.write(NAME, values)
+        refusals = self._world.gate.write(NAME, values)
         wrong = {
             signal: reason
             for signal, reason in refusals.items()
             if reason not in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL)
         }
-        if Refusal.NOT_IN_CONTROL in refusals.values():
-            self._pause_until_ns = now_ns + CONTROL_RETRY_NS
         for signal, reason in wrong.items():
             sentence = (
                 f"{subscribed.topic}: {signal} = {values[signal]!r:.60} was refused: {reason}"
@@ -329,11 +323,7 @@ class Ros2Node:
                 self._look_at_endpoints()
                 self._faults.expire(now_ns)
             cycle += 1
-            due_ns = time.monotonic_ns() + round(WATCH_S * 1e9)
             await asyncio.sleep(WATCH_S)
-            woken_ns = time.monotonic_ns()
-            if woken_ns - due_ns > WATCH_S * 1e9:
-                self._staleness.held_up(due_ns, woken_ns)
 
     def _tell(self, transition: Transition, now_ns: int) -> None:
         action = self.config.on_stale
@@ -346,8 +336,6 @@ class Ros2Node:
             return
         text = "ROS 2: the host sends fresh commands"
         self._world.events.publish(Event(EventKind.PEER_RESTORED, 200, NAME, text, now_ns))
-        if transition is Transition.RESTORED:
-            self._world.on_restored()
 
     def _look_at_endpoints(self) -> None:
         """Count matched endpoints, losses, and those that will never match."""

@@ -44,8 +44,10 @@ class ShieldLink:
         What a response shows, see `answer.places`.
     device : Device
         Does what requests say.
-    on_silent, on_heard : callable
-        The host has been silent for too long, and is heard again.
+    on_silent : callable
+        The host has been silent for too long.
+    renew : callable
+        ``renew(limit_ns)``: it was heard, and may be silent for so long.
     publish : callable
         Takes every `Event`.
 
@@ -68,7 +70,7 @@ class ShieldLink:
         device: Device,
         faults: FaultBook,
         on_silent: Callable[[], None],
-        on_heard: Callable[[], None],
+        renew: Callable[[int], None],
         publish: Callable[[Event], None],
         realtime: RealtimeSettings,
     ) -> None:
@@ -80,7 +82,7 @@ class ShieldLink:
         self._config, self._open_line, self._image = config, open_line, image
         self._slots = np.array(slots, dtype=np.int64)
         self._faults, self._publish, self._realtime = faults, publish, realtime
-        self._on_silent, self._on_heard = on_silent, on_heard
+        self._on_silent, self._renew = on_silent, renew
         self._heard_ns: int | None = None
         self._seen: dict[ShieldFault, int] = {}
         self._thread = threading.Thread(target=self._run, name="shield", daemon=True)
@@ -181,6 +183,8 @@ class ShieldLink:
 
     def _take_requests(self) -> None:
         words = self.status.words
+        if words[w.RING_TAIL] < words[w.RING_HEAD]:
+            self._renew(self.device.limit_ns)
         while words[w.RING_TAIL] < words[w.RING_HEAD]:
             row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.RING - 1))
             command, flags, payload, received_ns = words[row : row + 4].tolist()
@@ -199,7 +203,6 @@ class ShieldLink:
         self.status.stale = False
         text = f"shield: a host sends on {self.address}"
         self._publish(Event(EventKind.PEER_RESTORED, 200, self.status.name, text, now_ns))
-        self._on_heard()
 
     async def _watch(self) -> None:
         while True:

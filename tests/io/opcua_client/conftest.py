@@ -15,7 +15,7 @@ from asyncua import Server, ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
-from hilserver.core.events import EventBus
+from hilserver.core.events import EventBus, EventKind
 from hilserver.core.inputs import Refusal
 from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.faults import Line
@@ -44,7 +44,9 @@ class RecordingGate:
     groups: list[dict[str, object]] = field(default_factory=list)
     refuse: dict[str, Refusal] = field(default_factory=dict)
 
-    def write(self, source: str, values: Mapping[str, object]) -> dict[str, Refusal]:
+    def write(
+        self, source: str, values: Mapping[str, object], *, renews: bool = True
+    ) -> dict[str, Refusal]:
         assert source == "peer:iot2050"
         refused = {name: self.refuse[name] for name in values if name in self.refuse}
         self.groups.append({k: v for k, v in values.items() if k not in refused})
@@ -74,13 +76,18 @@ class Harness:
     link: PeerLink
     gate: RecordingGate
     events: EventBus
-    stale: list[tuple[str, str]]
-    restored: list[str]
+    stale: list[str]
     outputs: dict[str, tuple[object, int]]
 
     @property
     def status(self):
         return self.link.status
+
+    @property
+    def restored(self) -> list[str]:
+        """Who delivered again after it had been lost."""
+        found = [e.source for e in self.events.recent if e.kind is EventKind.PEER_RESTORED]
+        return found[1:]
 
     def heard(self, text: str) -> bool:
         return any(text in event.message for event in self.events.recent)
@@ -90,8 +97,7 @@ def make_harness(
     config: PeerConfig, line: Line | None = None, security: LinkSecurity | None = None
 ) -> Harness:
     gate, events = RecordingGate(), EventBus()
-    stale: list[tuple[str, str]] = []
-    restored: list[str] = []
+    stale: list[str] = []
     outputs: dict[str, tuple[object, int]] = {}
 
     def read_output(name: str) -> tuple[object, int, int]:
@@ -101,15 +107,14 @@ def make_harness(
     link = PeerLink(
         config,
         gate=gate,
-        on_stale=lambda peer, action: stale.append((peer, action)),
-        on_restored=restored.append,
+        on_stale=stale.append,
         events=events,
         read_output=read_output,
         clock=UtcClock(),
         line=line,
         security=security,
     )
-    return Harness(link, gate, events, stale, restored, outputs)
+    return Harness(link, gate, events, stale, outputs)
 
 
 def peer_config(port: int, **changes: object) -> PeerConfig:

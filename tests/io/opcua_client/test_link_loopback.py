@@ -79,7 +79,7 @@ async def test_a_lying_peer_is_named_and_never_reaches_the_gate(peer, mode, bad)
         await wait_until(lambda: not harness.status.stale)
         await peer.set("rpm_set_RR", bad)
         await wait_until(lambda: any("rpm_set_RR" in key for key in harness.status.faults))
-        await wait_until(lambda: harness.stale == [("iot2050", "ramp")])
+        await wait_until(lambda: harness.stale == ["peer:iot2050"])
         await peer.set("rpm_set_RR", 1.0)
         await wait_until(lambda: harness.restored == ["iot2050"])
     assert harness.gate.all_finite
@@ -147,7 +147,7 @@ async def test_stale_by_sequence_although_the_server_answers(peer):
     async with running(harness):
         await peer.cycle(rpm_set_FL=5.0)
         await wait_until(lambda: not harness.status.stale)
-        await wait_until(lambda: harness.stale == [("iot2050", "zero")])
+        await wait_until(lambda: harness.stale == ["peer:iot2050"])
         assert harness.status.connected
         await peer.cycle()
         await wait_until(lambda: harness.restored == ["iot2050"])

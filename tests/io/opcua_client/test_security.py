@@ -231,7 +231,7 @@ async def test_trust_taken_away_ends_the_session(
         await wait_until(lambda: harness.status.connected and not harness.status.stale)
         station.put("revoked", pki.server.certificate)
         await wait_until(lambda: not harness.status.connected)
-        await wait_until(lambda: harness.stale == [("iot2050", "ramp")])
+        await wait_until(lambda: harness.stale == ["peer:iot2050"])
         assert harness.heard("its certificate is revoked")
 
 

@@ -15,8 +15,10 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
+from hilserver.core.leases import Leases
 from hilserver.core.snapshot import SnapshotStore
-from hilserver.image import ProcessImage
+from hilserver.image import ProcessImage, leases
+from hilserver.image.leases import show_outcome
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve_request
 from hilserver.image.ring import publish_frame
@@ -60,14 +62,19 @@ class Rig:
             f"hilserver-test-{uuid.uuid4().hex[:12]}",
             table,
             live={"state": 8},
-            fixed={},
+            fixed={leases.REGION: leases.words_needed(8)},
             base_period_ns=1_000_000,
             ring_length=64,
             queue_rows=256,
         )
         self.events = EventBus()
         self.gate = InputGate(
-            table, self.image, self.events, owner="peer", priority=("page", "opcua", "peer")
+            table,
+            self.image,
+            self.events,
+            Leases(self.image),
+            owner="peer",
+            priority=("page", "opcua", "peer"),
         )
         self.pacing = Clockwork()
         self.snapshots = SnapshotStore(self.image, folder, {})
@@ -78,7 +85,6 @@ class Rig:
             self.events,
             self.pacing,
             self.snapshots,
-            safe_ramp_ticks=500,
             reset_statistics=self.pacing.reset_statistics,
         )
         self.clock = UtcClock()
@@ -112,6 +118,7 @@ class Rig:
         image = self.image
         self.pacing.tick = serve_request(self.pacing.tick, image.words) + 1
         latch_rows(self.pacing.tick, image.values, image.words)
+        show_outcome(image.values, image.words)
         values, status, slot = image.frame_values, image.frame_status, self.table.slot
         for wheel in WHEELS:
             values[slot(f"wheel.{wheel}.speed_rpm")] = values[slot(f"wheel.{wheel}.setpoint_rpm")]

@@ -8,7 +8,6 @@ import pytest
 
 from hilserver.core.events import EventKind
 from hilserver.errors import ControlRefused
-from hilserver.io.ros2.node import CONTROL_RETRY_NS
 from hilserver.ros.types import known_types
 from hilserver.signals import State
 from tests.io.ros2.rig import PATIENCE_S, SILENT_MS, Host, robot, speeds, twist, value
@@ -23,7 +22,6 @@ JOY = ("w", "rt/joy", "sensor_msgs/msg/Joy", "reliable")
 EXTENDED = ("w", "rt/joy_extended", "sensor_msgs/msg/Joy", "reliable")
 ENABLE = "iotbot_interface/srv/SendEnable"
 FORWARD = speeds(50, -50, 50, -50)
-CONTROL_RETRY_MS = CONTROL_RETRY_NS * 1e-6
 REFUSALS = 6
 """Of so many, a busy computer may really silence the host now and then."""
 
@@ -109,7 +107,7 @@ async def test_without_control_nothing_moves_and_silence_stops_nobody(fast_dds, 
 
 async def test_a_host_that_is_not_in_control_is_heard_all_the_same(fast_dds, domain):
     host = Host(fast_dds, domain, DRIVE)
-    async with robot(domain, stale_after_ms=0.8 * CONTROL_RETRY_MS) as daemon, host:
+    async with robot(domain, stale_after_ms=400) as daemon, host:
         daemon.gate.take("opcua")
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
             rejected = lambda: daemon.gate.rejected["ros2", "not_in_control"]  # noqa: E731
