@@ -9,6 +9,7 @@ from typing import Any
 
 from hilserver.commands.options import add_config, config_path
 from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.io.opcua_server.model import SHELL
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
 from hilserver.program import event_loop
@@ -53,7 +54,7 @@ async def _ask(
     endpoint: str, user: str, password: str, request: Callable[[Hand], Awaitable[None]]
 ) -> int:
     types = {signal.name: signal.type.value for signal in robot_table(Ranges(1.0, 1.0, 1.0))}
-    hand = Hand(OpcUaAccess(endpoint, "shell"), types)
+    hand = Hand(OpcUaAccess(endpoint, SHELL), types)
     try:
         async with asyncio.timeout(_WITHIN_S):
             await hand.connect(user, password)

@@ -1,7 +1,7 @@
 """Write signals of a running daemon, all in one tick.
 
-Set-points need control, as of any client: write ``control.source`` first. They act as long as the
-policy of their source lets them; for driving there are ``teleop`` and scenarios.
+Set-points need control, as of any client: write ``control.source`` first. They act until another
+source takes control; for driving there are ``teleop`` and scenarios, whose commands are renewed.
 """
 
 import argparse

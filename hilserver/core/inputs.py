@@ -268,7 +268,9 @@ class InputGate:
         """
         if not self.outranks(requester, self.owner):
             raise ControlRefused(f"'{self.owner}' has control and outranks '{requester}'")
-        if kind == NOBODY and requester == self.owner:
+        if kind == NOBODY:
+            if requester != self.owner:
+                raise ControlRefused(f"'{self.owner}' has control: '{requester}' has none to give")
             self._fall_back("gives control back")
         else:
             self.take(kind, holder if kind == requester else None)

@@ -18,6 +18,7 @@ from hilserver.io.opcua_server.decoding import bound_decoder
 from hilserver.io.opcua_server.door import SOURCE, WriteDoor
 from hilserver.io.opcua_server.logs import log
 from hilserver.io.opcua_server.methods import Methods
+from hilserver.io.opcua_server.model import SHELL
 from hilserver.io.opcua_server.places import Places
 from hilserver.io.opcua_server.reading import Reader
 from hilserver.io.opcua_server.sessions import RobotSession
@@ -89,6 +90,7 @@ class RobotInternalServer(QuickInternalServer):
             self._places.create(tuple(self.sessions.values()), processor.address)
         session = RobotSession(self, processor, policy)
         session.is_page, session.source = is_page, self.source_of(name)
+        session.may_hold_control = (name or "").split(" ")[0] != SHELL
         session.visitor = self.visitor_of(name, processor.address)
         self.sessions[session.auth_token] = session
         return session

@@ -30,6 +30,8 @@ GROUPS = {
 }
 """Folders that are no signals."""
 CONTROL_SOURCE = "control.source"
+SHELL = "shell"
+"""Begin of the names of sessions that last as long as one command."""
 
 ANALOG_ITEM, ANALOG_UNIT, ANALOG_UNIT_RANGE = 2368, 17497, 17570
 BASE_DATA_VARIABLE, TWO_STATE, MULTI_STATE = 63, 2373, 2376

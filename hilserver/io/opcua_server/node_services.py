@@ -41,7 +41,10 @@ def read(session: RobotSession, params: encoding.ReadItems) -> Portions:
 def write(session: RobotSession, params: ua.WriteParameters) -> Portions:
     """Answer Write."""
     answers = yield from session.server.door.write(
-        limited(session, params.NodesToWrite), session.user, session.source, session
+        limited(session, params.NodesToWrite),
+        session.user,
+        session.source,
+        session if session.may_hold_control else None,
     )
     session.texts = [answer.text for answer in answers]
     return ua.WriteResponse(Results=status_codes([answer.code for answer in answers]))

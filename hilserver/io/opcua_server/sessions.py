@@ -60,6 +60,8 @@ class RobotSession:
         The connection that the session is bound to.
     source : str
         Name under which its writes reach the plant: ``opcua``, or ``page:<number>``.
+    may_hold_control : bool
+        Control goes on when it ends; not for a command of the shell, whose session ends with it.
     address : str
         Where the client that created it is.
     is_page : bool
@@ -82,7 +84,7 @@ class RobotSession:
         self.nonce = create_nonce(32)
         self.texts: Sequence[str] = ()
         self.processor: Any = None
-        self.source, self.visitor = SOURCE, ""
+        self.source, self.visitor, self.may_hold_control = SOURCE, "", True
         self.address, self.is_page = processor.address, False
         self.timeout_s = math.inf
         self.max_response_bytes = 0

@@ -28,7 +28,7 @@ class Seat(Protocol):
 class Command:
     """Set-points, checked: signal to value."""
 
-    values: Mapping[str, float]
+    values: Mapping[str, float | str]
 
     @property
     def is_zero(self) -> bool:
@@ -53,6 +53,9 @@ class Command:
             raise RefusedError("a command has finite numbers")
         values = {n: float(v) for n, v in zip(names, numbers, strict=True)}
         return cls({"control.mode": _MODES[mode], **values})
+
+
+_RELEASE = Command({"control.source": "nobody"})
 
 
 class Driving:
@@ -96,9 +99,9 @@ class Driving:
         self._news.set()
 
     def leave(self, seat: Seat) -> None:
-        """Let go of the wheel; what was held goes to zero."""
+        """Let go of the wheel, and give control back."""
         if seat is self.driver:
-            self._next = Command.parse({"mode": "twist", "linear": 0, "turn": 0})
+            self._next = _RELEASE
             self._news.set()
 
     async def run(self) -> None:
@@ -110,6 +113,8 @@ class Driving:
             if command is None or seat is None:
                 continue
             self._next = None
+            if command is _RELEASE:
+                self.driver = None
             try:
                 await seat.browser.hand.write(command.values)
             except RefusedError as error:
