@@ -78,6 +78,7 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md
 	@$(BIN)/python -m hilserver.faults.reference > docs/reference/faults.md
 	@$(BIN)/python -m hilserver.core.transitions > docs/reference/states.md
+	@$(BIN)/python -m hilserver.core.handover > docs/reference/control.md
 	@$(BIN)/python -m tests.control.table > docs/reference/control-matrix.md
 	@$(BIN)/python -m hilserver.diagnosis.findings.reference > docs/reference/findings.md
 	@$(BIN)/python -m hilserver.diagnosis.schema.json_schema findings > hilserver/diagnosis/schema/findings.schema.json

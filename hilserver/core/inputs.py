@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import cast
 
 from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.handover import Happening, Next, Standing, next_driver
 from hilserver.core.leases import NOBODY, OFFERING, Leases
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage, Row
@@ -266,14 +267,23 @@ class InputGate:
         ControlRefused
             If the present owner outranks the requester.
         """
-        if not self.outranks(requester, self.owner):
-            raise ControlRefused(f"'{self.owner}' has control and outranks '{requester}'")
+        happening = Happening.TAKE if kind == requester else Happening.GIVE
         if kind == NOBODY:
-            if requester != self.owner:
-                raise ControlRefused(f"'{self.owner}' has control: '{requester}' has none to give")
+            happening = Happening.RELEASE
+        following = next_driver(happening, self._standing(requester))
+        if following is Next.REFUSED:
+            none = f": '{requester}' has none to give back"
+            why = none if kind == NOBODY else f" and outranks '{requester}'"
+            raise ControlRefused(f"'{self.owner}' has control{why}")
+        if following is Next.FALLBACK:
             self._fall_back("gives control back")
         else:
             self.take(kind, holder if kind == requester else None)
+
+    def _standing(self, kind: str) -> Standing:
+        if kind == self.owner:
+            return Standing.ITSELF
+        return Standing.ABOVE if self.outranks(kind, self.owner) else Standing.BELOW
 
     def gone(self, holder: object) -> None:
         """Let control go on: who held it is no longer there."""
