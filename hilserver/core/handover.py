@@ -76,7 +76,7 @@ MEANING: Final[Mapping[Happening, str]] = {
     Happening.LOAD: "every lease ends: the state comes back, the commands of then do not",
 }
 
-LEASES: Final = (
+LIMITS: Final = (
     ("peer", "`peers[].stale_after_ms`", "`peers[].on_stale`: hold, zero or ramp (safe state)"),
     ("opcua", "`control.opcua_stale_after_ms`, by default for ever", "safe state"),
     ("opcua, `hilserver teleop`", "`page.deadman_ms`", "set-points zero"),
@@ -124,7 +124,7 @@ def as_markdown() -> str:
         f"| {event} | {' | '.join(following)} | {MEANING[event]} |\n"
         for event, following in TABLE.items()
     ]
-    limits = "".join(f"| {' | '.join(row)} |\n" for row in LEASES)
+    limits = "".join(f"| {' | '.join(row)} |\n" for row in LIMITS)
     return _HEAD + head + "".join(rows) + _MIDDLE + limits
 
 

@@ -21,7 +21,7 @@ from hilserver.image.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
-from hilserver.plant.layout import U_MODE
+from hilserver.plant.layout import U_ENABLE, U_MODE
 from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.signals.numbers import is_finite_number
 
@@ -146,8 +146,23 @@ class InputGate:
             The refused signals; empty when all were accepted.
         """
         now_ns = self._now_ns() if received_ns is None else received_ns
-        refused: dict[str, Refusal] = {}
+        rows, offered, refused = self._sort(source, values)
+        group = offered + [row for found in rows.values() for row in found]
+        if group and not self._image.push(self._placed(source, group, renews=renews)):
+            refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
+            rows = {}
+        if rows:
+            self._remember(source, rows.values(), now_ns)
+        for name, reason in refused.items():
+            self._report(source, name, values[name], reason)
+        return refused
+
+    def _sort(
+        self, source: str, values: Mapping[str, object]
+    ) -> tuple[dict[str, list[Row]], list[Row], dict[str, Refusal]]:
+        """Return what is accepted, what is kept as an offer, and what is refused."""
         rows: dict[str, list[Row]] = {}
+        refused: dict[str, Refusal] = {}
         kind, offered = kind_of(source), []
         for name, value in values.items():
             checked = self._check(name, value)
@@ -161,16 +176,8 @@ class InputGate:
                 continue
             refused[name] = Refusal.NOT_IN_CONTROL
             if kind in OFFERING:
-                offered += found
-        group = offered + [row for found in rows.values() for row in found]
-        if group and not self._image.push(self._placed(source, group, renews=renews)):
-            refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
-            rows = {}
-        if rows:
-            self._remember(source, rows.values(), now_ns)
-        for name, reason in refused.items():
-            self._report(source, name, values[name], reason)
-        return refused
+                offered += [row for row in found if row.slot <= U_ENABLE]
+        return rows, offered, refused
 
     def _placed(self, source: str, rows: list[Row], *, renews: bool) -> list[Row]:
         """Return rows for the place of the source's kind, and what renews its lease."""

@@ -9,7 +9,7 @@ from hilserver.plant.layout import U_ENABLE, U_MODE
 from hilserver.signals import SOURCES
 
 NOBODY, TELEOP = "nobody", "opcua:teleop"
-OFFERING = frozenset(SOURCES[leases.OFFERING :])
+OFFERING = frozenset(SOURCES[leases.FIRST_OFFERING :])
 """Kinds that say what they want whether or not they have control."""
 _ACTIONS = {number: action for action, number in leases.POLICIES.items()}
 
@@ -55,7 +55,7 @@ class Leases:
 
     def add(self, source: str, limit_ms: float | None, action: str) -> None:
         """Give `source` a lease; what it commands lapses after `limit_ms`, None: never."""
-        entry = leases.ENTRIES + len(self._entries) * leases.ENTRY
+        entry = leases.FIRST_ENTRY + len(self._entries) * leases.ENTRY
         self._entries[source] = entry
         self._words[entry + leases.KIND] = SOURCES.index(source.partition(":")[0])
         self._words[entry + leases.POLICY] = leases.POLICIES[action]
@@ -115,4 +115,4 @@ class Leases:
 
     @staticmethod
     def _number(kind: str) -> int:
-        return leases.NOBODY if kind == NOBODY else SOURCES.index(kind)
+        return leases.NO_KIND if kind == NOBODY else SOURCES.index(kind)

@@ -15,9 +15,9 @@ REGION: Final = "leases"
 KINDS: Final = 6
 ROW: Final = 16
 """Words of a row: the set-points, mode and enable are its first."""
-OFFERING: Final = 3
+FIRST_OFFERING: Final = 3
 """Kinds from here on say what they want whether or not they have control."""
-NOBODY: Final = -1
+NO_KIND: Final = -1
 
 # --- the region -----------------------------------------------------------------------------------
 OWNER: Final = 0  # float: number of the kind that has control
@@ -28,7 +28,7 @@ RAMP: Final = 4  # ticks of either
 COUNT: Final = 5  # entries in use
 VALUES: Final = 16
 STATUS: Final = VALUES + KINDS * ROW
-ENTRIES: Final = STATUS + KINDS * ROW
+FIRST_ENTRY: Final = STATUS + KINDS * ROW
 
 # --- an entry: the lease of one source ------------------------------------------------------------
 RENEWED: Final = 0  # not 0: a row of this tick has renewed it
@@ -40,13 +40,18 @@ LAPSED: Final = 5  # 0: no, 1: nothing was commanded, 2: that has changed what i
 STALLED: Final = 6  # ticks that the event loop had been silent when it lapsed
 ENTRY: Final = 8
 
-HOLD, ZERO, SAFE, DEVICE = range(4)
-POLICIES: Final = {"hold": HOLD, "zero": ZERO, "ramp": SAFE, "device": DEVICE}
+LAPSE_HOLD, LAPSE_ZERO, LAPSE_SAFE, LAPSE_DEVICE = range(4)
+POLICIES: Final = {
+    "hold": LAPSE_HOLD,
+    "zero": LAPSE_ZERO,
+    "ramp": LAPSE_SAFE,
+    "device": LAPSE_DEVICE,
+}
 
 
 def words_needed(n_sources: int) -> int:
     """Return the length of the region for so many leases [words]."""
-    return ENTRIES + n_sources * ENTRY
+    return FIRST_ENTRY + n_sources * ENTRY
 
 
 @kernel()
@@ -56,7 +61,7 @@ def _clear(kind: int, values: Any, words: Any) -> None:
     for i in range(words[word.SETPOINT_SLOTS]):
         values[lease + VALUES + kind * ROW + i] = 0.0
     for e in range(words[lease + COUNT]):
-        entry = lease + ENTRIES + e * ENTRY
+        entry = lease + FIRST_ENTRY + e * ENTRY
         if words[entry + KIND] == kind:
             words[entry + RENEWED] = words[entry + SINCE] = 0
 
@@ -69,14 +74,14 @@ def _take(kind: int, values: Any, words: Any) -> None:
     for i in range(n):
         moving |= values[frame + i] != 0.0
     before = int(values[lease + OWNER])
-    if 0 <= before < OFFERING:  # should it drive again, then by what it says from then on
+    if 0 <= before < FIRST_OFFERING:  # should it drive again, then by what it says from then on
         _clear(before, values, words)
         values[lease + VALUES + before * ROW + n] = 0.0
         values[lease + VALUES + before * ROW + n + 1] = 1.0
     values[lease + OWNER] = kind
     ramp = words[lease + RAMP]
     words[lease + DOWN] = ramp if moving else 0
-    words[lease + UP] = ramp if moving or kind >= OFFERING else 0
+    words[lease + UP] = ramp if moving or kind >= FIRST_OFFERING else 0
 
 
 @kernel()
@@ -88,7 +93,7 @@ def end_leases(values: Any, words: Any) -> None:
     for kind in range(KINDS):
         _clear(kind, values, words)
     words[lease + DOWN] = 0
-    words[lease + UP] = words[lease + RAMP] if values[lease + OWNER] >= OFFERING else 0
+    words[lease + UP] = words[lease + RAMP] if values[lease + OWNER] >= FIRST_OFFERING else 0
 
 
 @kernel()
@@ -101,7 +106,7 @@ def adopt_outcome(now_ns: int, values: Any, words: Any) -> None:
     for i in range(words[word.SETPOINT_SLOTS] + 2):
         values[lease + VALUES + kind * ROW + i] = values[frame + i]
     for e in range(words[lease + COUNT]):
-        entry = lease + ENTRIES + e * ENTRY
+        entry = lease + FIRST_ENTRY + e * ENTRY
         if words[entry + KIND] == kind and words[entry + SINCE] != 0:
             words[entry + SINCE] = now_ns
     words[lease + DOWN] = words[lease + UP] = 0
@@ -115,7 +120,7 @@ def apply_lease(index: int, value: float, status: int, values: Any, words: Any) 
         _take(int(value), values, words)
     elif index == END:
         end_leases(values, words)
-    elif index >= ENTRIES:
+    elif index >= FIRST_ENTRY:
         words[lease + index] = 1
     else:
         if value == value:  # noqa: PLR0124 - not NaN

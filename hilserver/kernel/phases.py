@@ -37,15 +37,15 @@ def _lapse(entry: int, at: Places, values: Any, words: Any) -> None:
     words[entry + leases.STALLED] = words[word.HEARTBEAT_AGE]
     policy, n = words[entry + leases.POLICY], words[word.SETPOINT_SLOTS]
     row = words[word.LEASES] + leases.VALUES + words[entry + leases.KIND] * leases.ROW
-    if policy == leases.SAFE:
+    if policy == leases.LAPSE_SAFE:
         words[entry + leases.LAPSED] = 2
         enter_safe(faults.SILENCE, at, values, words)
-    elif policy != leases.HOLD:
+    elif policy != leases.LAPSE_HOLD:
         for i in range(n):
             if values[row + i] != 0.0:
                 words[entry + leases.LAPSED] = 2
             values[row + i] = 0.0
-    if policy == leases.DEVICE:
+    if policy == leases.LAPSE_DEVICE:
         words[entry + leases.LAPSED] = 2
         values[row + n + 1] = 0.0
 
@@ -56,7 +56,7 @@ def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
     lease, base = words[word.LEASES], words[word.MODIFIERS]
     held = base > 0 and words[base + H_TIMEOUT_DEAD] != 0
     for e in range(words[lease + leases.COUNT]):
-        entry = lease + leases.ENTRIES + e * leases.ENTRY
+        entry = lease + leases.FIRST_ENTRY + e * leases.ENTRY
         if words[entry + leases.RENEWED] != 0:
             words[entry + leases.RENEWED] = words[entry + leases.LAPSED] = 0
             words[entry + leases.SINCE] = max(now_ns, 1)

@@ -87,8 +87,8 @@ def cells() -> Iterator[tuple[str, str, str]]:
 _HEAD = """# The control matrix
 
 Made from the table of `tests/control` by `python -m tests.control.table`; a test keeps it up to date.
-It is what has to happen: `python -m pytest -m long tests/control` tells which cells the daemon does not meet yet
-(about half of them: commands that outlive who gave them).
+It is what has to happen. `make test` runs one cell of every event, `python -m pytest -m "long or not long"
+tests/control` all of them.
 
 Which outcome follows, by who drives at first (columns) and what happens then (rows). All sources are
 connected, and peer, ROS 2 host and shield host go on offering commands while another source drives.

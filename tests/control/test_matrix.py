@@ -25,8 +25,21 @@ def ids(cell):
     return f"{cell[0]}-{cell[1]}".replace(" ", "_")
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("cell", list(table.cells()), ids=ids)
+def thin():
+    """One cell of every event, with another source each: what every test run has time for."""
+    for number, event in enumerate(table.EVENTS):
+        row = [cell for cell in table.cells() if cell[0] == event]
+        yield row[3 * number % len(row)]
+
+
+THIN = frozenset(thin())
+CELLS = [
+    pytest.param(cell, id=ids(cell), marks=[] if cell in THIN else pytest.mark.long)
+    for cell in table.cells()
+]
+
+
+@pytest.mark.parametrize("cell", CELLS)
 def test_cell(stage, cell):
     event, source, outcome = cell
     stage.begin(source)

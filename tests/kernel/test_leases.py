@@ -68,8 +68,9 @@ async def test_a_peer_that_offers_while_another_drives_is_heard_when_it_gets_con
     async with robot() as core:
         core.gate.take("page")
         assert core.gate.write("peer:plc", {LEFT: 25.0}) == {LEFT: "not_in_control"}
+        core.gate.write("peer:plc", {"lights.red": 200})
         await core.scheduler.advance(10)
-        assert now(core) == 0.0
+        assert now(core) == now(core, "lights.red") == 0.0
         core.gate.take("peer")
         await core.scheduler.advance(RAMP_TICKS)
         assert now(core) == 25.0
