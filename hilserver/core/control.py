@@ -72,6 +72,7 @@ class Control:
         self._speed_changed = speed_changed
         self._measured_pose = measured_pose
         self.on_reset: list[Callable[[], None]] = []
+        self.before_reset: Callable[[], None] = lambda: None
         self._table = table
         self._image = image
         self._gate = gate
@@ -167,6 +168,7 @@ class Control:
 
     def reset(self) -> None:
         """Acknowledge the safe state; otherwise put the simulation back to its start."""
+        self.before_reset()
         state = self._next(Command.RESET)
         if self.state is State.SAFE:
             self._acknowledge()

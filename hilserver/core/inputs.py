@@ -108,6 +108,7 @@ class InputGate:
         self.priority = tuple(priority)
         self.may_fall_back = True
         self._fallback, self._before, self._holder = fallback, NOBODY, cast("object", None)
+        self._speaker = ""
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.accepted: Counter[str] = Counter()
         self._table = table
@@ -148,7 +149,8 @@ class InputGate:
         now_ns = self._now_ns() if received_ns is None else received_ns
         rows, offered, refused = self._sort(source, values)
         group = offered + [row for found in rows.values() for row in found]
-        if group and not self._image.push(self._placed(source, group, renews=renews)):
+        placed = self._passed_on(source, group) + self._placed(source, group, renews=renews)
+        if group and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows = {}
         if rows:
@@ -178,6 +180,15 @@ class InputGate:
             if kind in OFFERING:
                 offered += [row for row in found if row.slot <= U_ENABLE]
         return rows, offered, refused
+
+    def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
+        """Return what ends the commands of another source of the same kind; two never mix."""
+        kind = kind_of(source)
+        is_driving = kind == self.owner and any(row.slot < U_MODE for row in rows)
+        if kind in OFFERING or not is_driving:
+            return []
+        before, self._speaker = self._speaker, source
+        return [] if before in ("", source) else [self.leases.hand_over(kind)]
 
     def _placed(self, source: str, rows: list[Row], *, renews: bool) -> list[Row]:
         """Return rows for the place of the source's kind, and what renews its lease."""
@@ -214,11 +225,13 @@ class InputGate:
             self._change = (now_ns, self._image.pushed_rows)
 
     def _report(self, source: str, name: str, value: object, reason: Refusal) -> None:
+        is_denied = reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
+        if is_denied and kind_of(source) in OFFERING:
+            return  # what a peer goes on offering is kept, not lost
         self.rejected[(source, reason.value)] += 1
+        if is_denied:
+            return
         if reason is Refusal.NOT_IN_CONTROL:
-            # A peer without control goes on offering all its values: one line until that changes.
-            if self._denied.get(source) == self.owner:
-                return
             self._denied[source] = self.owner
         text = f"{source}: {name} = {value!r:.60} refused: {self._explain(source, name, reason)}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
@@ -255,7 +268,7 @@ class InputGate:
             return
         if not self._image.push([self.leases.hand_over(kind)]):
             raise ControlRefused("the queue of inputs is full: ask again")
-        before, self.owner, self._holder = self.owner, kind, holder
+        before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
         if kind != before:
             self._before, self.may_fall_back = before, True
             text = f"control goes from '{before}' to '{kind}'"

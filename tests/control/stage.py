@@ -97,9 +97,10 @@ class Stage:
         self._try("Reset")
         assert self.wait(lambda: self.turns(SPEEDS_RPM["peer"])), "the peer does not drive"
         if source != "peer":
+            head = self.eye.head
             self.take(source)
             self.drive(source)
-            assert self.wait(lambda: self.turns(SPEEDS_RPM[source])), f"{source} does not drive"
+            self._goes_over(source, head)
 
     def _try(self, method, *arguments):
         with contextlib.suppress(RefusedError):
@@ -249,10 +250,12 @@ class Stage:
         assert driver == KINDS.get(source, source), f"{driver} drives"
 
     def _goes_over(self, other, head):
+        def has_stood():
+            return (np.abs(self.eye.since(head).wheel_rpm) < STANDING_RPM).any()
+
         rpm = SPEEDS_RPM[other]
+        assert self.wait(has_stood), f"{self._says()}: it does not begin at zero"
         assert self.wait(lambda: self.turns(rpm)), f"{self._says()} instead of {rpm:g} rpm"
-        wheel = self.eye.since(head).wheel_rpm
-        assert (np.abs(wheel) < STANDING_RPM).any(), "it does not begin at zero"
         self._is_driven_by(other)
 
     def _is_taken(self, _source, other, head, _at_ns):

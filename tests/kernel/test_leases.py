@@ -135,6 +135,14 @@ async def test_of_one_kind_only_the_source_with_a_limit_lapses():
         assert now(core) == 0.0
 
 
+async def test_two_sources_of_one_kind_never_mix():
+    async with robot(source="page") as core:
+        await drive(core, "page:1", 40.0, 3)
+        core.gate.write("page:foxglove", {"wheel.rl.setpoint_rpm": 20.0})
+        await core.scheduler.advance(2 * RAMP_TICKS)
+        assert (now(core), now(core, "wheel.rl.setpoint_rpm")) == (0.0, 20.0)
+
+
 async def test_a_restored_state_and_a_reset_drive_by_nothing_of_before(tmp_path):
     async with robot(source="opcua") as core:
         await drive(core, "opcua", 40.0, 3)

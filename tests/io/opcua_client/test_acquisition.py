@@ -76,7 +76,7 @@ async def test_a_failing_gate_ends_the_session_instead_of_being_swallowed(peer):
     broken = True
     write = harness.gate.write
 
-    def failing(source, values):
+    def failing(source, values, **_):
         if broken:
             raise RuntimeError("the gate is broken")
         return write(source, values)
@@ -92,7 +92,7 @@ async def test_a_failing_gate_ends_the_session_instead_of_being_swallowed(peer):
         await harness.link.stop()
 
 
-async def test_while_another_commands_the_peer_asks_seldom(peer):
+async def test_while_another_commands_the_peer_goes_on_offering(peer):
     harness = make_harness(peer_config(peer.port, mode="poll"))
     harness.gate.refuse = dict.fromkeys(
         [*harness.link.config.inputs, "input.sequence"], Refusal.NOT_IN_CONTROL
@@ -101,7 +101,7 @@ async def test_while_another_commands_the_peer_asks_seldom(peer):
     task = asyncio.create_task(peer.run())
     try:
         await wait_until(lambda: harness.status.sequence_received >= 30)
-        assert len(harness.gate.groups) <= 4
+        assert len(harness.gate.groups) >= 30
         assert harness.status.faults == {}
         harness.gate.refuse = {}
         await wait_until(lambda: "wheel.fl.setpoint_rpm" in harness.gate.latest)

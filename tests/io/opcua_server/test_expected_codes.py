@@ -503,7 +503,7 @@ async def test_the_page_shows_the_table() -> None:
 
 
 async def test_a_part_of_an_array_is_that_part(rig: Rig) -> None:
-    rig.set("wheel.rl.setpoint_rpm", 12.0)
+    rig.gate.write("peer:a", {"wheel.rl.setpoint_rpm": 12.0})
     rig.tick()
     async with Wire(rig.server.url) as wire:
         await wire.log_in()

@@ -58,5 +58,5 @@ async def test_node_opcua_reads_takes_control_writes_subscribes_and_calls(rig: R
     assert found["all_speeds"] == [25, 25, -25, -25]
     assert found["called"] == ["Good", "Good", "BadNotImplemented"]
     assert rig.control.state is State.PAUSED
-    assert rig.gate.owner == "opcua"
+    assert rig.gate.owner == "nobody", "it had taken control, and is gone"
     assert "step 3" in rig.pacing.calls

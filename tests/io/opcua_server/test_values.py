@@ -58,7 +58,7 @@ async def test_stamp_is_that_of_the_tick(rig: Rig, client: RobotClient) -> None:
 
 
 async def test_types_and_arrays(rig: Rig, client: RobotClient) -> None:
-    rig.set("wheel.rl.setpoint_rpm", 12.0)
+    rig.gate.write("peer:a", {"wheel.rl.setpoint_rpm": 12.0})
     rig.tick()
     speeds = (await client.data_value("wheels.speeds_rpm")).Value
     assert (speeds.Value, speeds.VariantType) == ([0.0, 12.0, 0.0, 0.0], ua.VariantType.Double)
