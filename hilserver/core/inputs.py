@@ -10,7 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import StrEnum
-from typing import cast
 
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import Happening, Next, Standing, next_driver
@@ -107,8 +106,8 @@ class InputGate:
         leases.begin(owner)
         self.priority = tuple(priority)
         self.may_fall_back = True
-        self._fallback, self._before, self._holder = fallback, NOBODY, cast("object", None)
-        self._speaker = ""
+        self._fallback, self._before, self._speaker = fallback, NOBODY, ""
+        self._holder: object = None
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.accepted: Counter[str] = Counter()
         self._table = table

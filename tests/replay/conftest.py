@@ -22,6 +22,7 @@ from tests.io.opcua_server.rig import RobotClient
 CONFIG = """
 sensors: {nav: {enabled: true}}
 plant: {seed: 5}
+control: {command_timeout_ms: 300}
 """
 
 
@@ -59,7 +60,7 @@ def recorded(tmp_path_factory):
 
 
 async def drive(daemon: RunningDaemon) -> None:
-    """Use everything that acts on the plant: set-points, pose, pause, snapshot, stop, reset."""
+    """Use all that acts on the plant: set-points, lapse, handover, pose, pause, stop, reset."""
     client = RobotClient(daemon.url)
     await client.connect()
     try:
@@ -77,6 +78,11 @@ async def drive(daemon: RunningDaemon) -> None:
         middle.send_signal(signal.SIGTERM)
         code, text = await asyncio.to_thread(finish, middle)
         assert (code, "none lost" in text) == (0, True)
+        await asyncio.sleep(0.4)  # the command lapses
+        for source in ("peer", "opcua"):  # handed over while it drives, and back
+            await wander(client, 0.2)
+            await client.write(("control.source", source, ua.VariantType.String))
+        await wander(client, 0.2)
         assert (await client.call("Stop")).StatusCode.is_good()
         await asyncio.sleep(0.8)
         assert (await client.call("Reset")).StatusCode.is_good()  # acknowledges the safe state
