@@ -99,6 +99,20 @@ async def test_a_command_that_nobody_renews_lapses_in_the_step(on_stale):
         assert list(core.gate.leases.lapses()) == [], "each once"
 
 
+async def test_a_lapse_says_how_long_the_event_loop_had_been_silent():
+    async with robot("zero") as core:
+        core.watch_communication(10_000)
+        await drive(core, "peer:plc", 40.0)
+        for _ in range(LIMIT_TICKS + 5):
+            core.image.control.heartbeat += 1
+            await core.scheduler.advance(1)
+        assert [lapse.stalled_ticks for lapse in core.gate.leases.lapses()] == [0]
+        await drive(core, "peer:plc", 40.0)
+        await core.scheduler.advance(LIMIT_TICKS + 5)
+        (lapse,) = core.gate.leases.lapses()
+        assert lapse.stalled_ticks >= LIMIT_TICKS
+
+
 async def test_what_is_renewed_goes_on_also_without_a_new_value():
     async with robot() as core:
         await drive(core, "peer:plc", 40.0)
