@@ -99,9 +99,9 @@ class Leases:
         """Yield those that have changed what is driven, each once."""
         words = self._words
         for source, entry in self._entries.items():
-            lapsed = int(words[entry + leases.LAPSED])
-            before, self._known[source] = self._known.get(source, 0), lapsed
-            if lapsed == 2 != before:
+            lapses = int(words[entry + leases.LAPSES])
+            before, self._known[source] = self._known.get(source, 0), lapses
+            if lapses != before:
                 action = _ACTIONS[int(words[entry + leases.POLICY])]
                 limit_ms = self.limit_ms(source) or 0.0
                 yield Lapse(source, action, limit_ms, int(words[entry + leases.STALLED]))

@@ -36,8 +36,9 @@ SINCE: Final = 1  # when it was renewed last [ns]; 0: nothing is held
 LIMIT: Final = 2  # [ns]; 0: it never lapses
 POLICY: Final = 3
 KIND: Final = 4
-LAPSED: Final = 5  # 0: no, 1: nothing was commanded, 2: that has changed what is driven
+LAPSED: Final = 5  # 1: not renewed in time
 STALLED: Final = 6  # ticks that the event loop had been silent when it lapsed
+LAPSES: Final = 7  # how often that has changed what is driven
 ENTRY: Final = 8
 
 LAPSE_HOLD, LAPSE_ZERO, LAPSE_SAFE, LAPSE_DEVICE = range(4)

@@ -37,17 +37,16 @@ def _lapse(entry: int, at: Places, values: Any, words: Any) -> None:
     words[entry + leases.STALLED] = words[word.HEARTBEAT_AGE]
     policy, n = words[entry + leases.POLICY], words[word.SETPOINT_SLOTS]
     row = words[word.LEASES] + leases.VALUES + words[entry + leases.KIND] * leases.ROW
+    has_effect = policy in (leases.LAPSE_SAFE, leases.LAPSE_DEVICE)
     if policy == leases.LAPSE_SAFE:
-        words[entry + leases.LAPSED] = 2
         enter_safe(faults.SILENCE, at, values, words)
     elif policy != leases.LAPSE_HOLD:
         for i in range(n):
-            if values[row + i] != 0.0:
-                words[entry + leases.LAPSED] = 2
+            has_effect |= values[row + i] != 0.0
             values[row + i] = 0.0
     if policy == leases.LAPSE_DEVICE:
-        words[entry + leases.LAPSED] = 2
         values[row + n + 1] = 0.0
+    words[entry + leases.LAPSES] += 1 if has_effect else 0
 
 
 @kernel()
