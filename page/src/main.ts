@@ -94,7 +94,7 @@ const NAMES: Record<string, string> = {
   peer: "the controller", opcua: "an OPC UA client", page: "another browser", ros2: "a ROS 2 node",
   shield: "the shield's computer", foxglove: "Foxglove", scenario: "a scenario", teleop: "the terminal",
 };
-const SETPOINTS = ["twist.linear_m_s", "twist.angular_rad_s", ...WHEELS.map((name) => `wheel.${name}.setpoint_rpm`)];
+const SETPOINTS = [WHEELS.map((name) => `wheel.${name}.setpoint_rpm`), ["twist.linear_m_s", "twist.angular_rad_s", "twist.lateral_m_s"]];
 
 /** Who has control; empty: nobody. */
 function driver(): string {
@@ -110,7 +110,7 @@ function isBusy(): boolean {
   const { board, driver: seat } = live.slow;
   if (board.owner === "page") return seat !== null;
   if (board.owner === "peer" && Object.values(board.peers ?? {}).some((peer) => peer["connected"])) return true;
-  return SETPOINTS.some((name) => live.value(name));
+  return (SETPOINTS[live.value("control.mode")] ?? []).some((name) => live.value(name));
 }
 
 async function take(): Promise<void> {
@@ -204,7 +204,7 @@ function show(context: Context): void {
 
 function keys(event: KeyboardEvent): void {
   const target = event.target as HTMLElement;
-  if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input, textarea, select, dialog *")) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input, textarea, select")) return;
   const place = "12345".indexOf(event.key);
   if (place >= 0) location.hash = VIEWS[place]!.id;
 }
@@ -272,7 +272,7 @@ async function start(): Promise<void> {
   live.onReturn = () => void returned(context, JSON.stringify(table));
   live.onRefused = (text) => toast(text, "error");
   live.onSlow(() => showBoard(context));
-  live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", ...SETPOINTS]);
+  live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", "control.mode", ...SETPOINTS.flat().filter((name) => table.signals.some((signal) => signal.name === name))]);
   window.setInterval(showAge, 200);
   window.addEventListener("hashchange", () => show(context));
   window.addEventListener("keydown", keys);

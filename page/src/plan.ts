@@ -145,7 +145,7 @@ export class Plan implements Picture {
     pen.globalAlpha = opacity;
     pen.translate(x, y);
     pen.rotate(-yaw);
-    pen.fillStyle = "#22272e";
+    pen.fillStyle = "#5b6672";
     for (const name of WHEELS) {
       const along = (name[0] === "f" ? base : -base) / 2;
       const aside = (name[1] === "l" ? -wide : wide) / 2;

@@ -132,7 +132,7 @@ export function download(name: string): HTMLButtonElement {
   return h("button", { type: "button", class: "quiet", "aria-label": `Download ${name}`, onclick: () => link.click() }, "Download");
 }
 
-/** Ask before something is done; whether it may be. */
+/** Ask before something is done; whether it may be. The emergency stop stays in reach meanwhile. */
 export function ask(title: string, text: string, yes: string, ...more: Child[]): Promise<boolean> {
   const dialog = h("dialog", { class: "panel ask", "aria-label": title });
   const close = (answer: string) => (): void => dialog.close(answer);
@@ -142,8 +142,13 @@ export function ask(title: string, text: string, yes: string, ...more: Child[]):
     ...more.filter((child): child is Node | string => !!child),
     h("div", { class: "buttons" }, h("button", { type: "button", class: "primary", onclick: close("yes") }, yes), h("button", { type: "button", onclick: close("") }, "Cancel")),
   );
+  dialog.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") dialog.close("");
+  });
+  for (const other of document.querySelectorAll<HTMLDialogElement>("dialog.ask")) other.close("");
   document.body.append(dialog);
-  dialog.showModal();
+  dialog.show();
+  dialog.querySelector<HTMLElement>("select, .primary")?.focus();
   return new Promise((resolve) =>
     dialog.addEventListener("close", () => {
       dialog.remove();

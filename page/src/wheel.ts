@@ -15,7 +15,7 @@ const STOPS = new Set(["x", "X"]);
 const DRIVER_STOPS = new Set([" ", "Escape"]); // who only watches scrolls with them
 const DEAD_ZONE = 0.12;
 const STOP_BUTTON = 1; // B, or the circle
-const OWN_KEYS = "input, textarea, select, dialog, dialog *";
+const OWN_KEYS = "input, textarea, select";
 
 export class Wheel {
   /** Part of the largest speed that a full stick asks for. */
@@ -78,6 +78,7 @@ export class Wheel {
     if (event.ctrlKey || event.metaKey || event.altKey || target.matches(OWN_KEYS)) return;
     if (STOPS.has(event.key) || (live.drives && DRIVER_STOPS.has(event.key))) {
       if (event.key === " " && target.matches("a, button, summary")) return; // presses that
+      if (event.key === "Escape" && target.closest("dialog")) return; // closes that
       event.preventDefault();
       if (!event.repeat) this.emergencyStop();
     } else if (event.key === "s" || event.key === "S") this.halt();

@@ -10,6 +10,11 @@ from tests.page.rig import DEADMAN_MS, page_process, page_url
 pytestmark = pytest.mark.page
 LIMIT_MS = DEADMAN_MS + 2000 / 30
 """The dead-man's time and two frames."""
+HITS_STOP = """(() => {
+  const box = document.querySelector(".estop").getBoundingClientRect();
+  const hit = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
+  return !!hit?.closest(".estop") && !document.querySelector(":modal");
+})()"""
 TRIES = 3
 """A busy computer may hold the daemon up now and then; that is not the dead-man."""
 
@@ -178,6 +183,7 @@ def test_a_second_browser_asks_before_it_takes_control(driving, url, plant):
     driving.do("second", url=url)
     driving.do("click", role="button", name="Take control")
     driving.do("wait", selector="dialog", text="Take control from another browser?")
+    assert driving.do("run", script=HITS_STOP)  # the emergency stop stays in reach
     driving.do("click", role="button", name="Cancel")
     assert plant.command() > 0.1
     driving.do("click", role="button", name="Take control")

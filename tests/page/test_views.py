@@ -3,6 +3,7 @@
 import pytest
 
 from hilserver.diagnosis.report import render
+from hilserver.faults.model import FORMS
 from tests.diagnosis.sample import evidence, findings
 
 pytestmark = pytest.mark.page
@@ -97,6 +98,41 @@ def test_a_whole_shift_by_keyboard(browser, url, plant):
     browser.do("to", name="Reset")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("sim.state") == 1)
+
+
+def test_the_hall_is_drawn_without_webgl(browser, url):
+    browser.do("open", url=url)
+    assert browser.do("stage")
+    colours = """(() => {
+      const canvas = document.querySelector(".stage canvas");
+      const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+      return new Set(new Uint32Array(pixels.buffer)).size;
+    })()"""
+    browser.do("rest", ms=300)
+    assert browser.do("run", script=colours) > 10
+    browser.do("click", role="button", name="Follow")
+    browser.do("rest", ms=300)
+    assert browser.do("run", script=colours) > 10
+
+
+def test_every_kind_of_fault_can_be_injected(browser, url):
+    browser.do("open", url=url)
+    browser.do("view", name="Signals")
+    options = "[...document.querySelectorAll('.form select')[0].options].map((o) => o.value)"
+    assert browser.do("run", script=options) == list(FORMS)
+
+
+def test_events_of_a_group_are_hidden_when_it_is_let_go(browser, url):
+    browser.do("open", url=url)
+    browser.do("view", name="Time")
+    browser.do("click", role="button", name="Pause")
+    browser.do("click", role="button", name="Run on")
+    browser.do("wait", selector=".events li", text="running")
+    browser.do("click", role="button", name="Commands and states")
+    shown = "[...document.querySelectorAll('.events li')].map((e) => e.innerText).join()"
+    assert "running" not in browser.do("run", script=shown)
+    browser.do("click", role="button", name="Commands and states")
+    browser.do("wait", selector=".events li", text="running")
 
 
 def test_a_view_fits_a_phone(browser, url):

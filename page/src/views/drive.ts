@@ -126,12 +126,13 @@ export function driveView(context: Context): View {
 
   // --- instruments ------------------------------------------------------------------------------
 
+  const at = (axis: string): string => `${robot.has_body ? "mech" : "pose"}.${axis}`; // of the robot that is shown
   const rows: [string, string, string, () => number][] = [
     ["velocity.linear_m_s", "Speed", "m/s", () => live.value("velocity.linear_m_s")],
     ["velocity.angular_rad_s", "Turn rate", "rad/s", () => live.value("velocity.angular_rad_s")],
-    ["pose.x_m", "x", "m", () => live.value("pose.x_m")],
-    ["pose.y_m", "y", "m", () => live.value("pose.y_m")],
-    ["pose.yaw_rad", "Heading", "°", () => (live.value("pose.yaw_rad") * 180) / Math.PI],
+    [at("x_m"), "x", "m", () => live.value(at("x_m"))],
+    [at("y_m"), "y", "m", () => live.value(at("y_m"))],
+    [at("yaw_rad"), "Heading", "°", () => (live.value(at("yaw_rad")) * 180) / Math.PI],
     ["sim.time_s", "Time", "s", () => live.value("sim.time_s")],
   ];
   const dials = rows.map(([name, label, unit, read]) => {
