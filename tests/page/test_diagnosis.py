@@ -21,7 +21,7 @@ LONG_S = 400
 
 
 async def write(url, *values):
-    """Write values as an OPC UA client that drives."""
+    """Write values as an OPC UA client that drives, until it leaves."""
     client = RobotClient(url)
     await client.connect()
     for method in ("Reset", "Start"):  # whatever was done before
@@ -32,7 +32,7 @@ async def write(url, *values):
             await asyncio.sleep(0.1)
     for value in values:
         assert await client.write(value) == ["Good"], value
-    await client.disconnect()
+    return client
 
 
 @pytest.fixture
@@ -45,9 +45,10 @@ def turning(browser, url, daemon):
     mode = ("control.mode", 1, ua.VariantType.Byte)
     turn = ("twist.angular_rad_s", TURN_RAD_S, double)
     measured = ("measured.velocity.angular_rad_s", TURN_RAD_S * (1 + GAIN), double)
-    asyncio.run(write(daemon.url, mode, turn, measured))
-    yield
-    asyncio.run(write(daemon.url, ("twist.angular_rad_s", 0.0, double)))
+    with asyncio.Runner() as runner:
+        client = runner.run(write(daemon.url, mode, turn, measured))
+        yield
+        runner.run(client.disconnect())  # whoever leaves drives no more
 
 
 @pytest.fixture(scope="module")
