@@ -18,6 +18,7 @@ SLACK_MS = 150
 SOON_S = 3.0
 WATCH_S = 0.35
 FROZEN_S = 0.6
+HELD_S = 5.0
 FORCED_RPM = 7.0
 
 
@@ -174,8 +175,7 @@ class Stage:
         self.clients["engineer"].do("call", "Stop")
 
     def _lock_held(self, source):
-        lease_ms = LEASE_MS[source] or COMMUNICATION_MS
-        self.robot.hold((lease_ms + 700) / 1e3)
+        self.robot.hold(HELD_S)
 
     def _between(self, first, second, *arguments):
         self.call(first)
@@ -308,7 +308,8 @@ class Stage:
 
     def _is_safe(self, source, _other, head, at_ns):
         self._stands(source, head, at_ns)
-        assert self.wait(lambda: self.eye.now()["sim.state"][-1] == SAFE), "no safe state"
+        is_safe = lambda: self.eye.now()["sim.state"][-1] == SAFE  # noqa: E731
+        assert self.wait(is_safe, HELD_S + SOON_S), "no safe state"
 
     def _is_anew(self, source, _other, head, _at_ns):
         assert self.wait(lambda: len(self.eye.since(head)) >= 50), "no tick"
