@@ -27,7 +27,7 @@ run: $(VENV)/.run $(if $(BODY),$(VENV)/.physics) ## Install if needed and drive 
 
 # Two runs. In the first, tests that compute and tests that wait share the cores, one process more
 # than there are cores. The second keeps time: two files at once, which mostly wait.
-TIMED := tests/commands/test_wiring.py tests/examples tests/io/recorder/test_process.py \
+TIMED := tests/commands/test_wiring.py tests/control tests/examples tests/io/recorder/test_process.py \
     tests/loopback/test_metrics.py tests/node_red tests/page tests/prometheus tests/scheduler \
     tests/security/test_attack.py tests/soak tests/systemd
 CORES := $(shell env -u OMP_NUM_THREADS nproc)

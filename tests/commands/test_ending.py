@@ -126,13 +126,16 @@ def starting(folder, text="", *options):
 
 
 def test_the_first_line_comes_before_anything_is_loaded(tmp_path):
-    took_s = []
+    took_s, bare_s = [], []
     for _ in range(3):  # others may have the cores
+        start_s = time.monotonic()
+        subprocess.run([sys.executable, "-c", "pass"], check=True)
+        bare_s.append(time.monotonic() - start_s)
         start_s = time.monotonic()
         with starting(tmp_path) as (process, _):
             assert b"hilserver is starting" in process.stderr.readline()
             took_s.append(time.monotonic() - start_s)
-    assert min(took_s) < FIRST_LINE_S
+    assert min(took_s) < max(FIRST_LINE_S, 10 * min(bare_s))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

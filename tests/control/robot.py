@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -131,7 +132,13 @@ class Robot:
 
     def _spawned(self, command, log):
         with log.open("w", encoding="utf-8") as errors:
-            return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors, cwd=self.folder)
+            return subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stderr=errors,
+                cwd=self.folder,
+                env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+            )
 
     def hold(self, seconds):
         """Hold the interpreter lock of the daemon; returns at once."""

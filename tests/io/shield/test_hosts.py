@@ -134,9 +134,9 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
         os.close(near)
 
         def is_named():
+            recent = robot.daemon.events.recent
             return any(device in e.message and "lost" in e.message for e in recent)
 
-        recent = robot.daemon.events.recent
         await robot.until(is_named, "the loss is an event")
         await robot.until(lambda: not robot.status.connected, "the line is lost")
 
