@@ -80,6 +80,10 @@ def _take(kind: int, values: Any, words: Any) -> None:
         values[lease + VALUES + before * ROW + n] = 0.0
         values[lease + VALUES + before * ROW + n + 1] = 1.0
     values[lease + OWNER] = kind
+    for e in range(words[lease + COUNT]):  # what it offered may have lapsed long ago
+        entry = lease + FIRST_ENTRY + e * ENTRY
+        if words[entry + KIND] == kind:
+            words[entry + LAPSED] = 0
     ramp = words[lease + RAMP]
     words[lease + DOWN] = ramp if moving else 0
     words[lease + UP] = ramp if moving or kind >= FIRST_OFFERING else 0

@@ -40,7 +40,7 @@ def _lapse(entry: int, at: Places, values: Any, words: Any) -> None:
     has_effect = policy in (leases.LAPSE_SAFE, leases.LAPSE_DEVICE)
     if policy == leases.LAPSE_SAFE:
         enter_safe(faults.SILENCE, at, values, words)
-    elif policy != leases.LAPSE_HOLD:
+    elif policy != leases.LAPSE_HOLD or words[words[word.LEASES] + leases.UP] > 0:
         for i in range(n):
             has_effect |= values[row + i] != 0.0
             values[row + i] = 0.0
@@ -123,7 +123,7 @@ def latch(tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> in
     if words[word.LEASES] > 0 and words[word.STATE] >= 0:
         drive(planned_ns, at, values, words)
     modify_inputs(tick, values, words)
-    if 0 < words[word.SAFE_RAMP] < words[word.SAFE_TICKS]:
+    if words[word.LEASES] > 0 and words[word.SAFE_TICKS] > words[word.SAFE_RAMP]:
         values[words[word.FRAME_BASE] + at.enable] = 0.0
     if words[word.HEARTBEAT_LIMIT] > 0:
         _watch_heartbeat(at, values, words)

@@ -99,6 +99,25 @@ async def test_a_command_that_nobody_renews_lapses_in_the_step(on_stale):
         assert list(core.gate.leases.lapses()) == [], "each once"
 
 
+@pytest.mark.parametrize("on_stale", ["hold", "zero", "ramp"])
+async def test_an_offer_that_has_lapsed_is_not_driven_by_who_gets_control_back(on_stale):
+    async with robot(on_stale) as core:
+        await drive(core, "peer:plc", 40.0)
+        core.gate.take("opcua")
+        await core.scheduler.advance(2 * LIMIT_TICKS)
+        core.gate.take("peer")
+        await core.scheduler.advance(2 * RAMP_TICKS)
+        assert now(core) == 0.0 or now(core, "internal.command") == 2.0
+
+
+async def test_without_a_ramp_the_drive_is_disabled_at_once():
+    async with robot(source="opcua") as core:
+        core.image.control.safe_ramp = 0
+        core.image.control.state = 3
+        await core.scheduler.advance(2)
+        assert now(core, "drive.enable") == 0.0
+
+
 async def test_a_lapse_says_how_long_the_event_loop_had_been_silent():
     async with robot("zero") as core:
         core.watch_communication(10_000)
