@@ -2,10 +2,12 @@
 
 import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 from hilserver.image.shared_file import path_of
 from tests.fakes import image_name
@@ -67,7 +69,11 @@ def running_daemon(
         prepare(folder)
     errors = (folder / "daemon.log").open("w+", encoding="utf-8")
     command = [sys.executable, "-m", program, "run", "-c", "config.yaml", *options]
-    with errors, subprocess.Popen(command, stderr=errors, cwd=folder, stdin=stdin) as process:
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}  # for programs of the tests
+    with (
+        errors,
+        subprocess.Popen(command, stderr=errors, cwd=folder, stdin=stdin, env=env) as process,
+    ):
         try:
             yield RunningDaemon(process, image, *_addresses(process, folder / "daemon.log"), folder)
         finally:
