@@ -55,6 +55,7 @@ class Command:
         return cls({"control.mode": _MODES[mode], **values})
 
 
+_REST = Command.parse({"mode": "twist", "linear": 0, "turn": 0})
 _RELEASE = Command({"control.source": "nobody"})
 
 
@@ -113,9 +114,10 @@ class Driving:
             if command is None or seat is None:
                 continue
             self._next = None
-            if command is _RELEASE:
-                self.driver = None
             try:
+                if command is _RELEASE:  # at rest before control goes on, which would ramp it there
+                    self.driver = None
+                    await seat.browser.hand.write(_REST.values)
                 await seat.browser.hand.write(command.values)
             except RefusedError as error:
                 seat.tell({"type": "refused", "text": str(error)})
