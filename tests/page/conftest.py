@@ -7,6 +7,7 @@ from tests.page.rig import Browser, Plant, page_url
 
 CONFIG = """
 page: {port: 0, max_clients: 5}
+plant: {safe_ramp_s: 0.1}
 scheduler:
   realtime: {priority: 0, lock_memory: false, hold_latency_target: false}
   limits: {single_overrun_ms: null, consecutive_overruns: null}

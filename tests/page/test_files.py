@@ -27,7 +27,7 @@ async def test_a_log_goes_up_and_comes_down_again(visitor, daemon):  # noqa: F81
     assert (await upload(visitor, "sent.mcap", b"other"))[0] == 409
     assert (await upload(visitor, "..%2f..%2fx.csv", b"x"))[0] in (404, 409)
     assert (await upload(visitor, "x.csv", b"x", **{"X-Hilserver-Token": "x"}))[0] == 403
-    async with visitor.session.get(f"{visitor.url}api/logs/no-such.csv") as response:
+    async with visitor.session.get(f"{visitor.url}api/logs/absent.csv") as response:
         assert response.status == 404
 
 
