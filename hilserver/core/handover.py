@@ -1,7 +1,8 @@
 """Who drives as a table: which source has control after an event, or that it is refused.
 
-`InputGate` executes the table; ``docs/reference/control.md`` prints it
-(``python -m hilserver.core.handover``). What the wheels get meanwhile is the step's business.
+`InputGate` looks up what was asked; that the other rows hold, too, is tested against gate and state
+machine. ``docs/reference/control.md`` prints it (``python -m hilserver.core.handover``). What the
+wheels get meanwhile is the step's business.
 """
 
 from collections.abc import Mapping

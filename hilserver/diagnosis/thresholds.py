@@ -29,6 +29,7 @@ INEXACT: Final = 0.005  # of what causes explain, or of a value, that their own 
 # Asked in several rooms: sizes
 FAR_SD: Final = 5.0  # deviations beyond which a value is no plain noise, or not possible
 OUTLIER_SD: Final = 6.0  # deviations beyond which a position takes no part, or a clock is off
+BLOCK_S: Final = 1.0  # s: the shortest stretch that is drawn or flipped as one
 COMMAND_SLOWEST_S: Final = 0.5  # s: no set-point shows later, or lasts longer between messages
 SLOWEST_TURN_RAD_S: Final = 0.03  # rad/s: slower is the noise of wheel speeds
 TURNS_RAD_S: Final = 0.1  # rad/s from which a robot turns, and is not blocked

@@ -157,7 +157,7 @@ export class Live {
   connected = false;
   lastFrame = 0;
   onRefused: (text: string) => void = () => {};
-  /** Told whenever the socket is there again. */
+  /** Called whenever the socket is there again. */
   onReturn: () => void = () => {};
   /** Whether the server wants a name and a password before it shows anything. */
   loggedOut = false;

@@ -21,9 +21,9 @@ export class Wheel {
   /** Part of the largest speed that a full stick asks for. */
   share = 0.5;
   readonly commander = new Commander();
-  /** Told where the stick stands now. */
+  /** Called with where the stick stands now. */
   onStick: (x: number, y: number) => void = () => {};
-  /** Told that everything is zero. */
+  /** Called when everything is zero. */
   onHalt: () => void = () => {};
   private pressed = new Set<string>();
   private padHeld = false;

@@ -70,8 +70,9 @@ def begin(browser, url, plant, worker):
     browser.do("open", url=url)
     browser.do("view", name="Diagnosis")
     browser.do("click", role="button", name="Diagnose turns.csv")
-    plant.wait(lambda: len(worker()) == 1)
-    (pid,) = worker()
+    seen = []
+    plant.wait(lambda: len(seen.append(worker()) or seen[-1]) == 1)
+    (pid,) = seen[-1]
     plant.wait(lambda: os.sched_getscheduler(pid) == os.SCHED_IDLE)
     return pid
 

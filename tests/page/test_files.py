@@ -34,12 +34,12 @@ async def test_a_log_goes_up_and_comes_down_again(visitor, daemon):  # noqa: F81
 async def test_a_plot_begins_with_what_the_ring_holds(visitor):  # noqa: F811
     url = f"{visitor.url}api/history?name=sim.tick&name=battery.voltage_v"
     async with visitor.session.get(url) as response:
-        told = await response.json()
-    times, ticks = told["times"], told["series"]["sim.tick"]
+        answer = await response.json()
+    times, ticks = answer["times"], answer["series"]["sim.tick"]
     assert 10 < len(times) <= 700
     assert times == sorted(set(times))
     assert ticks == sorted(ticks)
-    assert len(told["series"]["battery.voltage_v"]) == len(times)
+    assert len(answer["series"]["battery.voltage_v"]) == len(times)
     for query in ("name=no.such", "&".join(["name=sim.tick"] * 30)):
         async with visitor.session.get(f"{visitor.url}api/history?{query}") as response:
             assert response.status == 400

@@ -17,11 +17,11 @@ def main():
 if len(sys.argv) > 2:
     compiling.as_child(main, int(sys.argv[2]))
 else:
-    told, own = [], []
+    of_child, own = [], []
     child = [sys.executable, *([__file__, 'child'] if sys.argv[1] == 'works' else ['absent.py'])]
-    with compiling.telling(own.append), compiling.in_child(child, told.extend):
+    with compiling.telling(own.append), compiling.in_child(child, of_child.extend):
         main()
-    print(json.dumps([told, own]))
+    print(json.dumps([of_child, own]))
 """
 
 

@@ -14,14 +14,13 @@ from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.drive_stage import FULL_DUTY_PCT, DriveStage
 from hilserver.diagnosis.replay.stage import NO_POSES
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.diagnosis.thresholds import LEAST_GAIN, NEGLIGIBLE, RIVAL_CLEAR_Z
+from hilserver.diagnosis.thresholds import BLOCK_S, LEAST_GAIN, NEGLIGIBLE, RIVAL_CLEAR_Z
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
 LIMIT: Final = "saturation_limit"
-BLOCK_S: Final = 1.0
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:

@@ -17,7 +17,6 @@ from hilserver.diagnosis.regression.stages import without
 from hilserver.diagnosis.replay.model import Model
 from hilserver.measured.arrays import Array
 
-HALVES = (0, 1)
 Halves = Sequence[Judged | None]
 """What is found without each half of the blocks; None where nothing is left."""
 
@@ -28,7 +27,7 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
     The wheels that move the pose turn as the drive's causes of the whole log say.
     """
     found: dict[str, list[Judged | None]] = {n: [] for n, j in judged.items() if predicts(j)}
-    for half in HALVES if found else ():
+    for half in range(2 if found else 0):
         rng = np.random.default_rng(seed)
         prepared = {name: without(j.prepared, half) for name, j in judged.items()}
         scores = {n: p.library.scores(p.base) for n, p in prepared.items() if p is not None}

@@ -11,6 +11,7 @@ from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.thresholds import BLOCK_S
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
@@ -137,7 +138,7 @@ def _with_truth(
     """Fill in what the model shows: the drive's own replay first, then the pose of its speeds."""
     volts = log[VOLTAGE]
     log = log.with_channels({VOLTAGE: volts.with_values(NOMINAL_V - SAG_V_PER_S * volts.t_s)})
-    drive = DriveStage(log, robot, block_s=1.0)
+    drive = DriveStage(log, robot, block_s=BLOCK_S)
     log = log.with_channels(
         _filled(log, drive.stack.edges, drive.predict(terms), (*SPEEDS, *DUTIES))
     )
@@ -145,7 +146,7 @@ def _with_truth(
         as_turned(log, robot, terms),
         robot,
         driven(drive, terms),
-        block_s=1.0,
+        block_s=BLOCK_S,
         longest_s=AT_ONCE_S,
     )
     at_origin = np.zeros((len(pose.segments), 3))

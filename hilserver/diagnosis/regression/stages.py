@@ -18,7 +18,7 @@ from hilserver.diagnosis.replay.judgeable import judged_candidates, splits
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.diagnosis.thresholds import GROSS, HALF, SAME
+from hilserver.diagnosis.thresholds import BLOCK_S, GROSS, HALF, SAME
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
@@ -65,7 +65,7 @@ def stages_of(
     stages: dict[str, Stage] = {}
     drive = None
     if DriveStage.judges(log) and log.drive_is_known:
-        drive = DriveStage(log, robot, block_s=block_length(total_s, 1.0, 5.0, 72))
+        drive = DriveStage(log, robot, block_s=block_length(total_s, BLOCK_S, 5.0, 72))
         stages[drive.name] = drive
     if PoseStage.judges(log, robot, driven=drive is not None):
         known = None if drive is None else driven(drive, drive_terms)

@@ -1,22 +1,19 @@
-"""The page's server: routes, and what runs beside them."""
+"""The page's server: routes, and what runs beside them; what a call does stands in `calls`."""
 
 import asyncio
 import contextlib
 import resource
 import socket
 import ssl
-from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import Any
 
-import structlog
 from aiohttp import web
 
 from hilserver.image import ImageReader
-from hilserver.io.opcua_server.method_table import METHODS, STRING
 from hilserver.io.page import bundle
-from hilserver.io.page.arguments import ANY, WrongTypeError, check, check_value
+from hilserver.io.page.arguments import WrongTypeError
 from hilserver.io.page.browsers import COOKIE, Browser, Browsers
+from hilserver.io.page.calls import Calls, may_work
 from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
@@ -25,7 +22,6 @@ from hilserver.io.page.history import MAX_SIGNALS, history
 from hilserver.io.page.jobs import LOG_SUFFIXES, Jobs, files_in
 from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live
-from hilserver.io.page.log_in import LogIns
 from hilserver.io.page.setup import Setup
 from hilserver.io.page.stopping import Stopping
 from hilserver.io.page.uploads import Uploads
@@ -34,9 +30,6 @@ TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 BODY_BYTES = 65_536
 BODY_S = 5.0
 SWEEP_S = 60.0
-_METHODS = {method.name: method for method in METHODS}
-
-_log = structlog.get_logger(__name__)
 
 
 class PageServer:
@@ -55,9 +48,8 @@ class PageServer:
         self._browsers = Browsers(
             lambda: Hand(setup.opcua, types), anonymous_may_stop=setup.opcua.anonymous_may_stop
         )
-        self._stopping = Stopping(setup.image, self._tell_of_stop)
+        stopping = Stopping(setup.image, self._report_stop)
         self._door = Door(self._tls())
-        self._log_ins = LogIns(setup.opcua.max_failed_logins)
         self._driving = Driving(setup.page.deadman_ms)
         self._jobs = Jobs(setup)
         self._uploads = Uploads(setup.folder("recordings"))
@@ -70,9 +62,10 @@ class PageServer:
             rate_hz=setup.page.rate_hz,
             max_clients=setup.page.max_clients,
             jobs=self._jobs,
-            stopping=self._stopping,
+            stopping=stopping,
             door=self._door,
         )
+        self._calls = Calls(setup, self._browsers, self._live, self._driving, self._jobs, stopping)
 
     async def run(self, listener: socket.socket) -> None:
         """Serve on `listener`."""
@@ -253,11 +246,14 @@ class PageServer:
             raise web.HTTPForbidden(text="no valid token")
         return browser
 
+    async def _report_stop(self, browser: Browser) -> None:
+        await self._calls.report_stop(browser)
+
     async def _upload(self, request: web.Request) -> web.Response:
         browser = self._poster(request)
         try:
-            await self._ready(browser)
-            self._may_work(browser)
+            await self._calls.ready(browser)
+            may_work(browser)
             size = await self._uploads.take(request.match_info["name"], request)
         except RefusedError as error:
             return web.json_response({"ok": False, "text": str(error)}, status=409)
@@ -278,7 +274,7 @@ class PageServer:
         if not isinstance(name, str) or not isinstance(arguments, list):
             raise web.HTTPBadRequest(text="a call has the name of a method and a list of arguments")
         try:
-            result = await self._do(browser, name, arguments)
+            result = await self._calls.do(browser, name, arguments)
         except WrongTypeError as error:
             return web.json_response({"ok": False, "text": str(error)}, status=400)
         except RefusedError as error:
@@ -286,123 +282,6 @@ class PageServer:
         response = web.json_response({"ok": True, "result": result})
         self._show_key(request, response, browser)
         return response
-
-    async def _do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
-        own: dict[str, tuple[Callable[..., Awaitable[Any]], tuple[str, ...]]] = {
-            "login": (self._login, (STRING, STRING)),
-            "logout": (self._logout, ()),
-            "session": (self._session, ()),
-            "ticket": (self._ticket, ()),
-            "take": (self._take, ("Int64", "Int64")),
-            "give": (self._give, (STRING,)),
-            "write": (self._write, (STRING, ANY)),
-            "diagnose": (self._diagnose, (STRING, STRING)),
-            "map": (self._map, (STRING, STRING)),
-            "cancel": (self._cancel, ("Int64",)),
-            "keep": (self._keep, ("Int64",)),
-        }
-        if name in own:
-            check(name, arguments, own[name][1], optional=name in ("take", "diagnose"))
-        elif name in _METHODS:
-            check(name, arguments, [a.type for a in _METHODS[name].arguments])
-        else:
-            raise RefusedError(f"there is no method '{name:.40}'")
-        is_stop = name == "Stop"
-        if name not in ("login", "logout", "session") and not (is_stop and browser.may_stop):
-            await self._ready(browser)
-        if is_stop:
-            return self._stopping.press(browser)
-        if name in own:
-            return await own[name][0](browser, *arguments)
-        await browser.hand.call(name, arguments)
-        _log.info("page call", method=name, user=browser.user or "anonymous")
-        return None
-
-    async def _ready(self, browser: Browser) -> None:
-        async with browser.lock:
-            if browser.hand.is_connected:
-                return
-            if self._setup.opcua.needs_login:
-                browser.user = ""
-                raise RefusedError("log in first")
-            await browser.hand.connect()
-            browser.may_stop = "Stop" in browser.hand.rights.methods
-
-    async def _tell_of_stop(self, browser: Browser) -> None:
-        await self._ready(browser)
-        await browser.hand.call("Stop", ())
-
-    async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
-        if not self._setup.opcua.needs_login:
-            raise RefusedError("nobody has to log in here")
-        browser.may_stop = False
-        await self._log_ins.log_in(browser, str(name)[:64], str(password)[:1024])
-        self._browsers.rekey(browser)
-        browser.may_stop = "Stop" in browser.hand.rights.methods
-        return await self._session(browser)
-
-    async def _logout(self, browser: Browser) -> None:
-        browser.user, browser.may_stop = "", self._setup.opcua.anonymous_may_stop
-        await browser.hand.close()
-
-    async def _session(self, browser: Browser) -> dict[str, Any]:
-        problem = ""
-        try:
-            await self._ready(browser)
-        except RefusedError as error:
-            problem = str(error)
-        page = self._setup.page
-        return {
-            "user": browser.user,
-            "needs_login": self._setup.opcua.needs_login and not browser.hand.is_connected,
-            "problem": problem,
-            "drive": browser.hand.rights.drive,
-            "methods": browser.hand.rights.methods,
-            "rate_hz": page.rate_hz,
-            "deadman_ms": page.deadman_ms,
-        }
-
-    async def _ticket(self, browser: Browser) -> str:
-        return browser.new_ticket()
-
-    async def _take(self, browser: Browser, number: int, taken_from: int | None = None) -> None:
-        client = self._live.find(number)
-        if client is None or client.browser is not browser:
-            raise RefusedError("this page has no live connection")
-        if self._live.driver not in (None, number, taken_from):
-            raise RefusedError("another browser drives: say that you take control from it")
-        await self._driving.take(client)
-
-    async def _give(self, browser: Browser, source: str) -> None:
-        await browser.hand.write({"control.source": str(source)[:20]})
-
-    async def _write(self, browser: Browser, name: str, value: float) -> None:
-        known = next((s for s in self._setup.signals if s["name"] == name), None)
-        if known is None or not known["writable"]:
-            raise RefusedError(f"'{name!s:.60}' cannot be written")
-        check_value(name, value, known["type"])
-        await browser.hand.write({name: value})
-
-    def _may_work(self, browser: Browser) -> None:
-        if "Start" not in browser.hand.rights.methods:
-            raise RefusedError("your role does not allow this")
-
-    async def _diagnose(self, browser: Browser, log: str, mapping: str = "") -> int:
-        self._may_work(browser)
-        return self._jobs.diagnose(log, str(mapping))
-
-    async def _map(self, browser: Browser, log: str, text: str) -> None:
-        self._may_work(browser)
-        self._jobs.map(log, str(text))
-
-    async def _cancel(self, browser: Browser, number: int) -> None:
-        self._may_work(browser)
-        self._jobs.cancel(number)
-
-    async def _keep(self, browser: Browser, number: int) -> str:
-        if "LoadPatch" not in browser.hand.rights.methods:
-            raise RefusedError("your role does not allow this")
-        return self._jobs.keep(number)
 
 
 def _allow_connections() -> None:

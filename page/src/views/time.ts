@@ -88,12 +88,12 @@ export function timeView(context: Context): View {
     setText(record, board.recording ? "Stop" : "Record");
     setText(recording, board.recording ? `${board.recording.name}: ${bytes(board.recording.bytes)}` : "Nothing is being recorded.");
     const order = Object.keys(GROUPS);
-    const told = (board.events ?? []).map((event) => ({ ...event, group: order.find((name) => GROUPS[name]!.includes(event.kind)) ?? order[0]! }));
+    const known = (board.events ?? []).map((event) => ({ ...event, group: order.find((name) => GROUPS[name]!.includes(event.kind)) ?? order[0]! }));
     for (const button of filters.children as HTMLCollectionOf<HTMLElement>) {
-      const count = told.reduce((sum, event) => sum + (event.group === button.dataset.group ? event.count : 0), 0);
+      const count = known.reduce((sum, event) => sum + (event.group === button.dataset.group ? event.count : 0), 0);
       setText(button, `${button.dataset.group} ${count}`);
     }
-    const shown = told.filter(({ group }) => !hiddenGroups.has(group));
+    const shown = known.filter(({ group }) => !hiddenGroups.has(group));
     const rest = (group: string): number => (group === "Overruns" ? 1 : 0); // one line each, below what was done
     shown.sort((one, other) => rest(one.group) - rest(other.group) || one.age_s - other.age_s);
     events.replaceChildren(...(shown.length ? shown : []).map((event) =>

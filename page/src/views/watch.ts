@@ -54,13 +54,13 @@ class History {
     const older = times.filter((t) => t < first);
     if (older.length && first - older[older.length - 1]! > HOLE_S) return;
     for (const [name, values] of this.series) {
-      const told = series[name];
+      const past = series[name];
       let at = 0;
-      for (let i = 0; told && i < values.length && times.length; i++) {
+      for (let i = 0; past && i < values.length && times.length; i++) {
         while (at + 1 < times.length && times[at + 1]! <= this.times[i]!) at++;
-        if (values[i] === null && this.times[i]! <= times[times.length - 1]!) values[i] = told[at] ?? null;
+        if (values[i] === null && this.times[i]! <= times[times.length - 1]!) values[i] = past[at] ?? null;
       }
-      values.unshift(...older.map((_, i) => told?.[i] ?? null));
+      values.unshift(...older.map((_, i) => past?.[i] ?? null));
     }
     this.times.unshift(...older);
   }

@@ -45,11 +45,11 @@ async def come_in():
 
 
 async def test_of_the_largest_crowd_the_longest_waiting_yields(come_in):
-    lonely = come_in("192.0.2.9", age_s=4.0)
+    alone = come_in("192.0.2.9", age_s=4.0)
     crowd = [come_in("192.0.2.1", age_s=i * 0.1) for i in range(MOST - 1)]
     newcomer = come_in("192.0.2.5")
     assert newcomer.is_open
-    assert lonely.is_open
+    assert alone.is_open
     assert [t for t in crowd if not t.is_open] == [crowd[-1]]
 
 

@@ -1,0 +1,166 @@
+"""What a browser may call by name: the page's own methods, and the daemon's."""
+
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+import structlog
+
+from hilserver.io.opcua_server.method_table import METHODS, STRING
+from hilserver.io.page.arguments import ANY, check, check_value
+from hilserver.io.page.browsers import Browser, Browsers
+from hilserver.io.page.driving import Driving
+from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.jobs import Jobs
+from hilserver.io.page.live import Live
+from hilserver.io.page.log_in import LogIns
+from hilserver.io.page.setup import Setup
+from hilserver.io.page.stopping import Stopping
+
+_METHODS = {method.name: method for method in METHODS}
+
+_log = structlog.get_logger(__name__)
+
+
+def may_work(browser: Browser) -> None:
+    """Raise RefusedError where the role of a browser's user allows no work with files."""
+    if "Start" not in browser.hand.rights.methods:
+        raise RefusedError("your role does not allow this")
+
+
+class Calls:
+    """Does what browsers call, each with the rights of its user."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        browsers: Browsers,
+        live: Live,
+        driving: Driving,
+        jobs: Jobs,
+        stopping: Stopping,
+    ) -> None:
+        self._setup, self._browsers, self._live = setup, browsers, live
+        self._driving, self._jobs, self._stopping = driving, jobs, stopping
+        self._log_ins = LogIns(setup.opcua.max_failed_logins)
+
+    async def do(self, browser: Browser, name: str, arguments: Sequence[Any]) -> Any:
+        """Do what a call asks for; return its result.
+
+        Raises
+        ------
+        WrongTypeError, RefusedError
+            With the sentence for whoever asked.
+        """
+        own: dict[str, tuple[Callable[..., Awaitable[Any]], tuple[str, ...]]] = {
+            "login": (self._login, (STRING, STRING)),
+            "logout": (self._logout, ()),
+            "session": (self._session, ()),
+            "ticket": (self._ticket, ()),
+            "take": (self._take, ("Int64", "Int64")),
+            "give": (self._give, (STRING,)),
+            "write": (self._write, (STRING, ANY)),
+            "diagnose": (self._diagnose, (STRING, STRING)),
+            "map": (self._map, (STRING, STRING)),
+            "cancel": (self._cancel, ("Int64",)),
+            "keep": (self._keep, ("Int64",)),
+        }
+        if name in own:
+            check(name, arguments, own[name][1], optional=name in ("take", "diagnose"))
+        elif name in _METHODS:
+            check(name, arguments, [a.type for a in _METHODS[name].arguments])
+        else:
+            raise RefusedError(f"there is no method '{name:.40}'")
+        is_stop = name == "Stop"
+        if name not in ("login", "logout", "session") and not (is_stop and browser.may_stop):
+            await self.ready(browser)
+        if is_stop:
+            return self._stopping.press(browser)
+        if name in own:
+            return await own[name][0](browser, *arguments)
+        await browser.hand.call(name, arguments)
+        _log.info("page call", method=name, user=browser.user or "anonymous")
+        return None
+
+    async def ready(self, browser: Browser) -> None:
+        """Connect a browser that needs no log-in; RefusedError for one that does."""
+        async with browser.lock:
+            if browser.hand.is_connected:
+                return
+            if self._setup.opcua.needs_login:
+                browser.user = ""
+                raise RefusedError("log in first")
+            await browser.hand.connect()
+            browser.may_stop = "Stop" in browser.hand.rights.methods
+
+    async def report_stop(self, browser: Browser) -> None:
+        """Say to the daemon that Stop was pressed, for its event and its audit."""
+        await self.ready(browser)
+        await browser.hand.call("Stop", ())
+
+    async def _login(self, browser: Browser, name: str, password: str) -> dict[str, Any]:
+        if not self._setup.opcua.needs_login:
+            raise RefusedError("nobody has to log in here")
+        browser.may_stop = False
+        await self._log_ins.log_in(browser, str(name)[:64], str(password)[:1024])
+        self._browsers.rekey(browser)
+        browser.may_stop = "Stop" in browser.hand.rights.methods
+        return await self._session(browser)
+
+    async def _logout(self, browser: Browser) -> None:
+        browser.user, browser.may_stop = "", self._setup.opcua.anonymous_may_stop
+        await browser.hand.close()
+
+    async def _session(self, browser: Browser) -> dict[str, Any]:
+        problem = ""
+        try:
+            await self.ready(browser)
+        except RefusedError as error:
+            problem = str(error)
+        page = self._setup.page
+        return {
+            "user": browser.user,
+            "needs_login": self._setup.opcua.needs_login and not browser.hand.is_connected,
+            "problem": problem,
+            "drive": browser.hand.rights.drive,
+            "methods": browser.hand.rights.methods,
+            "rate_hz": page.rate_hz,
+            "deadman_ms": page.deadman_ms,
+        }
+
+    async def _ticket(self, browser: Browser) -> str:
+        return browser.new_ticket()
+
+    async def _take(self, browser: Browser, number: int, taken_from: int | None = None) -> None:
+        client = self._live.find(number)
+        if client is None or client.browser is not browser:
+            raise RefusedError("this page has no live connection")
+        if self._live.driver not in (None, number, taken_from):
+            raise RefusedError("another browser drives: say that you take control from it")
+        await self._driving.take(client)
+
+    async def _give(self, browser: Browser, source: str) -> None:
+        await browser.hand.write({"control.source": str(source)[:20]})
+
+    async def _write(self, browser: Browser, name: str, value: float) -> None:
+        known = next((s for s in self._setup.signals if s["name"] == name), None)
+        if known is None or not known["writable"]:
+            raise RefusedError(f"'{name!s:.60}' cannot be written")
+        check_value(name, value, known["type"])
+        await browser.hand.write({name: value})
+
+    async def _diagnose(self, browser: Browser, log: str, mapping: str = "") -> int:
+        may_work(browser)
+        return self._jobs.diagnose(log, str(mapping))
+
+    async def _map(self, browser: Browser, log: str, text: str) -> None:
+        may_work(browser)
+        self._jobs.map(log, str(text))
+
+    async def _cancel(self, browser: Browser, number: int) -> None:
+        may_work(browser)
+        self._jobs.cancel(number)
+
+    async def _keep(self, browser: Browser, number: int) -> str:
+        if "LoadPatch" not in browser.hand.rights.methods:
+            raise RefusedError("your role does not allow this")
+        return self._jobs.keep(number)
