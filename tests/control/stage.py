@@ -125,6 +125,7 @@ class Stage:
     def rest(self, source):
         if source != "scenario":
             self.clients[source].do("rest")
+            time.sleep(0.05)  # what was said before is still on its way
 
     # --- what happens -----------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ document.addEventListener("focusin", (event) => {
 });
 document.body.tabIndex = -1; document.body.focus(); window.controls.size
 """
-_MISSED = """[...window.controls].filter((e) => e.isConnected && !window.marked.has(e))
+_MISSED = """[...window.controls].filter((e) => e.checkVisibility() && !window.marked.has(e))
     .map((e) => e.outerHTML.slice(0, 80))"""
 
 
@@ -95,6 +95,7 @@ def test_a_whole_shift_by_keyboard(browser, url, plant):
     browser.do("run", script="document.activeElement.blur()")
     browser.do("press", key="x")
     plant.wait(lambda: plant.value("sim.state") == 3)
+    browser.do("wait", selector=".state", text="safe")
     browser.do("to", name="Reset")
     browser.do("press", key="Enter")
     plant.wait(lambda: plant.value("sim.state") == 1)
