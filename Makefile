@@ -75,6 +75,7 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m hilserver.daemon.step_reference > docs/reference/step.md
 	@$(BIN)/python -m hilserver.config.reference > docs/reference/configuration.md
 	@$(BIN)/python -m hilserver.measured.mapping_reference > docs/reference/mapping.md
+	@$(BIN)/python -m hilserver.parameters.reference > docs/reference/parameters.md
 	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md
 	@$(BIN)/python -m hilserver.faults.reference > docs/reference/faults.md
 	@$(BIN)/python -m hilserver.core.transitions > docs/reference/states.md

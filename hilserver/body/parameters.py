@@ -63,8 +63,8 @@ class BodyParameters:
     """
 
     robot: RobotParameters
-    slice_s: float = quantity(0.002, "period of its slice", gt=0)
-    step_s: float = quantity(0.001, "step", gt=0)
+    slice_s: float = quantity(0.002, "period of its slice", jumps="fixed", gt=0)
+    step_s: float = quantity(0.001, "step", jumps="fixed", gt=0)
     torque: bool = False
     sensors: bool = False
     stall_torque_nm: float = quantity(

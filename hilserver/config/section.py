@@ -16,8 +16,9 @@ class Section(BaseModel):
 def of(part: type, name: str) -> Any:
     """Return the field of a section with default, bounds and meaning of the plant's parameter."""
     (item,) = (one for one in fields(part) if one.name == name)
-    meaning, bounds = item.metadata["meaning"], item.metadata["bounds"]
-    return Field(item.default, description=meaning, **bounds)
+    about = item.metadata
+    unit = f" [{about['unit']}]" if about["unit"] else ""
+    return Field(item.default, description=about["meaning"] + unit, **about["bounds"])
 
 
 def check_endpoint(text: str) -> str:

@@ -102,29 +102,45 @@ class RobotParameters:
         When a value is not finite, out of range, or the wheel loop would be unstable.
     """
 
-    period_s: float = quantity(0.001, "period of its slice", gt=0)
+    period_s: float = quantity(0.001, "period of its slice", jumps="fixed", gt=0)
     slice_name: str = "plant"
     drive: Literal["skid", "mecanum"] = "skid"
-    wheel_radius_m: float = quantity(0.085, "wheel radius r", ge=0.001, le=10)
-    wheelbase_m: float | None = quantity(
-        0.25, "l_x, between front and rear wheels; null: two wheels", ge=0.001, le=100
+    wheel_radius_m: float = quantity(
+        0.085, "wheel radius r", jumps="velocity duty", ge=0.001, le=10
     )
-    track_m: float = quantity(0.31, "l_y, between left and right wheels", ge=0.001, le=100)
+    wheelbase_m: float | None = quantity(
+        0.25,
+        "l_x, between front and rear wheels; null: two wheels",
+        jumps="velocity duty",
+        ge=0.001,
+        le=100,
+    )
+    track_m: float = quantity(
+        0.31, "l_y, between left and right wheels", jumps="velocity duty", ge=0.001, le=100
+    )
     icr_offset_m: float = quantity(
-        0.02, "X_ICR from the centre of mass, below half the wheelbase", ge=-10, le=10
+        0.02,
+        "X_ICR from the centre of mass, below half the wheelbase",
+        jumps="velocity",
+        ge=-10,
+        le=10,
     )
     max_rpm: float = quantity(
-        90.0, "largest set-point; all wheels are scaled together", gt=0, le=10_000
+        90.0, "largest set-point; all wheels are scaled together", jumps="duty", gt=0, le=10_000
     )
     safe_ramp_s: float = quantity(
-        0.5, "time in which the safe state ramps the set-points to zero", ge=0, le=60
+        0.5,
+        "time in which the safe state ramps the set-points to zero",
+        jumps="fixed",
+        ge=0,
+        le=60,
     )
     discretization: Literal["exact", "euler"] = "exact"
     exclusive_twist: bool = False
     yaw_sign: int = -1
     rotation_gain: str | float = "geometric_skid"
     body_wheels: bool = False
-    seed: int = quantity(0, "seed of all noise", ge=0, lt=2**53)
+    seed: int = quantity(0, "seed of all noise", jumps="fixed", ge=0, lt=2**53)
     controller: Controller = field(default_factory=Controller)
     process: Process = field(default_factory=Process)
     imu: Imu = field(default_factory=Imu)

@@ -1,4 +1,4 @@
-"""A parameter with its default, its bounds and its meaning: what configuration and plant share."""
+"""A parameter with default, bounds, unit and meaning: what configuration and plant share."""
 
 import math
 import operator
@@ -14,17 +14,48 @@ _BOUNDS: Final[Mapping[str, tuple[Callable[[float, float], bool], str]]] = {
 }
 
 
-def quantity(default: float | None, meaning: str, **bounds: float) -> Any:
+_UNITS: Final = {
+    "n_s2_m2": "N·s²/m²",
+    "rad_s": "rad/s",
+    "m_s2": "m/s²",
+    "m_s": "m/s",
+    "rad": "rad",
+    "rpm": "rpm",
+    "ohm": "ohm",
+    "pct": "%",
+    "nm": "N·m",
+    "kg": "kg",
+    "ah": "Ah",
+    "hz": "Hz",
+    "m": "m",
+    "s": "s",
+    "a": "A",
+}
+"""Symbol of the unit in which a name ends; longer endings first."""
+
+
+def unit_of(name: str) -> str:
+    """Return the symbol of the unit in which a name ends, "1" without one."""
+    return next((unit for end, unit in _UNITS.items() if name.endswith(f"_{end}")), "1")
+
+
+def quantity(
+    default: float | None, meaning: str, *, unit: str = "", jumps: str = "", **bounds: float
+) -> Any:
     """Return the field of a dataclass.
 
     Parameters
     ----------
-    meaning : str
-        With the unit where the name does not end in it.
+    unit : str
+        Its symbol, where the name does not end in it.
+    jumps : str
+        Which outputs a change of it makes jump, see `hilserver.parameters.table`; "fixed": it
+        cannot be changed while the robot runs.
     **bounds : float
         ``gt``, ``ge``, ``lt``, ``le``: above, at least, below, at most.
     """
-    return field(default=default, metadata={"meaning": meaning, "bounds": bounds})
+    about = {"meaning": meaning, "bounds": bounds, "unit": unit, "jumps": jumps}
+    return field(default=default, metadata=about)
 
 
 def refused(part: Any) -> Iterator[tuple[str, float, str]]:

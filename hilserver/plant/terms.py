@@ -9,7 +9,7 @@ import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from math import inf, isfinite
+from math import isfinite
 from types import MappingProxyType
 from typing import Final
 
@@ -37,6 +37,8 @@ class Term:
         Range of values, ends included.
     shape : bool
         True: it only shapes the effect of another part of its cause.
+    jumps : str
+        Which outputs a change of it makes jump, see `hilserver.parameters.table`.
     description : str
         What it does.
     """
@@ -49,16 +51,13 @@ class Term:
     low: float
     high: float
     shape: bool
+    jumps: str
     description: str
 
     @property
     def cause(self) -> str:
         """The name without its part."""
         return self.name.partition(".")[0]
-
-
-def _number(text: str, default: float) -> float:
-    return float(text) if text else default
 
 
 def _read() -> dict[str, Term]:
@@ -70,9 +69,10 @@ def _read() -> dict[str, Term]:
             unit=row["unit"],
             null=None if row["null"] == "none" else float(row["null"]),
             reference=float(row["reference"]) if row["reference"] else None,
-            low=_number(row["low"], -inf),
-            high=_number(row["high"], inf),
+            low=float(row["low"]),
+            high=float(row["high"]),
             shape=bool(row["shape"]),
+            jumps=row["jumps"],
             description=row["description"],
         )
         for row in csv.DictReader(text.splitlines())

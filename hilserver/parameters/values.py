@@ -1,0 +1,138 @@
+"""Values of the table into a robot and out of it; what does not fit is refused with a sentence.
+
+A value is a float everywhere; NaN stands for null.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isinf, isnan, nan
+from typing import Any, Final
+
+from hilserver.errors import meant
+from hilserver.parameters.table import PLANT, TERM, Parameter
+from hilserver.plant.errors import PlantError
+from hilserver.plant.parameters import GEOMETRIC_GAINS, RobotParameters
+from hilserver.plant.terms import complete, main_part
+
+GAIN: Final = "kinematics.rotation_gain"
+_PARTS: Final[Mapping[str, str]] = {
+    "plant": "",
+    "kinematics": "",
+    "plant.controller": "controller",
+    "plant.process": "process",
+    "sensors.imu": "imu",
+    "sensors.battery": "battery",
+    "sensors.tof": "tof",
+    "sensors.nav": "nav",
+}
+"""Part of `RobotParameters` in which the fields of a section are."""
+
+
+def named(name: str, table: Mapping[str, Parameter]) -> str:
+    """Return the full name of a parameter: a bare cause means the first part of its term.
+
+    Raises
+    ------
+    PlantError
+        If there is no such parameter.
+    """
+    if name in table:
+        return name
+    name = name.removeprefix("plant.") if name.startswith(f"plant.{TERM}") else name
+    if name.startswith(TERM):
+        return TERM + main_part(name.removeprefix(TERM))
+    hint = meant(name, table, "docs/reference/parameters.md has all names.")
+    raise PlantError(f"{name:.100}: there is no such parameter: {hint}")
+
+
+def check(parameter: Parameter, value: object) -> float:
+    """Return a value as a float; whether it fits the others, `with_values` decides.
+
+    Raises
+    ------
+    PlantError
+        If it is no number, out of range, or null where that means nothing.
+    """
+    where = parameter.name
+    if value is None:
+        value = nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise PlantError(f"{where}: must be a number, not {value!r:.60}.")
+    if parameter.when == "restart":
+        raise PlantError(f"{where}: needs a restart; change it in config.yaml.")
+    try:
+        number = float(value)
+    except OverflowError:
+        raise PlantError(f"{where}: is outside {parameter.range_text}.") from None
+    if isnan(number):
+        if not parameter.nullable:
+            raise PlantError(f"{where}: must be a finite number; it cannot be null.")
+        return number
+    if isinf(number) or not parameter.low <= number <= parameter.high:
+        raise PlantError(f"{where}: {number:g} is outside {parameter.range_text}.")
+    return number
+
+
+def read(robot: RobotParameters) -> dict[str, float]:
+    """Return what a robot has for every parameter of the plant that acts at a tick."""
+    terms = complete(robot.terms)
+    found: dict[str, float] = {}
+    for name in PLANT:
+        section, _, key = name.rpartition(".")
+        if name.startswith(TERM):
+            value: Any = terms[name.removeprefix(TERM)]
+        elif name == GAIN:
+            value = None if robot.rotation_gain in GEOMETRIC_GAINS else robot.k_om
+        elif section in _PARTS:
+            value = getattr(_part(robot, section), key)
+        else:
+            continue
+        found[name] = nan if value is None else float(value)
+    return found
+
+
+def geometric_gain(robot: RobotParameters) -> str:
+    """Return what null means for the robot's `kinematics.rotation_gain`."""
+    gain = robot.rotation_gain
+    return str(gain) if gain in GEOMETRIC_GAINS else GEOMETRIC_GAINS[0]
+
+
+def _part(robot: RobotParameters, section: str) -> Any:
+    return getattr(robot, _PARTS[section]) if _PARTS[section] else robot
+
+
+def with_values(
+    robot: RobotParameters, values: Mapping[str, float], geometric_gain: str = GEOMETRIC_GAINS[0]
+) -> RobotParameters:
+    """Return the robot with other values, checked against each other but for `packing.pack`.
+
+    Parameters
+    ----------
+    values : mapping of float
+        By full names of the plant; each as `check` returned it.
+    geometric_gain : str
+        What null means for `kinematics.rotation_gain`.
+
+    Raises
+    ------
+    PlantError
+        If the robot could not run with them: one sentence that names the parameter.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        section, _, key = name.rpartition(".")
+        part = "terms" if name.startswith(TERM) else _PARTS[section]
+        key = name.removeprefix(TERM) if part == "terms" else key
+        changes.setdefault(part, {})[key] = _plain(name, value, geometric_gain)
+    own = changes.pop("", {})
+    if "terms" in changes:
+        own["terms"] = complete(robot.terms) | changes.pop("terms")
+    for part, fields in changes.items():
+        own[part] = replace(getattr(robot, part), **fields)
+    return replace(robot, **own)
+
+
+def _plain(name: str, value: float, geometric_gain: str) -> Any:
+    if isnan(value):
+        return geometric_gain if name == GAIN else None
+    return int(value) if name.endswith("yaw_sign") and value.is_integer() else value
