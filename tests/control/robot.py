@@ -132,13 +132,13 @@ class Robot:
 
     def _spawned(self, command, log):
         with log.open("w", encoding="utf-8") as errors:
-            return subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stderr=errors,
-                cwd=self.folder,
-                env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
-            )
+            return self._writing_to(errors, command)
+
+    def _writing_to(self, errors, command):
+        env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stderr=errors, cwd=self.folder, env=env
+        )
 
     def hold(self, seconds):
         """Hold the interpreter lock of the daemon; returns at once."""

@@ -45,6 +45,13 @@ EVENTS: Final[Mapping[str, str]] = {
     "restarted": "the daemon is ended and started again",
 }
 
+VARIANTS: Final[Mapping[str, Mapping[str, Mapping[str, object]]]] = {
+    "": {"scheduler": {"policy": "skip"}},
+    "fallback before": {"control": {"fallback": "before"}},
+    "stretch": {"scheduler": {"policy": "stretch"}},
+}
+"""Sections of the configuration, by what an event has behind its comma."""
+
 # fmt: off
 TABLE: Final[Mapping[str, tuple[str, ...]]] = {
     # driven by:          peer      opcua     page      ros2      shield    scenario  foxglove  teleop
@@ -72,8 +79,19 @@ TABLE: Final[Mapping[str, tuple[str, ...]]] = {
     "forced":            ("forced", "forced", "forced", "forced", "forced", "forced", "forced", "forced"),
     "acknowledged":      ("anew",   "anew",   "anew",   "anew",   "anew",   "-",      "anew",   "anew"),
     "restarted":         ("before", "before", "before", "before", "before", "before", "before", "before"),
+    "closed, fallback before": ("-", "before", "before", "-",   "-",      "-",      "-",      "before"),
+    "cut, fallback before":    ("-", "before", "before", "-",   "-",      "-",      "-",      "-"),
+    "killed, fallback before": ("-", "before", "before", "-",   "-",      "-",      "-",      "before"),
+    "silent, fallback before": ("-", "drives", "zero",   "-",   "-",      "-",      "-",      "zero"),
+    "overrun, stretch":  ("safe",   "drives", "zero",   "off",    "off",    "drives", "zero",   "zero"),
 }
 # fmt: on
+
+
+def parts(event: str) -> tuple[str, str]:
+    """Return what happens, and the variant of the configuration in which it does."""
+    what, _, variant = event.partition(", ")
+    return what, variant
 
 
 def cells() -> Iterator[tuple[str, str, str]]:
@@ -92,8 +110,9 @@ tests/control` all of them.
 
 Which outcome follows, by who drives at first (columns) and what happens then (rows). All sources are
 connected, and peer, ROS 2 host and shield host go on offering commands while another source drives.
-Configuration: `control.source: peer`, priorities and `control.fallback` as shipped, no limit for silent
-OPC UA clients. What the wheels get and who drives is read in shared memory by another process.
+Configuration: `control.source: peer`, priorities as shipped, no limit for silent OPC UA clients,
+`control.fallback: nobody` unless a row says `fallback before`, overruns are skipped unless it says
+`stretch`. What the wheels get and who drives is read in shared memory by another process.
 
 """
 

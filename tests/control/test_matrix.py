@@ -13,9 +13,9 @@ PAGE = Path(__file__).parents[2] / "docs/reference/control-matrix.md"
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory):
+def stage(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("control")
-    with running_robot(folder, scheduler={"policy": "skip"}) as robot:
+    with running_robot(folder, **table.VARIANTS[request.param]) as robot:
         stage = Stage(robot)
         yield stage
         stage.forget()
@@ -34,14 +34,16 @@ def thin():
 
 THIN = frozenset(thin())
 CELLS = [
-    pytest.param(cell, id=ids(cell), marks=[] if cell in THIN else pytest.mark.long)
+    pytest.param(
+        table.parts(cell[0])[1], cell, id=ids(cell), marks=[] if cell in THIN else pytest.mark.long
+    )
     for cell in table.cells()
 ]
 
 
-@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize(("stage", "cell"), CELLS, indirect=["stage"], scope="module")
 def test_cell(stage, cell):
-    event, source, outcome = cell
+    event, source, outcome = table.parts(cell[0])[0], *cell[1:]
     stage.begin(source)
     try:
         if outcome == "refused":

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import subprocess
 import threading
 
 from tests.control.robot import Robot
@@ -23,9 +22,7 @@ class TerminalRobot(Robot):
         self._is_read = threading.Event()
         self._is_read.set()
         try:
-            process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stderr=theirs, cwd=self.folder
-            )
+            process = self._writing_to(theirs, command)
         finally:
             os.close(theirs)
         log.touch()
