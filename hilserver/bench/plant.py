@@ -30,7 +30,8 @@ BLOCKS: Final = 21
 TICKS_PER_BLOCK: Final = 200_000
 
 _ROW = numba.float64[::1]
-_STEP = numba.types.FunctionType(numba.void(_ROW, _ROW, _ROW, _ROW, numba.int64[::1]))
+_P = numba.from_dtype(at.PARAMETERS)
+_STEP = numba.types.FunctionType(numba.void(_P, _ROW, _ROW, _ROW, numba.int64[::1]))
 
 
 @kernel()
@@ -39,7 +40,7 @@ def _direct(p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
         robot_step(p, x, u, y, q)
 
 
-@kernel(numba.void(_STEP, _ROW, _ROW, _ROW, _ROW, numba.int64[::1], numba.int64))
+@kernel(numba.void(_STEP, _P, _ROW, _ROW, _ROW, numba.int64[::1], numba.int64))
 def _through_pointer(step: Any, p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
     for _ in range(ticks):
         step(p, x, u, y, q)

@@ -12,7 +12,6 @@ from hilserver.plant.layout import (
     BAD_OUT_OF_SERVICE,
     COMMAND_SAFE,
     GOOD,
-    P_TOF_ENABLED,
     U_COMMAND,
     U_POSE,
     U_POSE_REQUEST,
@@ -87,7 +86,8 @@ def run_slice(
     ----------
     p, b, a : ndarray
         Of the body, see `hilserver.body.layout`.
-    plant, x, u, y, hall : ndarray
+    plant : Parameters
+    x, u, y, hall : ndarray
         The planar plant's parameters, state, inputs and outputs, after its step of this tick.
     out : ndarray of float64, shape (N_M,)
         Outputs ``mech.*`` in the working frame.
@@ -151,7 +151,7 @@ def body_imu(b: Any, p: Any, x: Any, y: Any, q: Any) -> None:
 @part
 def body_ranges(b: Any, p: Any, y: Any, q: Any, hall: Any) -> None:
     """Show the ranges from where the body is."""
-    if p[P_TOF_ENABLED] == 0.0:
+    if p.tof_enabled == 0.0:
         for k in range(4):
             q[Y_TOF + k] = BAD_OUT_OF_SERVICE
         return

@@ -27,7 +27,6 @@ from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
-from hilserver.plant.layout import P_MAX_RPM, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -250,4 +249,4 @@ def _scheduler(
 
 def _shield(assembly: Assembly) -> ShieldFigures:
     p = assembly.composition.parameters
-    return ShieldFigures(p[P_RPM_PER_M_S], p[P_RPM_PER_RAD_S], p[P_MAX_RPM])
+    return ShieldFigures(p.rpm_per_m_s, p.rpm_per_rad_s, p.max_rpm)

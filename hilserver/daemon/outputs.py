@@ -10,7 +10,7 @@ from hilserver.daemon.builder import Core
 from hilserver.daemon.shadow import Pose, measured_pose
 from hilserver.image import Frame
 from hilserver.io.opcua_server.server import OpcUaServer
-from hilserver.plant.layout import WHEELS
+from hilserver.plant.layout import WHEELS, Parameters
 
 EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
 """Outputs that metrics show: few, because every one is a series."""
@@ -78,5 +78,5 @@ class Outputs:
     def measured_pose(self) -> Pose | None:
         """Return where the real robot is, None while nothing measures it."""
         core = self._core
-        parameters, _ = core.image.region("p")
+        parameters = Parameters.of(core.image.region("p")[0])
         return measured_pose(core.gate.newest, core.table, core.image.latest(), parameters)

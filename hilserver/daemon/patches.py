@@ -74,7 +74,7 @@ class Patches:
         async with self._lock:
             new: Assembly = await asyncio.to_thread(self._assembly.patched, patch)
             numbers = {
-                "p": new.composition.parameters,
+                "p": new.composition.parameters.numbers,
                 "fitted": new.composition.fitted,
                 "edition": np.array([self._edition + 1.0]),
             }

@@ -7,7 +7,6 @@ from hilserver.core.clock import UtcClock
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core
 from hilserver.daemon.supervision import Supervision
-from hilserver.plant.layout import P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.ros.robot import Shape
 
 if TYPE_CHECKING:
@@ -40,8 +39,8 @@ def shape_of(assembly: Assembly) -> Shape:
     robot, packed = assembly.robot, assembly.composition.parameters
     x_m, y_m = robot.tof.mount_x_m, robot.tof.mount_y_m
     return Shape(
-        rpm_per_m_s=float(packed[P_RPM_PER_M_S]),
-        rpm_per_rad_s=float(packed[P_RPM_PER_RAD_S]),
+        rpm_per_m_s=packed.rpm_per_m_s,
+        rpm_per_rad_s=packed.rpm_per_rad_s,
         max_rpm=robot.max_rpm,
         max_linear_m_s=robot.ranges.max_linear_m_s,
         max_lateral_m_s=robot.ranges.max_lateral_m_s,

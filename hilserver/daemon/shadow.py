@@ -8,14 +8,11 @@ import math
 import time
 from collections.abc import Callable, Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hilserver.config.shadow import ShadowConfig
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.image import Frame
 from hilserver.image.status import GOOD
-from hilserver.plant import layout as robot
+from hilserver.plant.layout import Parameters
 from hilserver.signals import MEASURED, SignalTable
 
 Pose = tuple[float, float, float]
@@ -90,7 +87,7 @@ def measured_pose(
     newest: Callable[[str], float | None],
     table: SignalTable,
     frame: Frame | None,
-    parameters: NDArray[np.float64],
+    parameters: Parameters,
 ) -> Pose | None:
     """Return the pose of the real robot's centre of mass, or None while it is not measured.
 
@@ -103,7 +100,7 @@ def measured_pose(
         Newest accepted value of a signal, None before the first.
     frame : Frame or None
         The last one; its status codes say which values are stale.
-    parameters : ndarray of float64, shape (N_P,)
+    parameters : Parameters
         Of the plant, with the terms at work.
 
     Returns
@@ -116,9 +113,9 @@ def measured_pose(
     pose, tag = (_fresh(group, newest, table, frame) for group in ("pose", "nav"))
     if pose is not None or tag is None:
         return pose
-    yaw = math.remainder(tag[2] - parameters[robot.P_NAV_FRAME_YAW], math.tau)
-    lever_x, lever_y = parameters[robot.P_LEVER_X], parameters[robot.P_LEVER_Y]
-    scale = parameters[robot.P_NAV_SCALE]
+    yaw = math.remainder(tag[2] - parameters.nav_frame_yaw, math.tau)
+    lever_x, lever_y = parameters.lever_x, parameters.lever_y
+    scale = parameters.nav_scale
     return (
         tag[0] / scale - lever_x * math.cos(yaw) + lever_y * math.sin(yaw),
         tag[1] / scale - lever_x * math.sin(yaw) - lever_y * math.cos(yaw),

@@ -5,9 +5,10 @@ from typing import Any
 from hilserver.body.layout import N_A, N_M
 from hilserver.body.layout import N_P as N_BODY_P
 from hilserver.body.slice import body_imu, body_ranges, hand_over_wheels, run_slice
+from hilserver.compiled.records import record_at
 from hilserver.kernel.places import BodyPlaces, Places
 from hilserver.plant.kernels import inlined
-from hilserver.plant.layout import N_P, N_U, N_X, N_Y
+from hilserver.plant.layout import N_U, N_X, N_Y, PARAMETERS
 
 
 @inlined
@@ -18,7 +19,7 @@ def body(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> int:
             values[body_at.p : body_at.p + N_BODY_P],
             values[body_at.b : body_at.b_end],
             words[body_at.a : body_at.a + N_A],
-            values[at.p : at.p + N_P],
+            record_at(values, at.p, PARAMETERS),
             values[at.x : at.x + N_X],
             values[at.u : at.u + N_U],
             values[at.y : at.y + N_Y],
@@ -40,7 +41,7 @@ def imu(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
     """Show what the inertial unit measures in the body."""
     body_imu(
         values[body_at.b : body_at.b_end],
-        values[at.p : at.p + N_P],
+        record_at(values, at.p, PARAMETERS),
         values[at.x : at.x + N_X],
         values[at.y : at.y + N_Y],
         words[at.q : at.q + N_Y],
@@ -52,7 +53,7 @@ def tof(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
     """Show the four distances to the walls from where the body is."""
     body_ranges(
         values[body_at.b : body_at.b_end],
-        values[at.p : at.p + N_P],
+        record_at(values, at.p, PARAMETERS),
         values[at.y : at.y + N_Y],
         words[at.q : at.q + N_Y],
         values[at.hall : at.hall_end],

@@ -58,7 +58,7 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
         region = regions[name]
         image.values[region.base : region.base + region.length] = numbers
 
-    put("p", composition.parameters)
+    put("p", composition.parameters.numbers)
     put("x", composition.state)
     put("hall", composition.hall.ravel())
     put("fitted", composition.fitted)

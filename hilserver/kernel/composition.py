@@ -14,7 +14,7 @@ from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
 from hilserver.signals import SignalTable
 
-PARAMETERS: Final = {"p": robot.N_P, "fitted": N_LIMITS, "edition": 1}
+PARAMETERS: Final = {"p": robot.Parameters.n_words, "fitted": N_LIMITS, "edition": 1}
 """Regions that a patch replaces, in one piece."""
 
 
@@ -86,7 +86,7 @@ class Composition:
     periods_s: Mapping[str, float]
     parts: Sequence[Part]
     blocks: Sequence[BlockUse]
-    parameters: NDArray[np.float64]
+    parameters: robot.Parameters
     state: NDArray[np.float64]
     hall: NDArray[np.float64]
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)

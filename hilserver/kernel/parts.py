@@ -7,13 +7,14 @@ import math
 from typing import Any
 
 from hilserver.compiled import kernel
+from hilserver.compiled.records import record_at
 from hilserver.image import word
 from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
 from hilserver.kernel.places import Places
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
 from hilserver.plant.kernels import inlined
-from hilserver.plant.layout import N_P, N_U, N_X, N_Y
+from hilserver.plant.layout import N_U, N_X, N_Y, PARAMETERS, Parameters
 from hilserver.plant.nav import nav_step
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
@@ -23,10 +24,14 @@ from hilserver.plant.tof import tof_step
 
 
 @inlined
+def _p(at: Places, values: Any) -> Parameters:
+    return record_at(values, at.p, PARAMETERS)  # type: ignore[no-any-return]
+
+
+@inlined
 def _pieces(at: Places, values: Any, words: Any) -> Any:
-    """Return p, x, u, y and q, as every part of the robot takes them."""
+    """Return x, u, y and q, as every part of the robot takes them after p."""
     return (
-        values[at.p : at.p + N_P],
         values[at.x : at.x + N_X],
         values[at.u : at.u + N_U],
         values[at.y : at.y + N_Y],
@@ -37,43 +42,43 @@ def _pieces(at: Places, values: Any, words: Any) -> Any:
 @inlined
 def robot(at: Places, values: Any, words: Any) -> None:
     """Run steps 1 to 11 of the tick: command, wheels, kinematics, pose."""
-    p, x, u, y, q = _pieces(at, values, words)
-    robot_step(p, x, u, y, q)
+    x, u, y, q = _pieces(at, values, words)
+    robot_step(_p(at, values), x, u, y, q)
 
 
 @inlined
 def imu(at: Places, values: Any, words: Any) -> None:
     """Show yaw rate, heading and acceleration."""
-    p, x, u, y, q = _pieces(at, values, words)
-    imu_step(p, x, u, y, q)
+    x, u, y, q = _pieces(at, values, words)
+    imu_step(_p(at, values), x, u, y, q)
 
 
 @inlined
 def battery(at: Places, values: Any, words: Any) -> None:
     """Take the charge of this run from the battery and show its voltage."""
-    p, x, u, y, q = _pieces(at, values, words)
-    battery_step(p, x, u, y, q)
+    x, u, y, q = _pieces(at, values, words)
+    battery_step(_p(at, values), x, u, y, q)
 
 
 @inlined
 def shield(at: Places, values: Any, words: Any) -> None:
     """Show the lamps as they blink, and the temperature."""
-    p, x, u, y, q = _pieces(at, values, words)
-    shield_step(p, x, u, y, q)
+    x, u, y, q = _pieces(at, values, words)
+    shield_step(_p(at, values), x, u, y, q)
 
 
 @inlined
 def tof(at: Places, values: Any, words: Any) -> None:
     """Show the four distances to the walls."""
-    p, x, u, y, q = _pieces(at, values, words)
-    tof_step(p, x, u, y, q, values[at.hall : at.hall_end])
+    x, u, y, q = _pieces(at, values, words)
+    tof_step(_p(at, values), x, u, y, q, values[at.hall : at.hall_end])
 
 
 @inlined
 def nav(at: Places, values: Any, words: Any) -> None:
     """Show the pose as the navigation tag measures it."""
-    p, x, u, y, q = _pieces(at, values, words)
-    nav_step(p, x, u, y, q)
+    x, u, y, q = _pieces(at, values, words)
+    nav_step(_p(at, values), x, u, y, q)
 
 
 # --- a user's block -------------------------------------------------------------------------------

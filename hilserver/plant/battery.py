@@ -11,6 +11,7 @@ import numpy as np
 
 import hilserver.plant.layout as at
 from hilserver.plant.kernels import part
+from hilserver.plant.layout import Parameters
 
 LOWEST_V: Final = 17.5
 HIGHEST_V: Final = 23.5
@@ -30,23 +31,23 @@ def open_circuit_voltage(charge: float) -> float:
 
 
 @part
-def drawn_current(p: Any, y: Any) -> float:
+def drawn_current(p: Parameters, y: Any) -> float:
     """Return the current [A] of electronics and wheels under the duties of this tick."""
-    current = p[at.P_IDLE_CURRENT]
+    current = p.idle_current
     for i in range(at.N_WHEELS):
-        current += p[at.P_DUTY_CURRENT] * abs(y[at.Y_DUTY + i])
+        current += p.duty_current * abs(y[at.Y_DUTY + i])
     return float(current)
 
 
 @part
-def battery_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+def battery_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Publish the voltage under the load of this tick and take the charge of one run."""
-    if p[at.P_BATTERY_ENABLED] == 0.0:
+    if p.battery_enabled == 0.0:
         q[at.Y_BATTERY] = q[at.Y_CURRENT] = at.BAD_OUT_OF_SERVICE
         return
     current = drawn_current(p, y)
-    voltage = open_circuit_voltage(x[at.X_CHARGE]) - p[at.P_RESISTANCE] * current
+    voltage = open_circuit_voltage(x[at.X_CHARGE]) - p.resistance * current
     x[at.X_BATTERY_V] = min(max(voltage, LOWEST_V), HIGHEST_V)
     y[at.Y_BATTERY], y[at.Y_CURRENT] = x[at.X_BATTERY_V], current
     q[at.Y_BATTERY] = q[at.Y_CURRENT] = at.GOOD
-    x[at.X_CHARGE] = max(x[at.X_CHARGE] - p[at.P_CHARGE_PER_A] * current, 0.0)
+    x[at.X_CHARGE] = max(x[at.X_CHARGE] - p.charge_per_a * current, 0.0)

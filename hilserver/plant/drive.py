@@ -10,26 +10,28 @@ from typing import Any
 
 import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
+from hilserver.plant.layout import Parameters
 from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
 REST_RPM = 0.05
 
 Sums = tuple[float, float, float, float, float, float]
+Matrices = tuple[float, float, float, float, float, float]
 
 
 @inlined
-def drive_base(p: Any, x: Any, y: Any) -> Sums:
+def drive_base(p: Parameters, x: Any, y: Any) -> Sums:
     """All drive terms at null: the controller at the plant slice, the exact joint solution."""
     if x[at.X_DIRECT] + x[at.X_GAINS] != 0.0:
         return drive_terms(p, x, y)  # type: ignore[no-any-return]
-    kp, ki_step = p[at.P_KP], p[at.P_KI_STEP]
-    anti_windup, limit = p[at.P_ANTI_WINDUP_STEP], p[at.P_LIMIT]
-    a00, a01, b0 = p[at.P_A00], p[at.P_A01], p[at.P_B0]
-    a10, a11, b1 = p[at.P_A10], p[at.P_A11], p[at.P_B1]
-    half_turn = p[at.P_DT] * (0.5 * RAD_S_PER_RPM)
+    kp, ki_step = p.k_p, p.k_i_step
+    anti_windup, limit = p.anti_windup_step, p.limit
+    a00, a01, b0 = p.a00, p.a01, p.b0
+    a10, a11, b1 = p.a10, p.a11, p.b1
+    half_turn = p.dt * (0.5 * RAD_S_PER_RPM)
     left, right = x[at.X_SPEED] + x[at.X_SPEED + 1], x[at.X_SPEED + 2] + x[at.X_SPEED + 3]
-    accel_left = (x[at.X_MOTOR] + x[at.X_MOTOR + 1] - left) * p[at.P_INVERSE_T2]
-    accel_right = (x[at.X_MOTOR + 2] + x[at.X_MOTOR + 3] - right) * p[at.P_INVERSE_T2]
+    accel_left = (x[at.X_MOTOR] + x[at.X_MOTOR + 1] - left) * p.inverse_t2
+    accel_right = (x[at.X_MOTOR + 2] + x[at.X_MOTOR + 3] - right) * p.inverse_t2
     for i in range(at.N_WHEELS):
         speed, motor, integral = x[at.X_SPEED + i], x[at.X_MOTOR + i], x[at.X_INTEGRAL + i]
         error = x[at.X_SETPOINT + i] - speed
@@ -49,7 +51,7 @@ def drive_base(p: Any, x: Any, y: Any) -> Sums:
 
 
 @part
-def encoder(p: Any, x: Any, i: int) -> float:
+def encoder(p: Parameters, x: Any, i: int) -> float:
     """Return the speed of wheel `i` [rpm] as the loop sees it (step 2).
 
     The filter is exact for a speed that changes evenly over a tick. Held speeds would make it half
@@ -57,54 +59,53 @@ def encoder(p: Any, x: Any, i: int) -> float:
     """
     speed = float(x[at.X_SPEED + i])
     seen = speed
-    if p[at.P_ENCODER_SHARE] != 1.0:
-        seen = x[at.X_ENCODER + i] + p[at.P_ENCODER_SHARE] * speed
-        rest = 1.0 - p[at.P_ENCODER_SHARE] - p[at.P_ENCODER_KEEP]
-        x[at.X_ENCODER + i] = p[at.P_ENCODER_KEEP] * seen + rest * speed
-    seen *= p[at.P_ENCODER_GAIN + i]
-    if p[at.P_QUANTUM] != 0.0:
-        seen = p[at.P_QUANTUM] * math.floor(seen / p[at.P_QUANTUM] + 0.5)
+    if p.encoder_share != 1.0:
+        seen = x[at.X_ENCODER + i] + p.encoder_share * speed
+        rest = 1.0 - p.encoder_share - p.encoder_keep
+        x[at.X_ENCODER + i] = p.encoder_keep * seen + rest * speed
+    seen *= p.encoder_gain[i]
+    if p.quantum != 0.0:
+        seen = p.quantum * math.floor(seen / p.quantum + 0.5)
     return float(seen)
 
 
 @part
-def controller(p: Any, x: Any, i: int, seen_rpm: float) -> None:
+def controller(p: Parameters, x: Any, i: int, seen_rpm: float) -> None:
     """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; sets the held duty."""
-    kp, ki_step = p[at.P_KP], p[at.P_KI_STEP]
+    kp, ki_step = p.k_p, p.k_i_step
     if x[at.X_GAINS] != 0.0:
-        kp, ki_step = x[at.X_GAINS + 1], x[at.X_GAINS + 2] * p[at.P_CONTROL_TICKS] * p[at.P_DT]
+        kp, ki_step = x[at.X_GAINS + 1], x[at.X_GAINS + 2] * p.control_ticks * p.dt
     error = x[at.X_SETPOINT + i] - seen_rpm
     wanted = kp * error + x[at.X_INTEGRAL + i]
-    if p[at.P_DERIVATIVE_GAIN] != 0.0:
-        x[at.X_DERIVATIVE + i] = p[at.P_DERIVATIVE_KEEP] * x[at.X_DERIVATIVE + i] + p[
-            at.P_DERIVATIVE_GAIN
-        ] * (error - x[at.X_LAST_ERROR + i])
+    if p.derivative_gain != 0.0:
+        change = p.derivative_gain * (error - x[at.X_LAST_ERROR + i])
+        x[at.X_DERIVATIVE + i] = p.derivative_keep * x[at.X_DERIVATIVE + i] + change
         x[at.X_LAST_ERROR + i] = error
         wanted += x[at.X_DERIVATIVE + i]
-    limit = p[at.P_LIMIT]
+    limit = p.limit
     duty = min(max(wanted, -limit), limit)
-    x[at.X_INTEGRAL + i] += ki_step * error + p[at.P_ANTI_WINDUP_STEP] * (duty - wanted)
+    x[at.X_INTEGRAL + i] += ki_step * error + p.anti_windup_step * (duty - wanted)
     x[at.X_DUTY + i] = duty
 
 
 @part
-def pass_duty(p: Any, x: Any, i: int) -> None:
+def pass_duty(p: Parameters, x: Any, i: int) -> None:
     """Take the commanded duty of wheel `i` instead of the controller's, which takes note of it."""
-    limit = p[at.P_LIMIT]
+    limit = p.limit
     duty = min(max(x[at.X_DUTY_COMMAND + i], -limit), limit)
     x[at.X_DUTY + i] = x[at.X_INTEGRAL + i] = duty
     x[at.X_DERIVATIVE + i] = x[at.X_LAST_ERROR + i] = 0.0
 
 
 @part
-def load(p: Any, i: int, duty_pct: float, speed_rpm: float) -> float:
+def load(p: Parameters, i: int, duty_pct: float, speed_rpm: float) -> float:
     """Return the duty [%] that dead zone and friction (steps 4, 5) leave to the process."""
-    if p[at.P_DEAD_ZONE] != 0.0:
-        duty_pct = math.copysign(max(abs(duty_pct) - p[at.P_DEAD_ZONE], 0.0), duty_pct)
-    friction = p[at.P_COULOMB] + p[at.P_LOAD + i]
-    if p[at.P_STRIBECK] != 0.0:
-        ratio = speed_rpm / p[at.P_STRIBECK_SPEED]
-        friction += p[at.P_STRIBECK] * math.exp(-ratio * ratio)
+    if p.dead_zone != 0.0:
+        duty_pct = math.copysign(max(abs(duty_pct) - p.dead_zone, 0.0), duty_pct)
+    friction = p.coulomb + p.wheel_load[i]
+    if p.stribeck != 0.0:
+        ratio = speed_rpm / p.stribeck_speed
+        friction += p.stribeck * math.exp(-ratio * ratio)
     if friction == 0.0:
         return duty_pct
     if abs(speed_rpm) >= REST_RPM:
@@ -117,7 +118,7 @@ def load(p: Any, i: int, duty_pct: float, speed_rpm: float) -> float:
 @part
 def process_matrices(
     gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float
-) -> tuple[float, float, float, float, float, float]:
+) -> Matrices:
     """Return ``a00, a01, a10, a11, b0, b1`` of step 6 over one tick, exactly.
 
     The continuous process is ``T1 x' = G (u - b n) - x``, ``T2 n' = x - n`` with u held. Its joint
@@ -153,61 +154,61 @@ def process_matrices(
 
 
 @part
-def process_of_tick(p: Any, voltage_v: float) -> tuple[float, float, float, float, float, float]:
+def process_of_tick(p: Parameters, voltage_v: float) -> Matrices:
     """Return the process of this tick: battery_sag scales the gain, and with it the coupling."""
     sag = 1.0
-    if p[at.P_SAG] != 0.0:
-        sag = max(1.0 + p[at.P_SAG] * (voltage_v / NOMINAL_V - 1.0), 0.0)
-    if sag == 1.0 or p[at.P_VISCOUS] == 0.0:
+    if p.sag != 0.0:
+        sag = max(1.0 + p.sag * (voltage_v / NOMINAL_V - 1.0), 0.0)
+    if sag == 1.0 or p.viscous == 0.0:
         return (
-            p[at.P_A00],
-            p[at.P_A01],
-            p[at.P_A10],
-            p[at.P_A11],
-            p[at.P_B0] * sag,
-            p[at.P_B1] * sag,
+            p.a00,
+            p.a01,
+            p.a10,
+            p.a11,
+            p.b0 * sag,
+            p.b1 * sag,
         )
-    if p[at.P_EULER] != 0.0:
+    if p.euler != 0.0:
         return (
-            p[at.P_A00],
-            p[at.P_A01] * sag,
-            p[at.P_A10],
-            p[at.P_A11],
-            p[at.P_B0] * sag,
-            p[at.P_B1],
+            p.a00,
+            p.a01 * sag,
+            p.a10,
+            p.a11,
+            p.b0 * sag,
+            p.b1,
         )
     return process_matrices(  # type: ignore[no-any-return]
-        p[at.P_GAIN] * sag, p[at.P_VISCOUS], p[at.P_T1], p[at.P_T2], p[at.P_DT]
+        p.gain * sag, p.viscous, p.t1, p.t2, p.dt
     )
 
 
 @part
 def through_backlash(
-    p: Any, x: Any, i: int, speed_rpm: float, mean_rpm: float
+    p: Parameters, x: Any, i: int, speed_rpm: float, mean_rpm: float
 ) -> tuple[float, float]:
     """Return the speeds [rpm] behind the play: at t_k and the mean over the tick.
 
     The motor moves freely inside the play; the wheel follows while a flank is in contact.
     """
-    half = p[at.P_BACKLASH]
+    half = p.backlash
     gap = x[at.X_GAP + i]
     engaged = (gap >= half and speed_rpm > 0.0) or (gap <= -half and speed_rpm < 0.0)
-    turned = mean_rpm * RAD_S_PER_RPM * p[at.P_DT]
+    turned = mean_rpm * RAD_S_PER_RPM * p.dt
     free = gap + turned
     x[at.X_GAP + i] = min(max(free, -half), half)
     moved = free - x[at.X_GAP + i]  # exactly 0 inside the play
-    return speed_rpm if engaged else 0.0, moved / (RAD_S_PER_RPM * p[at.P_DT])
+    return speed_rpm if engaged else 0.0, moved / (RAD_S_PER_RPM * p.dt)
 
 
 @part
-def drive_terms(p: Any, x: Any, y: Any) -> Sums:
+def drive_terms(p: Parameters, x: Any, y: Any) -> Sums:
     """Run the drive with its terms, in the order of the contract; a term at null adds nothing."""
     runs = x[at.X_CONTROL_PHASE] <= 1e-9
     if runs:
-        x[at.X_CONTROL_PHASE] += p[at.P_CONTROL_TICKS]
+        x[at.X_CONTROL_PHASE] += p.control_ticks
     x[at.X_CONTROL_PHASE] -= 1.0
     a00, a01, a10, a11, b0, b1 = process_of_tick(p, x[at.X_BATTERY_V])
-    half_turn = p[at.P_DT] * (0.5 * RAD_S_PER_RPM)
+    half_turn = p.dt * (0.5 * RAD_S_PER_RPM)
     left, right, mean_left, mean_right, accel_left, accel_right = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(at.N_WHEELS):
         speed, motor = x[at.X_SPEED + i], x[at.X_MOTOR + i]
@@ -220,16 +221,16 @@ def drive_terms(p: Any, x: Any, y: Any) -> Sums:
         y[at.Y_DUTY + i] = x[at.X_DUTY + i]
         y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
         duty = load(p, i, x[at.X_DUTY + i], speed)
-        if p[at.P_BODY_WHEELS] != 0.0:  # the body takes the duty and hands the speed back
-            x[at.X_MOTOR + i] = duty * (b0 / p[at.P_B0])
+        if p.body_wheels != 0.0:  # the body takes the duty and hands the speed back
+            x[at.X_MOTOR + i] = duty * (b0 / p.b0)
             motor = speed
         else:
             x[at.X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
             x[at.X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
         x[at.X_ANGLE + i] += half_turn * (speed + x[at.X_SPEED + i])
         mean = 0.5 * (speed + x[at.X_SPEED + i])
-        accel = (motor - speed) * p[at.P_INVERSE_T2]
-        if p[at.P_BACKLASH] != 0.0:
+        accel = (motor - speed) * p.inverse_t2
+        if p.backlash != 0.0:
             speed, mean = through_backlash(p, x, i, speed, mean)
             if speed == 0.0:
                 accel = 0.0

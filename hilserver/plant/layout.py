@@ -6,7 +6,15 @@ future depends on lies in `x` (delay rings, filter and noise states too), so a c
 complete snapshot and equal `p`, `x`, `u` give equal bits.
 """
 
-from typing import Final
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.records import Record
+
+Wheels = Annotated[NDArray[np.float64], 4]
+"""A number of each wheel."""
 
 LEFT_WHEELS: Final = ("fl", "rl")
 RIGHT_WHEELS: Final = ("fr", "rr")
@@ -115,126 +123,124 @@ X_NAV_RING: Final = X_IMU_RING + 4 * RING  # RING x 3
 N_X: Final = X_NAV_RING + 3 * RING
 
 # --- parameters p ---------------------------------------------------------------------------------
-(
-    P_DT,  # plant slice [s]
-    P_KP,
-    P_KI_STEP,  # control period times K_I
-    P_ANTI_WINDUP_STEP,  # control period divided by T_t
-    P_LIMIT,  # [%]
-    P_A00,  # process over one tick: motor, speed <- A (motor, speed) + B duty
-    P_A01,
-    P_A10,
-    P_A11,
-    P_B0,
-    P_B1,
-    P_INVERSE_T2,
-    P_RADIUS_LEFT,
-    P_RADIUS_RIGHT,
-    P_YAW_GAIN,  # yaw_sign times K_om with its constant factors
-    P_ICR,
-    P_MAX_RPM,
-    P_RPM_PER_M_S,  # inverse kinematics (5.25), nominal
-    P_RPM_PER_RAD_S,
-    P_HALF_TRACK,
-    P_EXCLUSIVE,
-    P_MECANUM,  # 1: rollers let the wheels drive sideways
-    P_ROLLER_KEEP,  # share of the lateral speed that the rollers' slip leaves
-    P_BODY_WHEELS,  # 1: the mechatronic model turns the wheels, not the process
-    P_RAMP_STEP,  # share of the safe ramp per tick
-    P_COMMAND_TERMS,  # 1: delay or rate limit is on
-    P_DRIVE_TERMS,  # 1: drive_terms instead of drive_base
-    P_KINEMATIC_TERMS,  # 1: kinematic terms instead of the base
+
+
+class Parameters(Record):
+    """What the kernels read of a robot: `packing.pack` computes it, once. Flags are 1 or 0."""
+
+    dt: float  # plant slice [s]
+    k_p: float  # [%/rpm]
+    k_i_step: float  # control period times K_I [%/rpm]
+    anti_windup_step: float  # control period divided by T_t
+    limit: float  # of the duty [%]
+    a00: float  # process over one tick: (motor, speed) <- A (motor, speed) + B duty
+    a01: float
+    a10: float
+    a11: float
+    b0: float  # [rpm/%]
+    b1: float
+    inverse_t2: float  # [1/s]
+    radius_left: float  # [m]
+    radius_right: float
+    yaw_gain: float  # yaw_sign times K_om with its constant factors [1/m]
+    icr: float  # X_ICR [m]
+    max_rpm: float
+    rpm_per_m_s: float  # inverse kinematics (5.25), nominal
+    rpm_per_rad_s: float
+    half_track: float  # [m]
+    exclusive: float  # flag: v or om, never both
+    mecanum: float  # flag: rollers let the wheels drive sideways
+    roller_keep: float  # share of the lateral speed that the rollers' slip leaves
+    body_wheels: float  # flag: the mechatronic model turns the wheels, not the process
+    ramp_step: float  # share of the safe ramp per tick
+    command_terms: float  # flag: delay or rate limit is on
+    drive_terms: float  # flag: `drive_terms` instead of `drive_base`
+    kinematic_terms: float  # flag: kinematic terms instead of the base
     # drive terms
-    P_DELAY_TICKS,
-    P_RATE_STEP,  # [rpm] per tick, inf: none
-    P_CONTROL_TICKS,  # control period in ticks
-    P_DERIVATIVE_KEEP,  # D <- keep D + gain (e - e_last)
-    P_DERIVATIVE_GAIN,
-    P_ENCODER_GAIN,  # of fl, then rl, fr, rr
-    P_ENCODER_GAIN_1,
-    P_ENCODER_GAIN_2,
-    P_ENCODER_GAIN_3,
-    P_ENCODER_SHARE,  # of the newest speed in what the encoder filter shows; 1: no filter
-    P_ENCODER_KEEP,  # of the last value shown
-    P_QUANTUM,  # [rpm]
-    P_DEAD_ZONE,
-    P_COULOMB,
-    P_STRIBECK,
-    P_STRIBECK_SPEED,
-    P_LOAD,
-    P_LOAD_1,
-    P_LOAD_2,
-    P_LOAD_3,
-    P_SAG,
-    P_VISCOUS,
-    P_GAIN,  # of the process, with its term
-    P_T1,
-    P_T2,
-    P_EULER,
-    P_BACKLASH,  # half of the play [rad]
+    delay_ticks: float
+    rate_step: float  # [rpm] per tick, inf: none
+    control_ticks: float  # control period in ticks
+    derivative_keep: float  # D <- keep D + gain (e - e_last)
+    derivative_gain: float  # [%/rpm]
+    encoder_gain: Wheels
+    encoder_share: float  # of the newest speed in what the encoder filter shows; 1: no filter
+    encoder_keep: float  # of the last value shown
+    quantum: float  # [rpm]
+    dead_zone: float  # [%]
+    coulomb: float  # [%]
+    stribeck: float  # [%]
+    stribeck_speed: float  # [rpm]
+    wheel_load: Wheels  # [%]
+    sag: float  # of the gain, per relative voltage
+    viscous: float  # [%/rpm]
+    gain: float  # of the process, with its term [rpm/%]
+    t1: float  # [s]
+    t2: float  # [s]
+    euler: float  # flag: forward differences
+    backlash: float  # half of the play [rad]
     # kinematic terms
-    P_GAIN_SPEED,
-    P_GAIN_RADIUS,
-    P_BASE_TURN,  # nominal r K_om: |om| of the base model per rad/s
-    P_TRACTION,  # share of the wheels' speed that the body has
-    P_BODY_LAG,  # [s]
-    P_LONGITUDINAL_SLIP,
-    P_ACCELERATION_SLIP,
-    P_SIDE_SLIP,
-    P_MISALIGNMENT,
-    P_SLOPE_X,
-    P_SLOPE_Y,
-    P_SURFACE_GAIN,  # factors inside the region
-    P_SURFACE_SPEED,
-    P_REGION_X_MIN,
-    P_REGION_X_MAX,
-    P_REGION_Y_MIN,
-    P_REGION_Y_MAX,
-    P_RUNOUT,
-    P_RUNOUT_PHASE,
+    gain_speed: float  # of K_om [s/m]
+    gain_radius: float  # of K_om
+    base_turn: float  # nominal r K_om: |om| of the base model per rad/s
+    traction: float  # share of the wheels' speed that the body has
+    body_lag: float  # [s]
+    longitudinal_slip: float  # [s/rad]
+    acceleration_slip: float  # [s2/m]
+    side_slip: float  # [s]
+    misalignment: float  # [rad]
+    slope_x: float  # [m/s]
+    slope_y: float  # [m/s]
+    surface_gain: float  # factor on K_om inside the region
+    surface_speed: float  # factor on v inside the region
+    region_x_min: float  # [m]
+    region_x_max: float
+    region_y_min: float
+    region_y_max: float
+    runout: float  # share of the left radius
+    runout_phase: float  # [rad]
     # sensors
-    P_SEED,
-    P_IMU_ENABLED,
-    P_IMU_DELAY,  # [runs of its slice], may be fractional
-    P_GYRO_GAIN,
-    P_GYRO_BIAS,
-    P_GYRO_NOISE,
-    P_ACCEL_NOISE,
-    P_BATTERY_ENABLED,
-    P_CHARGE_PER_A,  # share of the capacity that 1 A takes per run
-    P_RESISTANCE,
-    P_IDLE_CURRENT,
-    P_DUTY_CURRENT,  # [A/%] per wheel
-    P_SHIELD_PERIOD,  # slice of the shield [s]
-    P_SHIELD_KEEP,  # share of its warming that is left after a run
-    P_TOF_ENABLED,
-    P_TOF_X,
-    P_TOF_Y,
-    P_TOF_SIN,  # of half the field of view
-    P_TOF_COS,
-    P_NAV_ENABLED,
-    P_NAV_EVERY,  # runs per sample
-    P_NAV_DELAY,  # [runs], may be fractional
-    P_NAV_YAW_DELAY,
-    P_LEVER_X,
-    P_LEVER_Y,
-    P_NAV_SCALE,
-    P_NAV_FRAME_YAW,
-    P_NAV_WHITE,
-    P_NAV_OU,
-    P_NAV_OU_KEEP,
-    P_NAV_YAW_OU,
-    P_NAV_YAW_OU_KEEP,
-    P_BIAS,
-    P_BIAS_WAVE,  # 2 pi / wavelength [1/m]
-    P_OUTLIER_SHARE,
-    P_OUTLIER_SIZE,
-    P_DISTORTION_1,
-    P_DISTORTION_PHASE_1,
-    P_DISTORTION_2,
-    P_DISTORTION_PHASE_2,
+    seed: float
+    imu_enabled: float  # flag
+    imu_delay: float  # [runs of its slice], may be fractional
+    gyro_gain: float
+    gyro_bias: float  # [rad/s]
+    gyro_noise: float  # [rad/s]
+    accel_noise: float  # [m/s2]
+    battery_enabled: float  # flag
+    charge_per_a: float  # share of the capacity that 1 A takes per run
+    resistance: float  # [ohm]
+    idle_current: float  # [A]
+    duty_current: float  # [A/%] per wheel
+    shield_period: float  # slice of the shield [s]
+    shield_keep: float  # share of its warming that is left after a run
+    tof_enabled: float  # flag
+    tof_x: float  # [m] in front of the centre
+    tof_y: float  # [m] beside it
+    tof_sin: float  # of half the field of view
+    tof_cos: float
+    nav_enabled: float  # flag
+    nav_every: float  # runs per sample
+    nav_delay: float  # [runs], may be fractional
+    nav_yaw_delay: float  # [runs]
+    lever_x: float  # [m]
+    lever_y: float
+    nav_scale: float
+    nav_frame_yaw: float  # [rad]
+    nav_white: float  # [m]
+    nav_ou: float  # [m]
+    nav_ou_keep: float  # from one sample to the next
+    nav_yaw_ou: float  # [rad]
+    nav_yaw_ou_keep: float
+    nav_bias: float  # [m]
+    nav_bias_wave: float  # 2 pi / wavelength [1/m]
+    outlier_share: float
+    outlier_size: float  # [m]
+    distortion_1: float  # [rad], of one period per turn
+    distortion_phase_1: float  # [rad]
+    distortion_2: float  # [rad], of two periods per turn
+    distortion_phase_2: float  # [rad]
     # initial values of the state that are not zero
-    P_CHARGE_0,
-    N_P,
-) = range(116)  # one more than there are parameters
-P_WHEEL_LOAD: Final = P_LOAD  # 4 [%], contiguous
+    charge_0: float  # 1 full, 0 empty
+
+
+PARAMETERS: Final = Parameters.layout

@@ -11,6 +11,7 @@ from typing import Any
 import hilserver.plant.layout as at
 from hilserver.plant.history import between, between_angles, push, weights
 from hilserver.plant.kernels import part
+from hilserver.plant.layout import Parameters
 from hilserver.plant.noise import normal, uniform
 from hilserver.plant.pose import wrap
 
@@ -20,10 +21,10 @@ CHANNEL_OUTLIER = 40  # uniform channels: whether, in which direction
 
 
 @part
-def _correlated(p: Any, x: Any, part: int, keep: float, deviation: float) -> float:
+def _correlated(p: Parameters, x: Any, part: int, keep: float, deviation: float) -> float:
     """Advance an Ornstein-Uhlenbeck state by one sample, stationary from the first on."""
     sample = x[at.X_NAV_SAMPLES]
-    fresh = deviation * normal(p[at.P_SEED], sample, CHANNEL_OU + part)
+    fresh = deviation * normal(p.seed, sample, CHANNEL_OU + part)
     if sample == 0.0:
         x[at.X_NAV_OU + part] = fresh
     else:
@@ -32,67 +33,64 @@ def _correlated(p: Any, x: Any, part: int, keep: float, deviation: float) -> flo
 
 
 @part
-def shown_position(p: Any, x: Any) -> tuple[float, float]:
+def shown_position(p: Parameters, x: Any) -> tuple[float, float]:
     """Return x, y [m] of the tag, of the pose that lies the delay back in the ring."""
-    newer, older, share = weights(int(x[at.X_NAV_HEAD]), x[at.X_NAV_COUNT], p[at.P_NAV_DELAY])
+    newer, older, share = weights(int(x[at.X_NAV_HEAD]), x[at.X_NAV_COUNT], p.nav_delay)
     a, b = at.X_NAV_RING + 3 * newer, at.X_NAV_RING + 3 * older
     px, py = between(x[a], x[b], share), between(x[a + 1], x[b + 1], share)
-    if p[at.P_LEVER_X] != 0.0 or p[at.P_LEVER_Y] != 0.0:
+    if p.lever_x != 0.0 or p.lever_y != 0.0:
         yaw = between_angles(x[a + 2], x[b + 2], share)
-        px += p[at.P_LEVER_X] * math.cos(yaw) - p[at.P_LEVER_Y] * math.sin(yaw)
-        py += p[at.P_LEVER_X] * math.sin(yaw) + p[at.P_LEVER_Y] * math.cos(yaw)
-    shown_x, shown_y = p[at.P_NAV_SCALE] * px, p[at.P_NAV_SCALE] * py
-    if p[at.P_BIAS] != 0.0:
-        shown_x += p[at.P_BIAS] * math.cos(p[at.P_BIAS_WAVE] * py)
-        shown_y += p[at.P_BIAS] * math.cos(p[at.P_BIAS_WAVE] * px)
+        px += p.lever_x * math.cos(yaw) - p.lever_y * math.sin(yaw)
+        py += p.lever_x * math.sin(yaw) + p.lever_y * math.cos(yaw)
+    shown_x, shown_y = p.nav_scale * px, p.nav_scale * py
+    if p.nav_bias != 0.0:
+        shown_x += p.nav_bias * math.cos(p.nav_bias_wave * py)
+        shown_y += p.nav_bias * math.cos(p.nav_bias_wave * px)
     return shown_x, shown_y
 
 
 @part
-def shown_yaw(p: Any, x: Any) -> float:
+def shown_yaw(p: Parameters, x: Any) -> float:
     """Return the yaw [rad] that the tag shows, not wrapped."""
-    newer, older, share = weights(int(x[at.X_NAV_HEAD]), x[at.X_NAV_COUNT], p[at.P_NAV_YAW_DELAY])
+    newer, older, share = weights(int(x[at.X_NAV_HEAD]), x[at.X_NAV_COUNT], p.nav_yaw_delay)
     a, b = at.X_NAV_RING + 3 * newer + 2, at.X_NAV_RING + 3 * older + 2
     yaw = between_angles(x[a], x[b], share)
     shown = yaw
-    if p[at.P_DISTORTION_1] != 0.0:
-        shown += p[at.P_DISTORTION_1] * math.sin(yaw + p[at.P_DISTORTION_PHASE_1])
-    if p[at.P_DISTORTION_2] != 0.0:
-        shown += p[at.P_DISTORTION_2] * math.sin(2.0 * yaw + p[at.P_DISTORTION_PHASE_2])
-    if p[at.P_NAV_FRAME_YAW] != 0.0:
-        shown += p[at.P_NAV_FRAME_YAW]
+    if p.distortion_1 != 0.0:
+        shown += p.distortion_1 * math.sin(yaw + p.distortion_phase_1)
+    if p.distortion_2 != 0.0:
+        shown += p.distortion_2 * math.sin(2.0 * yaw + p.distortion_phase_2)
+    if p.nav_frame_yaw != 0.0:
+        shown += p.nav_frame_yaw
     return float(shown)
 
 
 @part
-def _sample(p: Any, x: Any) -> None:
+def _sample(p: Parameters, x: Any) -> None:
     """Take one sample: what the tag shows until the next."""
-    seed, sample = p[at.P_SEED], x[at.X_NAV_SAMPLES]
+    seed, sample = p.seed, x[at.X_NAV_SAMPLES]
     px, py = shown_position(p, x)
     yaw = shown_yaw(p, x)
-    if p[at.P_NAV_OU] != 0.0:
-        px += _correlated(p, x, 0, p[at.P_NAV_OU_KEEP], p[at.P_NAV_OU])
-        py += _correlated(p, x, 1, p[at.P_NAV_OU_KEEP], p[at.P_NAV_OU])
-    if p[at.P_NAV_YAW_OU] != 0.0:
-        yaw += _correlated(p, x, 2, p[at.P_NAV_YAW_OU_KEEP], p[at.P_NAV_YAW_OU])
-    if p[at.P_NAV_WHITE] != 0.0:
-        px += p[at.P_NAV_WHITE] * normal(seed, sample, CHANNEL_WHITE)
-        py += p[at.P_NAV_WHITE] * normal(seed, sample, CHANNEL_WHITE + 1)
-    if (
-        p[at.P_OUTLIER_SHARE] > 0.0
-        and uniform(seed, sample, CHANNEL_OUTLIER) < p[at.P_OUTLIER_SHARE]
-    ):
+    if p.nav_ou != 0.0:
+        px += _correlated(p, x, 0, p.nav_ou_keep, p.nav_ou)
+        py += _correlated(p, x, 1, p.nav_ou_keep, p.nav_ou)
+    if p.nav_yaw_ou != 0.0:
+        yaw += _correlated(p, x, 2, p.nav_yaw_ou_keep, p.nav_yaw_ou)
+    if p.nav_white != 0.0:
+        px += p.nav_white * normal(seed, sample, CHANNEL_WHITE)
+        py += p.nav_white * normal(seed, sample, CHANNEL_WHITE + 1)
+    if p.outlier_share > 0.0 and uniform(seed, sample, CHANNEL_OUTLIER) < p.outlier_share:
         direction = 2.0 * math.pi * uniform(seed, sample, CHANNEL_OUTLIER + 1)
-        px += p[at.P_OUTLIER_SIZE] * math.cos(direction)
-        py += p[at.P_OUTLIER_SIZE] * math.sin(direction)
+        px += p.outlier_size * math.cos(direction)
+        py += p.outlier_size * math.sin(direction)
     x[at.X_NAV_SAMPLES] = sample + 1.0
     x[at.X_NAV_SHOWN], x[at.X_NAV_SHOWN + 1], x[at.X_NAV_SHOWN + 2] = px, py, wrap(yaw)
 
 
 @part
-def nav_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+def nav_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
     """Remember the pose of t_k and, when a sample is due, publish what the tag shows."""
-    if p[at.P_NAV_ENABLED] == 0.0:
+    if p.nav_enabled == 0.0:
         for k in range(3):
             q[at.Y_NAV + k] = at.BAD_OUT_OF_SERVICE
         return
@@ -101,7 +99,7 @@ def nav_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (o
         x[row + k] = y[at.Y_POSE + k]
     x[at.X_NAV_WAIT] -= 1.0
     if x[at.X_NAV_WAIT] <= 0.0:
-        x[at.X_NAV_WAIT] = p[at.P_NAV_EVERY]
+        x[at.X_NAV_WAIT] = p.nav_every
         _sample(p, x)
     for k in range(3):
         y[at.Y_NAV + k] = x[at.X_NAV_SHOWN + k]

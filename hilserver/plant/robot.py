@@ -18,6 +18,7 @@ from hilserver.plant.kinematics import (
     velocity_base,
     velocity_terms,
 )
+from hilserver.plant.layout import Parameters
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
 
@@ -36,7 +37,9 @@ def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: floa
 
 
 @part
-def follow_wheels(p: Any, x: Any, y: Any, w_l: float, w_r: float, dw_l: float, dw_r: float) -> None:
+def follow_wheels(
+    p: Parameters, x: Any, y: Any, w_l: float, w_r: float, dw_l: float, dw_r: float
+) -> None:
     """Let the body move as its wheels do [rad/s, rad/s2], without the lag of `body_lag`."""
     angle = 0.5 * (y[at.Y_ANGLE] + y[at.Y_ANGLE + 1])
     v, om, _, _ = velocity_terms(p, in_region(p, x), angle, w_l, w_r, dw_l, dw_r)
@@ -59,7 +62,7 @@ def lag_behind(x: Any, v: float, om: float, lag_s: float, dt_s: float) -> tuple[
 
 @part
 def drive_on_with_terms(
-    p: Any,
+    p: Parameters,
     x: Any,
     y: Any,
     w_l: float,
@@ -77,11 +80,11 @@ def drive_on_with_terms(
     mecanum wheels at t_k with its rate. The means go with the wheel angle and the acceleration in
     the middle of the tick.
     """
-    dt, is_mecanum = p[at.P_DT], p[at.P_MECANUM] != 0.0
+    dt, is_mecanum = p.dt, p.mecanum != 0.0
     inside = in_region(p, x)
     angle = 0.5 * (y[at.Y_ANGLE] + y[at.Y_ANGLE + 1])
     v, om, dv, dom = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
-    lag_s = p[at.P_BODY_LAG]
+    lag_s = p.body_lag
     if lag_s != 0.0:
         dv, dom = (v - x[at.X_BODY]) / lag_s, (om - x[at.X_BODY + 1]) / lag_s
         v, om = x[at.X_BODY], x[at.X_BODY + 1]
@@ -99,18 +102,18 @@ def drive_on_with_terms(
         vy += 0.5 * (aside + sideways(p, x)[0])
     move(x, v, vy, om, dt)
     if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
-        x[at.X_POSE] += p[at.P_SLOPE_X] * dt
-        x[at.X_POSE + 1] += p[at.P_SLOPE_Y] * dt
+        x[at.X_POSE] += p.slope_x * dt
+        x[at.X_POSE + 1] += p.slope_y * dt
 
 
 @part
-def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
+def robot_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:
     """Write the outputs of t_k and move the state to t_(k+1).
 
     Parameters
     ----------
-    p : ndarray of float64, shape (N_P,)
-        Packed parameters, see `RobotParameters.pack`.
+    p : Parameters
+        See `packing.pack`.
     x : ndarray of float64, shape (N_X,)
         State, changed in place.
     u : ndarray of float64, shape (N_U,)
@@ -127,18 +130,18 @@ def robot_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
     for i in range(3):
         y[at.Y_POSE + i] = x[at.X_POSE + i]
     aside, daside = 0.0, 0.0
-    if p[at.P_MECANUM] != 0.0:
+    if p.mecanum != 0.0:
         aside, daside = sideways(p, x)
-    if p[at.P_DRIVE_TERMS] != 0.0:
+    if p.drive_terms != 0.0:
         left, right, mean_left, mean_right, dleft, dright = drive_terms(p, x, y)
     else:
         left, right, mean_left, mean_right, dleft, dright = drive_base(p, x, y)
     w_l, w_r, dw_l, dw_r = left * SIDE, right * SIDE, dleft * SIDE, dright * SIDE
     mean_l, mean_r = mean_left * SIDE, mean_right * SIDE
-    if p[at.P_KINEMATIC_TERMS] != 0.0:
+    if p.kinematic_terms != 0.0:
         drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, daside)
         return
     v, vy, om, dv, dvy, _ = velocity_base(p, w_l, w_r, dw_l, dw_r)
     publish(x, y, v, vy, om, dv, dvy)
     v, vy, om, _, _, _ = velocity_base(p, mean_l, mean_r, 0.0, 0.0)
-    move(x, v, vy, om, p[at.P_DT])
+    move(x, v, vy, om, p.dt)

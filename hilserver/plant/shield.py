@@ -10,6 +10,7 @@ from typing import Any, Final
 import hilserver.plant.layout as at
 from hilserver.plant.battery import drawn_current
 from hilserver.plant.kernels import part
+from hilserver.plant.layout import Parameters
 
 AMBIENT_DEGC: Final = 25.0
 WARMING_DEGC_PER_A: Final = 2.5
@@ -47,7 +48,7 @@ def brightness(pattern: float, lamp: int, time_s: float) -> float:
 
 
 @part
-def shield_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
+def shield_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:
     """Publish lamps and temperature, and move on by one run."""
     pattern = u[at.U_LIGHTS]
     if pattern != x[at.X_LIGHT_PATTERN]:
@@ -62,6 +63,6 @@ def shield_step(p: Any, x: Any, u: Any, y: Any, q: Any) -> None:
             q[place] = at.GOOD
     y[at.Y_TEMPERATURE] = x[at.X_TEMPERATURE]
     q[at.Y_TEMPERATURE] = at.GOOD
-    x[at.X_LIGHT_TIME] += p[at.P_SHIELD_PERIOD]
+    x[at.X_LIGHT_TIME] += p.shield_period
     warm = AMBIENT_DEGC + WARMING_DEGC_PER_A * drawn_current(p, y)
-    x[at.X_TEMPERATURE] = warm + (x[at.X_TEMPERATURE] - warm) * p[at.P_SHIELD_KEEP]
+    x[at.X_TEMPERATURE] = warm + (x[at.X_TEMPERATURE] - warm) * p.shield_keep

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import hilserver.plant.layout as at
 from hilserver.plant.kernels import part
+from hilserver.plant.layout import Parameters
 
 NEAREST_M: Final = 0.01
 FARTHEST_M: Final = 5.0
@@ -40,7 +41,7 @@ def _nearest_in_cone(ax: float, ay: float, bx: float, by: float, sin: float, cos
 
 
 @part
-def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
+def _range(p: Parameters, hall: Any, px: float, py: float, cos: float, sin: float) -> float:
     """Return the distance [m] seen from a point along the unit vector (cos, sin)."""
     found = math.inf
     for k in range(0, hall.shape[0] - 3, 4):
@@ -51,19 +52,19 @@ def _range(p: Any, hall: Any, px: float, py: float, cos: float, sin: float) -> f
             ay * cos - ax * sin,
             bx * cos + by * sin,
             by * cos - bx * sin,
-            p[at.P_TOF_SIN],
-            p[at.P_TOF_COS],
+            p.tof_sin,
+            p.tof_cos,
         )
         found = min(found, distance)
     return found
 
 
 @part
-def seen_by(p: Any, hall: Any, k: int, x: float, y: float, yaw: float) -> float:
+def seen_by(p: Parameters, hall: Any, k: int, x: float, y: float, yaw: float) -> float:
     """Return what range finder `k` (fl, fr, rl, rr) sees from a pose [m]; inf: nothing."""
     cos, sin = math.cos(yaw), math.sin(yaw)
-    along = p[at.P_TOF_X] if k < 2 else -p[at.P_TOF_X]
-    aside = p[at.P_TOF_Y] if k % 2 == 0 else -p[at.P_TOF_Y]
+    along = p.tof_x if k < 2 else -p.tof_x
+    aside = p.tof_y if k % 2 == 0 else -p.tof_y
     px = x + along * cos - aside * sin
     py = y + along * sin + aside * cos
     ahead = 1.0 if k < 2 else -1.0
@@ -71,17 +72,17 @@ def seen_by(p: Any, hall: Any, k: int, x: float, y: float, yaw: float) -> float:
 
 
 @part
-def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa: ARG001
+def tof_step(p: Parameters, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa: ARG001
     """Publish the four ranges in the order fl, fr, rl, rr.
 
     Parameters
     ----------
-    p, x, u, y, q : ndarray
+    p, x, u, y, q
         As for `robot_step`, which must have run in this tick.
     hall : ndarray of float64, shape (4 n,)
         Walls: x1, y1, x2, y2 [m] of each in the world frame, one after the other.
     """
-    if p[at.P_TOF_ENABLED] == 0.0:
+    if p.tof_enabled == 0.0:
         for k in range(4):
             q[at.Y_TOF + k] = at.BAD_OUT_OF_SERVICE
         return
@@ -89,7 +90,7 @@ def tof_step(p: Any, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa
 
 
 @part
-def show_ranges(p: Any, hall: Any, x: float, y_m: float, yaw: float, y: Any, q: Any) -> None:
+def show_ranges(p: Parameters, hall: Any, x: float, y_m: float, yaw: float, y: Any, q: Any) -> None:
     """Publish the four ranges seen from a pose."""
     for k in range(4):
         distance = seen_by(p, hall, k, x, y_m, yaw)

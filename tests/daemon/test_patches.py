@@ -16,7 +16,7 @@ from hilserver.image import Row
 from hilserver.image.status import UNCERTAIN
 from hilserver.io.recorder.recorder import Recorder, Settings
 from hilserver.logs import read_log
-from hilserver.plant.layout import P_YAW_GAIN
+from hilserver.plant.layout import Parameters
 from tests.replay.test_recordings import replay
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
@@ -121,8 +121,8 @@ async def test_snapshots_of_another_patch_are_refused_and_a_reset_keeps_it(run):
     await run.turn_rate()
     store.reset()
     await run.core.scheduler.advance(1)
-    p, _ = run.core.image.region("p")
-    assert p[P_YAW_GAIN] == run.patches._assembly.composition.parameters[P_YAW_GAIN]
+    p = Parameters.of(run.core.image.region("p")[0])
+    assert p.yaw_gain == run.patches._assembly.composition.parameters.yaw_gain
     await store.load("with")
     await run.patches.remove()
     with pytest.raises(ControlRefused, match="was made with parameters"):

@@ -15,7 +15,7 @@ from hilserver.daemon.shadow import GapWatch, measured_pose
 from hilserver.errors import ConfigError
 from hilserver.image import Frame
 from hilserver.image.status import UNCERTAIN_LAST_USABLE_VALUE
-from hilserver.plant import layout as robot
+from hilserver.plant.layout import Parameters
 from tests.fakes import make_table
 
 TABLE = make_table()
@@ -78,9 +78,9 @@ def given(stale=(), **values):
 
 
 def parameters(lever=(0.0, 0.0), scale=1.0, frame_yaw=0.0):
-    p = np.zeros(robot.N_P)
-    p[robot.P_LEVER_X], p[robot.P_LEVER_Y] = lever
-    p[robot.P_NAV_SCALE], p[robot.P_NAV_FRAME_YAW] = scale, frame_yaw
+    p = Parameters.zeros()
+    p.lever_x, p.lever_y = lever
+    p.nav_scale, p.nav_frame_yaw = scale, frame_yaw
     return p
 
 

@@ -19,8 +19,8 @@ def base_step(p, x, u, y):
     for i in range(4):
         x[at.X_COMMANDED + i] = u[at.U_SETPOINT + i]
         largest = max(largest, abs(x[at.X_COMMANDED + i]))
-    if largest > p[at.P_MAX_RPM]:
-        scale = p[at.P_MAX_RPM] / largest
+    if largest > p.max_rpm:
+        scale = p.max_rpm / largest
         for i in range(4):
             x[at.X_COMMANDED + i] *= scale
     sums = [0.0, 0.0, 0.0, 0.0]
@@ -32,39 +32,39 @@ def base_step(p, x, u, y):
         y[at.Y_SPEED + i] = n
         y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
         e = x[at.X_COMMANDED + i] - n
-        w = p[at.P_KP] * e + x[at.X_INTEGRAL + i]
+        w = p.k_p * e + x[at.X_INTEGRAL + i]
         duty = w
-        if duty < -p[at.P_LIMIT]:
-            duty = -p[at.P_LIMIT]
-        if duty > p[at.P_LIMIT]:
-            duty = p[at.P_LIMIT]
+        if duty < -p.limit:
+            duty = -p.limit
+        if duty > p.limit:
+            duty = p.limit
         y[at.Y_DUTY + i] = duty
-        step = p[at.P_KI_STEP] * e + p[at.P_ANTI_WINDUP_STEP] * (duty - w)
+        step = p.k_i_step * e + p.anti_windup_step * (duty - w)
         x[at.X_INTEGRAL + i] = x[at.X_INTEGRAL + i] + step
-        x[at.X_MOTOR + i] = p[at.P_A00] * m + p[at.P_A01] * n + p[at.P_B0] * duty
-        x[at.X_SPEED + i] = p[at.P_A10] * m + p[at.P_A11] * n + p[at.P_B1] * duty
+        x[at.X_MOTOR + i] = p.a00 * m + p.a01 * n + p.b0 * duty
+        x[at.X_SPEED + i] = p.a10 * m + p.a11 * n + p.b1 * duty
         nexts[i] = x[at.X_SPEED + i]
-        x[at.X_ANGLE + i] += p[at.P_DT] * (0.5 * RPM) * (n + nexts[i])
+        x[at.X_ANGLE + i] += p.dt * (0.5 * RPM) * (n + nexts[i])
     side = 0.5 * RPM
     left, right = sums[0] + sums[1], sums[2] + sums[3]
     w_l, w_r = left * side, right * side
-    dw_l = (motors[0] + motors[1] - left) * p[at.P_INVERSE_T2] * side
-    dw_r = (motors[2] + motors[3] - right) * p[at.P_INVERSE_T2] * side
+    dw_l = (motors[0] + motors[1] - left) * p.inverse_t2 * side
+    dw_r = (motors[2] + motors[3] - right) * p.inverse_t2 * side
     mean_l = 0.5 * (left + (nexts[0] + nexts[1])) * side
     mean_r = 0.5 * (right + (nexts[2] + nexts[3])) * side
-    r_l, r_r = p[at.P_RADIUS_LEFT], p[at.P_RADIUS_RIGHT]
-    om = p[at.P_YAW_GAIN] * (r_l * w_l + r_r * w_r)
-    v, vy = 0.5 * (r_l * w_l - r_r * w_r), -p[at.P_ICR] * om
-    dom = p[at.P_YAW_GAIN] * (r_l * dw_l + r_r * dw_r)
-    dv, dvy = 0.5 * (r_l * dw_l - r_r * dw_r), -p[at.P_ICR] * dom
+    r_l, r_r = p.radius_left, p.radius_right
+    om = p.yaw_gain * (r_l * w_l + r_r * w_r)
+    v, vy = 0.5 * (r_l * w_l - r_r * w_r), -p.icr * om
+    dom = p.yaw_gain * (r_l * dw_l + r_r * dw_r)
+    dv, dvy = 0.5 * (r_l * dw_l - r_r * dw_r), -p.icr * dom
     y[at.Y_VELOCITY], y[at.Y_VELOCITY + 1], y[at.Y_VELOCITY + 2] = v, vy, om
     x[at.X_ACCEL], x[at.X_ACCEL + 1] = dv - om * vy, dvy + om * v
     for i in range(3):
         y[at.Y_POSE + i] = x[at.X_POSE + i]
-    om = p[at.P_YAW_GAIN] * (r_l * mean_l + r_r * mean_r)
-    v, vy = 0.5 * (r_l * mean_l - r_r * mean_r), -p[at.P_ICR] * om
-    half = 0.5 * om * p[at.P_DT]
-    chord = p[at.P_DT]
+    om = p.yaw_gain * (r_l * mean_l + r_r * mean_r)
+    v, vy = 0.5 * (r_l * mean_l - r_r * mean_r), -p.icr * om
+    half = 0.5 * om * p.dt
+    chord = p.dt
     if abs(half) < 0.05:
         h2 = half * half
         chord *= 1.0 - h2 * (1.0 / 6.0 - h2 * (1.0 / 120.0 - h2 * (1.0 / 5040.0)))

@@ -62,7 +62,7 @@ def test_null_terms_pack_to_the_same_bits(drive):
 
 
 def test_the_own_period_of_the_controller_needs_no_terms():
-    assert pack(RobotParameters(terms={"control_period": 0.001}))[at.P_DRIVE_TERMS] == 0.0
+    assert pack(RobotParameters(terms={"control_period": 0.001})).drive_terms == 0.0
 
 
 def lively(terms, **drive):

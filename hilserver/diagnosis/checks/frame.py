@@ -9,7 +9,6 @@ from hilserver.diagnosis.thresholds import SLOWEST_TURN_RAD_S, STANDS, TURNS_RAD
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
-from hilserver.plant.layout import P_RADIUS_LEFT, P_RADIUS_RIGHT, P_YAW_GAIN
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
@@ -42,8 +41,8 @@ def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
         for part in (slice(0, 2), slice(2, 4))
     )
     p = pack(robot)
-    rims = p[P_RADIUS_LEFT] * left + p[P_RADIUS_RIGHT] * right
-    return np.asarray(p[P_YAW_GAIN] * rims * 2.0 * np.pi / 60.0)
+    rims = p.radius_left * left + p.radius_right * right
+    return np.asarray(p.yaw_gain * rims * 2.0 * np.pi / 60.0)
 
 
 def _turning(turn: Array, least_rad_s: float) -> bool:

@@ -13,7 +13,6 @@ from hilserver.faults.scenario import Scenario, load_scenario
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.data import MeasuredLog
-from hilserver.plant.layout import P_HALF_TRACK, P_RPM_PER_M_S, P_RPM_PER_RAD_S
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
@@ -118,10 +117,10 @@ def from_twist(robot: RobotParameters, linear_m_s: Array, angular_rad_s: Array) 
     """Return the set-points of a twist, equation (5.25), shape (n, 4) [rpm]."""
     p = pack(robot)
     if robot.exclusive_twist:
-        straight_on = np.abs(linear_m_s) >= np.abs(angular_rad_s) * p[P_HALF_TRACK]
+        straight_on = np.abs(linear_m_s) >= np.abs(angular_rad_s) * p.half_track
         linear_m_s = np.where(straight_on, linear_m_s, 0.0)
         angular_rad_s = np.where(straight_on, 0.0, angular_rad_s)
-    straight, turning = linear_m_s * p[P_RPM_PER_M_S], angular_rad_s * p[P_RPM_PER_RAD_S]
+    straight, turning = linear_m_s * p.rpm_per_m_s, angular_rad_s * p.rpm_per_rad_s
     left, right = turning + straight, turning - straight
     return np.column_stack([left, left, right, right])
 

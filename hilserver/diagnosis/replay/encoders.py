@@ -9,7 +9,6 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
-from hilserver.plant.layout import P_ENCODER_GAIN
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 
@@ -26,7 +25,7 @@ def driven(drive: DriveStage, terms: Mapping[str, float]) -> Driven:
 
 def _gains(robot: RobotParameters, terms: Mapping[str, float]) -> Array:
     p = pack(robot_with(robot, {k: v for k, v in terms.items() if k.startswith("encoder")}))
-    return p[P_ENCODER_GAIN : P_ENCODER_GAIN + 4]
+    return p.encoder_gain
 
 
 def speed_factors(robot: RobotParameters, terms: Mapping[str, float]) -> dict[str, float]:

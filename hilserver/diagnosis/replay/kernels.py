@@ -13,6 +13,7 @@ from hilserver.compiled import kernel
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
 from hilserver.plant.kinematics import sideways
+from hilserver.plant.layout import Parameters
 from hilserver.plant.nav import shown_position, shown_yaw
 from hilserver.plant.pose import wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
@@ -20,7 +21,7 @@ from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
 
 @kernel()
 def run_drive(
-    p: Any,
+    p: Parameters,
     x0: Any,
     first: Any,
     inputs: Any,
@@ -56,7 +57,7 @@ def run_drive(
             for i in range(4):
                 speed[k, i] = x[plant.X_SPEED + i]
             command(p, x, inputs[input_row[k]])
-            if p[plant.P_DRIVE_TERMS] != 0.0:
+            if p.drive_terms != 0.0:
                 drive_terms(p, x, y)
             else:
                 drive_base(p, x, y)
@@ -66,34 +67,34 @@ def run_drive(
 
 
 @kernel()
-def _set_start(p: Any, x: Any, speed_0: Any) -> None:
+def _set_start(p: Parameters, x: Any, speed_0: Any) -> None:
     """Let the wheels turn in balance: shape (8,), shown speeds [rpm] and integrals."""
     for i in range(4):
-        turns = speed_0[i] / p[plant.P_ENCODER_GAIN + i]
+        turns = speed_0[i] / p.encoder_gain[i]
         x[plant.X_SPEED + i] = turns
         x[plant.X_MOTOR + i] = turns
         x[plant.X_SETPOINT + i] = speed_0[i]
-        x[plant.X_INTEGRAL + i] = speed_0[4 + i] / p[plant.P_ENCODER_GAIN + i]
-        x[plant.X_ENCODER + i] = (1.0 - p[plant.P_ENCODER_SHARE]) * turns
+        x[plant.X_INTEGRAL + i] = speed_0[4 + i] / p.encoder_gain[i]
+        x[plant.X_ENCODER + i] = (1.0 - p.encoder_share) * turns
 
 
 @kernel()
-def _drive_to(p: Any, x: Any, y: Any, inputs: Any, first: int, end: int) -> None:
+def _drive_to(p: Parameters, x: Any, y: Any, inputs: Any, first: int, end: int) -> None:
     for k in range(first, end):
         command(p, x, inputs[k])
         drive_terms(p, x, y)
 
 
 @kernel()
-def _miss(p: Any, y: Any, measured: Any, i: int) -> float:
+def _miss(p: Parameters, y: Any, measured: Any, i: int) -> float:
     """Return by how much a wheel misses what was measured, squared [rpm^2]."""
     speed = y[plant.Y_SPEED + i] - measured[i]
-    duty = (y[plant.Y_DUTY + i] - measured[4 + i]) / max(p[plant.P_KP], 1e-9)
+    duty = (y[plant.Y_DUTY + i] - measured[4 + i]) / max(p.k_p, 1e-9)
     return (0.0 if np.isnan(speed) else speed * speed) + (0.0 if np.isnan(duty) else duty * duty)
 
 
 @kernel()
-def _place(p: Any, x: Any, y: Any, inputs: Any, first: int, at: int, measured: Any) -> None:
+def _place(p: Parameters, x: Any, y: Any, inputs: Any, first: int, at: int, measured: Any) -> None:
     """Place the change that stands in row `at`, at one of the ticks `first` to `at`.
 
     Wheels are placed by themselves, as long as nothing but their own set-points changes.
@@ -125,7 +126,14 @@ def _place(p: Any, x: Any, y: Any, inputs: Any, first: int, at: int, measured: A
 
 @kernel()
 def place_inputs(
-    p: Any, x0: Any, first: Any, inputs: Any, speed_0: Any, is_row: Any, measured: Any, y: Any
+    p: Parameters,
+    x0: Any,
+    first: Any,
+    inputs: Any,
+    speed_0: Any,
+    is_row: Any,
+    measured: Any,
+    y: Any,
 ) -> None:
     """Move changes of the inputs to the ticks at which they fit the measured wheels best.
 
@@ -159,7 +167,7 @@ def place_inputs(
 
 @kernel()
 def run_process(
-    p: Any, x0: Any, first: Any, duty: Any, volts: Any, speed_0: Any, seen: Any
+    p: Parameters, x0: Any, first: Any, duty: Any, volts: Any, speed_0: Any, seen: Any
 ) -> None:
     """Run process and encoder alone under a given duty, cut point B.
 
@@ -197,7 +205,7 @@ def _turn_apart(x: Any, apart: Any, k: int) -> None:
 
 @kernel()
 def run_pose(
-    p: Any,
+    p: Parameters,
     x0: Any,
     first: Any,
     left: Any,
@@ -223,7 +231,7 @@ def run_pose(
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
     x = x0.copy()
-    dt, is_mecanum, aside = p[plant.P_DT], p[plant.P_MECANUM] != 0.0, 0.0
+    dt, is_mecanum, aside = p.dt, p.mecanum != 0.0, 0.0
     for s in range(first.size - 1):
         for i in range(3):
             x[plant.X_POSE + i] = pose_0[s, i]
@@ -275,15 +283,15 @@ def sample(dense: Any, column: int, low: Any, high: Any, at: Any, out: Any) -> N
 
 @kernel()
 def sample_tag(
-    p: Any, x: Any, dense: Any, low: Any, high: Any, at_position: Any, at_yaw: Any, out: Any
+    p: Parameters, x: Any, dense: Any, low: Any, high: Any, at_position: Any, at_yaw: Any, out: Any
 ) -> None:
     """Write what the navigation tag shows for a pose, with the plant's own sensor; shape (n, 3).
 
     Ages are in ``at_position`` and ``at_yaw`` already, so the sensor's own are set to nothing. Yaw
     is not wrapped.
     """
-    p[plant.P_NAV_DELAY] = 0.0
-    p[plant.P_NAV_YAW_DELAY] = 0.0
+    p.nav_delay = 0.0
+    p.nav_yaw_delay = 0.0
     x[plant.X_NAV_HEAD] = 0.0
     x[plant.X_NAV_COUNT] = 1.0
     for j in range(at_position.size):

@@ -29,7 +29,7 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.plant.layout import N_Y, P_DT, P_ENCODER_GAIN, P_GYRO_BIAS, P_GYRO_GAIN, P_SEED
+from hilserver.plant.layout import N_Y, Parameters
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -43,6 +43,8 @@ STRIDES: Final = (2, 10)
 """
 SLOW_ROWS_S: Final = 0.04
 """... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
+_SENSORS: Final = Parameters.where("seed").start
+"""Of the parameters, those from here on do not change how the robot moves."""
 HEADING, TURN = "pose.yaw_rad", "velocity.angular_rad_s"
 FORWARD, ASIDE = "velocity.linear_m_s", "velocity.lateral_m_s"
 
@@ -116,7 +118,7 @@ class PoseStage(Stage):
         self.has_yaw = YAW in log
         self.free_pose = self.has_position or self.has_yaw
         self._state = initial_state(robot)
-        self._encoder_gain = pack(robot)[P_ENCODER_GAIN : P_ENCODER_GAIN + 4]
+        self._encoder_gain = pack(robot).encoder_gain
         self._shares = self.segments.shares(jobs)
         self._pool = ThreadPoolExecutor(jobs) if len(self._shares) > 1 else None
         self._last: tuple[tuple[bytes, bytes], Array] | None = None
@@ -204,14 +206,14 @@ class PoseStage(Stage):
         inner = {k: v for k, v in terms.items() if not k.startswith("shift.")}
         return self._run(self._pack(inner), poses)
 
-    def _pack(self, terms: Mapping[str, float]) -> Array:
+    def _pack(self, terms: Mapping[str, float]) -> Parameters:
         p = pack(robot_with(self.robot, terms))
-        p[P_DT] = self.period_s
+        p.dt = self.period_s
         return p
 
-    def _run(self, p: Array, poses: Array, *, keep: bool = False) -> Array:
+    def _run(self, p: Parameters, poses: Array, *, keep: bool = False) -> Array:
         """Run the kinematics, or return the last run if only sensors have changed since."""
-        key = (p[:P_SEED].tobytes(), poses.tobytes())
+        key = (p.numbers[:_SENSORS].tobytes(), poses.tobytes())
         last = self._last
         if last is not None and last[0] == key:
             return last[1]
@@ -231,11 +233,11 @@ class PoseStage(Stage):
             self._last = (key, dense)
         return dense
 
-    def _turned(self, p: Array) -> tuple[Array, Array, Array]:
+    def _turned(self, p: Parameters) -> tuple[Array, Array, Array]:
         """Return sums and differences of the speeds at which wheels turn, not their encoders."""
         sides, apart = [self.left, self.right], self.apart
         for wheel, share in self.encoders.items():
-            turns = self._encoder_gain[wheel] / p[P_ENCODER_GAIN + wheel]
+            turns = self._encoder_gain[wheel] / p.encoder_gain[wheel]
             if turns != 1.0:
                 more = (turns - 1.0) * share
                 sides[wheel // 2] = sides[wheel // 2] + more
@@ -254,7 +256,7 @@ class PoseStage(Stage):
         p = self._pack(inner)
         return self.shown(self._run(p, poses, keep=keep), p, terms)
 
-    def shown(self, dense: Array, p: Array, terms: Mapping[str, float]) -> Array:
+    def shown(self, dense: Array, p: Parameters, terms: Mapping[str, float]) -> Array:
         """Return what tag and gyro show of a dense pose."""
         stack, out = self.stack, np.empty(len(self.stack))
         rate = 1.0 / self.period_s
@@ -282,8 +284,8 @@ class PoseStage(Stage):
             edge = stack.edges[GYRO]
             at = stack.at[edge] - late_s[GYRO] * rate
             sample(dense, 3, stack.low[edge], stack.high[edge], at, out[edge])
-            out[edge] *= p[P_GYRO_GAIN]
-            out[edge] += p[P_GYRO_BIAS]
+            out[edge] *= p.gyro_gain
+            out[edge] += p.gyro_bias
         return out
 
     def signals(self, terms: Mapping[str, float], poses: Array) -> Mapping[str, Array]:

@@ -169,7 +169,7 @@ def test_held_out_blocks_shuffled():
 
 def test_the_plants_sign_flipped():
     nothing_is_found(diagnosis(*NULL).findings)
-    line = "p[at.P_YAW_GAIN] = robot.yaw_sign * ("
+    line = "p.yaw_gain = robot.yaw_sign * ("
     flipped = line.replace("robot.yaw_sign", "-robot.yaw_sign")
     with mutated(packing._pack_kinematics, line, flipped):
         findings = judged(recipe(*NULL)).findings

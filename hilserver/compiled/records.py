@@ -1,0 +1,137 @@
+"""Records: the numbers of an array by name, over the same memory, in Python and in kernels.
+
+A subclass of `Record` is a layout: its annotations name the numbers in their order, the comments
+beside them say unit and meaning. ``float`` and ``int`` are a word of 8 bytes each, an array is
+``Annotated`` with its shape::
+
+    Wheels = Annotated[NDArray[np.float64], 4]
+
+    class Motion(Record):
+        speed: Wheels  # [rpm]
+        distance: float  # [m]
+
+    MOTION = Motion.layout
+
+    x = Motion.of(array)  # in Python
+    x = record_at(array, place, MOTION)  # in a kernel
+
+Both copy nothing: ``x.speed[i]`` is a word of `array`. A kernel that has a record as an argument
+gets it as one pointer, where an array is seven numbers.
+"""
+
+from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
+
+import numpy as np
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+
+def _number(hint: Any) -> np.dtype[Any]:
+    """Return the NumPy type of an annotation."""
+    if hint in (float, int):
+        number: np.dtype[Any] = np.dtype(hint)
+        return number
+    (shape,) = hint.__metadata__
+    (word,) = get_args(get_args(hint.__origin__)[1])
+    return np.dtype((word, shape))
+
+
+if TYPE_CHECKING:
+
+    class _Void:
+        """What we use of NumPy's; its stubs call it final, and every name one of its attributes."""
+
+        base: NDArray[Any]
+
+        def __getitem__(self, name: str) -> Any: ...
+        def __setitem__(self, name: str, value: Any) -> None: ...
+        def tobytes(self) -> bytes: ...
+
+else:
+
+    class _Void(np.void):
+        def __getattr__(self, name: str) -> Any:
+            try:
+                return self[name]
+            except ValueError as error:
+                raise AttributeError(str(error)) from None
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            self[name] = value
+
+
+class Record(_Void):
+    """Numbers by name; what a subclass annotates is its layout.
+
+    Attributes
+    ----------
+    layout : dtype
+        What NumPy and numba know of it.
+    n_words : int
+        Its length in words of 8 bytes.
+    """
+
+    layout: ClassVar[np.dtype[Any]]
+    n_words: ClassVar[int]
+
+    def __init_subclass__(cls, word: type | None = None) -> None:
+        """Make the layout; with `word` all numbers are of this type instead of their own."""
+        own = cls.__mro__[: cls.__mro__.index(Record)]
+        hints = {k: v for c in reversed(own) for k, v in c.__annotations__.items()}
+        fields = []
+        for name, hint in hints.items():
+            if hasattr(Record, name) or name in Record.__annotations__:
+                raise TypeError(f"{cls.__name__}.{name} would hide what every record has")
+            number = _number(hint)
+            fields.append((name, number if word is None else np.dtype((word, number.shape))))
+        cls.layout = np.dtype((cls, np.dtype(fields, align=True)))
+        cls.n_words = cls.layout.itemsize // 8
+
+    @classmethod
+    def of(cls, array: NDArray[Any], place: int = 0) -> Self:
+        """Return the record whose first word is ``array[place]``; it keeps the array alive."""
+        record: Self = array[place : place + cls.n_words].view(cls.layout)[0]
+        return record
+
+    @classmethod
+    def zeros(cls) -> Self:
+        """Return a record of its own memory, all zero."""
+        return cls.of(np.zeros(cls.n_words))
+
+    @classmethod
+    def where(cls, name: str) -> slice:
+        """Return where in an array the words of a field stand."""
+        fields = cls.layout.fields
+        assert fields is not None
+        number, offset = fields[name][:2]
+        return slice(offset // 8, (offset + number.itemsize) // 8)
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """The array that the record lies in, its words alone."""
+        numbers: NDArray[np.float64] = self.base.view(np.float64)
+        return numbers
+
+    def copy(self) -> Self:
+        """Return a record of its own memory with the same numbers."""
+        return self.of(self.numbers.copy())
+
+    def __reduce__(self) -> Any:
+        """Pickle the numbers: what NumPy makes of a scalar could not be written to."""
+        return self.of, (self.numbers.copy(),)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def record_at(typing_context: Any, array: Any, place: Any, layout: Any) -> Any:
+    """Return the record of `layout` whose first word is ``array[place]``; not checked.
+
+    It keeps no array alive: one that a kernel makes for itself must be used after its record.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        words = context.make_array(signature.args[0])(context, builder, args[0])
+        address = builder.gep(words.data, [args[1]])
+        return builder.bitcast(address, context.get_value_type(signature.return_type))
+
+    return layout.dtype(array, types.intp, layout), generate
