@@ -22,9 +22,9 @@ from cryptography import x509
 
 from hilserver.commands.options import add_config, config_path
 from hilserver.config.root import load_config
-from hilserver.config.server import OpcUaConfig, default_application_uri
+from hilserver.config.server import OpcUaConfig
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.certificate import (
     application_uris,
     common_name,
     host_names,
@@ -35,8 +35,9 @@ from hilserver.io.opcua_security.certificate import (
     thumbprint,
     to_der,
 )
-from hilserver.io.opcua_security.passwords import hash_password
-from hilserver.io.opcua_security.trust_list import (
+from hilserver.opcua.passwords import hash_password
+from hilserver.opcua.settings import default_application_uri
+from hilserver.opcua.trust_list import (
     FOLDERS,
     TrustList,
     file_name,

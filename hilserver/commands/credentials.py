@@ -3,8 +3,8 @@
 from hilserver.commands.patching import warn
 from hilserver.daemon.assembly import Assembly
 from hilserver.io.opcua_client.security import LinkSecurity
-from hilserver.io.opcua_server.server import own_certificate
 from hilserver.io.page.listening import key_notice, tls_context
+from hilserver.opcua.server import own_certificate
 
 
 def check_credentials(assembly: Assembly) -> None:

@@ -3,12 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
-from hilserver.config.server import SECURE_POLICIES, OpcUaConfig, default_application_uri
+from hilserver.config.server import OpcUaConfig
 from hilserver.daemon.assembly import Assembly
 from hilserver.faults.model import FORMS
-from hilserver.io.opcua_server.access import Access
 from hilserver.io.page.setup import OpcUaAccess, Setup
 from hilserver.measured.mapping import builtin_mappings
+from hilserver.opcua.access import Access
+from hilserver.opcua.settings import SECURE_POLICIES, default_application_uri
 
 
 def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") -> Setup:

@@ -6,9 +6,7 @@ therefore keyed by a hash of the source of every kernel room (and of numba itsel
 rooms call those and their own room's: they have a directory within, keyed by their room's sources.
 """
 
-import errno
 import hashlib
-import os
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -18,6 +16,8 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import config
+
+from hilserver.cache import cache_folder
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _KERNEL_ROOMS = ("compiled", "plant", "body", "scheduler", "image", "kernel")
@@ -50,28 +50,8 @@ def kernel_hash() -> str:
 
 @cache
 def cache_dir() -> Path:
-    """Return (and make) the directory of this kernel hash.
-
-    Order: ``HILSERVER_CACHE_DIR``, systemd's ``CACHE_DIRECTORY``, ``XDG_CACHE_HOME``, ``~/.cache``.
-    """
-    base = os.environ.get("HILSERVER_CACHE_DIR") or os.environ.get("CACHE_DIRECTORY")
-    if base is None:
-        xdg = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-        base = str(Path(xdg) / "hilserver")
-    path = Path(base) / f"kernels-{kernel_hash()}"
-    path.mkdir(parents=True, exist_ok=True, mode=0o700)
-    _own(path)
-    return path
-
-
-def _own(path: Path) -> None:
-    """Let nobody else write to `path`: what lies there is unpickled and executed."""
-    found = path.stat()
-    if found.st_uid not in (0, os.geteuid()):
-        reason = f"belongs to another user (id {found.st_uid})"
-        raise PermissionError(errno.EPERM, reason, str(path))
-    if found.st_mode & 0o022:
-        path.chmod(found.st_mode & ~0o022)
+    """Return (and make) the folder of this kernel hash."""
+    return cache_folder(f"kernels-{kernel_hash()}")
 
 
 @cache

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from hilserver.config.section import Section
-from hilserver.config.server import Policy
+from hilserver.opcua.settings import Policy
 
 Mode = Literal["sign", "sign_and_encrypt"]
 

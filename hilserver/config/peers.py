@@ -15,9 +15,9 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, Field, model_validator
 
 from hilserver.config.peer_security import PeerSecurity
-from hilserver.config.section import Section, check_endpoint
-from hilserver.config.server import is_loopback
+from hilserver.config.section import Section
 from hilserver.errors import meant
+from hilserver.opcua.settings import check_endpoint, is_loopback
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
 _NAMESPACE_MAX = 2**16 - 1

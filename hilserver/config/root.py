@@ -17,7 +17,7 @@ from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.ros2 import Ros2Config
 from hilserver.config.section import Section
-from hilserver.config.server import OpcUaConfig, Role
+from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
 from hilserver.config.timing import (
@@ -27,6 +27,7 @@ from hilserver.config.timing import (
     SchedulerConfig,
     SnapshotConfig,
 )
+from hilserver.opcua.settings import Role
 from hilserver.signals import Source
 
 

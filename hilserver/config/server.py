@@ -1,85 +1,18 @@
 """The `opcua:` section: our OPC UA server."""
 
-import ipaddress
-import re
-import socket
-from enum import IntEnum
-from pathlib import Path
-from typing import Annotated, Literal
-from urllib.parse import urlsplit
+from pydantic import Field
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
-
-from hilserver.config.section import Section, check_endpoint
-
-Policy = Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"]
-RoleName = Literal["observer", "operator", "engineer"]
-SECURE_POLICIES: tuple[Policy, ...] = (
-    "Basic256Sha256",
-    "Aes128Sha256RsaOaep",
-    "Aes256Sha256RsaPss",
-)
-_PASSWORD_HASH = re.compile(r"\$scrypt\$[A-Za-z0-9+/=,$]+")
+from hilserver.config.section import Section
+from hilserver.opcua.settings import OpcUaPermissions, OpcUaSettings, RoleName
 
 
-class Role(IntEnum):
-    """What a user may do; each may do what the ones before may.
-
-    Everybody reads. By default an operator writes inputs and starts and stops the simulation, an
-    engineer calls every method.
-    """
-
-    OBSERVER = 0
-    OPERATOR = 1
-    ENGINEER = 2
-
-
-def _none_is_a_policy(value: object) -> object:
-    if isinstance(value, list):
-        return ["None" if item is None else item for item in value]
-    return value
-
-
-def _check_hash(text: str) -> str:
-    if _PASSWORD_HASH.fullmatch(text) is None:
-        raise ValueError("is not a scrypt hash; make one with 'hilserver certs password'")
-    return text
-
-
-def default_application_uri() -> str:
-    """Return the application URI where none is configured."""
-    return f"urn:{socket.gethostname()}:hilserver"
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only programs on this computer reach `host`; a name other than localhost is not."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-class OpcUaUser(Section):
-    """Somebody who logs in with name and password."""
-
-    name: str = Field(min_length=1, max_length=64, description="Name to log in with")
-    password: Annotated[str, AfterValidator(_check_hash)] = Field(
-        description="scrypt hash, made with hilserver certs password", repr=False
-    )
-    role: RoleName = Field(default="observer", description="What the user may do")
-
-
-class OpcUaPermissions(Section):
+class RobotPermissions(OpcUaPermissions):
     """The lowest role that may write a variable or call a method; of several rows the last wins.
 
-    Patterns are those of file names: ``*`` stands for any text.
+    Patterns are those of file names: ``*`` stands for any text. By default an operator writes
+    inputs and starts and stops the simulation, an engineer calls every method.
     """
 
-    write: dict[str, RoleName] = Field(
-        default={"*": "operator"}, description="Pattern of signal names: lowest role that writes"
-    )
     call: dict[str, RoleName] = Field(
         default={
             "*": "engineer",
@@ -96,116 +29,15 @@ class OpcUaPermissions(Section):
     )
 
 
-class OpcUaShare(Section):
-    """What one session may hold."""
-
-    subscriptions: int = Field(ge=1, le=10_000, description="Subscriptions of one session")
-    monitored_items: int = Field(ge=1, le=100_000, description="Monitored items of one session")
-    queued_values: int = Field(
-        ge=0,
-        le=1_000_000,
-        description="Places in the queues of one session's monitored items, beyond one each",
-    )
+class _Switch(Section):
+    enabled: bool = Field(default=True, description="Start the OPC UA server")
 
 
-class OpcUaLimits(Section):
-    """What one session may hold, by the role of its user."""
-
-    observer: OpcUaShare = OpcUaShare(subscriptions=10, monitored_items=1000, queued_values=5000)
-    operator: OpcUaShare = OpcUaShare(subscriptions=20, monitored_items=2000, queued_values=10_000)
-    engineer: OpcUaShare = OpcUaShare(subscriptions=50, monitored_items=5000, queued_values=20_000)
-
-    def of(self, role: Role) -> OpcUaShare:
-        """Return the share of a role."""
-        return {
-            Role.OBSERVER: self.observer,
-            Role.OPERATOR: self.operator,
-            Role.ENGINEER: self.engineer,
-        }[role]
-
-
-class OpcUaConfig(Section):
+class OpcUaConfig(OpcUaSettings, _Switch):
     """Endpoint, security and limits of the OPC UA server."""
 
-    enabled: bool = Field(default=True, description="Start the OPC UA server")
-    endpoint: Annotated[str, AfterValidator(check_endpoint)] = Field(
-        default="opc.tcp://127.0.0.1:4840/hilserver",
-        description="Address, port and path to listen on; port 0 takes any free port",
-    )
-    application_uri: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=256,
-        description="Application URI; default: urn:<host name>:hilserver",
-    )
-    policies: Annotated[tuple[Policy, ...], BeforeValidator(_none_is_a_policy)] | None = Field(
-        default=None,
-        min_length=1,
-        description="Security policies that clients may choose, all but None with SignAndEncrypt;"
-        " default: None on loopback, elsewhere the three secure ones",
-    )
-    certificates: Path = Field(
-        default=Path("certificates"),
-        description="Folder with own, trusted, rejected and revoked, made by hilserver certs;"
-        " relative to this file",
-    )
-    private_key: Path | None = Field(
-        default=None, description="Key file, if not own/key.pem in that folder"
-    )
-    users: tuple[OpcUaUser, ...] = Field(default=(), description="Who may log in")
-    anonymous: RoleName | Literal["nobody"] | None = Field(
-        default=None,
-        description="Role of a client without a name; default: engineer on loopback without"
-        " users, otherwise nobody",
-    )
-    permissions: OpcUaPermissions = Field(
-        default_factory=OpcUaPermissions, description="Who may write and call what"
-    )
-    allow_insecure_network: bool = Field(
-        default=False,
-        description="Listen on other addresses than loopback even though everyone there may then"
-        " read, write and command without a password",
-    )
-    max_failed_logins: int = Field(
-        default=5,
-        ge=1,
-        le=1000,
-        description="Failed log-ins in a minute per user name, and per address but loopback",
-    )
-    max_message_bytes: int = Field(
-        default=262_144,
-        ge=65_536,
-        le=16_777_216,
-        description="Longest request, all chunks together; 65536 before the log-in",
-    )
-    max_operations: int = Field(
-        default=1000, ge=10, le=10_000, description="Nodes in one request of any service"
-    )
-    max_monitored_items: int = Field(
-        default=10_000, ge=1, le=100_000, description="Monitored items of all sessions together"
-    )
-    min_publishing_ms: float = Field(
-        default=5.0,
-        ge=1.0,
-        le=1000.0,
-        description="Shortest publishing interval that a subscription gets",
-    )
-    max_connections: int = Field(default=200, ge=1, le=10_000, description="Open TCP connections")
-    max_sessions: int = Field(default=100, ge=1, le=10_000, description="Open sessions")
-    max_subscriptions: int = Field(
-        default=200, ge=1, le=10_000, description="Subscriptions of all sessions together"
-    )
-    max_queue_size: int = Field(
-        default=1000, ge=1, le=10_000, description="Longest queue of a monitored item"
-    )
-    max_queued_values: int = Field(
-        default=50_000,
-        ge=0,
-        le=1_000_000,
-        description="Places in the queues of all monitored items together, beyond one each",
-    )
-    limits: OpcUaLimits = Field(
-        default_factory=OpcUaLimits, description="What one session may hold, by role"
+    permissions: RobotPermissions = Field(
+        default_factory=RobotPermissions, description="Who may write and call what"
     )
     max_events_per_s: int = Field(
         default=10,
@@ -215,78 +47,6 @@ class OpcUaConfig(Section):
     )
 
     @property
-    def host(self) -> str:
-        """Address to listen on."""
-        return urlsplit(self.endpoint).hostname or ""
-
-    @property
-    def port(self) -> int:
-        """TCP port to listen on, 0 for any free one."""
-        return urlsplit(self.endpoint).port or 0
-
-    @property
-    def is_open_to_network(self) -> bool:
-        """Whether other computers reach the server."""
-        return not is_loopback(self.host)
-
-    @property
-    def offered_policies(self) -> tuple[Policy, ...]:
-        """Security policies that clients may choose."""
-        if self.policies is not None:
-            return self.policies
-        insecure = not self.is_open_to_network or self.allow_insecure_network
-        return ("None",) if insecure else SECURE_POLICIES
-
-    @property
-    def needs_certificate(self) -> bool:
-        """Whether a client may choose a policy that needs one."""
-        return any(policy != "None" for policy in self.offered_policies)
-
-    @property
-    def is_secure(self) -> bool:
-        """Whether every session is encrypted and every client known by its certificate."""
-        return "None" not in self.offered_policies
-
-    @property
-    def anonymous_role(self) -> Role | None:
-        """Role of a client that gives no name; None: it is refused."""
-        if self.anonymous is not None:
-            return None if self.anonymous == "nobody" else Role[self.anonymous.upper()]
-        if self.users or (self.is_open_to_network and not self.allow_insecure_network):
-            return None
-        return Role.ENGINEER
-
-    @model_validator(mode="after")
-    def _closed_to_network(self) -> "OpcUaConfig":
-        if not self.enabled or not self.is_open_to_network or self.allow_insecure_network:
-            return self
-        place = f"endpoint '{self.endpoint}' is reachable from the network"
-        if not self.is_secure:
-            raise ValueError(
-                f"{place}, and policy None is in the clear: remove it from policies, listen on"
-                " 127.0.0.1, or set allow_insecure_network: true"
-            )
-        if self.anonymous_role not in (None, Role.OBSERVER):
-            raise ValueError(
-                f"{place}: anonymous may be nobody or observer there; name users instead, or set"
-                " allow_insecure_network: true"
-            )
-        if not self.users and self.anonymous_role is None:
-            raise ValueError(
-                f"{place}, and nobody may log in: name users (docs/how-to/secure-the-server.md),"
-                " listen on 127.0.0.1, or set allow_insecure_network: true"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _distinct_users(self) -> "OpcUaConfig":
-        names = [user.name for user in self.users]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"user '{twice[0]}' is named twice")
-        if self.users and self.offered_policies == ("None",):
-            raise ValueError(
-                "users need an encrypted connection for their passwords: add a secure policy to"
-                " policies, for example [Basic256Sha256]"
-            )
-        return self
+    def is_used(self) -> bool:
+        """Whether the server starts."""
+        return self.enabled

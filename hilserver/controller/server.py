@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 from asyncua import Server, ua
 
 from hilserver.controller.nodes import NAMESPACE, SENSORS, SEQUENCE, SETPOINTS
-from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.errors import FailedError
+from hilserver.opcua.standard_nodes import QuickInternalServer
 
 TYPES = {"enable": ua.VariantType.Boolean, SEQUENCE: ua.VariantType.UInt32}
 """Every other node is a Double."""

@@ -206,10 +206,7 @@ class InputGate:
         signal = self._table[name]
         if not signal.writable:
             return Refusal.NOT_WRITABLE
-        checked = check_value(signal, value)
-        if isinstance(checked, Refusal):
-            return checked
-        return checked
+        return check_value(signal, value)
 
     def _remember(self, source: str, groups: Iterable[list[Row]], now_ns: int) -> None:
         self._denied.pop(source, None)
@@ -232,10 +229,11 @@ class InputGate:
             return
         if reason is Refusal.NOT_IN_CONTROL:
             self._denied[source] = self.owner
-        text = f"{source}: {name} = {value!r:.60} refused: {self._explain(source, name, reason)}"
+        text = f"{source}: {name} = {value!r:.60} refused: {self.explain(source, name, reason)}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
 
-    def _explain(self, source: str, name: str, reason: Refusal) -> str:
+    def explain(self, source: str, name: str, reason: Refusal) -> str:
+        """Return in words why a source may not write a signal."""
         if reason is Refusal.NOT_IN_CONTROL:
             kind = kind_of(source)
             return f"'{self.owner}' has control; writing '{kind}' to control.source takes it"
@@ -352,6 +350,10 @@ class InputGate:
         """Channels of the real robot that some source has written: ``wheel.fl.speed_rpm`` ..."""
         signals = (self._table.by_slot(slot) for slot in sorted(self._newest))
         return tuple(s.name.removeprefix(MEASURED) for s in signals if s.is_measured)
+
+    def accepted_value(self, name: str) -> tuple[float, ...]:
+        """Return what was accepted last for a signal, a number per slot."""
+        return tuple(self._newest[slot][1] for slot in self._table[name].slots)
 
     def newest(self, name: str) -> float | None:
         """Return the newest accepted value of a scalar, which the next tick latches; or None."""

@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hilserver.period import Period
 from hilserver.scheduler.causes import Cause, CauseFinder, Look
 from hilserver.scheduler.exchange import HEARTBEAT, NEXT_TICK
 from hilserver.scheduler.faults import fault_of
 from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN, OK, STOP
 from hilserver.scheduler.machine import Machine
-from hilserver.scheduler.period import Period
 
 PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000

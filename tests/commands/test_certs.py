@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from hilserver.commands import main
-from hilserver.config.server import OpcUaConfig, OpcUaUser
-from hilserver.io.opcua_security.certificate import (
+from hilserver.config.server import OpcUaConfig
+from hilserver.opcua.certificate import (
     application_uris,
     host_names,
     load_certificate,
@@ -17,8 +17,9 @@ from hilserver.io.opcua_security.certificate import (
     thumbprint,
     to_der,
 )
-from hilserver.io.opcua_security.passwords import is_password
-from hilserver.io.opcua_security.trust_list import TrustList, Verdict
+from hilserver.opcua.passwords import is_password
+from hilserver.opcua.settings import OpcUaUser
+from hilserver.opcua.trust_list import TrustList, Verdict
 
 
 @pytest.fixture

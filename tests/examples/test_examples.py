@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asyncua import Client, ua
 
 from hilserver.commands import main
 from hilserver.daemon.assembly import assemble
@@ -65,6 +66,25 @@ async def test_a_left_right_controller_moves_all_four_wheels():
             left_front, left_rear, right_front, right_rear = speeds()
             assert left_front == pytest.approx(left_rear, abs=1.0)
             assert right_front == pytest.approx(right_rear, abs=1.0)
+    finally:
+        program.kill()
+        program.communicate()
+
+
+async def test_a_hardened_server_of_ten_lines_lets_its_valve_be_opened():
+    program = started("opcua-server/server.py", "opc.tcp://127.0.0.1:0/tank", PYTHONUNBUFFERED="1")
+    try:
+        url = (await asyncio.to_thread(program.stdout.readline)).strip()
+        async with Client(url) as client:
+            index = await client.get_namespace_index("urn:example:tank")
+            level, valve = (client.get_node(ua.NodeId(n, index)) for n in ("level_m", "valve"))
+            with pytest.raises(ua.uaerrors.BadNotWritable):
+                await level.write_value(2.0)
+            before = await level.read_value()
+            await valve.write_value(1.0)
+            async with asyncio.timeout(60):
+                while await level.read_value() >= before:  # noqa: ASYNC110
+                    await asyncio.sleep(0.05)
     finally:
         program.kill()
         program.communicate()

@@ -7,13 +7,13 @@ import pytest
 
 from hilserver.config.server import OpcUaConfig
 from hilserver.io.opcua_client import LinkSecurity, refusal
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.certificate import (
     key_to_pem,
     make_certificate,
     make_key,
     to_der,
 )
-from hilserver.io.opcua_security.trust_list import TrustList, write_private
+from hilserver.opcua.trust_list import TrustList, write_private
 from tests.io.opcua_client.conftest import make_harness, peer_config, wait_until
 from tests.node_red.node_red import DEPLOY
 

@@ -7,7 +7,7 @@ import subprocess
 import pytest
 
 from hilserver.commands import main
-from hilserver.io.opcua_security.passwords import hash_password
+from hilserver.opcua.passwords import hash_password
 from tests.helpers.daemons import running_daemon
 from tests.page.conftest import CONFIG
 from tests.page.rig import Plant, page_process, page_url

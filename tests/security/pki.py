@@ -11,15 +11,15 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import NameOID
 
-from hilserver.config.server import default_application_uri
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.certificate import (
     key_to_pem,
     make_certificate,
     make_key,
     to_der,
 )
-from hilserver.io.opcua_security.passwords import hash_password
-from hilserver.io.opcua_security.trust_list import TrustList, write_private
+from hilserver.opcua.passwords import hash_password
+from hilserver.opcua.settings import default_application_uri
+from hilserver.opcua.trust_list import TrustList, write_private
 
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 PASSWORDS = {"olga": "see", "otto": "drive", "emma": "all"}

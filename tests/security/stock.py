@@ -5,7 +5,7 @@ from typing import Any
 import asyncua
 from asyncua import Server, ua, uamethod
 
-from hilserver.core.standard_nodes import QuickInternalServer
+from hilserver.opcua.standard_nodes import QuickInternalServer
 from tests.security.pki import Pki
 
 

@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
-from hilserver.io.opcua_security.attempts import FailedAttempts, keys_of
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.attempts import FailedAttempts, keys_of
+from hilserver.opcua.certificate import (
     first_of_chain,
     key_to_pem,
     make_certificate,
     make_key,
     to_der,
 )
-from hilserver.io.opcua_security.passwords import check_hash, hash_password, is_password
-from hilserver.io.opcua_security.trust_list import (
+from hilserver.opcua.passwords import check_hash, hash_password, is_password
+from hilserver.opcua.trust_list import (
     MAX_REJECTED,
     TrustList,
     Verdict,

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.bench.wire import Wire, frame, hello
-from hilserver.io.opcua_server.decoding import bound_decoder, within_bounds
-from hilserver.io.opcua_server.frames import FrameReader, Stage, TransportError, check_order
+from hilserver.opcua.decoding import bound_decoder, within_bounds
+from hilserver.opcua.frames import FrameReader, Stage, TransportError, check_order
 from tests.io.opcua_server.rig import Rig, RobotClient
 from tests.security.pki import Pki
 

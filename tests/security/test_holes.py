@@ -378,7 +378,7 @@ from asyncua import ua
 from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import variant_from_binary
 if sys.argv[1] == "ours":
-    from hilserver.io.opcua_server.decoding import bound_decoder
+    from hilserver.opcua.decoding import bound_decoder
     bound_decoder()
 def peak_kb():
     return int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1])

@@ -12,9 +12,9 @@ from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import struct_from_binary
 
 from hilserver.bench.wire import Wire, frame
-from hilserver.config.server import OpcUaLimits, Role
 from hilserver.core.snapshot import MOST_SNAPSHOTS
 from hilserver.faults.model import parse_faults
+from hilserver.opcua.settings import OpcUaLimits, Role
 from tests.io.opcua_server.rig import Rig, connected
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -6,12 +6,12 @@ from asyncua import ua
 from cryptography import x509
 
 from hilserver.io.opcua_client.validation import FaultKind
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.certificate import (
     host_names,
     parse_certificate,
     thumbprint,
 )
-from hilserver.io.opcua_security.trust_list import Verdict
+from hilserver.opcua.trust_list import Verdict
 
 SECURITY_PAUSE_S = 2.0
 LOG_IN_PAUSE_S = 20.0

@@ -19,20 +19,20 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from hilserver.config.peers import PeerConfig
-from hilserver.config.server import OpcUaConfig
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_client import refusal
 from hilserver.io.opcua_client.refusal import RefusedError
 from hilserver.io.opcua_client.validation import FaultKind
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.certificate import (
     application_uris,
     first_of_chain,
     load_certificate,
     thumbprint,
     to_der,
 )
-from hilserver.io.opcua_security.passwords import MAX_PASSWORD_BYTES
-from hilserver.io.opcua_security.trust_list import TrustList, Verdict, is_open_to_others
+from hilserver.opcua.passwords import MAX_PASSWORD_BYTES
+from hilserver.opcua.settings import OpcUaSettings
+from hilserver.opcua.trust_list import TrustList, Verdict, is_open_to_others
 
 _POLICIES: dict[str, Any] = {
     "Basic256Sha256": security_policies.SecurityPolicyBasic256Sha256,
@@ -70,7 +70,7 @@ class LinkSecurity:
     Parameters
     ----------
     config : PeerConfig
-    opcua : OpcUaConfig
+    opcua : OpcUaSettings
         Names the certificates where the peer's configuration does not.
     folder : Path
         Folder that relative paths start from.
@@ -81,7 +81,7 @@ class LinkSecurity:
         If a file is missing, cannot be used, or can be read by others.
     """
 
-    def __init__(self, config: PeerConfig, opcua: OpcUaConfig, folder: Path) -> None:
+    def __init__(self, config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> None:
         security = config.security
         self._host = security.peer_host or config.host
         self._wanted = f"{security.policy} and {security.effective_mode}"
@@ -231,7 +231,7 @@ class PeerClient(Client):  # type: ignore[misc]
         )
 
 
-def _identity(config: PeerConfig, opcua: OpcUaConfig, folder: Path) -> _Identity:
+def _identity(config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> _Identity:
     security = config.security
     ours = TrustList(folder / opcua.certificates)
     key_path = security.private_key or opcua.private_key

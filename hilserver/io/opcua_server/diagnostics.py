@@ -14,8 +14,8 @@ from asyncua import ua
 
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
-from hilserver.io.opcua_server.encoding import FixedDataValue
-from hilserver.io.opcua_server.logs import log
+from hilserver.opcua.encoding import FixedDataValue
+from hilserver.opcua.logs import log
 
 Figure = float | str | bool | int | None
 Table = Mapping[str, Mapping[str, Figure]]

@@ -17,6 +17,7 @@ from asyncua import ua
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.io.opcua_server.address_space import SERVER, AddressSpaceBuilder
+from hilserver.opcua.items import FixedEvent
 
 BASE_TYPE = "RobotEventType"
 TYPE_NAMES: dict[EventKind, str] = {
@@ -31,24 +32,6 @@ TYPE_NAMES: dict[EventKind, str] = {
 }
 _WINDOW_S = 1.0
 _Type = ua.VariantType
-_NULL = ua.Variant()
-
-
-class RobotEvent:
-    """One event as asyncua's subscriptions want it: plain attributes, and fields on request."""
-
-    def __init__(self, emitting_node: ua.NodeId, fields: dict[str, ua.Variant]) -> None:
-        self.emitting_node = emitting_node
-        self._fields = fields
-
-    def field(self, name: str) -> Any:
-        """Return the value of a field, None where it does not exist."""
-        return self._fields.get(name, _NULL).Value
-
-    def to_event_fields(self, select_clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
-        """Return the fields a client selected; null for those that do not exist."""
-        names = ("/".join(part.Name or "" for part in c.BrowsePath) for c in select_clauses)
-        return [self._fields.get(name, _NULL) for name in names]
 
 
 class FloodGate:
@@ -152,7 +135,7 @@ class RobotEvents:
     def _emit(self, event: Event, suppressed: int) -> None:
         fields = self._fields(event, suppressed)
         for node_id in (SERVER, self._robot):
-            self._subscriptions.take_event(RobotEvent(node_id, fields))
+            self._subscriptions.take_event(FixedEvent(node_id, fields))
 
     def _fields(self, event: Event, suppressed: int) -> dict[str, ua.Variant]:
         message = event.message + (f" (and {suppressed} more)" if suppressed else "")

@@ -1,51 +1,35 @@
 """The OPC UA server as the daemon sees it."""
 
-import errno
-import os
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from asyncua import ua
-from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import rsa
 
-from hilserver.config.server import OpcUaConfig, Policy, Role, default_application_uri
+from hilserver.config.server import OpcUaConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
-from hilserver.errors import ConfigError, FailedError
 from hilserver.faults import Faults
 from hilserver.image import Frame, ProcessImage
-from hilserver.io.opcua_security.certificate import application_uris
-from hilserver.io.opcua_security.trust_list import TrustList
-from hilserver.io.opcua_server import model, standard_values
-from hilserver.io.opcua_server.access import Access
+from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
+from hilserver.io.opcua_server.application import RobotApplication
 from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure, Provider, Table
-from hilserver.io.opcua_server.door import WriteDoor
-from hilserver.io.opcua_server.encoding import FixedDataValue
-from hilserver.io.opcua_server.guard import RobotInternalServer
-from hilserver.io.opcua_server.logs import log
-from hilserver.io.opcua_server.method_table import METHODS, Files
-from hilserver.io.opcua_server.methods import Methods
+from hilserver.io.opcua_server.method_table import METHODS, Files, Parts
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
-from hilserver.io.opcua_server.transport import RobotUaServer
 from hilserver.io.opcua_server.values import SignalVariables
+from hilserver.opcua.encoding import FixedDataValue
+from hilserver.opcua.logs import log
+from hilserver.opcua.server import HardenedServer
+from hilserver.opcua.settings import Role
 from hilserver.signals import SignalTable, State
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _SLICES_EVERY_S = 1.0
 """They have changed every time, and there are many of them."""
-_WARN_BEFORE = timedelta(days=30)
-_POLICY_TYPES: dict[Policy, ua.SecurityPolicyType] = {
-    "None": ua.SecurityPolicyType.NoSecurity,
-    "Basic256Sha256": ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
-    "Aes128Sha256RsaOaep": ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
-    "Aes256Sha256RsaPss": ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
-}
 
 
 def _nothing() -> Table:
@@ -107,20 +91,14 @@ class OpcUaServer:
         if faults is not None:
             self._providers["faults"] = faults.figures
         self._folders, self._rows = model.describe(table)
-        self._access = Access(config)
-        self._folder = folder or Path.cwd()
-        self._server: RobotUaServer | None = None
+        self._folder = folder
+        self._server: HardenedServer | None = None
         self._owner_shown = ""
 
     @property
     def url(self) -> str:
         """Endpoint with the port that was bound."""
-        port = self._config.port
-        if self._server is not None and self._server.bserver is not None:
-            port = self._server.bserver.port
-        host = f"[{self._config.host}]" if ":" in self._config.host else self._config.host
-        _, _, path = self._config.endpoint.removeprefix("opc.tcp://").partition("/")
-        return f"opc.tcp://{host}:{port}/{path}"
+        return str(self._config.endpoint if self._server is None else self._server.url)
 
     address = url
 
@@ -132,7 +110,7 @@ class OpcUaServer:
     @property
     def page_secret(self) -> str:
         """What marks sessions as the operator page's; empty while the server is not running."""
-        return "" if self._server is None else str(self._server.iserver.page_secret)
+        return "" if self._server is None else self._application.page_secret
 
     def audit(self) -> dict[str, dict[str, Figure]]:
         """Return what this server has to say in the audit."""
@@ -165,20 +143,13 @@ class OpcUaServer:
         ConfigError
             If certificate or key are missing or cannot be used.
         """
-        secure = self._config.needs_certificate
-        trust = TrustList(self._folder / self._config.certificates) if secure else None
-        iserver = RobotInternalServer(self._config, self._access, trust)
-        server = RobotUaServer(iserver=iserver)
-        if trust is not None:
-            self._load_certificate(iserver, trust)
-        await self._name_server(server)
-        standard_values.fill(iserver.aspace, self._config)
+        server = HardenedServer(self._config, self._folder)
+        server.set_server_name("hilserver")
+        server.product_uri, server.manufacturer_name = PRODUCT_URI, "hilserver"
+        await server.init()
+        await server.set_build_info(**build_info())
         await self._build(server)
-        try:
-            await server.start()
-        except OSError as error:
-            await iserver.stop()
-            raise FailedError(self._why_not(error)) from None
+        await server.start()
         self._server = server
         self._robot_events.attach(self._events)
         self.publish_diagnostics()
@@ -201,7 +172,7 @@ class OpcUaServer:
             return 0
         self._show_owner()
         changed = self._variables.publish(frame)
-        self._server.iserver.subscription_service.after_frame()
+        self._server.sample()
         return changed
 
     def publish_diagnostics(self) -> None:
@@ -213,34 +184,7 @@ class OpcUaServer:
         self._status.show(self._control.state, tables["peers"], tables["audit"])
         self._robot_events.flush()
 
-    async def _name_server(self, server: RobotUaServer) -> None:
-        server.set_endpoint(self._config.endpoint)
-        server.set_server_name("hilserver")
-        server.product_uri = PRODUCT_URI
-        server.manufacturer_name = "hilserver"
-        server.application_type = ua.ApplicationType.Server
-        server.set_security_policy([_POLICY_TYPES[name] for name in self._config.offered_policies])
-        await server.init()
-        await server.set_application_uri(self.application_uri)
-        await server.set_build_info(**build_info())
-
-    @property
-    def application_uri(self) -> str:
-        """URI of this application, which its certificate must name."""
-        return _application_uri(self._config)
-
-    def _load_certificate(self, iserver: RobotInternalServer, trust: TrustList) -> None:
-        trust.make_folders()
-        certificate, private_key = own_certificate(self._config, self._folder)
-        left = certificate.not_valid_after_utc - datetime.now(UTC)
-        if left < _WARN_BEFORE:
-            log.warning(
-                "opcua certificate ends", days_left=left.days, remedy="run 'hilserver certs renew'"
-            )
-        iserver.certificate, iserver.private_key = certificate, private_key
-        trust.ours = certificate
-
-    async def _build(self, server: RobotUaServer) -> None:
+    async def _build(self, server: HardenedServer) -> None:
         iserver = server.iserver
         robot_index = await server.register_namespace(model.NAMESPACE_URI)
         di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
@@ -277,25 +221,16 @@ class OpcUaServer:
             limit_per_s=self._config.max_events_per_s,
         )
         self._status = ServerStatus(iserver.aspace)
-        iserver.methods = Methods(
-            self._control, self._access, builder.node_id, self._faults, self._files
-        )
-        iserver.left = self._left
-        iserver.door = WriteDoor(
-            iserver.aspace,
+        self._application = server.application = RobotApplication(
+            iserver,
             robot_index,
             self._table,
             self._image,
             self._gate,
             self._variables,
-            self._access,
+            Parts(self._control, self._faults, self._files),
             self._show_owner,
         )
-
-    def _left(self, session: object) -> None:
-        """Let control go on without the client that may have held it."""
-        self._gate.gone(session)
-        self._show_owner()
 
     def _show_owner(self) -> None:
         if self._gate.owner == self._owner_shown:
@@ -304,37 +239,3 @@ class OpcUaServer:
         now = datetime.now(UTC)
         owner = ua.Variant(self._owner_shown, ua.VariantType.String)
         self._owner_place.value = FixedDataValue(owner, _GOOD, now, now)
-
-    def _why_not(self, error: OSError) -> str:
-        what = f"OPC UA cannot listen on {self._config.host}:{self._config.port}"
-        if error.errno == errno.EADDRINUSE:
-            return f"{what}: the port is in use; end the other program or change opcua.endpoint"
-        if error.errno == errno.EACCES:
-            return f"{what}: ports below 1024 need rights; change opcua.endpoint"
-        return f"{what}: {error.strerror or os.strerror(error.errno or 0)}; change opcua.endpoint"
-
-
-def own_certificate(
-    config: OpcUaConfig, folder: Path
-) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
-    """Return the certificate and key of the server of a configuration.
-
-    Raises
-    ------
-    ConfigError
-        If one is missing or cannot be used, or the certificate is that of another application.
-    """
-    trust = TrustList(folder / config.certificates)
-    certificate, key = trust.own(
-        None if config.private_key is None else folder / config.private_key
-    )
-    if _application_uri(config) not in application_uris(certificate):
-        raise ConfigError(
-            f"the certificate in {trust.folder} does not name the application URI"
-            f" {_application_uri(config)}: make another with 'hilserver certs renew'"
-        )
-    return certificate, key
-
-
-def _application_uri(config: OpcUaConfig) -> str:
-    return config.application_uri or default_application_uri()

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from asyncua import ua
-from asyncua.server.address_space import AttributeValue
 
 import hilserver
-from hilserver.io.opcua_server.encoding import FixedDataValue
+from hilserver.opcua.encoding import FixedDataValue
 from hilserver.signals import State
 
 PRODUCT_URI = "urn:hilserver"
@@ -33,23 +32,6 @@ _LEVELS = {State.STARTING: 1, State.PAUSED: 150, State.SAFE: 100, State.STOPPING
 _LEVEL_FULL, _LEVEL_AUDIT, _LEVEL_PEER = 255, 240, 199
 
 
-class LiveTime(AttributeValue):  # type: ignore[misc]
-    """CurrentTime as it is when somebody reads it, not as it was at the last second.
-
-    Clients estimate the offset of our clock from it.
-    """
-
-    @property
-    def value(self) -> FixedDataValue:
-        """The time now."""
-        now = datetime.now(UTC)
-        return FixedDataValue(ua.Variant(now, ua.VariantType.DateTime), _GOOD, now, now)
-
-    @value.setter
-    def value(self, value: object) -> None:
-        """Ignore what is written: asyncua's clock only tells the subscribers."""
-
-
 class ServerStatus:
     """Keeps state and service level of the Server object up to date."""
 
@@ -59,8 +41,6 @@ class ServerStatus:
         self._state = _place(address_space, kinds.Server_ServerStatus_State)
         self._level = _place(address_space, kinds.Server_ServiceLevel)
         self._shown: tuple[State, int] | None = None
-        time_node = address_space[ua.NodeId(kinds.Server_ServerStatus_CurrentTime)]
-        time_node.attributes[ua.AttributeIds.Value] = LiveTime(None)
 
     def show(self, state: State, peers: Mapping[str, Any], audit: Mapping[str, Any]) -> None:
         """Write state and service level where they changed."""

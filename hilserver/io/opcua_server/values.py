@@ -15,8 +15,8 @@ from asyncua.server.address_space import AttributeValue
 
 from hilserver.core.clock import UtcClock
 from hilserver.image import Frame
-from hilserver.io.opcua_server.encoding import FixedDataValue
 from hilserver.io.opcua_server.model import DATA_TYPES
+from hilserver.opcua.encoding import FixedDataValue
 from hilserver.signals import Signal, SignalTable, ValueType
 
 _CONVERT: dict[ValueType, Callable[[float], Any]] = {

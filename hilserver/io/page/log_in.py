@@ -2,9 +2,9 @@
 
 import time
 
-from hilserver.io.opcua_security.attempts import WINDOW_S, FailedAttempts, keys_of
 from hilserver.io.page.browsers import Browser
 from hilserver.io.page.hand import RefusedError, WrongPasswordError
+from hilserver.opcua.attempts import WINDOW_S, FailedAttempts, keys_of
 
 
 class LogIns:

@@ -17,9 +17,9 @@ from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus, EventKind
 from hilserver.core.inputs import Refusal
-from hilserver.core.standard_nodes import QuickInternalServer
 from hilserver.faults import Line
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
+from hilserver.opcua.standard_nodes import QuickInternalServer
 
 URI = "urn:iotbot:agv"
 WHEELS = ("FL", "RL", "FR", "RR")

@@ -11,13 +11,14 @@ from asyncua import ua
 from cryptography import x509
 
 from hilserver.config.peers import PeerConfig
-from hilserver.config.server import OpcUaConfig, default_application_uri
+from hilserver.config.server import OpcUaConfig
 from hilserver.io.opcua_client import LinkSecurity, refusal
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.certificate import (
     make_certificate,
     to_der,
 )
-from hilserver.io.opcua_security.trust_list import TrustList, file_name, write_private
+from hilserver.opcua.settings import default_application_uri
+from hilserver.opcua.trust_list import TrustList, file_name, write_private
 from tests.io.opcua_client.conftest import Harness, make_harness, wait_until
 from tests.io.opcua_server.rig import Rig
 from tests.security.pki import PASSWORDS, Pki

@@ -14,14 +14,14 @@ from asyncua import Server, ua
 from hilserver.config.server import OpcUaConfig
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_client import link, refusal, session
-from hilserver.io.opcua_security.certificate import (
+from hilserver.opcua.access import Access
+from hilserver.opcua.certificate import (
     key_to_pem,
     make_certificate,
     make_key,
     to_der,
 )
-from hilserver.io.opcua_security.trust_list import TrustList, file_name, write_private
-from hilserver.io.opcua_server.access import Access
+from hilserver.opcua.trust_list import TrustList, file_name, write_private
 from tests.io.opcua_client.conftest import make_harness, wait_until
 from tests.io.opcua_client.secured import (
     SERVER_URI,

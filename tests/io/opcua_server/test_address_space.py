@@ -6,7 +6,7 @@ import pytest
 from asyncua import ua
 
 from hilserver.errors import ConfigError
-from hilserver.io.opcua_server.door import STATUS_OF
+from hilserver.io.opcua_server.application import STATUS_OF
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, GROUPS, describe
 from hilserver.io.opcua_server.robot_events import TYPE_NAMES

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from asyncua import ua
 
-from hilserver.io.opcua_server import processor
+from hilserver.opcua import processor
 from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig, RobotClient
 
@@ -159,7 +159,7 @@ async def test_one_call_does_not_wait_for_ever(
         await asyncio.sleep(0.06)
         return ua.CallMethodResult(), ""
 
-    monkeypatch.setattr(rig.server._server.iserver.methods, "call", wait)
+    monkeypatch.setattr(rig.server._server.application, "call", wait)
     request = ua.CallMethodRequest(
         ua.NodeId("methods", client.index), ua.NodeId("methods.Step", client.index)
     )

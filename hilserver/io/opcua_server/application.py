@@ -1,0 +1,239 @@
+"""The robot behind its OPC UA server: what clients are to it, what they write and call.
+
+Values are checked before they enter, so that the status code is the gate's answer. Beside the codes
+of `hilserver.opcua.application`:
+
+======================  ========================================================================
+BadTypeMismatch         another data type, wrong length (no widening: an Int64 is no Double)
+BadOutOfRange           outside EURange, NaN, infinity
+BadUserAccessDenied     another source has control; the diagnostic text and an event say who
+BadResourceUnavailable  the queue of the plant is full
+BadInvalidArgument      of a method, also: a value out of range
+BadInvalidState         a method that is not possible now; the diagnostic text says why
+BadNotImplemented       Force, Unforce, InjectFault, ClearFaults of a server without faults
+======================  ========================================================================
+
+A time stamp that comes with a value is ignored: the stamp is that of the tick that latched it.
+"""
+
+import inspect
+import itertools
+import secrets
+from collections.abc import Callable, Generator, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.core.inputs import InputGate, Refusal, kind_of
+from hilserver.core.leases import NOBODY, TELEOP
+from hilserver.errors import ControlRefused, UserError
+from hilserver.image import ProcessImage
+from hilserver.io.opcua_server.method_table import METHODS, Method, Parts
+from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES, SHELL
+from hilserver.io.opcua_server.values import SignalVariables
+from hilserver.opcua.application import ACCEPTED, Answer, Application, CallAnswer, Visitor, refused
+from hilserver.opcua.logs import log
+from hilserver.signals import Signal, SignalTable
+
+SOURCE = "opcua"
+"""Name under which the clients of this server write, but for the operator page."""
+
+_Codes = ua.StatusCodes
+STATUS_OF: dict[Refusal, int] = {
+    Refusal.UNKNOWN_SIGNAL: _Codes.BadNodeIdUnknown,
+    Refusal.NOT_WRITABLE: _Codes.BadNotWritable,
+    Refusal.TYPE_MISMATCH: _Codes.BadTypeMismatch,
+    Refusal.NOT_FINITE: _Codes.BadOutOfRange,
+    Refusal.OUT_OF_RANGE: _Codes.BadOutOfRange,
+    Refusal.NOT_IN_CONTROL: _Codes.BadUserAccessDenied,
+    Refusal.QUEUE_FULL: _Codes.BadResourceUnavailable,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RobotVisitor(Visitor):
+    """A client of the robot.
+
+    Attributes
+    ----------
+    source : str
+        Name under which its writes reach the plant: ``opcua``, or ``page:<number>``.
+    may_hold_control : bool
+        Control goes on when it ends; not for a command of the shell, whose session ends with it.
+    """
+
+    source: str = SOURCE
+    may_hold_control: bool = True
+
+
+class RobotApplication(Application):
+    """Answers for the robot.
+
+    Parameters
+    ----------
+    namespace_index : int
+        Of the robot's nodes.
+    variables : SignalVariables
+        Shows what was accepted.
+    parts : Parts
+        What methods act on.
+    show_owner : callable
+        Shows who has control, once that may have changed.
+
+    Attributes
+    ----------
+    page_secret : str
+        Marks sessions of the operator page, as the first word of their session name.
+    """
+
+    def __init__(
+        self,
+        server: Any,
+        namespace_index: int,
+        table: SignalTable,
+        image: ProcessImage,
+        gate: InputGate,
+        variables: SignalVariables,
+        parts: Parts,
+        show_owner: Callable[[], None],
+    ) -> None:
+        super().__init__(server, server.access)
+        self._index, self._table, self._image, self._gate = namespace_index, table, image, gate
+        self._variables, self._parts, self._show_owner = variables, parts, show_owner
+        self._methods = {ua.NodeId(m.node_id, namespace_index): m for m in METHODS}
+        self.page_secret = secrets.token_hex(32)
+        self._page_numbers = itertools.count(1)
+
+    # --- clients ----------------------------------------------------------------------------------
+
+    def visitor(self, session_name: str, address: str) -> RobotVisitor:
+        """Return what a client is; one that knows the secret is the page.
+
+        The page names where its user is as the second word, itself being here. A teleoperation
+        names itself: all it gains is the dead-man.
+        """
+        first, _, rest = session_name.partition(" ")
+        if secrets.compare_digest(first.encode(), self.page_secret.encode()):
+            user_address, source = rest.partition(" ")[0], f"page:{next(self._page_numbers)}"
+            return RobotVisitor(user_address, has_own_place=True, source=source)
+        source = TELEOP if first == "teleop" else SOURCE
+        return RobotVisitor(address, source=source, may_hold_control=first != SHELL)
+
+    def left(self, session: Any) -> None:
+        """Let control go on without the client that may have held it."""
+        self._gate.gone(session)
+        self._show_owner()
+
+    def has_reserve(self, user: Any) -> bool:
+        """Whether a user may stop the robot."""
+        return self._access.may_call(user, "Stop")
+
+    def name_of(self, node_id: ua.NodeId) -> str:
+        """Return the name of a signal or method."""
+        return super().name_of(node_id).removeprefix("methods.")
+
+    # --- writes -----------------------------------------------------------------------------------
+
+    def is_writable(self, node_id: ua.NodeId) -> bool:
+        """Whether a variable is a signal: the gate knows which of them are inputs."""
+        name, is_ours = node_id.Identifier, node_id.NamespaceIndex == self._index
+        return is_ours and (name == CONTROL_SOURCE or name in self._table)
+
+    def write(
+        self, items: Iterable[ua.WriteValue], session: Any
+    ) -> Generator[Any, Any, list[Answer]]:
+        """Return one answer per item; what is accepted is latched together by one tick.
+
+        Gives way while the items are judged, and between groups that are latched apart.
+        """
+        source = session.visitor.source
+        answers: list[Answer] = []
+        group: dict[str, tuple[int, object]] = {}
+        for position, item in enumerate(items):
+            yield
+            answer = self.refuse(item, session.user)
+            answers.append(answer or ACCEPTED)
+            if answer is not None:
+                continue
+            name = item.NodeId.Identifier
+            if name == CONTROL_SOURCE or name in group:
+                # The order of a request holds: taking control acts on the writes behind it, and
+                # of two writes to one signal the later wins.
+                self._hand_over(group, answers, source)
+                group = {}
+            if name == CONTROL_SOURCE:
+                answers[position] = self._take_control(item.Value.Value, session)
+            else:
+                group[name] = (position, _plain(self._table[name], item.Value.Value))
+        self._hand_over(group, answers, source)
+        return answers
+
+    def _hand_over(
+        self, group: dict[str, tuple[int, object]], answers: list[Answer], source: str
+    ) -> None:
+        if not group:
+            return
+        values = {name: value for name, (_, value) in group.items()}
+        turned_down = self._gate.write(source, values)
+        for name, reason in turned_down.items():
+            why = self._gate.explain(source, name, reason)
+            answers[group[name][0]] = Answer(STATUS_OF[reason], why)
+        accepted = {name: self._gate.accepted_value(name) for name in values.keys() - turned_down}
+        if accepted:
+            self._variables.show_written(accepted, self._image.pushed_rows)
+
+    def _take_control(self, variant: ua.Variant, session: Any) -> Answer:
+        if variant.VariantType != ua.VariantType.String or variant.is_array:
+            return Answer(_Codes.BadTypeMismatch, "control.source is a String")
+        if variant.Value not in (*self._gate.priority, NOBODY):
+            known = ", ".join(self._gate.priority)
+            return Answer(_Codes.BadOutOfRange, f"sources are {known}")
+        holder = session if session.visitor.may_hold_control else None
+        try:
+            self._gate.request(kind_of(session.visitor.source), variant.Value, holder)
+        except ControlRefused as error:
+            return Answer(_Codes.BadUserAccessDenied, str(error))
+        self._show_owner()
+        return ACCEPTED
+
+    # --- calls ------------------------------------------------------------------------------------
+
+    def is_method(self, method_id: ua.NodeId) -> bool:
+        """Whether it is one of ours."""
+        return method_id in self._methods
+
+    async def run(self, request: ua.CallMethodRequest) -> CallAnswer:
+        """Do what a method says; its arguments are of their types."""
+        method = self._methods[request.MethodId]
+        values = [argument.Value for argument in request.InputArguments or ()]
+        answer = await self._act(method, values)
+        log.info("opcua method", method=method.name, refused=answer.text or None)
+        return answer
+
+    async def _act(self, method: Method, values: list[Any]) -> CallAnswer:
+        try:
+            outcome = method.act(self._parts, *values)
+            if inspect.isawaitable(outcome):
+                await outcome
+        except NotImplementedError as error:
+            return refused(_Codes.BadNotImplemented, str(error))
+        except UserError as error:
+            return refused(_Codes.BadInvalidState, str(error))
+        except ValueError as error:
+            results = [ua.StatusCode(_Codes.BadOutOfRange) for _ in values]
+            return refused(_Codes.BadInvalidArgument, str(error), results)
+        except OSError as error:
+            return refused(_Codes.BadResourceUnavailable, str(error))
+        except Exception as error:  # noqa: BLE001 - a client must get an answer, and no traceback
+            log.error("opcua method failed", method=method.name, error=repr(error))
+            return refused(_Codes.BadInternalError, "internal error, see the log")
+        return CallAnswer(ua.CallMethodResult(StatusCode=ua.StatusCode(_Codes.Good)))
+
+
+def _plain(signal: Signal, variant: ua.Variant) -> object:
+    """Return the plain value, or what the gate refuses, counts and names as another type."""
+    value = variant.Value
+    if isinstance(value, list) and len(value) > len(signal.slots):
+        return f"{len(value)} elements"  # nobody wants to read a million of them in the log
+    return value if variant.VariantType.value == DATA_TYPES[signal.type] else variant

@@ -1,0 +1,174 @@
+"""The views: Browse in pages and TranslateBrowsePaths, in portions.
+
+A long answer ends in a continuation point that BrowseNext goes on from.
+"""
+
+import secrets
+from collections import OrderedDict
+from collections.abc import Generator, Iterable
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.opcua.rotation import Portions
+from hilserver.opcua.type_tree import TypeTree
+
+MAX_REFERENCES = 1000
+MAX_REFERENCES_IN_ALL = 2000
+"""Of one response."""
+MAX_POINTS = 20
+MAX_PATH_ELEMENTS = 50
+MAX_TARGETS = 1000
+_GIVE_WAY_EVERY = 50
+_ALL_FIELDS = 63
+_TO_THE_END = ua.Index(2**32 - 1)
+_DIRECTIONS = (ua.BrowseDirection.Forward, ua.BrowseDirection.Inverse, ua.BrowseDirection.Both)
+_Codes = ua.StatusCodes
+Types = frozenset[ua.NodeId] | None
+"""Types of references that are followed; None: all."""
+
+
+class ContinuationPoints:
+    """The continuation points of one session.
+
+    Parameters
+    ----------
+    address_space : asyncua AddressSpace
+    """
+
+    def __init__(self, address_space: Any, types: TypeTree) -> None:
+        self._address_space, self._types = address_space, types
+        self._points: OrderedDict[bytes, tuple[list[Any], int]] = OrderedDict()
+
+    def next_page(self, point: Any, room: int, is_release: bool) -> ua.BrowseResult:
+        """Return the next page of a point, or nothing more if it is released."""
+        rest = self._points.pop(bytes(point or b""), None)
+        if rest is None:
+            return _refused(_Codes.BadContinuationPointInvalid)
+        return ua.BrowseResult() if is_release else self._page(*rest, room)
+
+    def first_page(self, asked: ua.BrowseDescription, most: int, room: int) -> Portions:
+        """Return the first page of the references of a node.
+
+        Parameters
+        ----------
+        most : int
+            References of a page that the client takes, 0: any number.
+        room : int
+            References that the response still has room for.
+        """
+        node = self._address_space.get(asked.NodeId)
+        if node is None:
+            return _refused(_Codes.BadNodeIdUnknown)
+        if asked.BrowseDirection not in _DIRECTIONS:
+            return _refused(_Codes.BadBrowseDirectionInvalid)
+        kind = asked.ReferenceTypeId
+        types: Types = None
+        if kind is not None and not kind.is_null():
+            if not self._is_reference_type(kind):
+                return _refused(_Codes.BadReferenceTypeIdInvalid)
+            types = self._types.closure(kind) if asked.IncludeSubtypes else frozenset((kind,))
+        found = []
+        for number, reference in enumerate(node.references):
+            if number % _GIVE_WAY_EVERY == _GIVE_WAY_EVERY - 1:
+                yield
+            if _is_wanted(asked, types, reference):
+                found.append(_masked(reference, asked.ResultMask))
+        return self._page(found, min(most or MAX_REFERENCES, MAX_REFERENCES), room)
+
+    def _is_reference_type(self, node_id: Any) -> bool:
+        node = self._address_space.get(node_id)
+        if node is None:
+            return False
+        node_class = node.attributes[ua.AttributeIds.NodeClass].value.Value.Value
+        return bool(node_class == ua.NodeClass.ReferenceType)
+
+    def _page(self, references: list[Any], size: int, room: int) -> ua.BrowseResult:
+        result, now = ua.BrowseResult(), min(size, room)
+        if len(references) > now:
+            if len(self._points) >= MAX_POINTS:
+                return _refused(_Codes.BadNoContinuationPoints)
+            result.ContinuationPoint = secrets.token_bytes(16)
+            self._points[result.ContinuationPoint] = (references[now:], size)
+        result.References = references[:now]
+        return result
+
+
+def translate(address_space: Any, types: TypeTree, path: ua.BrowsePath) -> Portions:
+    """Return the targets of a browse path; a node that is reached twice is gone on from once."""
+    elements = path.RelativePath.Elements or []
+    code = _judge(path, elements, address_space)
+    current: Iterable[ua.NodeId] = (path.StartingNode,)
+    for element in elements if code is None else ():
+        found: dict[ua.NodeId, None] = {}
+        for node_id in current:
+            yield from _step(address_space, types, node_id, element, found)
+        current = found
+        if not found or len(found) > MAX_TARGETS:
+            code = _Codes.BadTooManyMatches if found else _Codes.BadNoMatch
+            break
+    if code is not None:
+        return ua.BrowsePathResult(StatusCode=ua.StatusCode(code))
+    targets = [ua.BrowsePathTarget(node_id, _TO_THE_END) for node_id in current]
+    return ua.BrowsePathResult(Targets=targets)
+
+
+def _judge(path: Any, elements: list[Any], address_space: Any) -> int | None:
+    if path.StartingNode not in address_space:
+        return int(_Codes.BadNodeIdUnknown)
+    if not elements:
+        return int(_Codes.BadNothingToDo)
+    if len(elements) > MAX_PATH_ELEMENTS:
+        return int(_Codes.BadTooManyMatches)
+    return None if elements[-1].TargetName else int(_Codes.BadBrowseNameInvalid)
+
+
+def _step(
+    address_space: Any, types: TypeTree, node_id: Any, element: Any, found: dict[ua.NodeId, None]
+) -> Generator[None, None, None]:
+    node, kind = address_space.get(node_id), element.ReferenceTypeId
+    wanted: Types = None
+    if not kind.is_null():
+        wanted = types.closure(kind) if element.IncludeSubtypes else frozenset((kind,))
+    for number, reference in enumerate(node.references if node is not None else ()):
+        if number % _GIVE_WAY_EVERY == 0:
+            yield
+        if (
+            reference.IsForward != element.IsInverse
+            and reference.BrowseName == element.TargetName
+            and (wanted is None or reference.ReferenceTypeId in wanted)
+        ):
+            found[reference.NodeId] = None
+
+
+def _is_wanted(asked: ua.BrowseDescription, types: Types, reference: Any) -> bool:
+    direction = asked.BrowseDirection
+    return (
+        (direction == ua.BrowseDirection.Both or reference.IsForward != bool(direction))
+        and (not asked.NodeClassMask or bool(asked.NodeClassMask & reference.NodeClass))
+        and (types is None or reference.ReferenceTypeId in types)
+    )
+
+
+def _masked(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:
+    """Return a reference with the fields that are asked for (OPC 10000-4, 5.9.2)."""
+    if mask & _ALL_FIELDS == _ALL_FIELDS:
+        return reference
+    bits = ua.BrowseResultMask
+    kept = ua.ReferenceDescription(NodeId=reference.NodeId)
+    if mask & bits.ReferenceTypeId:
+        kept.ReferenceTypeId = reference.ReferenceTypeId
+    kept.IsForward = bool(mask & bits.IsForward and reference.IsForward)
+    if mask & bits.NodeClass:
+        kept.NodeClass = reference.NodeClass
+    if mask & bits.BrowseName:
+        kept.BrowseName = reference.BrowseName
+    if mask & bits.DisplayName:
+        kept.DisplayName = reference.DisplayName
+    if mask & bits.TypeDefinition:
+        kept.TypeDefinition = reference.TypeDefinition
+    return kept
+
+
+def _refused(code: int) -> ua.BrowseResult:
+    return ua.BrowseResult(StatusCode=ua.StatusCode(code))

@@ -1,0 +1,122 @@
+"""When a changed value is worth a notification (OPC 10000-4, 7.22.2; OPC 10000-8, 6.2).
+
+The reference is the value reported last, not the one sampled last: a slow drift is reported as
+soon as it has gone far enough.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+from asyncua.ua import uaprotocol_auto
+
+from hilserver.opcua.encoding import FixedDataValue
+
+_Trigger, _Deadband, _Codes = ua.DataChangeTrigger, ua.DeadbandType, ua.StatusCodes
+_STATUS_VALUE = _Trigger.StatusValue
+_NUMBERS = {
+    ua.VariantType.SByte, ua.VariantType.Byte, ua.VariantType.Int16, ua.VariantType.UInt16,
+    ua.VariantType.Int32, ua.VariantType.UInt32, ua.VariantType.Int64, ua.VariantType.UInt64,
+    ua.VariantType.Float, ua.VariantType.Double,
+}  # fmt: skip
+
+
+class FilterError(Exception):
+    """A filter that this item cannot have."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeFilter:
+    """What of a value must change, and by how much.
+
+    Attributes
+    ----------
+    band : float
+        Changes up to this, in the variable's unit, are not reported; 0 reports any.
+    """
+
+    trigger: ua.DataChangeTrigger = _STATUS_VALUE
+    band: float = 0.0
+
+    def is_worth_reporting(self, last: FixedDataValue | None, new: FixedDataValue) -> bool:
+        """Whether `new` is to be reported after `last`, which was reported before."""
+        if last is None:
+            return True
+        if self.trigger is _STATUS_VALUE and not self.band:
+            return last.content != new.content
+        if last.code != new.code:
+            return True
+        if self.trigger == _Trigger.Status:
+            return False
+        if self._has_changed(last.Value, new.Value):
+            return True
+        is_stamp_of_interest = self.trigger == _Trigger.StatusValueTimestamp
+        return bool(is_stamp_of_interest and last.SourceTimestamp != new.SourceTimestamp)
+
+    def _has_changed(self, last: Any, new: Any) -> bool:
+        old_value = None if last is None else last.Value
+        new_value = None if new is None else new.Value
+        if self.band == 0.0:
+            return bool(old_value != new_value)
+        pairs = _pairs(old_value, new_value)
+        # `not <=` also reports what has become NaN.
+        return pairs is None or any(not abs(b - a) <= self.band for a, b in pairs)
+
+
+def _pairs(old: Any, new: Any) -> list[tuple[float, float]] | None:
+    """Return the numbers to compare, None if the two cannot be compared by a difference."""
+    if not isinstance(old, list):
+        old, new = [old], [new]
+    if not isinstance(new, list) or len(old) != len(new):
+        return None
+    if not all(isinstance(number, int | float) for number in (*old, *new)):
+        return None
+    return list(zip(old, new, strict=True))
+
+
+def change_filter(
+    asked: Any, attribute: int, kind: ua.VariantType | None, eu_range: ua.Range | None
+) -> ChangeFilter:
+    """Return the filter that a client asks for.
+
+    Parameters
+    ----------
+    kind : VariantType or None
+        Type of the variable.
+    eu_range : Range or None
+        Its EURange; a percent deadband is a part of it.
+
+    Raises
+    ------
+    FilterError
+        BadFilterNotAllowed or BadDeadbandFilterInvalid.
+    """
+    if asked is None or _is_empty(asked):
+        return ChangeFilter()
+    if not isinstance(asked, uaprotocol_auto.DataChangeFilter):  # asyncua decodes this one
+        raise FilterError(_Codes.BadFilterNotAllowed)
+    if not isinstance(asked.Trigger, _Trigger):
+        raise FilterError(_Codes.BadMonitoredItemFilterInvalid)
+    if asked.DeadbandType == _Deadband.None_:
+        return ChangeFilter(asked.Trigger)
+    if attribute != ua.AttributeIds.Value or kind not in _NUMBERS:
+        raise FilterError(_Codes.BadFilterNotAllowed)
+    size = asked.DeadbandValue
+    if not math.isfinite(size) or size < 0:
+        raise FilterError(_Codes.BadDeadbandFilterInvalid)
+    if asked.DeadbandType == _Deadband.Absolute:
+        return ChangeFilter(asked.Trigger, size)
+    if asked.DeadbandType != _Deadband.Percent or size > 100:
+        raise FilterError(_Codes.BadDeadbandFilterInvalid)
+    if eu_range is None:
+        raise FilterError(_Codes.BadFilterNotAllowed)
+    return ChangeFilter(asked.Trigger, size / 100 * (eu_range.High - eu_range.Low))
+
+
+def _is_empty(asked: Any) -> bool:
+    return isinstance(asked, ua.ExtensionObject) and asked.TypeId == ua.NodeId(ua.ObjectIds.Null)

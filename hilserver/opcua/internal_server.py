@@ -1,0 +1,105 @@
+"""asyncua's inner server with our sessions, subscriptions and limits."""
+
+import asyncio
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+
+from hilserver.opcua.access import Access
+from hilserver.opcua.application import Application
+from hilserver.opcua.decoding import bound_decoder
+from hilserver.opcua.logs import log
+from hilserver.opcua.places import Places
+from hilserver.opcua.reading import Reader
+from hilserver.opcua.sessions import Session
+from hilserver.opcua.settings import OpcUaSettings
+from hilserver.opcua.standard_nodes import QuickInternalServer
+from hilserver.opcua.subscriptions import Subscriptions
+from hilserver.opcua.trust_list import TrustList
+from hilserver.opcua.type_tree import TypeTree
+
+_LONGEST_SESSION_MS = 120_000.0
+
+
+class InnerServer(QuickInternalServer):
+    """asyncua's inner server with our sessions, subscriptions and limits.
+
+    Attributes
+    ----------
+    application : Application
+        Answers Write and Call; may be replaced before the first client connects.
+    trust : TrustList or None
+        Judges certificates; None where only policy None is offered.
+    """
+
+    time_task: Any
+
+    def __init__(self, settings: OpcUaSettings, trust: TrustList | None) -> None:
+        bound_decoder()
+        super().__init__(user_manager=None)
+        self.settings, self.trust = settings, trust
+        self.access = access = Access(settings)
+        self.application = Application(self, access)
+        self._places = Places(settings.max_sessions, self._has_reserve)
+        self.allow_remote_admin = False
+        self.max_connections = settings.max_connections
+        # A client that vanished is served until its session ends.
+        self.max_session_timeout_ms = _LONGEST_SESSION_MS
+        self.types = TypeTree(self.aspace)
+        self.subscription_service = Subscriptions(self.aspace, self.types, settings)
+        # asyncua's event generators send through the server's own session: it was made first.
+        self.isession.subscription_service.trigger_event = self.subscription_service.trigger_event
+        self.reader = Reader(self)
+        self.sessions: dict[ua.NodeId, Session] = {}
+        tokens: list[type] = [ua.AnonymousIdentityToken] if access.admits_anonymous else []
+        if access.has_users:
+            tokens.append(ua.UserNameIdentityToken)
+        self.supported_tokens = tuple(tokens)
+
+    def _has_reserve(self, user: Any) -> bool:
+        return self.application.has_reserve(user)
+
+    def new_session(self, processor: Any, policy: Any, name: str | None) -> Session:
+        """Return a new session of that name; BadTooManySessions where there is no place for it."""
+        visitor = self.application.visitor(name or "", processor.address)
+        if not visitor.has_own_place:
+            self._places.create(tuple(self.sessions.values()), processor.address)
+        session = Session(self, processor, policy, visitor)
+        self.sessions[session.auth_token] = session
+        return session
+
+    def admit(self, session: Session, user: Any) -> None:
+        """Raise BadTooManySessions where there is no place for a session of that user."""
+        self._places.activate(tuple(self.sessions.values()), session, user)
+
+    def session_of(self, token: ua.NodeId) -> Session | None:
+        """Return the session that an authentication token names."""
+        return self.sessions.get(token)
+
+    def forget_session(self, session: Session) -> None:
+        """Strike a session that has ended off the list."""
+        self.sessions.pop(session.auth_token, None)
+
+    def end_idle_sessions(self, now_s: float) -> None:
+        """End sessions whose clients were silent for longer than agreed."""
+        for session in tuple(self.sessions.values()):
+            if session.is_over(now_s):
+                log.info("opcua session ended: idle", timeout_s=session.timeout_s)
+                session.close()
+
+    def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
+        """Refuse: this is no discovery server."""
+        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
+
+    async def stop(self) -> None:
+        """Stop at once: end sessions that outlived their connection, and the clock."""
+        for session in tuple(self.sessions.values()):
+            session.close()
+        for subscription in tuple(self.subscription_service.subscriptions.values()):
+            self.subscription_service.remove(subscription)
+        if self.time_task is not None:
+            self.time_task.cancel()
+            await asyncio.gather(self.time_task, return_exceptions=True)
+            self.time_task = None
+        await super().stop()

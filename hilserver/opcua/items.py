@@ -1,0 +1,181 @@
+"""One monitored item: filters what it sees and queues it within bounds."""
+
+import math
+import struct
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from asyncua import ua
+from asyncua.ua.ua_binary import struct_to_binary
+
+from hilserver.opcua.deadband import ChangeFilter
+from hilserver.opcua.encoding import DATA_CHANGE, EVENTS, FixedDataValue
+
+HANDLE = struct.Struct("<I")
+_NULL = ua.Variant()
+_OVERFLOW = 0x480
+"""InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)."""
+
+
+@dataclass
+class Room:
+    """How much more a session may have monitored."""
+
+    items: int
+    queued_values: int
+
+    def take(self, asked: int, longest: int) -> int:
+        """Return the queue size granted: 0 means one value, never no limit (5.12.1.5)."""
+        size = max(1, min(asked, longest, self.queued_values + 1))
+        self.items -= 1
+        self.queued_values -= size - 1
+        return size
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class _Item:
+    item_id: int
+    handle: bytes
+    mode: ua.MonitoringMode
+    size: int
+    discard_oldest: bool
+    queue: deque[Any] = field(default_factory=deque)
+    triggers: dict[int, None] = field(default_factory=dict)
+
+    def shorten(self) -> None:
+        """Drop what a shorter queue has no room for."""
+        while len(self.queue) > self.size:
+            self.queue.popleft()
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class ValueItem(_Item):
+    """A monitored attribute.
+
+    Attributes
+    ----------
+    place : asyncua AttributeValue
+        Where the value stands.
+    interval_s : float
+        Sampling interval [s]; 0: every change.
+    """
+
+    kind: ClassVar[bytes] = DATA_CHANGE
+    read: ua.ReadValueId
+    place: Any
+    stamps: int
+    change: ChangeFilter
+    interval_s: float
+    due_s: float = 0.0
+    seen: Any = None
+    reported: FixedDataValue | None = None
+
+    def sample(self, value: ua.DataValue, now_s: float, slack_s: float = 0.0) -> bool:
+        """Take what stands at the place if it is due and news; return whether it was queued.
+
+        Parameters
+        ----------
+        slack_s : float
+            It is due so much earlier, and at most half its interval, so that what falls together
+            with the publishing interval falls into every one of them [s].
+        """
+        if self.interval_s:
+            now_s += min(slack_s, self.interval_s / 2)
+            if now_s < self.due_s:
+                return False
+            missed = math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
+            self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
+        self.seen = value
+        fixed = FixedDataValue.of(value)
+        if not self.change.is_worth_reporting(self.reported, fixed):
+            return False
+        self.reported = fixed
+        queue = self.queue
+        is_full = len(queue) >= self.size
+        if is_full:
+            queue.popleft() if self.discard_oldest else queue.pop()
+        queue.append(fixed)
+        if is_full and self.size > 1:
+            # What is lost is marked beside the gap.
+            end = 0 if self.discard_oldest else -1
+            queue[end] = _with_overflow(queue[end])
+        return True
+
+    def forget(self) -> None:
+        """Begin anew: whatever stands there next is a change."""
+        self.queue.clear()
+        self.seen = self.reported = None
+
+    def pop(self) -> bytes:
+        """Return the oldest notification."""
+        value: FixedDataValue = self.queue.popleft()
+        return self.handle + value.encoded(self.stamps)
+
+
+class FixedEvent:
+    """An event that nobody changes after it is made.
+
+    Parameters
+    ----------
+    emitting_node : NodeId
+        Who watches this node gets it.
+    fields : dict of Variant
+        By name; parts of a path are joined by ``/``.
+    """
+
+    def __init__(self, emitting_node: ua.NodeId, fields: dict[str, ua.Variant]) -> None:
+        self.emitting_node = emitting_node
+        self._fields = fields
+
+    def field(self, name: str) -> Any:
+        """Return the value of a field, None where it does not exist."""
+        return self._fields.get(name, _NULL).Value
+
+    def selected(self, clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
+        """Return the fields a client selected; null for those that do not exist."""
+        names = ("/".join(part.Name or "" for part in c.BrowsePath) for c in clauses)
+        return [self._fields.get(name, _NULL) for name in names]
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class EventItem(_Item):
+    """A monitored source of events."""
+
+    kind: ClassVar[bytes] = EVENTS
+    node_id: ua.NodeId
+    filter: ua.EventFilter
+    where: Any
+
+    def take(self, event: FixedEvent) -> bool:
+        """Queue an event that passes the filter; return whether it did."""
+        if self.mode == ua.MonitoringMode.Disabled or not self.where(event):
+            return False
+        fields = ua.EventFieldList(EventFields=event.selected(self.filter.SelectClauses))
+        if len(self.queue) >= self.size:
+            if not self.discard_oldest:
+                return False
+            self.queue.popleft()
+        self.queue.append(bytes(struct_to_binary(fields))[HANDLE.size :])
+        return True
+
+    def forget(self) -> None:
+        """Drop what is queued."""
+        self.queue.clear()
+
+    def pop(self) -> bytes:
+        """Return the oldest notification."""
+        fields: bytes = self.queue.popleft()
+        return self.handle + fields
+
+
+Item = ValueItem | EventItem
+
+
+def _with_overflow(value: FixedDataValue) -> FixedDataValue:
+    return FixedDataValue(
+        value.Value,
+        ua.StatusCode(value.code | _OVERFLOW),
+        value.SourceTimestamp,
+        value.ServerTimestamp,
+    )

@@ -1,0 +1,352 @@
+"""Monitored items: sampled as often as was agreed, filtered, queued within bounds.
+
+Nothing is pushed: an item looks at its place and takes the value if it is another than last time.
+With a sampling interval of 0 it looks after every publish slice, with a longer one when that has
+passed, and in any case not without a turn.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.opcua.deadband import ChangeFilter, FilterError, change_filter
+from hilserver.opcua.items import HANDLE, EventItem, FixedEvent, Item, Room, ValueItem
+from hilserver.opcua.reading import RefusedError, find, place_for_items, value_at
+from hilserver.opcua.rotation import Portions
+from hilserver.opcua.type_tree import TypeTree
+from hilserver.opcua.where import compile_where
+
+LONGEST_SAMPLING_MS = 3_600_000.0
+_Codes = ua.StatusCodes
+_Modes = ua.MonitoringMode
+_Attributes = ua.AttributeIds
+_REPORTING = _Modes.Reporting
+MAX_SELECTED = 500
+"""Select clauses of an event item."""
+MAX_LINKS = 1000
+"""From items that trigger to those that they trigger, in one subscription."""
+GIVE_WAY_EVERY = 50
+"""Items: so many are looked at without a pause."""
+_ALL = slice(None)
+
+
+class MonitoredItems:
+    """The monitored items of one subscription.
+
+    Parameters
+    ----------
+    address_space : asyncua AddressSpace
+    publishing_ms : callable
+        The subscription's publishing interval: a negative sampling interval means that.
+
+    Attributes
+    ----------
+    ready : dict
+        Items with something to send.
+    """
+
+    def __init__(
+        self,
+        address_space: Any,
+        types: TypeTree,
+        publishing_ms: Callable[[], float],
+        *,
+        longest_queue: int,
+        shortest_sampling_ms: float,
+    ) -> None:
+        self._address_space, self._types = address_space, types
+        self._publishing_ms = publishing_ms
+        self._longest_queue = longest_queue
+        self._shortest_ms = shortest_sampling_ms
+        self._number = 0
+        self._values: dict[int, ValueItem] = {}
+        self._events: dict[int, EventItem] = {}
+        self._each_frame: list[ValueItem] = []
+        self._all: list[ValueItem] = []
+        self._has_links = False
+        self.ready: dict[int, Item] = {}
+
+    def __len__(self) -> int:
+        return len(self._values) + len(self._events)
+
+    def _items(self) -> Iterator[Item]:
+        yield from self._values.values()
+        yield from self._events.values()
+
+    @property
+    def queued_values(self) -> int:
+        """Room in all queues together, beyond one value each."""
+        return sum(item.size - 1 for item in self._items())
+
+    def get(self, item_id: int) -> Item | None:
+        """Return an item."""
+        return self._values.get(item_id) or self._events.get(item_id)
+
+    def handles(self) -> list[tuple[int, int]]:
+        """Return item ids with their client handles."""
+        return [(item.item_id, HANDLE.unpack(item.handle)[0]) for item in self._items()]
+
+    # --- services ---------------------------------------------------------------------------------
+
+    def create(
+        self, request: ua.MonitoredItemCreateRequest, stamps: int, room: Room
+    ) -> ua.MonitoredItemCreateResult:
+        """Create an item, if there is room."""
+        result = ua.MonitoredItemCreateResult()
+        try:
+            if room.items <= 0:
+                raise RefusedError(_Codes.BadTooManyMonitoredItems)
+            if not isinstance(request.MonitoringMode, _Modes):
+                raise RefusedError(_Codes.BadMonitoringModeInvalid)
+            make: Callable[[Any, Any, Room], Item] = self._make_value
+            if request.ItemToMonitor.AttributeId == _Attributes.EventNotifier:
+                make = self._make_events
+            self._number += 1
+            item = make(request, stamps, room)
+        except (RefusedError, FilterError) as error:
+            result.StatusCode = ua.StatusCode(error.code)
+            return result
+        result.MonitoredItemId, result.RevisedQueueSize = item.item_id, item.size
+        result.RevisedSamplingInterval = 0.0
+        if isinstance(item, ValueItem):
+            result.RevisedSamplingInterval = item.interval_s * 1e3
+            if item.mode != _Modes.Disabled:
+                self._look_at([item], time.monotonic())
+        return result
+
+    def _make_value(self, request: Any, stamps: Any, room: Room) -> Item:
+        read, asked = request.ItemToMonitor, request.RequestedParameters
+        place = place_for_items(self._address_space, read)
+        change = self._change_filter(read, asked.Filter)
+        self._values[self._number] = item = ValueItem(
+            item_id=self._number,
+            handle=HANDLE.pack(asked.ClientHandle),
+            mode=request.MonitoringMode,
+            size=room.take(asked.QueueSize, self._longest_queue),
+            discard_oldest=asked.DiscardOldest,
+            read=read,
+            place=place,
+            stamps=stamps,
+            change=change,
+            interval_s=self._revise_sampling(asked.SamplingInterval) / 1e3,
+        )
+        return item
+
+    def _make_events(self, request: Any, _stamps: Any, room: Room) -> Item:
+        read, asked = request.ItemToMonitor, request.RequestedParameters
+        place = find(self._address_space, read.NodeId, read.AttributeId)
+        notifier = value_at(place, read.NodeId, read.AttributeId).Value
+        if notifier is None or not (notifier.Value or 0) & ua.EventNotifier.SubscribeToEvents.mask:
+            raise RefusedError(_Codes.BadAttributeIdInvalid)
+        wanted = check_event_filter(asked.Filter)
+        where = compile_where(wanted.WhereClause, self._types)
+        self._events[self._number] = item = EventItem(
+            item_id=self._number,
+            handle=HANDLE.pack(asked.ClientHandle),
+            mode=request.MonitoringMode,
+            size=room.take(asked.QueueSize or self._longest_queue, self._longest_queue),
+            discard_oldest=asked.DiscardOldest,
+            node_id=read.NodeId,
+            filter=wanted,
+            where=where,
+        )
+        return item
+
+    def modify(
+        self, request: ua.MonitoredItemModifyRequest, stamps: int, room: Room
+    ) -> ua.MonitoredItemModifyResult:
+        """Change an item."""
+        result = ua.MonitoredItemModifyResult()
+        item, asked = self.get(request.MonitoredItemId), request.RequestedParameters
+        try:
+            if item is None:
+                raise RefusedError(_Codes.BadMonitoredItemIdInvalid)
+            if isinstance(item, ValueItem):
+                item.change = self._change_filter(item.read, asked.Filter)
+                item.interval_s = self._revise_sampling(asked.SamplingInterval) / 1e3
+                item.due_s, item.stamps = 0.0, stamps
+                result.RevisedSamplingInterval = item.interval_s * 1e3
+            else:
+                wanted = check_event_filter(asked.Filter)
+                item.where = compile_where(wanted.WhereClause, self._types)
+                item.filter = wanted
+        except (RefusedError, FilterError) as error:
+            result.StatusCode = ua.StatusCode(error.code)
+            return result
+        item.handle = HANDLE.pack(asked.ClientHandle)
+        item.discard_oldest = asked.DiscardOldest
+        room.items += 1
+        room.queued_values += item.size - 1
+        item.size = result.RevisedQueueSize = room.take(asked.QueueSize, self._longest_queue)
+        item.shorten()
+        return result
+
+    def delete(self, item_id: int) -> int:
+        """Delete an item; return a status code."""
+        item = self.get(item_id)
+        if item is None:
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        self._values.pop(item_id, None)
+        self._events.pop(item_id, None)
+        self.ready.pop(item_id, None)
+        if self._has_links:
+            for other in self._items():
+                other.triggers.pop(item_id, None)
+        return int(_Codes.Good)
+
+    def set_mode(self, item_id: int, mode: ua.MonitoringMode) -> int:
+        """Switch an item on or off; return a status code."""
+        item = self.get(item_id)
+        if item is None:
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        was, item.mode = item.mode, mode
+        self.ready.pop(item_id, None)
+        if mode == _Modes.Disabled:
+            item.forget()
+        elif isinstance(item, EventItem):
+            self._note(item)
+        elif was == _Modes.Disabled:
+            self._look_at([item], time.monotonic())
+        else:
+            self._note(item)
+        return int(_Codes.Good)
+
+    def trigger(
+        self, item_id: int, add: list[int], remove: list[int]
+    ) -> tuple[list[int], list[int]]:
+        """Link items to one whose notifications let theirs through (SetTriggering)."""
+        item = self.get(item_id)
+        if item is None:
+            raise RefusedError(_Codes.BadMonitoredItemIdInvalid)
+        removed = [
+            int(_Codes.Good if item.triggers.pop(number, 0) is None else _unknown)
+            for number in remove
+        ]
+        added = []
+        n_links = sum(len(other.triggers) for other in self._items()) if add else 0
+        for number in add:
+            if self.get(number) is None:
+                added.append(_unknown)
+            elif n_links + len(added) >= MAX_LINKS:
+                added.append(int(_Codes.BadResourceUnavailable))
+            else:
+                item.triggers[number] = None
+                self._has_links = True
+                added.append(int(_Codes.Good))
+        return added, removed
+
+    # --- sampling ---------------------------------------------------------------------------------
+
+    def after_frame(self, now_s: float, part: slice = _ALL) -> int:
+        """Look at what is queued change by change; return how many items these are."""
+        self._look_at(self._each_frame[part], now_s)
+        return len(self._each_frame)
+
+    def before_publishing(self, now_s: float, part: slice = _ALL) -> int:
+        """Look at all that is due, or nearer to this publishing than to the next."""
+        self._look_at(self._all[part], now_s, self._publishing_ms() / 2e3)
+        return len(self._all)
+
+    def portions(self, look: Callable[[float, slice], int], now_s: float) -> Portions:
+        """Look at many items in portions; what triggers others comes with them in one."""
+        size = max(1, len(self)) if self._has_links else GIVE_WAY_EVERY
+        first = 0
+        while first < look(now_s, slice(first, first + size)):
+            first += size
+            yield
+
+    @property
+    def has_each_frame(self) -> bool:
+        """Whether there is anything to look at after a frame."""
+        return bool(self._each_frame)
+
+    @property
+    def has_events(self) -> bool:
+        """Whether anybody watches events."""
+        return bool(self._events)
+
+    def take_event(self, event: FixedEvent) -> Portions:
+        """Queue an event for those who watch the node that emits it."""
+        for item in tuple(self._events.values()):
+            if item.node_id == event.emitting_node and item.take(event):
+                self._note(item)
+            yield
+
+    def repeat_values(self) -> None:
+        """Report all values again, as if the items were new."""
+        for item in self._all:
+            item.forget()
+
+    def _look_at(self, items: list[ValueItem], now_s: float, slack_s: float = 0.0) -> None:
+        # All are sampled before any is noted: one may trigger another further back.
+        news = [
+            item
+            for item in items
+            if (value := item.place.value) is not item.seen and item.sample(value, now_s, slack_s)
+        ]
+        for item in news:
+            self._note(item)
+
+    def _note(self, item: Item) -> None:
+        """Put an item on the list of those with something to send, and what it triggers."""
+        if not item.queue or self.get(item.item_id) is not item:
+            return  # deleted while others were looked at
+        for number in item.triggers:
+            linked = self.get(number)
+            if linked is not None and linked.mode == _Modes.Sampling and linked.queue:
+                self.ready[number] = linked
+        if item.mode is _REPORTING:
+            self.ready[item.item_id] = item
+
+    def arrange(self) -> None:
+        """Note which items are to be looked at when; after every change of items."""
+        self._all = [item for item in self._values.values() if item.mode != _Modes.Disabled]
+        self._each_frame = [item for item in self._all if item.size > 1]
+
+    # --- what is asked for, revised ---------------------------------------------------------------
+
+    def _revise_sampling(self, asked_ms: float) -> float:
+        """Return the interval that is kept: negative or none means the publishing interval."""
+        if asked_ms is None or not asked_ms >= 0:
+            return float(self._publishing_ms())
+        if asked_ms == 0:
+            return 0.0
+        return min(max(float(asked_ms), self._shortest_ms), LONGEST_SAMPLING_MS)
+
+    def _change_filter(self, item: ua.ReadValueId, asked: Any) -> ChangeFilter:
+        node = self._address_space.get(item.NodeId)
+        data_type = node.attributes.get(_Attributes.DataType) if node else None
+        kind = _built_in(None if data_type is None else data_type.value)
+        return change_filter(asked, item.AttributeId, kind, self._eu_range(node))
+
+    def _eu_range(self, node: Any) -> ua.Range | None:
+        for reference in node.references if node else ():
+            if reference.IsForward and reference.BrowseName == ua.QualifiedName("EURange", 0):
+                place = self._address_space[reference.NodeId].attributes[_Attributes.Value].value
+                found = place.Value.Value if place is not None and place.Value else None
+                return found if isinstance(found, ua.Range) else None
+        return None
+
+
+_unknown = int(_Codes.BadMonitoredItemIdInvalid)
+
+
+def check_event_filter(asked: Any) -> ua.EventFilter:
+    """Return the filter of an event item; RefusedError if it selects nothing."""
+    if not isinstance(asked, ua.EventFilter) or not asked.SelectClauses:
+        raise RefusedError(_Codes.BadEventFilterInvalid)
+    if len(asked.SelectClauses) > MAX_SELECTED:
+        raise RefusedError(_Codes.BadEventFilterInvalid)
+    return asked
+
+
+def _built_in(data_type: ua.DataValue | None) -> ua.VariantType | None:
+    node_id = data_type.Value.Value if data_type is not None and data_type.Value else None
+    if not isinstance(node_id, ua.NodeId) or node_id.NamespaceIndex != 0:
+        return None
+    try:
+        return ua.VariantType(node_id.Identifier)
+    except ValueError:
+        return None

@@ -1,0 +1,88 @@
+"""Who gets a session: shares per address and per user, and a reserve for those who matter.
+
+===============  ==================================================================================
+no log-in yet    yields once it is a second old and others wait, and after 10 s in any case
+no connection    yields when all places are taken
+idle             yields after 5 s without a request, the one that was silent longest first; of those
+                 who hold the most
+watchers         get all places but the reserve: whoever has a right to it finds one
+one address      half of the places, this computer's own apart
+one user name    half of the places
+has_own_place    counts for none of these: the application limits them itself
+===============  ==================================================================================
+
+Whoever is refused gets BadTooManySessions.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+
+from hilserver.opcua.settings import is_loopback
+
+ACTIVATION_WITHIN_S, ACTIVATION_YIELDS_S = 10.0, 1.0
+YIELDS_AFTER_S = 5.0
+
+
+class Places:
+    """Decides which session may come in, and which one yields to it.
+
+    Parameters
+    ----------
+    most : int
+        Sessions of all clients but those with places of their own.
+    has_reserve : callable
+        Whether a user has a right to the reserve.
+    """
+
+    def __init__(self, most: int, has_reserve: Callable[[Any], bool]) -> None:
+        self._most, self._has_reserve = most, has_reserve
+        self._reserve = most // 10
+        self._share = max(1, most // 2)
+
+    def create(self, sessions: Iterable[Any], address: str) -> None:
+        """Make room for a session from an address; its user is not known yet."""
+        own = [session for session in sessions if not session.visitor.has_own_place]
+        now_s = time.monotonic()
+        if len(own) >= self._most:
+            for session in own:
+                if not session.is_activated and now_s - session.last_active_s > ACTIVATION_WITHIN_S:
+                    session.close()
+        if address and not is_loopback(address):
+            self._limit([s for s in own if s.address == address], self._share)
+        self._limit(own, self._most)
+
+    def activate(self, sessions: Iterable[Any], newcomer: Any, user: Any) -> None:
+        """Make room for the user that `newcomer` now turns out to be."""
+        if newcomer.visitor.has_own_place:
+            return
+        others = (s for s in sessions if s.is_activated and s is not newcomer)
+        own = [s for s in others if not s.visitor.has_own_place]
+        if user.name is not None:
+            self._limit([s for s in own if s.user.name == user.name], self._share)
+        if not self._has_reserve(user):
+            watchers = [s for s in own if not self._has_reserve(s.user)]
+            self._limit(watchers, self._most - self._reserve)
+
+    def _limit(self, sessions: list[Any], most: int) -> None:
+        """Make one session yield if these are too many; BadTooManySessions if none does."""
+        living = [session for session in sessions if session.is_open]
+        if len(living) < most:
+            return
+        now_s = time.monotonic()
+        crowd = Counter(session.holder for session in living)
+
+        def rank(session: Any) -> tuple[bool, bool, int, float]:
+            has_client = session.processor is not None
+            return session.is_activated, has_client, -crowd[session.holder], session.last_active_s
+
+        for session in sorted(living, key=rank):
+            patience_s = YIELDS_AFTER_S if session.is_activated else ACTIVATION_YIELDS_S
+            if now_s - session.last_active_s > patience_s or session.processor is None:
+                session.close()
+                return
+        raise ServiceError(ua.StatusCodes.BadTooManySessions)

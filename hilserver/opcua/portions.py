@@ -1,0 +1,130 @@
+"""Requests in portions: decoded, done and encoded one operation after the other, within bounds.
+
+A request may have a thousand operations, and no count says how long they take. Between any two of
+them the event loop may do what else is due, and once a request has used up its time, its other
+operations are answered BadTimeout.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any, TypeVar, get_args, get_origin
+
+from asyncua import ua
+from asyncua.common.utils import Buffer, ServiceError
+from asyncua.ua.ua_binary import (
+    create_type_serializer,
+    from_binary,
+    get_safe_type_hints,
+    to_binary,
+)
+
+from hilserver.opcua.decoding import within_bounds
+from hilserver.opcua.rotation import Portions
+
+T = TypeVar("T")
+_Codes = ua.StatusCodes
+_COUNT_BYTES = 4
+
+
+def decoded(kind: type, body: Buffer, most: int) -> Portions:
+    """Decode the parameters of a service, whose last field is the list of its operations.
+
+    Raises
+    ------
+    ServiceError
+        BadTooManyOperations, or BadDecodingError whatever is wrong with them.
+    """
+    *first, (name, element) = _layout(kind)
+    values: dict[str, Any] = {n: _take(t, body) for n, t in first}
+    if get_origin(element) is not list:
+        return kind(**values, **{name: _take(element, body)})
+    (element,) = get_args(element)
+    count = _take(ua.Int32, body)
+    if count > most:
+        raise ServiceError(_Codes.BadTooManyOperations)
+    operations = values[name] = []
+    for _ in range(count):
+        operations.append(_take(element, body))
+        yield
+    return kind(**values)
+
+
+def _take(kind: Any, body: Buffer) -> Any:
+    return within_bounds(lambda: from_binary(kind, body))
+
+
+@functools.cache
+def _layout(kind: Any) -> list[tuple[str, Any]]:
+    hints = get_safe_type_hints(kind, {"ua": ua})
+    return [(field.name, hints[field.name]) for field in fields(kind)]
+
+
+def each(
+    session: Any,
+    operations: Sequence[Any],
+    answer: Callable[[Any], T],
+    refused: Callable[[int], T] = ua.StatusCode,
+) -> Portions:
+    """Return the answers to all operations, BadTimeout once the request has used up its time."""
+    answers: list[T] = []
+    for operation in operations:
+        answers.append(refused(_Codes.BadTimeout) if session.is_out_of_time else answer(operation))
+        yield
+    return answers
+
+
+def encoded(message: Any) -> Portions:
+    """Encode a response."""
+    parts: list[bytes] = []
+    yield from _encode(message, parts)
+    return b"".join(parts)
+
+
+def _encode(message: Any, parts: list[bytes]) -> Portions:
+    for name, kind in _layout(message.__class__):
+        value = getattr(message, name)
+        if get_origin(kind) is list and value:
+            (element,) = get_args(kind)
+            parts.append(len(value).to_bytes(_COUNT_BYTES, "little"))
+            if _has_list(element):
+                for item in value:
+                    yield from _encode(item, parts)
+            else:
+                pack = create_type_serializer(element)
+                for item in value:
+                    parts.append(pack(item))
+                    yield
+        elif name == "Parameters":
+            yield from _encode(value, parts)
+        else:
+            parts.append(to_binary(kind, value))
+
+
+def _has_list(kind: Any) -> bool:
+    """Whether elements of this type are long themselves."""
+    return kind in (ua.BrowseResult, ua.BrowsePathResult)
+
+
+# --- what the services share ----------------------------------------------------------------------
+
+
+def limited(session: Any, items: Sequence[Any] | None) -> Sequence[Any]:
+    """Return `items` if a request may have so many."""
+    if not items:
+        raise ServiceError(_Codes.BadNothingToDo)
+    if len(items) > session.server.settings.max_operations:
+        raise ServiceError(_Codes.BadTooManyOperations)
+    return items
+
+
+def status_codes(codes: Sequence[int]) -> list[ua.StatusCode]:
+    """Return `codes` as they are sent."""
+    return [ua.StatusCode(code) for code in codes]
+
+
+def check_stamps(stamps: int) -> int:
+    """Return the time stamps to return if there are such (OPC 10000-4, TimestampsToReturn)."""
+    if stamps in (0, 1, 2, 3):
+        return int(stamps)
+    raise ServiceError(_Codes.BadTimestampsToReturnInvalid)

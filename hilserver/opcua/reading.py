@@ -1,0 +1,214 @@
+"""Attributes as clients see them: completed with stamps, cut to an index range, per user.
+
+=======================  ========================================================================
+BadIndexRangeInvalid     no range, or of something that has no elements
+BadIndexRangeNoData      a range beyond the elements there are
+BadDataEncodingInvalid   an encoding of what is no structure
+BadDataEncodingUnsupported  another encoding than Default Binary
+=======================  ========================================================================
+"""
+
+import re
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.address_space import AttributeValue
+
+from hilserver.opcua.encoding import FixedDataValue
+
+_Codes, _Attributes = ua.StatusCodes, ua.AttributeIds
+_RANGE = re.compile(r"(\d{1,10})(?::(\d{1,10}))?")
+_BINARY = "Default Binary"
+_NO_VALUE = ua.StatusCode(_Codes.BadWaitingForInitialData)
+_BY_USER = {_Attributes.UserAccessLevel, _Attributes.UserExecutable}
+
+
+class RefusedError(Exception):
+    """A node, attribute or range that cannot be had."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def find(address_space: Any, node_id: Any, attribute: int) -> Any:
+    """Return the place where an attribute stands.
+
+    Raises
+    ------
+    RefusedError
+        BadNodeIdUnknown or BadAttributeIdInvalid.
+    """
+    node = address_space.get(node_id)
+    if node is None:
+        raise RefusedError(_Codes.BadNodeIdUnknown)
+    place = node.attributes.get(attribute)
+    if place is None:
+        raise RefusedError(_Codes.BadAttributeIdInvalid)
+    return place
+
+
+def value_at(place: Any, node_id: Any, attribute: int) -> ua.DataValue:
+    """Return what stands at a place."""
+    if place.value_callback:
+        return place.value_callback(node_id, attribute)
+    if place.value is None:
+        raise RefusedError(_Codes.BadAttributeIdInvalid)
+    return place.value
+
+
+def check_encoding(encoding: ua.QualifiedName | None, attribute: int, value: ua.DataValue) -> None:
+    """Raise RefusedError unless the value can be had in this encoding."""
+    name = None if encoding is None else encoding.Name
+    if not name:
+        return
+    variant = value.Value
+    is_structure = variant is not None and variant.VariantType is ua.VariantType.ExtensionObject
+    if attribute != _Attributes.Value or not is_structure:
+        raise RefusedError(_Codes.BadDataEncodingInvalid)
+    if name != _BINARY:
+        raise RefusedError(_Codes.BadDataEncodingUnsupported)
+
+
+def parse_range(text: str | None) -> slice | None:
+    """Return the elements that an index range names (OPC 10000-4, 7.27), None for all."""
+    if not text:
+        return None
+    bounds = []
+    for part in text.split(","):
+        found = _RANGE.fullmatch(part)
+        if found is None or (found[2] and int(found[1]) >= int(found[2])):
+            raise RefusedError(_Codes.BadIndexRangeInvalid)
+        bounds.append((int(found[1]), int(found[2] or found[1])))
+    if len(bounds) > 1:
+        raise RefusedError(_Codes.BadIndexRangeNoData)  # nothing here has two dimensions
+    low, high = bounds[0]
+    return slice(low, high + 1)
+
+
+def cut(value: ua.DataValue, part: slice) -> FixedDataValue:
+    """Return the part of an array, a text or a byte string."""
+    variant = value.Value
+    whole = None if variant is None else variant.Value
+    if whole is None:
+        return FixedDataValue.of(value)
+    if not isinstance(whole, list | str | bytes):
+        raise RefusedError(_Codes.BadIndexRangeInvalid)
+    found = whole[part]
+    if not found:
+        raise RefusedError(_Codes.BadIndexRangeNoData)
+    piece = ua.Variant(found, variant.VariantType, None, isinstance(whole, list))
+    return FixedDataValue(piece, value.StatusCode, value.SourceTimestamp, value.ServerTimestamp)
+
+
+class RangePlace(AttributeValue):  # type: ignore[misc]
+    """A part of what stands at another place."""
+
+    def __init__(self, whole: Any, part: slice) -> None:
+        self._whole, self._part = whole, part
+        self._cut_of: Any = None
+        self._cut: FixedDataValue
+        super().__init__(None)
+
+    @property
+    def value(self) -> FixedDataValue:
+        """The part; the same object as long as the whole is."""
+        whole = self._whole.value
+        if whole is not self._cut_of:
+            try:
+                self._cut = cut(whole, self._part)
+            except RefusedError as error:
+                code = ua.StatusCode(error.code)
+                self._cut = FixedDataValue(None, code, whole.SourceTimestamp, whole.ServerTimestamp)
+            self._cut_of = whole
+        return self._cut
+
+    @value.setter
+    def value(self, value: object) -> None:
+        """Ignore what is written."""
+
+
+def completed(value: ua.DataValue, attribute: int, born: datetime) -> FixedDataValue:
+    """Return a value with the stamps and the status that asyncua's own nodes lack."""
+    if isinstance(value, FixedDataValue):
+        return value
+    source, status = value.SourceTimestamp, value.StatusCode
+    if attribute == _Attributes.Value:
+        source = source or born
+        has_value = value.Value is not None and value.Value.VariantType is not ua.VariantType.Null
+        if not has_value and (status is None or status.is_good()):
+            status = _NO_VALUE
+    return FixedDataValue(value.Value, status, source, datetime.now(UTC))
+
+
+class Reader:
+    """Answers for single attributes.
+
+    Parameters
+    ----------
+    server : InnerServer
+        Whose address space it is, and whose application knows what a user may do.
+    """
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._born = datetime.now(UTC)
+
+    def read(self, item: Any, user: Any) -> FixedDataValue:
+        """Return one attribute; what cannot be had is a value with a bad status."""
+        try:
+            return self._read(item, user)
+        except RefusedError as error:
+            return self.refused(error.code)
+
+    @staticmethod
+    def refused(code: int) -> FixedDataValue:
+        """Return a value that says why there is none."""
+        return FixedDataValue(None, ua.StatusCode(code), None, datetime.now(UTC))
+
+    def _read(self, item: Any, user: Any) -> FixedDataValue:
+        node_id, attribute = item.node_id, item.attribute
+        place = find(self._server.aspace, node_id, attribute)
+        value = value_at(place, node_id, attribute)
+        if item.data_encoding.Name:
+            check_encoding(item.data_encoding, attribute, value)
+        if attribute in _BY_USER:
+            value = self._by_user(node_id, attribute, value, user)
+        if item.index_range:
+            part = parse_range(item.index_range)
+            assert part is not None
+            value = cut(value, part)
+        return completed(value, attribute, self._born)
+
+    def _by_user(
+        self, node_id: ua.NodeId, attribute: int, value: ua.DataValue, user: Any
+    ) -> ua.DataValue:
+        if not node_id.NamespaceIndex or value.Value is None or not value.Value.Value:
+            return value
+        kept, application = value.Value.Value, self._server.application
+        if attribute == _Attributes.UserExecutable:
+            kept = kept and application.may_call(user, node_id)
+        elif not application.may_write(user, node_id):
+            kept &= ~ua.AccessLevel.CurrentWrite.mask
+        return ua.DataValue(ua.Variant(kept, value.Value.VariantType), value.StatusCode)
+
+
+def place_for_items(address_space: Any, item: ua.ReadValueId) -> Any:
+    """Return the place that a monitored item watches.
+
+    Raises
+    ------
+    RefusedError
+        As Read would answer.
+    """
+    place = find(address_space, item.NodeId, item.AttributeId)
+    part = parse_range(item.IndexRange)
+    value = value_at(place, item.NodeId, item.AttributeId)
+    check_encoding(item.DataEncoding, item.AttributeId, value)
+    if part is None:
+        return place
+    whole = value.Value
+    if whole is not None and not isinstance(whole.Value, list | str | bytes | None):
+        raise RefusedError(_Codes.BadIndexRangeInvalid)
+    return RangePlace(place, part)

@@ -1,0 +1,74 @@
+"""The 6,000 standard nodes of every OPC UA server, kept on disk beside the compiled kernels.
+
+asyncua builds them node by node, which takes most of a server's start.
+"""
+
+import asyncio
+import contextlib
+import gc
+import os
+import pickle
+import tempfile
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+from asyncua.server.internal_server import InternalServer
+
+from hilserver.cache import cache_folder
+
+BATCH: Final = 50
+"""Nodes of one pickle: reading holds on to all its intermediates, some 100 MB for all nodes."""
+
+
+class QuickInternalServer(InternalServer):  # type: ignore[misc]
+    """asyncua's inner server; its standard nodes are built once and read from then on."""
+
+    async def load_standard_address_space(self, shelf_file: Path | None = None) -> None:
+        """Fill the address space; `shelf_file` is where asyncua itself would keep the nodes."""
+        path = nodes_file()
+        with _no_collection():
+            if not await asyncio.to_thread(self._read, path):
+                await super().load_standard_address_space(shelf_file)
+                await asyncio.to_thread(self._write, path)
+
+    def _read(self, path: Path) -> bool:
+        nodes = self.aspace._nodes
+        try:
+            with path.open("rb") as file:
+                while file.peek(1):
+                    nodes.update(pickle.load(file))  # noqa: S301 - our own file in our own folder
+        except Exception:  # noqa: BLE001 - a damaged file may raise anything; it is written anew
+            nodes.clear()
+        return bool(nodes)
+
+    def _write(self, path: Path) -> None:
+        nodes = list(self.aspace._nodes.items())
+        # Complete or not there: other processes may start at the same moment.
+        with contextlib.suppress(OSError):
+            handle, unfinished = tempfile.mkstemp(dir=path.parent)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    for first in range(0, len(nodes), BATCH):
+                        pickle.dump(nodes[first : first + BATCH], file, pickle.HIGHEST_PROTOCOL)
+                Path(unfinished).replace(path)
+            except OSError:
+                Path(unfinished).unlink(missing_ok=True)
+
+
+def nodes_file() -> Path:
+    """Return where the nodes of this version of asyncua are kept."""
+    return cache_folder("opcua") / f"standard_nodes-{version('asyncua')}.pickles"
+
+
+@contextlib.contextmanager
+def _no_collection() -> Iterator[None]:
+    """Tens of thousands of new objects, none of them garbage: collecting would double the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -1,0 +1,320 @@
+"""Subscriptions: what was sampled goes out at the publishing interval, within bounds.
+
+The states are those of OPC 10000-4, 5.13.1.2. A subscription has turns like every other job of the
+server (`rotation`): one message per turn, so that a long queue keeps nobody waiting.
+"""
+
+import time
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+
+from hilserver.opcua import encoding
+from hilserver.opcua.items import FixedEvent, Room
+from hilserver.opcua.logs import log
+from hilserver.opcua.monitored_items import GIVE_WAY_EVERY, MonitoredItems
+from hilserver.opcua.rotation import Portions, Rotation, advance
+from hilserver.opcua.settings import OpcUaSettings, OpcUaShare
+from hilserver.opcua.type_tree import TypeTree
+from hilserver.period import Period
+
+LONGEST_PUBLISHING_MS = 3_600_000.0
+MAX_NOTIFICATIONS = 1000
+_MAX_MESSAGE_BYTES = 48 * 1024
+_MAX_RETAINED, _MAX_RETAINED_BYTES = 100, 128 * 1024
+_MAX_KEEP_ALIVE, _MAX_LIFETIME = 5000, 15_000
+_ANSWER_BYTES = 1024
+"""What a Publish response has beside its notifications, and more."""
+_MAX_SEQUENCE = 2**32 - 1
+_MAX_EVENTS = 100
+"""That wait to be filtered."""
+_Codes = ua.StatusCodes
+
+
+class Subscription:
+    """One subscription.
+
+    Attributes
+    ----------
+    owner : tuple
+        Who created it; the same one may take it over.
+    session : Session
+        Where its messages go.
+    retained : OrderedDict
+        Messages that were not acknowledged yet, by sequence number.
+    """
+
+    def __init__(self, service: "Subscriptions", number: int, session: Any) -> None:
+        settings = service.settings
+        self.number, self.session, self.owner = number, session, session.owner
+        self.revised = ua.CreateSubscriptionResult(SubscriptionId=number)
+        self.is_enabled = True
+        self.max_notifications = MAX_NOTIFICATIONS
+        self.items = MonitoredItems(
+            service.address_space,
+            service.types,
+            lambda: float(self.revised.RevisedPublishingInterval),
+            longest_queue=settings.max_queue_size,
+            shortest_sampling_ms=settings.min_publishing_ms,
+        )
+        self.retained: OrderedDict[int, bytes] = OrderedDict()
+        self._retained_bytes = 0
+        self._service = service
+        self._sequence = 1
+        self._period = Period(self._tick)
+        self._is_due = self._is_owed = self._has_frame = False
+        self.used_s = 0.0
+        self._events: deque[FixedEvent] = deque(maxlen=_MAX_EVENTS)
+        self._work: Portions | None = None
+        self._is_first = True
+        self._idle_cycles = self._unserved_cycles = 0
+
+    # --- services ---------------------------------------------------------------------------------
+
+    def revise(self, params: Any, result: Any) -> None:
+        """Take over the intervals and limits that are asked for, within bounds."""
+        shortest = self._service.settings.min_publishing_ms
+        asked_ms = params.RequestedPublishingInterval
+        # `not >=` also catches NaN.
+        interval_ms = shortest if not asked_ms >= shortest else min(asked_ms, LONGEST_PUBLISHING_MS)
+        keep_alive = _bounded(params.RequestedMaxKeepAliveCount, _MAX_KEEP_ALIVE)
+        lifetime = max(_bounded(params.RequestedLifetimeCount, _MAX_LIFETIME), 3 * keep_alive)
+        for target in (result, self.revised):
+            target.RevisedPublishingInterval = interval_ms
+            target.RevisedMaxKeepAliveCount = keep_alive
+            target.RevisedLifetimeCount = lifetime
+        asked = params.MaxNotificationsPerPublish
+        self.max_notifications = min(asked, MAX_NOTIFICATIONS) if asked else MAX_NOTIFICATIONS
+        self._unserved_cycles = 0
+        self.start()
+
+    def start(self) -> None:
+        """Begin a publishing interval now."""
+        interval_s = self.revised.RevisedPublishingInterval / 1e3
+        self._period.start(interval_s, 0.0 if self._is_first else interval_s)
+
+    def stop(self) -> None:
+        """Have no more turns."""
+        self._period.stop()
+        self._service.rotation.drop(self)
+
+    def _tick(self) -> None:
+        self._is_due = True
+        self._service.rotation.add(self)
+
+    def acknowledge(self, sequence: int) -> bool:
+        """Forget a message that has arrived; False if it is not known."""
+        message = self.retained.pop(sequence, None)
+        self._retained_bytes -= len(message or b"")
+        return message is not None
+
+    def serve(self, session: Any) -> None:
+        """Belong to another session from now on."""
+        self.session, self._unserved_cycles = session, 0
+        if self._is_owed:
+            self._service.rotation.add(self)
+
+    # --- turns ------------------------------------------------------------------------------------
+
+    def after_frame(self) -> bool:
+        """Note that there is a new frame; whether a turn is wanted for it."""
+        self._has_frame = self.items.has_each_frame
+        return self._has_frame
+
+    def take_event(self, event: FixedEvent) -> None:
+        """Keep an event for the next turn, if anybody watches for any; the oldest makes room."""
+        if self.items.has_events:
+            self._events.append(event)
+            self._service.rotation.add(self)
+
+    def turn(self) -> bool:
+        """Sample, and send a message if it is time; whether there is more to do now."""
+        if self._work is None:
+            if not self._events and len(self.items) <= GIVE_WAY_EVERY:
+                self._sample_few()
+                return self._is_owed and self._send()
+            self._work = self._sample()
+        try:
+            advance(self._work)
+        except StopIteration:
+            self._work = None
+            return self._is_owed and self._send()
+        except Exception:
+            self._work = None
+            raise
+        return True
+
+    def _sample_few(self) -> None:
+        now_s = time.monotonic()
+        if self._has_frame:
+            self._has_frame = False
+            self.items.after_frame(now_s)
+        if self._is_due:
+            self._is_due = False
+            self.items.before_publishing(now_s)
+            self._cycle()
+
+    def _sample(self) -> Portions:
+        """Do the same in portions, and let the events pass that wait."""
+        while self._events:
+            yield from self.items.take_event(self._events.popleft())
+        now_s = time.monotonic()
+        if self._has_frame:
+            self._has_frame = False
+            yield from self.items.portions(self.items.after_frame, now_s)
+        if self._is_due:
+            self._is_due = False
+            yield from self.items.portions(self.items.before_publishing, now_s)
+            self._cycle()
+
+    def _cycle(self) -> None:
+        if self._is_owed:
+            self._unserved_cycles += 1
+            if self._unserved_cycles > self.revised.RevisedLifetimeCount:
+                log.info("opcua subscription expired", subscription=self.number)
+                self._service.remove(self, _Codes.BadTimeout)
+                return
+        self._idle_cycles += 1
+        is_idle = self._idle_cycles >= self.revised.RevisedMaxKeepAliveCount
+        if self._is_first or self._has_news() or is_idle:
+            self._is_owed = True
+
+    def _has_news(self) -> bool:
+        return self.is_enabled and bool(self.items.ready)
+
+    def _send(self) -> bool:
+        request = self.session.take_publish_request(self)
+        if request is None:
+            return False
+        data = self._take(self.session.max_response_bytes) if self.is_enabled else []
+        self._idle_cycles = self._unserved_cycles = 0
+        self._is_first = False
+        self._is_owed = is_more = self._has_news()
+        message = encoding.notification_message(self._sequence, data)
+        if data:
+            self._retain(message)
+        self.session.answer_publish(request, self.number, list(self.retained), is_more, message)
+        return is_more
+
+    def _take(self, longest: int) -> list[bytes]:
+        """Return as many notifications as a message may hold."""
+        room = min(longest, _MAX_MESSAGE_BYTES) if longest else _MAX_MESSAGE_BYTES
+        room -= _ANSWER_BYTES + 4 * len(self.retained)
+        parts: dict[bytes, list[bytes]] = {encoding.DATA_CHANGE: [], encoding.EVENTS: []}
+        count, ready = 0, self.items.ready
+        for number, item in tuple(ready.items()):
+            own = parts[item.kind]
+            while item.queue and count < self.max_notifications and room > 0:
+                own.append(item.pop())
+                count += 1
+                room -= len(own[-1])
+            if item.queue:
+                break
+            del ready[number]
+        return [encoding.notification_list(kind, own) for kind, own in parts.items() if own]
+
+    def _retain(self, message: bytes) -> None:
+        self.retained[self._sequence] = message
+        self._retained_bytes += len(message)
+        self._sequence = self._sequence % _MAX_SEQUENCE + 1
+        while len(self.retained) > 1 and (
+            len(self.retained) > _MAX_RETAINED or self._retained_bytes > _MAX_RETAINED_BYTES
+        ):
+            _, oldest = self.retained.popitem(last=False)
+            self._retained_bytes -= len(oldest)
+
+
+def _bounded(asked: int, most: int) -> int:
+    return min(asked, most) if asked > 0 else most
+
+
+class Subscriptions:
+    """All subscriptions of the server.
+
+    What a session may have depends on the role of its user (`limits`), what all may have
+    together on the server (`max_*`). Where there is no room in all, subscriptions whose
+    client has lost its connection yield, the oldest first.
+    """
+
+    def __init__(self, address_space: Any, types: TypeTree, settings: OpcUaSettings) -> None:
+        self.address_space, self.types, self.settings = address_space, types, settings
+        self.rotation = Rotation()
+        self.subscriptions: dict[int, Subscription] = {}
+        self._number = 77
+
+    def of(self, session: Any) -> list[Subscription]:
+        """Return the subscriptions of a session."""
+        return [s for s in self.subscriptions.values() if s.session is session]
+
+    def after_frame(self) -> None:
+        """Give turns to whoever wants every change."""
+        for subscription in self.subscriptions.values():
+            if subscription.after_frame():
+                self.rotation.add(subscription)
+        self.rotation.run_now()
+
+    def take_event(self, event: FixedEvent) -> None:
+        """Queue an event for those who watch for it."""
+        for subscription in self.subscriptions.values():
+            subscription.take_event(event)
+
+    async def trigger_event(self, event: Any, subscription_id: None = None) -> None:  # noqa: ARG002
+        """Queue an event of asyncua's event generators."""
+        found = {name: (getattr(event, name), kind) for name, kind in event.data_types.items()}
+        fields = {name: ua.Variant(*row) for name, row in found.items() if row[0] is not None}
+        self.take_event(FixedEvent(event.emitting_node, fields))
+
+    def create(self, session: Any, params: Any) -> ua.CreateSubscriptionResult:
+        """Create a subscription; BadTooManySubscriptions where there is no room."""
+        if len(self.of(session)) >= self._share(session).subscriptions:
+            raise ServiceError(_Codes.BadTooManySubscriptions)
+        if len(self.subscriptions) >= self.settings.max_subscriptions:
+            self._drop_orphan()
+        if len(self.subscriptions) >= self.settings.max_subscriptions:
+            raise ServiceError(_Codes.BadTooManySubscriptions)
+        self._number += 1
+        subscription = Subscription(self, self._number, session)
+        subscription.is_enabled = params.PublishingEnabled
+        self.subscriptions[self._number] = subscription
+        result = ua.CreateSubscriptionResult(SubscriptionId=self._number)
+        subscription.revise(params, result)
+        return result
+
+    def remove(self, subscription: Subscription, reason: int = 0) -> None:
+        """Delete a subscription, and say why where its client did not ask for it."""
+        if self.subscriptions.pop(subscription.number, None) is None:
+            return
+        subscription.stop()
+        subscription.session.forget(subscription, reason)
+
+    def room(self, session: Any) -> Room:
+        """Return what a session may still have monitored; orphans yield if others have it all."""
+        share, own = self._share(session), self.of(session)
+        room = Room(
+            share.monitored_items - sum(len(s.items) for s in own),
+            share.queued_values - sum(s.items.queued_values for s in own),
+        )
+        while True:
+            everybody = self.subscriptions.values()
+            items = self.settings.max_monitored_items - sum(len(s.items) for s in everybody)
+            if items > 0 or room.items <= 0 or not self._drop_orphan():
+                break
+        queued = self.settings.max_queued_values - sum(s.items.queued_values for s in everybody)
+        return Room(min(room.items, items), max(0, min(room.queued_values, queued)))
+
+    def _share(self, session: Any) -> OpcUaShare:
+        return self.settings.limits.of(session.user.rights)
+
+    def _orphans(self) -> Iterator[Subscription]:
+        return (s for s in self.subscriptions.values() if s.session.processor is None)
+
+    def _drop_orphan(self) -> bool:
+        orphan = next(self._orphans(), None)
+        if orphan is None:
+            return False
+        log.info("opcua subscription without a connection makes room", subscription=orphan.number)
+        self.remove(orphan, _Codes.BadTimeout)
+        return True

@@ -1,0 +1,287 @@
+"""The socket side of a server: connections with deadlines.
+
+A connection that does not get on is closed: no Hello, no channel or an incomplete message after
+`READ_DEADLINE_S`, no session after `LOGIN_DEADLINE_S`, answers that nobody reads after
+`DEAF_DEADLINE_S`. When all places are taken, the one that has waited longest without a session
+makes room.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections import Counter, deque
+from collections.abc import Coroutine
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.connection import TransportLimits
+from asyncua.server.binary_server_asyncio import BinaryServer
+
+from hilserver.opcua.frames import FrameReader, Stage, TransportError
+from hilserver.opcua.logs import log
+from hilserver.opcua.processor import Processor
+from hilserver.opcua.rotation import Portions, advance
+from hilserver.opcua.settings import is_loopback
+
+READ_DEADLINE_S = 2.0
+LOGIN_DEADLINE_S = 10.0
+DEAF_DEADLINE_S = 10.0
+_SWEEP_S = 0.2
+_LONG_S, _LONG_REST_S = 0.002, 0.002
+"""A request that has taken so long rests after each portion: it gets a fifth of the loop."""
+_MAX_UNREAD_BYTES = 256 * 1024
+_MAX_QUEUED_BYTES = 256 * 1024
+_Codes = ua.StatusCodes
+
+
+class Connection(asyncio.Protocol):
+    """One connection; a job that processes one frame after the other, in portions."""
+
+    def __init__(self, server: "Listener") -> None:
+        self._server = server
+        self._rotation = server.iserver.subscription_service.rotation
+        self._reader = FrameReader()
+        self._frames: deque[tuple[bytes, bytes]] = deque()
+        self._queued_bytes = 0
+        self._is_reading = True
+        self._stage = Stage.NEW
+        self._stage_since_s = self._parts_since_s = self._deaf_since_s = 0.0
+        self._work: Portions | None = None
+        self._waiting: asyncio.Task[None] | None = None
+        self._refused = TransportError(_Codes.BadTcpMessageTypeInvalid, "")
+        self._transport: Any = None
+        self.processor: Processor | None = None
+        self.used_s = self.began_s = self._closing_since_s = 0.0
+        self.address = ""
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin to serve a client, if there is room."""
+        self.began_s = self._stage_since_s = time.monotonic()
+        self._transport = transport
+        name = transport.get_extra_info("peername")
+        self.address = str(name[0]) if name else ""
+        if not self._server.make_room(self.address):
+            log.warning("opcua connection refused: too many")
+            transport.abort()
+            return
+        transport.set_write_buffer_limits(high=_MAX_UNREAD_BYTES)
+        self.processor = Processor(self._server.iserver, transport, self._server.policies)
+        self._server.clients.append(self)
+        self._server.iserver.asyncio_transports.append(transport)
+
+    def connection_lost(self, error: BaseException | None) -> None:  # noqa: ARG002
+        """Let go of everything."""
+        if self.processor is None:
+            return
+        self._server.iserver.asyncio_transports.remove(self._transport)
+        with contextlib.suppress(ValueError):  # who was evicted is off the list already
+            self._server.clients.remove(self)
+        self._rotation.drop(self)
+        self._frames.clear()
+        if self._waiting is not None:
+            self._waiting.cancel()
+        self._work = None
+        self.processor.close()
+
+    def data_received(self, data: bytes) -> None:
+        """Cut frames out of the stream and queue them."""
+        if self.processor is None or self._transport.is_closing():
+            return
+        try:
+            for kind, frame in self._reader.feed(data, time.monotonic()):
+                self._queued_bytes += len(frame)
+                self._frames.append((kind, frame))
+        except TransportError as error:
+            self._refused = error
+            self._frames.append((b"", b""))
+        if self._queued_bytes > _MAX_QUEUED_BYTES and self._is_reading:
+            self._is_reading = False
+            self._transport.pause_reading()
+        self._ask_for_turns()
+
+    def _ask_for_turns(self) -> None:
+        if self._frames and self._is_free and self._work is None:
+            self._rotation.add(self)
+
+    @property
+    def _is_free(self) -> bool:
+        assert self.processor is not None
+        return self._waiting is None and not self.processor.is_congested
+
+    def turn(self) -> bool:
+        """Do a portion of a frame; whether there is more to do."""
+        assert self.processor is not None
+        if self._work is None:
+            if not self._frames or not self._is_free or self._transport.is_closing():
+                return False
+            kind, frame = self._frames.popleft()
+            if not kind:
+                self.processor.refuse(self._refused.code, str(self._refused))
+                return False
+            self._queued_bytes -= len(frame)
+            self.processor.spent_s = self.processor.waited_s = 0.0
+            outcome = self.processor.process_frame(kind, frame)
+            if isinstance(outcome, bool):
+                self._go_on(outcome)
+                return bool(self._frames) and self._is_free
+            self._work = outcome
+        return self._advance(None)
+
+    def _advance(self, answer: Any) -> bool:
+        assert self.processor is not None
+        assert self._work is not None
+        began_s = time.monotonic()
+        try:
+            wanted = advance(self._work, answer)
+        except StopIteration as done:
+            self._work = None
+            self._go_on(done.value)
+            return bool(self._frames) and self._is_free
+        self.processor.spent_s += time.monotonic() - began_s
+        if wanted is None and self.processor.spent_s < _LONG_S:
+            return True
+        if wanted is None:
+            asyncio.get_running_loop().call_later(_LONG_REST_S, self._rotation.add, self)
+            return False
+        self._waiting = asyncio.create_task(self._wait(wanted), name="opcua request")
+        return False
+
+    async def _wait(self, wanted: Coroutine[Any, Any, Any]) -> None:
+        assert self.processor is not None
+        began_s = time.monotonic()
+        try:
+            answer = await wanted
+        except Exception as error:  # noqa: BLE001 - whatever it is, the request is answered with it
+            answer = error
+        self._waiting = None
+        self.processor.waited_s += time.monotonic() - began_s
+        if self._work is not None and self._advance(answer):
+            self._rotation.add(self)
+
+    def _go_on(self, goes_on: bool) -> None:
+        if not goes_on:
+            self._transport.close()
+            return
+        self._note_progress()
+        if not self._is_reading and self._queued_bytes <= _MAX_QUEUED_BYTES // 2:
+            self._is_reading = True
+            self._transport.resume_reading()
+
+    def pause_writing(self) -> None:
+        """Ask nothing more of a client that does not read."""
+        if self.processor is not None:
+            self.processor.is_congested, self._deaf_since_s = True, time.monotonic()
+
+    def resume_writing(self) -> None:
+        """Go on: it has read."""
+        if self.processor is None:
+            return
+        self.processor.is_congested, self._deaf_since_s = False, 0.0
+        if self.processor.session is not None:
+            self.processor.session.resume()
+        self._ask_for_turns()
+
+    def _note_progress(self) -> None:
+        assert self.processor is not None
+        now_s = time.monotonic()
+        if self.processor.stage is not self._stage:
+            self._stage, self._stage_since_s = self.processor.stage, now_s
+        if not self.processor.has_parts:
+            self._parts_since_s = 0.0
+        elif not self._parts_since_s:
+            self._parts_since_s = now_s
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a session is activated on this connection, and it goes on."""
+        return (
+            self.processor is not None
+            and self.processor.stage is Stage.ACTIVE
+            and not self._transport.is_closing()
+        )
+
+    def check_deadlines(self, now_s: float) -> None:
+        """Close the connection if it keeps us waiting."""
+        if self.processor is None:
+            return
+        if self._transport.is_closing():
+            # It ends when the client has read the rest: not without a limit either.
+            self._closing_since_s = self._closing_since_s or now_s
+            if now_s - self._closing_since_s > READ_DEADLINE_S:
+                self._transport.abort()
+            return
+        if self._deaf_since_s and now_s - self._deaf_since_s > DEAF_DEADLINE_S:
+            log.warning("opcua client does not read its answers: closed", address=self.address)
+            self._transport.abort()
+            return
+        limit_s = READ_DEADLINE_S - 2 * _SWEEP_S
+        since_s = [s for s in (self._reader.since_s, self._parts_since_s) if s and self._is_reading]
+        if self.processor.stage < Stage.OPEN:
+            since_s.append(self._stage_since_s)
+        is_late = any(now_s - since > limit_s for since in since_s)
+        if self.processor.stage is Stage.OPEN:
+            is_late = is_late or now_s - self._stage_since_s > LOGIN_DEADLINE_S
+        if is_late:
+            self.processor.refuse(_Codes.BadTimeout, "the rest did not come in time")
+
+    def evict(self) -> None:
+        """Close at once: another client needs the place."""
+        self._transport.abort()
+
+
+class Listener(BinaryServer):  # type: ignore[misc]
+    """The listening socket and its connections."""
+
+    def __init__(self, iserver: Any, host: str, port: int) -> None:
+        super().__init__(iserver, host, port, TransportLimits())
+        self._sweeper: asyncio.Task[None] | None = None
+
+    @property
+    def policies(self) -> list[Any]:
+        """What is offered."""
+        return self._policies  # type: ignore[no-any-return]
+
+    def _make_protocol(self) -> Connection:
+        return Connection(self)
+
+    def make_room(self, address: str) -> bool:
+        """Whether one more connection from `address` may come in.
+
+        One address has half of the places, this computer's own all of them. The oldest without a
+        session makes room, of those who have most connections.
+        """
+        most, clients = self.iserver.max_connections, self.clients
+        if not is_loopback(address):
+            own = [client for client in clients if client.address == address]
+            if len(own) >= max(1, most // 2):
+                most, clients = 0, own
+        if len(clients) < most:
+            return True
+        crowd = Counter(client.address for client in clients)
+        waiting = (client for client in clients if not client.is_active)
+        oldest = max(waiting, key=lambda client: crowd[client.address], default=None)
+        if oldest is None:
+            return False
+        self.clients.remove(oldest)
+        oldest.evict()
+        return True
+
+    async def start(self) -> None:
+        """Listen, and watch the deadlines."""
+        await super().start()
+        self._sweeper = asyncio.create_task(self._sweep(), name="opcua deadlines")
+
+    async def stop(self) -> None:
+        """Close the socket and all connections."""
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+            await asyncio.gather(self._sweeper, return_exceptions=True)
+        await super().stop()
+
+    async def _sweep(self) -> None:
+        while True:
+            await asyncio.sleep(_SWEEP_S)
+            now_s = time.monotonic()
+            for client in tuple(self.clients):
+                client.check_deadlines(now_s)
+            self.iserver.end_idle_sessions(now_s)

@@ -1,0 +1,116 @@
+"""Where clauses of event filters (OPC 10000-4, 7.7.3): checked and compiled when they are created.
+
+A clause is a tree: an element names others behind it, and each is named once at most, so that an
+event costs no more than its elements. Whatever goes round in a circle, shares an element or is too
+long is refused before the first event comes.
+"""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.opcua.reading import RefusedError
+from hilserver.opcua.type_tree import TypeTree
+
+MAX_ELEMENTS = 100
+MAX_OPERANDS = 500
+"""Of all elements together: InList may have many."""
+MAX_DEPTH = 20
+_Op, _Codes = ua.FilterOperator, ua.StatusCodes
+Evaluate = Callable[[Any], Any]
+
+_COMPARED: dict[Any, Callable[[Any, Any], Any]] = {
+    _Op.Equals: operator.eq,
+    _Op.GreaterThan: operator.gt,
+    _Op.LessThan: operator.lt,
+    _Op.GreaterThanOrEqual: operator.ge,
+    _Op.LessThanOrEqual: operator.le,
+}
+_LEAST_OPERANDS = {
+    _Op.IsNull: 1, _Op.Not: 1, _Op.OfType: 1, _Op.Between: 3, _Op.InList: 2, _Op.And: 2,
+    _Op.Or: 2, **dict.fromkeys(_COMPARED, 2),
+}  # fmt: skip
+
+
+def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
+    """Return a function that tells whether an event passes.
+
+    Raises
+    ------
+    RefusedError
+        BadEventFilterInvalid for what is no tree or too long, BadFilterOperatorUnsupported,
+        BadFilterOperandCountMismatch and BadFilterOperandInvalid for single elements.
+    """
+    elements = clause.Elements or []
+    if not elements:
+        return lambda _: True
+    n_operands = sum(len(element.FilterOperands or ()) for element in elements)
+    if len(elements) > MAX_ELEMENTS or n_operands > MAX_OPERANDS:
+        raise RefusedError(_Codes.BadEventFilterInvalid)
+    evaluate = _Compiler(elements, types).element(0, 0)
+
+    def passes(event: Any) -> bool:
+        try:
+            return bool(evaluate(event))
+        except TypeError:
+            return False  # of two values that cannot be compared neither is the greater
+
+    return passes
+
+
+class _Compiler:
+    def __init__(self, elements: list[Any], types: TypeTree) -> None:
+        self._elements, self._types = elements, types
+        self._named = {0}
+
+    def element(self, index: int, depth: int) -> Evaluate:
+        element = self._elements[index]
+        kind, operands = element.FilterOperator, element.FilterOperands or []
+        least = _LEAST_OPERANDS.get(kind)
+        if least is None:
+            raise RefusedError(_Codes.BadFilterOperatorUnsupported)
+        if len(operands) < least:
+            raise RefusedError(_Codes.BadFilterOperandCountMismatch)
+        if depth > MAX_DEPTH:
+            raise RefusedError(_Codes.BadEventFilterInvalid)
+        return self._operation(kind, [self._operand(o, index, depth) for o in operands])
+
+    def _operand(self, operand: Any, index: int, depth: int) -> Evaluate:
+        if isinstance(operand, ua.ElementOperand):
+            # Only forwards, and each once: no circle, and no element is evaluated twice.
+            if not index < operand.Index < len(self._elements) or operand.Index in self._named:
+                raise RefusedError(_Codes.BadEventFilterInvalid)
+            self._named.add(operand.Index)
+            return self.element(operand.Index, depth + 1)
+        if isinstance(operand, ua.LiteralOperand):
+            value = None if operand.Value is None else operand.Value.Value
+            return lambda _: value
+        if isinstance(operand, ua.SimpleAttributeOperand):
+            names = operand.BrowsePath or []
+        elif isinstance(operand, ua.AttributeOperand):
+            names = [part.TargetName for part in operand.BrowsePath.Elements or ()]
+        else:
+            raise RefusedError(_Codes.BadFilterOperandInvalid)
+        name = "/".join(part.Name or "" for part in names)
+        return lambda event: event.field(name)
+
+    def _operation(self, kind: Any, values: list[Evaluate]) -> Evaluate:
+        first, second = values[0], values[-1]
+        if kind in _COMPARED:
+            compare = _COMPARED[kind]
+            return lambda event: compare(first(event), values[1](event))
+        if kind == _Op.IsNull:
+            return lambda event: first(event) is None
+        if kind == _Op.Not:
+            return lambda event: not first(event)
+        if kind == _Op.And:
+            return lambda event: first(event) and values[1](event)
+        if kind == _Op.Or:
+            return lambda event: first(event) or values[1](event)
+        if kind == _Op.Between:
+            return lambda event: values[1](event) <= first(event) <= values[2](event)
+        if kind == _Op.InList:
+            return lambda event: first(event) in [value(event) for value in values[1:]]
+        return lambda event: event.field("EventType") in self._types.closure(second(event))
