@@ -9,18 +9,22 @@ import asyncio
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilserver.commands import replay
 from hilserver.commands.options import add_config, add_patch, number_within
 from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
 from hilserver.faults.scenario import Play, load_scenario
-from hilserver.logs import open_writer
+from hilserver.logs import Segmented, open_writer
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 from hilserver.replay.simulation import Simulation
+from hilserver.requirements import Drive, Judge, load_requirements
 
 EXAMPLE = "hilserver simulate drive.yaml -o drive.mcap"
 SCENARIOS = (".yaml", ".yml")
@@ -51,23 +55,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="simulated time; default: until 1 s after the last step or fault, or that of the log",
     )
+    parser.add_argument(
+        "--require",
+        type=Path,
+        metavar="FILE",
+        help="requirements that the drive has to meet, as in a sweep; exit code 1 if it does not",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate; return 0."""
+    """Simulate; return 0, or 1 if a requirement is not met."""
     if args.scenario.suffix not in SCENARIOS:
         if args.duration is not None:
             raise FailedError("--duration is that of a scenario; a log lasts as long as it is")
+        if args.require is not None:
+            raise FailedError("--require judges the drive of a scenario, not that of a log")
         return replay.run(argparse.Namespace(**vars(args), **replay.AS_INPUTS, log=args.scenario))
     check_suffix(args.out)
     play = Play(load_scenario(args.scenario), args.scenario)
     assembly = assembled(args)
+    verdict = None if args.require is None else Verdict(assembly, args.require)
     setup_logging("ERROR")
     try:
-        asyncio.run(_play(assembly, play, args.duration or _lasts(play), args.out))
+        asyncio.run(_play(assembly, play, args.duration or _lasts(play), args.out, verdict))
     except OSError as error:
         raise FailedError(f"{args.out}: simulation ended: {reason(error)}") from None
-    return EXIT_DONE
+    return EXIT_DONE if verdict is None or verdict.passed() else EXIT_FAILED
 
 
 def _lasts(play: Play) -> float:
@@ -78,7 +91,32 @@ def _lasts(play: Play) -> float:
     return max(ends, default=0.0) + AFTER_S
 
 
-async def _play(assembly: Assembly, play: Play, duration_s: float, out: Path) -> None:
+class Verdict:
+    """Requirements of a file, and what they need of the drive."""
+
+    def __init__(self, assembly: Assembly, path: Path) -> None:
+        self._judge = Judge(load_requirements(path), assembly.table, path)
+        self._period_s = assembly.base_period_ns * 1e-9
+        self._slots = [assembly.table.slot(name) for name in self._judge.signals]
+        self._values: list[NDArray[np.float64]] = []
+
+    def add(self, batch: Segmented) -> None:
+        """Keep what the requirements look at."""
+        self._values.append(batch.frames.values[:, self._slots])
+
+    def passed(self) -> bool:
+        """Print every margin; say whether all requirements are met."""
+        values = np.concatenate(self._values)
+        drive = Drive(self._period_s, dict(zip(self._judge.signals, values.T, strict=True)))
+        margins = self._judge.margins(drive)
+        for name, margin in margins.items():
+            print(f"{'met' if margin >= 0.0 else 'NOT MET':8}{margin:12.6g}  {name}")
+        return all(margin >= 0.0 for margin in margins.values())
+
+
+async def _play(
+    assembly: Assembly, play: Play, duration_s: float, out: Path, verdict: Verdict | None
+) -> None:
     period_s = assembly.base_period_ns * 1e-9
     n_ticks, done, progress = max(round(duration_s / period_s), 1), 0, Progress()
     async with Simulation(assembly, play) as simulation:
@@ -88,6 +126,8 @@ async def _play(assembly: Assembly, play: Play, duration_s: float, out: Path) ->
             writer.add_state(simulation.start)
             async for batch in simulation.frames(n_ticks):
                 writer.write(batch)
+                if verdict is not None:
+                    verdict.add(batch)
                 done += len(batch.frames)
                 progress("simulating", done / n_ticks)
         finally:

@@ -3,12 +3,13 @@
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.image import Frame, ImageReader
+from hilserver.requirements import Drive, Judge, Requirement
 from hilserver.signals import Signal, SignalTable
 from hilserver.testing.series import Series
 
@@ -103,6 +104,29 @@ class Capture(Mapping[str, Series]):
     def time_s(self) -> NDArray[np.float64]:
         """Simulated time of every sample [s], shape (n,)."""
         return self.tick.astype(np.float64) * self._period_s
+
+    def margins(self, *requirements: Requirement | Mapping[str, Any]) -> dict[str, float]:
+        """Return the margin of every requirement by its name; times count from the first sample.
+
+        Parameters
+        ----------
+        *requirements : Requirement or mapping
+            As in a sweep: ``{"name": "arrives", "signal": "pose.x_m", "above": 4.9}``.
+        """
+        found = [r if isinstance(r, Requirement) else Requirement(**r) for r in requirements]
+        judge = Judge(found, self._table)
+        missing = [name for name in judge.signals if name not in list(self)]
+        if missing:
+            raise AssertionError(f"'{missing[0]}' was not captured; capture all that is required")
+        columns = {name: self[name].values for name in judge.signals}
+        return judge.margins(Drive(self._period_s, columns))
+
+    def assert_meets(self, *requirements: Requirement | Mapping[str, Any]) -> None:
+        """Fail if a requirement is not met; parameters as for `margins`."""
+        margins = self.margins(*requirements)
+        failed = [f"{name} (margin {m:g})" for name, m in margins.items() if not m >= 0.0]
+        if failed:
+            raise AssertionError(f"requirements are not met: {', '.join(failed)}")
 
     def __getitem__(self, name: str) -> Series:
         signal = self._table[name]

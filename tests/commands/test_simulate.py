@@ -57,3 +57,32 @@ def test_what_cannot_be_played_is_one_sentence(capsys):
     Path("wrong.yaml").write_text("steps: [{at_s: 0, write: {wheel.fl.speed_rpm: 1}}]")
     assert main(["simulate", "wrong.yaml", "-o", "out.csv"]) == 78
     assert "wrong.yaml:1: " in capsys.readouterr().err
+
+
+REQUIREMENTS = """
+require:
+  - {name: turns, signal: pose.yaw_rad, above: 0.1, within_s: 1}
+  - {name: gyro, signal: imu.gyro_z_rad_s, below: 1.0}
+"""
+
+
+def test_requirements_decide_the_exit_code(capsys):
+    Path("r.yaml").write_text(REQUIREMENTS)
+    assert main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    columns = read_log(Path("drive.mcap")).columns
+    turns = columns["pose.yaw_rad"][:1001].max() - 0.1
+    gyro = 1.0 - columns["imu.gyro_z_rad_s"].max()
+    wanted = {name: f"{m:.6g}" for name, m in (("turns", turns), ("gyro", gyro))}
+    found = {line[22:]: line[:22].split() for line in lines if line[22:] in wanted}
+    for name, text in wanted.items():
+        assert found[name] == (["met", text] if float(text) >= 0 else ["NOT", "MET", text])
+    Path("r.yaml").write_text(REQUIREMENTS.replace("0.1,", "-9,").replace("1.0}", "99}"))
+    assert main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 0
+
+
+def test_a_requirement_on_what_does_not_exist_is_refused_before_the_drive(capsys):
+    Path("r.yaml").write_text("require: [{name: a, signal: pose.x, below: 1}]")
+    assert main(["simulate", "drive.yaml", "-o", "drive.mcap", "--require", "r.yaml"]) == 78
+    assert "r.yaml:1: require[0].signal: there is no scalar signal" in capsys.readouterr().err
+    assert not Path("drive.mcap").exists()

@@ -108,3 +108,18 @@ class TestMarkers:
         hil.write(FL, 20.0)
         yield 200
         assert hil.read(FL) == 20.0
+
+
+async def test_a_capture_is_judged_by_the_requirements_of_a_sweep(hil):
+    hil.write(FL, 30.0)
+    async with hil.capture(SPEED) as trace:
+        await hil.run_for(0.5)
+    rises = {"name": "rises", "signal": SPEED, "above": 20.0, "within_s": 0.4, "for_s": 0.05}
+    calm = {"name": "calm", "signal": SPEED, "below": 25.0}
+    margins = trace.margins(rises, calm)
+    assert margins["calm"] == 25.0 - trace[SPEED].values.max() < 0.0 < margins["rises"]
+    trace.assert_meets(rises)
+    with pytest.raises(AssertionError, match=r"not met: calm \(margin -"):
+        trace.assert_meets(rises, calm)
+    with pytest.raises(AssertionError, match=r"'pose\.x_m' was not captured"):
+        trace.margins({"name": "r", "signal": "pose.x_m", "below": 1.0})

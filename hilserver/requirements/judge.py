@@ -1,0 +1,144 @@
+"""Applies requirements to drives of one robot."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilserver.config.loading import place
+from hilserver.errors import ConfigError, FailedError, meant
+from hilserver.program.own_python import described, load_callable
+from hilserver.requirements.margins import Floats, margin
+from hilserver.requirements.model import Requirement
+from hilserver.signals import SignalTable
+
+
+class CheckError(FailedError):
+    """A requirement's own function raised, or returned what is no measure."""
+
+
+@dataclass(frozen=True)
+class Drive(Mapping[str, Floats]):
+    """Signals of one drive, a sample each tick, the first at 0 s.
+
+    Attributes
+    ----------
+    period_s : float
+        Of a tick [s].
+    columns : mapping of ndarray of float64
+    """
+
+    period_s: float
+    columns: Mapping[str, Floats]
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    @property
+    def n_ticks(self) -> int:
+        """Samples of each signal."""
+        return max((len(values) for values in self.columns.values()), default=0)
+
+    @property
+    def time_s(self) -> Floats:
+        """Time of each sample [s], shape (n,)."""
+        times: Floats = np.arange(self.n_ticks, dtype=np.float64) * self.period_s
+        return times
+
+
+class Judge:
+    """Requirements, bound to the signals of a robot.
+
+    Parameters
+    ----------
+    table : SignalTable
+    path : Path, optional
+        The file they came from; own functions are found beside it.
+    derived : collection of str
+        Signals that a drive has beside those of the table.
+
+    Attributes
+    ----------
+    signals : tuple of str
+        What has to be kept of a drive.
+
+    Raises
+    ------
+    ConfigError
+        If a signal or function does not exist, or two have one name.
+    """
+
+    def __init__(
+        self,
+        requirements: Sequence[Requirement],
+        table: SignalTable,
+        path: Path | None = None,
+        derived: Collection[str] = (),
+    ) -> None:
+        self.requirements = tuple(requirements)
+        folder = Path.cwd() if path is None else path.resolve().parent
+        self._functions: dict[str, Callable[..., Any]] = {}
+        known = [signal.name for signal in table if not signal.is_array]
+        known += [name for name in derived if name not in known]
+        signals: dict[str, None] = {}
+        for index, requirement in enumerate(self.requirements):
+            key = "python" if requirement.signal is None else "signal"
+            where = place(path, ("require", index, key))
+            if requirement.name in [other.name for other in self.requirements[:index]]:
+                raise ConfigError(f"{where}two requirements have the name '{requirement.name}'")
+            names = requirement.signals or known
+            if requirement.python is not None:
+                self._functions[requirement.name] = _function(requirement.python, folder, where)
+            elif requirement.signal is not None:
+                names = (requirement.signal,)
+            for name in names:
+                if name not in known:
+                    hint = meant(name, known, "see 'hilserver signals'")
+                    raise ConfigError(f"{where}there is no scalar signal '{name}'; {hint}")
+                signals[name] = None
+        self.signals = tuple(signals)
+
+    def margins(self, drive: Drive) -> dict[str, float]:
+        """Return the margin of every requirement by its name.
+
+        Raises
+        ------
+        CheckError
+            If an own function raised.
+        """
+        return {
+            requirement.name: margin(requirement, self._values(requirement, drive), drive.period_s)
+            for requirement in self.requirements
+        }
+
+    def _values(self, requirement: Requirement, drive: Drive) -> Floats:
+        if requirement.signal is not None:
+            return drive[requirement.signal]
+        try:
+            found = self._functions[requirement.name](drive)
+            values = np.asarray(found, dtype=np.float64)
+        except Exception as error:
+            raise CheckError(f"{requirement.python}: {described(error)}") from error
+        if values.ndim == 0:  # a number judges the whole drive
+            return np.full(drive.n_ticks, float(values))
+        if values.shape != (drive.n_ticks,):
+            raise CheckError(
+                f"{requirement.python}: returned an array of shape {values.shape}; a number or one"
+                f" value for each of the {drive.n_ticks} ticks is needed"
+            )
+        return values
+
+
+def _function(reference: str, folder: Path, where: str) -> Callable[..., Any]:
+    try:
+        return load_callable(reference, folder)
+    except ConfigError as error:
+        raise ConfigError(f"{where}{error}") from None

@@ -1,0 +1,100 @@
+"""What a requirement is, as it stands in a sweep, in a test and after ``simulate --require``.
+
+::
+
+    require:
+      - {name: stays on the path, signal: path.error_m, below: 0.15, always: true}
+      - {name: arrives, signal: pose.x_m, above: 4.9, within_s: 40}
+      - {name: comfortable, python: checks.py:jerk, below: 3.0}
+"""
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hilserver.config.loading import LIVE_BYTES, load
+from hilserver.config.section import Section
+
+MAX_REQUIREMENTS = 100
+LONGEST_S = 86_400.0
+Time = Annotated[float, Field(ge=0, le=LONGEST_S)]
+
+
+class Requirement(Section):
+    """What has to be true of one signal, when and for how long.
+
+    With ``within_s`` it has to become true between ``after_s`` and then, else it has to be true at
+    ``after_s``. Then it has to stay so: for ``for_s``, until the end with ``always``. Without
+    either, one moment is enough with ``within_s``, and without that it is until the end.
+    """
+
+    name: str = Field(min_length=1, max_length=100, description="what it is about, for people")
+    signal: str | None = Field(None, description="a scalar signal")
+    python: str | None = Field(
+        None,
+        description="file.py:function or module:function in its place; it takes the drive, a"
+        " mapping of signals to arrays with time_s and period_s, and returns a number or an array"
+        " with a value for each tick",
+    )
+    signals: tuple[str, ...] = Field(
+        (), description="with python: what it reads; without, every signal is kept for it"
+    )
+    below: float | None = Field(None, description="no sample is above this")
+    above: float | None = Field(None, description="no sample is below this")
+    equals: float | None = Field(None, description="samples are this")
+    tolerance: float = Field(0.0, ge=0, description="with equals: and so much beside it")
+    always: bool = Field(False, description="until the end of the drive")
+    within_s: Time | None = Field(None, description="becomes true up to then, from the start [s]")
+    after_s: Time = Field(0.0, description="not looked at before, from the start [s]")
+    for_s: Time | None = Field(None, description="stays true for so long [s]")
+    share: float = Field(
+        1.0, gt=0, le=1, description="of the machines of a sweep that have to meet it, for JUnit"
+    )
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if (self.signal is None) == (self.python is None):
+            raise ValueError(f"'{self.name}' needs either signal or python")
+        if self.signals and self.python is None:
+            raise ValueError(f"'{self.name}': signals is what python reads; write one signal")
+        bounds = [self.below, self.above]
+        if (self.equals is None) == (bounds == [None, None]):
+            raise ValueError(f"'{self.name}' needs below, above or both, or equals")
+        if self.above is not None and self.below is not None and self.above > self.below:
+            raise ValueError(
+                f"'{self.name}': nothing is above {self.above:g} and below {self.below:g}"
+            )
+        if self.tolerance and self.equals is None:
+            raise ValueError(f"'{self.name}': tolerance is that of equals")
+        if self.always and self.for_s is not None:
+            raise ValueError(f"'{self.name}': give always or for_s, not both")
+        if self.within_s is not None and self.within_s < self.after_s:
+            raise ValueError(
+                f"'{self.name}': within_s is {self.within_s:g}, it has to be {self.after_s:g}"
+                " (after_s) at least; both count from the start"
+            )
+        return self
+
+    @property
+    def lasts_s(self) -> float:
+        """How long a drive has to be for it at least [s]."""
+        return self.after_s + (self.for_s or 0.0)
+
+
+class _File(BaseModel):
+    """A file with requirements; a sweep is one, so other keys may stand beside them."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    require: tuple[Requirement, ...] = Field(min_length=1, max_length=MAX_REQUIREMENTS)
+
+
+def load_requirements(path: Path) -> tuple[Requirement, ...]:
+    """Return the requirements of a file; their signals are looked up by `Judge`.
+
+    Raises
+    ------
+    ConfigError
+        One line per complaint: file, line, key.
+    """
+    return load(path, _File, LIVE_BYTES).require
