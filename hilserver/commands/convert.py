@@ -1,8 +1,8 @@
-"""Write a log in another format, without loss: CSV, MCAP, ROS 2 bag, Parquet.
+"""Write a log in another format, without loss: CSV, MCAP, MF4, ROS 2 bag, Parquet.
 
-The suffix of OUT chooses: .csv, .mcap, .parquet; without a suffix (or with --bag) it is the folder
-of a bag. Signals keep every bit; EduArt's topics in a bag are float32, as on the real robot. CSV
-and Parquet hold no status codes, Parquet no run to replay.
+The suffix of OUT chooses: .csv, .mcap, .mf4, .parquet; without a suffix (or with --bag) it is the
+folder of a bag. Signals keep every bit; EduArt's topics in a bag are float32, as on the real robot.
+CSV and Parquet hold no status codes, Parquet no run to replay.
 """
 
 import argparse
@@ -13,17 +13,20 @@ from hilserver.commands.options import add_storage
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.logs import Log, open_writer
 from hilserver.logs.bag_writer import Storage
+from hilserver.logs.mf4 import write_mf4
 from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
 from hilserver.logs.writing import reason
 from hilserver.measured.conversion import read_any, write_parquet
+from hilserver.measured.names import signal_unit
 
 EXAMPLE = "hilserver convert run.mcap run_bag"
-SUFFIXES = (".csv", ".mcap", ".parquet")
+SUFFIXES = (".csv", ".mcap", ".mf4", ".parquet")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument("log", type=Path, metavar="IN", help="log: .csv, .mcap, .parquet, or a bag")
+    readable = f"log: {', '.join(SUFFIXES)}, or a bag"
+    parser.add_argument("log", type=Path, metavar="IN", help=readable)
     parser.add_argument("out", type=Path, metavar="OUT", help="what to write")
     parser.add_argument(
         "--mapping",
@@ -57,6 +60,9 @@ def run(args: argparse.Namespace) -> int:
 def _write(log: Log, out: Path, bag: Storage | None) -> None:
     if out.suffix == ".parquet" and bag is None:
         write_parquet(log, out)
+        return
+    if out.suffix == ".mf4" and bag is None:
+        write_mf4(log, out, signal_unit)
         return
     if out.suffix == ".csv" and bag is None and not log.is_ours:
         write_table_csv(log, out)

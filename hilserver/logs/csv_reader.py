@@ -1,9 +1,7 @@
 """CSV logs, ours and others': strict about what would mislead, lenient about a torn last line."""
 
 import csv
-import json
 import math
-import zlib
 from array import array
 from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,9 +11,9 @@ import numpy as np
 
 from hilserver.errors import LogError, meant
 from hilserver.logs.csv_fast import parse_clean
-from hilserver.logs.csv_writer import meta_path, unpack_state
+from hilserver.logs.csv_writer import meta_path
 from hilserver.logs.log import Log, State
-from hilserver.logs.provenance import SCHEMA
+from hilserver.logs.provenance import unpack_meta
 from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
 
 MAX_FIELD_CHARACTERS = 10_000
@@ -237,13 +235,8 @@ def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
     if not beside.exists():
         return None, []
     try:
-        run: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
-        if run["schema"] != SCHEMA:
-            raise LogError(f"{beside}: is not of schema {SCHEMA}")
-        states = [unpack_state(entry) for entry in run.pop("states")]
-        _ = [signal["name"] for signal in run["signals"]], int(run["base_period_ns"])
-    except (ValueError, KeyError, TypeError, AttributeError, OSError, zlib.error):
+        return unpack_meta(beside.read_text(encoding="utf-8"))
+    except (ValueError, OSError):
         raise LogError(
             f"{beside}: is damaged; remove it to read {path.name} as a log of others"
         ) from None
-    return run, states

@@ -5,9 +5,6 @@ reading it gives the same bits; ``nan`` where a status code is bad. ``run.csv.me
 the log comes from and holds the states to replay from.
 """
 
-import base64
-import json
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hilserver.logs.log import State
+from hilserver.logs.provenance import pack_meta
 from hilserver.logs.writer import Segmented, WholeFile
 
 BAD = 0x8000_0000
@@ -64,13 +62,9 @@ class CsvWriter:
         self._write_meta()
 
     def _write_meta(self) -> None:
-        states = [
-            {"segment": s.segment, "tick": s.tick, "zlib_base64": pack_state(s)}
-            for s in self._states
-        ]
         path = meta_path(self._path)
         partial = path.with_name(f"{path.name}.part")
-        partial.write_text(json.dumps(self._run | {"states": states}, indent=1), encoding="utf-8")
+        partial.write_text(pack_meta(self._run, self._states), encoding="utf-8")
         partial.replace(path)
 
     def flush(self) -> None:
@@ -83,15 +77,3 @@ class CsvWriter:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def pack_state(state: State) -> str:
-    """Return the words of a state as text."""
-    return base64.b64encode(zlib.compress(state.words.astype("<i8").tobytes())).decode()
-
-
-def unpack_state(entry: Mapping[str, Any]) -> State:
-    """Return the state that an entry of the file beside the log holds."""
-    data = zlib.decompress(base64.b64decode(entry["zlib_base64"], validate=True))
-    words = np.frombuffer(data, dtype="<i8").astype(np.int64)
-    return State(int(entry["segment"]), int(entry["tick"]), words)

@@ -9,6 +9,7 @@ from hilserver.logs.bag_reader import read_own_bag
 from hilserver.logs.csv_reader import read_csv
 from hilserver.logs.log import Log
 from hilserver.logs.mcap_reader import read_mcap
+from hilserver.logs.mf4 import read_mf4
 
 ROS2_BEGINNING = b"\x89MCAP0\r\n\x01" + bytes(8) + b"\x04\x00\x00\x00ros2"
 """Of a file; the eight bytes are the length of its header."""
@@ -36,11 +37,13 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
             return read_mcap(path)
         if path.suffix == ".csv":
             return read_csv(path, known)
+        if path.suffix == ".mf4":
+            return read_mf4(path)
     except OSError as error:
         raise LogError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
-    raise LogError(f"{path}: is no log that can be read; known are .csv, .mcap and bags")
+    raise LogError(f"{path}: is no log that can be read; known are .csv, .mcap and bags, and .mf4")
 
 
 def is_bag_of_ros(path: Path) -> bool:

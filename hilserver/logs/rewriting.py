@@ -57,7 +57,7 @@ def _batches(log: Log) -> Iterator[Segmented]:
     period_ns = int((log.run or {}).get("base_period_ns", 1))
     ticks = np.rint(log.t_s * (NS_PER_S / period_ns)).astype(np.int64)
     words = np.concatenate(
-        [ticks[:, None], _stamps(log)[:, None], np.zeros((len(ticks), 1), np.int64), status], axis=1
+        [ticks[:, None], stamps(log)[:, None], np.zeros((len(ticks), 1), np.int64), status], axis=1
     )
     for first in range(0, len(ticks), BATCH):
         rows = slice(first, first + BATCH)
@@ -77,7 +77,7 @@ def _table(log: Log) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return values, status
 
 
-def _stamps(log: Log) -> NDArray[np.int64]:
+def stamps(log: Log) -> NDArray[np.int64]:
     """Return stamps that rise over all segments [ns]."""
     own = np.rint(log.t_s * NS_PER_S).astype(np.int64)
     begins = np.flatnonzero(np.diff(log.segment, prepend=log.segment[:1] - 1))
