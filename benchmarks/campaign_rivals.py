@@ -11,7 +11,8 @@ from benchmarks import sindy, sysid
 from benchmarks.baselines import RIVALS, applies
 from benchmarks.diagnose_scoring import Score
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import HORIZON_S, silent
+from hilserver.diagnosis.engine import HORIZON_S
+from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.measured.data import MeasuredLog
@@ -43,7 +44,7 @@ def answers(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, A
         found["sysid"] = {name: asdict(value) for name, value in values.items()}
     if case.group == "null" or (case.group == "single" and case.name in sindy.CAUSES):
         own = machine(log, robot)
-        prepared, _ = prepare_all(check(log, own).log, own, 1, silent)
+        prepared, _ = prepare_all(check(log, own).log, own, 1, Tracker())
         if "pose" in prepared and applies(prepared["pose"].problem):
             pose = prepared["pose"]
             found["pysindy"] = scored(case, sindy.said(pose)).as_json()

@@ -15,9 +15,10 @@ from benchmarks.sindy import library
 from hilserver.bench.report import Result
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import HORIZON_S, silent
+from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.examine import examine
 from hilserver.diagnosis.findings.nested import honest, judged_by_halves
+from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.schema.findings import Gain
@@ -83,14 +84,14 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]]) -> list[Result]:
 def beside(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
     """Yield what the diagnosis and its rivals gain on one log."""
     rng = np.random.default_rng(0)
-    judged = examine(log, robot, rng, 1, silent, lambda _: None).judged
+    judged = examine(log, robot, rng, 1, Tracker()).judged
     own = machine(log, robot)
-    prepared, _ = prepare_all(check(log, own).log, own, 1, silent)
+    prepared, _ = prepare_all(check(log, own).log, own, 1, Tracker())
     if "pose" not in judged or not applies(prepared["pose"].problem):
         return
     problem, before = prepared["pose"].problem, prepared["pose"].base.predicted
     halves = judged_by_halves(judged, 0, 1).get("pose", ())
-    after = honest(judged["pose"], halves, before).after[0] if halves else before
+    after = honest(judged["pose"], halves, before).parts[0].after if halves else before
     engine = gains(problem, before, after, HORIZON_S, rng)
     ahead = {
         rival: gains(problem, predict(prepared["pose"]), after, HORIZON_S, rng)

@@ -107,7 +107,7 @@ def _findings(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Findi
     engine, assembly = _engine()
     if against is None:
         return engine(log, assembly, seed=seed, jobs=1, progress=None).findings
-    compare = import_module("hilserver.diagnosis.compare.comparison").compare
+    compare = import_module("hilserver.diagnosis.engine").compare
     compared: Diagnosis = compare(log, against, assembly, seed=seed, jobs=1, progress=None)
     return compared.findings
 

@@ -16,7 +16,7 @@ from hilserver_injector.cases import Case
 
 from benchmarks.diagnose_scoring import Value, bare, value_of
 from hilserver.diagnosis.checks import check
-from hilserver.diagnosis.engine import silent
+from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.errors import FailedError
 from hilserver.measured.arrays import Array
@@ -56,7 +56,7 @@ def fitted(case: Case, log: MeasuredLog, robot: RobotParameters) -> dict[str, Va
     names = list(case.answer.values)
     causes = {bare(name) for name in names}
     own = machine(log, robot)
-    for prepared in prepare_all(check(log, own).log, own, 1, silent)[0].values():
+    for prepared in prepare_all(check(log, own).log, own, 1, Tracker())[0].values():
         if causes <= {c.cause for c in prepared.library.candidates}:
             fit = Fit(prepared, names, case.recipe.causes)
             return {

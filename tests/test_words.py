@@ -19,6 +19,7 @@ AVOIDED = {
     "whosoever": "anyone who",
     "fro": "back and forth",
     "astray": "diverged, wrong",
+    "untold": "unidentified",
 }
 WORD = re.compile(rf"\b({'|'.join(AVOIDED)})\b", re.IGNORECASE)
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("deploy/**/*.md")]

@@ -1,7 +1,8 @@
 """Given measured data: what the simulation gets wrong, why, and what the extended model gains.
 
-A room for each part of the way, the lowest first; none knows those that follow. `pipeline` runs
-files through all of them, `engine` one log. The daemon imports nothing from here.
+A room for each part of the way, the lowest first; none imports those that follow. `pipeline` runs
+files through all of them, `engine` logs: one set, several groups, or two sets to compare. The
+daemon imports nothing from here.
 
 `catalogue`
     Causes as data: parameters, bounds, what can stand for what.
@@ -25,4 +26,6 @@ files through all of them, `engine` one log. The daemon imports nothing from her
     The page.
 `compare`
     Whether one set of recordings differs from another.
+`groups`
+    What groups of logs share, and what is each one's own.
 """

@@ -1,56 +1,56 @@
-"""A whole diagnosis: from measured data to findings, with the evidence behind them."""
+"""A whole diagnosis: of one set of logs, of groups of them, or of two sets that are compared.
 
-import time
-from collections.abc import Mapping
+Each set is a member and goes the same way: its faults, its stages, what was decided of them. The
+three differ in what their members share.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
-from hilserver.diagnosis.decide.settling import Judged
-from hilserver.diagnosis.examine import (
-    Tell,
-    beside,
-    decisions_of,
-    examine,
-    noise_of_all,
-    smallest_of,
-)
+from hilserver.diagnosis.compare.comparison import compared
+from hilserver.diagnosis.examine import Member, examine
 from hilserver.diagnosis.findings.ceiling import ceilings
-from hilserver.diagnosis.findings.estimate import estimate_of, joint
-from hilserver.diagnosis.findings.explain import of_two_wheels
-from hilserver.diagnosis.findings.nested import honest, judged_by_halves, predicts
+from hilserver.diagnosis.findings.estimate import joint
+from hilserver.diagnosis.findings.explain import explain_finding, of_two_wheels
+from hilserver.diagnosis.findings.nested import answers_of
 from hilserver.diagnosis.findings.other_logs import gain_on
-from hilserver.diagnosis.findings.outcome import extension, named, worsened
-from hilserver.diagnosis.findings.worth import Explained, with_worth
+from hilserver.diagnosis.findings.outcome import extension, other_findings, worsened
+from hilserver.diagnosis.findings.worth import Answer
+from hilserver.diagnosis.groups.shared import (
+    answers_in_groups,
+    gains_in_groups,
+    smallest_in_groups,
+)
 from hilserver.diagnosis.memory import one_blas_thread
+from hilserver.diagnosis.progress import Report, Tracker
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
-from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.report.showing import Shown, evidence
-from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.report.collecting import evidence
+from hilserver.diagnosis.report.merging import merged
+from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
 from hilserver.diagnosis.schema.findings import (
     Finding,
     Findings,
+    Gain,
+    GroupOfLogs,
     LogFile,
     NotJudged,
+    Overall,
     overall,
 )
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.machine import machine
 from hilserver.plant.parameters import RobotParameters
 
-Array = NDArray[np.float64]
+T = TypeVar("T")
 
 HORIZON_S = 5.0
-CEILING_DIGITS = 5
-"""The rest of a ceiling hangs on how many threads share its large products."""
-
-
-def silent(text: str, share: float) -> None:
-    """Tell nobody."""
-    del text, share
 
 
 def diagnose(
@@ -59,7 +59,7 @@ def diagnose(
     *,
     seed: int = 0,
     jobs: int = 2,
-    progress: Tell | None = None,
+    progress: Report | None = None,
     test: MeasuredLog | None = None,
 ) -> Diagnosis:
     """Judge measured data of the machine that a configuration describes; see `judge`."""
@@ -83,7 +83,7 @@ def judge(
     seed: int = 0,
     jobs: int = 2,
     horizon_s: float = HORIZON_S,
-    progress: Tell | None = None,
+    progress: Report | None = None,
     test: MeasuredLog | None = None,
 ) -> Diagnosis:
     """Judge measured data of one machine.
@@ -104,146 +104,236 @@ def judge(
     test : MeasuredLog, optional
         Other logs of the machine: the total gain is measured on these, and nothing else is.
     """
-    started = time.perf_counter()
-    timings: dict[str, float] = {}
-
-    def lap(name: str) -> None:
-        spent_s = time.perf_counter() - started - sum(timings.values())
-        timings[name] = timings.get(name, 0.0) + spent_s
-
-    tell = progress or silent
-    rng = np.random.default_rng(seed)
-    examined = examine(log, robot, rng, jobs, tell, lap)
-    log, robot, judged = examined.log, examined.robot, examined.judged
-    found = list(examined.checked.findings)
-    fitted: dict[int, Fitted] = {}
-    for j in judged.values():
-        fitted |= _findings(j, found)
-    lap("structure")
-    tell("measuring the gain", 0.0)
-    before, wholes, patched = _explained(judged, seed, jobs)
-    own, of_patch = (
-        {stage: whole.gains(whole.before, horizon_s, rng) for stage, whole in some.items()}
-        for some in (wholes, patched)
-    )
-    totals = {key: gain for of_stage in own.values() for key, gain in of_stage.items()}
-    notices = log.notices
+    tracker, rng = Tracker(progress), np.random.default_rng(seed)
+    member = examine(log, robot, rng, jobs, tracker)
+    tracker("measuring the gain", 0.0)
+    answers = answers_of(member.judged, seed, jobs)
+    own = [answer.explained.gains(horizon_s, rng) for answer in answers]
+    of_patch = [answer.named.gains(horizon_s, rng) for answer in answers]
+    total, notices = _all_of(own), member.log.notices
     if test is not None:
-        other = check(test, robot).log
-        totals, of_patch[""] = (
-            gain_on(other, robot, models, horizon_s, rng)
-            for models in (
-                {stage: j.whole.model for stage, j in judged.items()},
-                {stage: j.point.model for stage, j in judged.items()},
-            )
-        )
+        total, patched = _on_other_logs(member, test, horizon_s, rng)
+        of_patch.append(patched)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
-    estimates = {stage: estimate_of(j.prepared.problem, j.point) for stage, j in judged.items()}
-    for i, f in fitted.items():
-        stage = f.candidate.stage
-        index = judged[stage].point.model.fitted.index(f)
-        only = own[stage] if judged[stage].whole is judged[stage].point else None
-        found[i] = with_worth(
-            found[i], index, wholes[stage], estimates[stage], horizon_s, rng, only
-        )
-    refusal = worsened(*of_patch.values())
-    if refusal is not None:
-        notices = (*notices, refusal)
-    ceiling = _ceilings(judged, before, horizon_s, rng)
-    sizes, unseen = smallest_of(judged, rng)
-    if stood_still(log):
+    # what has a name is judged with all that predicts; the gain is its own where there is no more
+    only = [gain if a.explained is a.named else None for a, gain in zip(answers, own, strict=True)]
+    found, fitted = _collected([member], answers, horizon_s, rng, only)
+    ceiling = _all_of(ceilings(a.explained.parts[0], horizon_s, rng) for a in answers)
+    sizes, unseen = member.smallest(rng)
+    if stood_still(member.log):
         sizes, unseen = at_rest(sizes, unseen)
-        found.append(too_little_motion())
-    lap("gain")
-    if robot.wheelbase_m is None:
+    tracker.timed("gain")
+    judged = {d.cause for d in sizes} | {c for f in found for c in f.causes}
+    reasons = vocabulary_reasons(judged, member.reasons, set(member.judged))
+    if member.robot.wheelbase_m is None:
         found = [of_two_wheels(finding) for finding in found]
-    judged_causes = {d.cause for d in sizes} | {c for f in found for c in f.causes}
-    reasons = vocabulary_reasons(judged_causes, examined.reasons, set(judged))
-    findings = Findings(
-        verdict=overall(found, is_judged=bool(judged)),
-        logs=tuple(LogFile(file=s.file, sha256=s.sha256) for s in log.sources),
+    return _diagnosis(
+        [member],
+        answers,
+        found,
+        fitted,
+        worsened(*of_patch),
+        tracker,
+        total_gain=total,
         seed=seed,
-        version=__version__,
         config_sha256=config_sha256,
-        baseline={key: gain.before for key, gain in totals.items()},
-        findings=tuple(found),
-        total_gain=totals if found and any(map(predicts, judged.values())) else {},
         ceiling=ceiling,
-        joint=joint(list(estimates.values())),
-        noise=noise_of_all(judged),
+        noise=member.noise,
         smallest_detectable=tuple(sizes),
-        not_judged=(
-            *unseen,
-            *(NotJudged(cause=c, reason=r) for c, r in reasons.items()),
-        ),
+        not_judged=(*unseen, *_not_judged(reasons)),
         notices=notices,
-        decisions=tuple(decisions_of(judged)),
     )
-    shown = _shown(judged, {stage: whole.after[0] for stage, whole in wholes.items()}, before)
-    terms = extension(found, fitted) if refusal is None else ()
-    return Diagnosis(findings, evidence(log, shown, terms, timings))
 
 
-def _findings(j: Judged, found: list[Finding]) -> dict[int, Fitted]:
-    """Add the findings of one stage; return which of them is which fitted cause."""
-    problem, fitted = j.prepared.problem, {}
-    if j.point.model.fitted:
-        causes = named(
-            problem, j.point, j.ties, j.selected.p, j.drift, scrubs=j.scrubs, anchor=j.in_doubt
-        )
-        for f, finding in zip(j.point.model.fitted, causes, strict=True):
-            fitted[len(found)] = f
-            found.append(finding)
-    found += beside(j)
-    return fitted
+@one_blas_thread
+def diagnose_groups(
+    logs: Mapping[str, MeasuredLog],
+    assembly: Assembly,
+    *,
+    seed: int = 0,
+    jobs: int = 2,
+    horizon_s: float = HORIZON_S,
+    progress: Report | None = None,
+) -> Diagnosis:
+    """Judge groups of logs of one machine, on several floors or with several loads.
 
-
-def _explained(
-    judged: Mapping[str, Judged], seed: int, jobs: int
-) -> tuple[dict[str, Array], dict[str, Explained], dict[str, Explained]]:
-    """Return the predictions of every stage without a cause, and what its causes explain.
-
-    Last what those with a name explain by themselves: a patch has no others.
+    Parameters
+    ----------
+    logs : mapping of str to MeasuredLog
+        By name of the group.
     """
-    halves = judged_by_halves(judged, seed, jobs)
-    before, wholes, patched = {}, {}, {}
-    for stage, j in judged.items():
-        base = before[stage] = j.prepared.problem.point(Model(), j.point.poses).predicted
-        mine = halves.get(stage, ())
-        wholes[stage] = patched[stage] = honest(j, mine, base)
-        if any(half is not None and half.whole is not half.point for half in mine):
-            patched[stage] = honest(j, mine, base, named=True)
-    return before, wholes, patched
+    tracker = Tracker(progress)
+    members = []
+    for name, log in logs.items():
+        own, of_group = np.random.default_rng(seed), tracker.of_group(name)
+        members.append(examine(log, assembly.robot, own, jobs, of_group, name))
+    tracker("fitting all groups together", 0.0)
+    answers = answers_in_groups(members, seed)
+    tracker.timed("joint fit")
+    tracker("measuring the gain", 0.0)
+    rng = np.random.default_rng(seed)
+    total, by_group = gains_in_groups(answers, horizon_s, rng)
+    found, fitted = _collected(members, answers, horizon_s, rng)
+    sizes, unseen = smallest_in_groups(members, seed)
+    tracker.timed("gain")
+    return _diagnosis(
+        members,
+        answers,
+        found,
+        fitted,
+        worsened(total, *by_group.values()),
+        tracker,
+        total_gain=total,
+        seed=seed,
+        config_sha256=assembly.config.sha256,
+        smallest_detectable=tuple(sizes),
+        not_judged=tuple(unseen),
+        notices=tuple(note for m in members for note in m.log.notices),
+        groups={m.name: _group(m, by_group.get(m.name, {}) if fitted else {}) for m in members},
+    )
 
 
-def _ceilings(
-    judged: Mapping[str, Judged],
-    before: Mapping[str, Array],
+@one_blas_thread
+def compare(
+    log: MeasuredLog,
+    other: MeasuredLog,
+    assembly: Assembly,
+    *,
+    seed: int = 0,
+    jobs: int = 2,
+    progress: Report | None = None,
+) -> Diagnosis:
+    """Judge whether `other` differs from `log`, and in what.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict ``differs`` or ``no_difference``; parameters ``<cause>.a`` and ``<cause>.b`` are the
+        values of both sets, ``<cause>`` their difference.
+    """
+    robot = machine(log, assembly.robot)
+    both = [check(one, robot) for one in (log, other)]
+    result = compared(both, robot, seed, jobs, Tracker(progress))
+    still = [too_little_motion()] if any(stood_still(checked.log) for checked in both) else []
+    faults = [finding for checked in both for finding in checked.findings]
+    findings = _findings(
+        result.logs,
+        verdict=Overall.DIFFERS if result.findings else Overall.NO_DIFFERENCE,
+        seed=seed,
+        config_sha256=assembly.config.sha256,
+        findings=(*faults, *result.findings, *still),
+        smallest_detectable=result.sizes,
+        not_judged=_not_judged(result.reasons),
+        notices=tuple(note for one in result.logs for note in one.notices),
+    )
+    return Diagnosis(findings, Evidence())
+
+
+def _on_other_logs(
+    member: Member, test: MeasuredLog, horizon_s: float, rng: np.random.Generator
+) -> tuple[dict[str, Gain], dict[str, Gain]]:
+    """Return the gain on other logs, of what predicts and of what has a name alone."""
+    log, stages = check(test, member.robot).log, member.judged.items()
+    whole = gain_on(
+        log, member.robot, {stage: j.whole.model for stage, j in stages}, horizon_s, rng
+    )
+    named = {stage: j.point.model for stage, j in stages}
+    return whole, gain_on(log, member.robot, named, horizon_s, rng)
+
+
+def _collected(
+    members: Sequence[Member],
+    answers: Sequence[Answer],
     horizon_s: float,
     rng: np.random.Generator,
-) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for stage, j in judged.items():
-        p = j.prepared
-        p.library.rewhiten(j.point)
-        found |= ceilings(p.problem, p.library, j.point, before[stage], horizon_s, rng)
-    return {key: float(f"{ratio:.{CEILING_DIGITS}g}") for key, ratio in found.items()}
+    gains: Iterable[dict[str, Gain] | None] | None = None,
+) -> tuple[list[Finding], dict[int, Fitted]]:
+    """Return all findings, and which of them is which fitted cause.
+
+    Parameters
+    ----------
+    gains : iterable of dict of str to Gain or None, optional
+        Of all causes of each stage, where it is known.
+    """
+    found = [_in(m.name, fault) for m in members for fault in m.faults]
+    fitted: dict[int, Fitted] = {}
+    for answer, gain in zip(answers, gains or [None] * len(answers), strict=True):
+        fitted |= enumerate(answer.model.fitted, len(found))
+        found += answer.with_worth(horizon_s, rng, gain)
+        for part in answer.explained.parts:
+            found += [_in(part.member, one) for one in other_findings(part.judged)]
+    found += [_in(m.name, too_little_motion()) for m in members if stood_still(m.log)]
+    return found, fitted
 
 
-def _shown(
-    judged: Mapping[str, Judged], after: Mapping[str, Array], before: Mapping[str, Array]
-) -> dict[str, Shown]:
-    return {
-        stage: Shown(
-            j.prepared,
-            j.point,
-            before[stage],
-            after[stage],
-            j.scores,
-            unknown=j.unknown,
-            drift=j.drift,
-            selection=tuple(j.selected.rows),
-        )
-        for stage, j in judged.items()
-    }
+def _all_of(by_stage: Iterable[dict[str, T]]) -> dict[str, T]:
+    return {key: value for one in by_stage for key, value in one.items()}
+
+
+def _group(m: Member, gain: dict[str, Gain]) -> GroupOfLogs:
+    files = tuple(s.file for s in m.log.sources)
+    return GroupOfLogs(logs=files, noise=m.noise, total_gain=gain)
+
+
+def _in(group: str, finding: Finding) -> Finding:
+    """Return the finding of one group alone, in words."""
+    if not group:
+        return finding
+    text = f"In group {group}: {explain_finding(finding)}"
+    return finding.model_copy(update={"explanation": text})
+
+
+def _not_judged(reasons: Mapping[str, str]) -> tuple[NotJudged, ...]:
+    return tuple(NotJudged(cause=cause, reason=reason) for cause, reason in reasons.items())
+
+
+def _diagnosis(
+    members: Sequence[Member],
+    answers: Sequence[Answer],
+    found: Sequence[Finding],
+    fitted: Mapping[int, Fitted],
+    refusal: str | None,
+    tracker: Tracker,
+    *,
+    total_gain: Mapping[str, Gain],
+    notices: tuple[str, ...],
+    **fields: Any,
+) -> Diagnosis:
+    """Return findings and evidence.
+
+    Parameters
+    ----------
+    refusal : str or None
+        Why there is no extension.
+    fields
+        Of `Findings`.
+    """
+    predicts = any(answer.explained.predicts for answer in answers)
+    findings = _findings(
+        [m.log for m in members],
+        verdict=overall(found, is_judged=any(m.judged for m in members)),
+        baseline={key: gain.before for key, gain in total_gain.items()},
+        findings=tuple(found),
+        total_gain=dict(total_gain) if found and predicts else {},
+        joint=joint([answer.estimate for answer in answers]),
+        notices=notices if refusal is None else (*notices, refusal),
+        decisions=tuple(row for m in members for row in m.decisions),
+        **fields,
+    )
+    terms = extension(found, fitted) if refusal is None else ()
+    parts = {m.name: _evidence(m, answers, terms, tracker) for m in members}
+    return Diagnosis(findings, merged(parts))
+
+
+def _findings(logs: Iterable[MeasuredLog], *, notices: Iterable[str], **fields: Any) -> Findings:
+    files = tuple(LogFile(file=s.file, sha256=s.sha256) for log in logs for s in log.sources)
+    once = tuple(dict.fromkeys(notices))
+    return Findings(logs=files, version=__version__, notices=once, **fields)
+
+
+def _evidence(
+    m: Member, answers: Sequence[Answer], terms: tuple[FittedTerm, ...], tracker: Tracker
+) -> Evidence:
+    own = [part for a in answers for part in a.explained.parts if part.member == m.name]
+    return evidence(m.log, own, terms, tracker.timings_s)

@@ -20,7 +20,7 @@ def on_cluster(
     Raises
     ------
     FailedError
-        If the extra is not installed or nobody answers at the address.
+        If the extra is not installed or nothing answers at the address.
     """
     with _client(address) as client:
         futures = client.map(function, tasks, pure=False)

@@ -1,15 +1,14 @@
 """One diagnosis from files to documents, in this process: what a worker runs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.compare.comparison import compare
-from hilserver.diagnosis.engine import diagnose
-from hilserver.diagnosis.groups.diagnosing import diagnose_groups
+from hilserver.diagnosis.engine import compare, diagnose, diagnose_groups
 from hilserver.diagnosis.memory import share_arenas
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.errors import EXIT_DONE, LogError, UserError
@@ -18,9 +17,6 @@ from hilserver.measured.frames import Sampling
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignTable
 from hilserver.measured.reading import read_measured
-
-Progress = Callable[[str, float], None]
-"""Called with the stage and the share of the whole that is done."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,7 @@ class Outcome:
     files: dict[str, str] = field(default_factory=dict)
 
 
-def judge(task: Task, progress: Progress | None = None) -> Diagnosis:
+def judge(task: Task, progress: Report | None = None) -> Diagnosis:
     """Read, check and judge the logs of a task.
 
     Raises
@@ -111,7 +107,7 @@ def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
             seen[source.sha256] = (name, source.file)
 
 
-def run(task: Task, progress: Progress | None = None) -> Outcome:
+def run(task: Task, progress: Report | None = None) -> Outcome:
     """Judge a task; what a user can fix becomes a sentence."""
     share_arenas()
     try:

@@ -10,7 +10,7 @@ is read are in `hilserver.measured.thresholds`.
 from typing import Final
 
 # Asked in several rooms: counts
-FEWEST_CHANGES: Final = 20  # of a channel; fewer tell no rate and no copy
+FEWEST_CHANGES: Final = 20  # of a channel; fewer show no rate and no copy
 FEWEST_PIECES: Final = 15  # straight pieces, readings at a limit, seconds; fewer are chance
 FEWEST_SAMPLES: Final = 100  # that a statement about single values rests on
 FEWEST_BLOCKS: Final = 4  # blocks or free runs; of fewer no spread is known
@@ -46,7 +46,7 @@ COMB_CLEAR: Final = 0.05  # least coefficient of a rounded quantity
 COMB_TIMES: Final = 5.0  # by which it exceeds the coefficient of a smooth quantity
 
 # Data checks: values copied, held, interpolated, repeated, missing, limited
-COPIED_LEAST_CHANGE_RPM: Final = 0.02  # rpm: smaller changes of a set-point tell nothing
+COPIED_LEAST_CHANGE_RPM: Final = 0.02  # rpm: smaller changes of a set-point are not used
 HELD_SLOWEST_HZ: Final = 1.5  # Hz: slower is no held sample but a stuck one
 HELD_QUANTA: Final = 4.0  # steps of the resolution by which a change is real
 HELD_SHARE: Final = 0.8  # of the stretches that last two rows and longer

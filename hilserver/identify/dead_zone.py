@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel, MeasuredLog
 
 RESTING_RPM: Final = 1.0
@@ -88,7 +88,7 @@ def _keys(channel: Channel) -> NDArray[np.void]:
     return keys
 
 
-def _held(level: Array, speed: Array) -> NDArray[np.bool_]:
+def _held(level: Array, speed: Array) -> Mask:
     """Return where a speed is only kept: the same to the last digit while the duty changed sign.
 
     Encoders that time the edges keep their last speed when no edge comes any more: a stop.

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
-Index = NDArray[np.int64]
-
-BLOCK_S: Final = 5.0
+LONGEST_BLOCK_S: Final = 5.0
 BLOCKS_MIN: Final = 3
 _BLOCKS_WANTED = 8
 _BLOCK_MIN_S = 0.5
@@ -53,7 +51,7 @@ class Regression:
         return float(stats.t.ppf(0.975, max(self.blocks - 1, 1)))
 
 
-def regress(columns: Array, target: Array, block: Index) -> Regression:
+def regress(columns: Array, target: Array, block: Indices) -> Regression:
     """Fit ``target = columns @ values``; the covariance is the jackknife's over blocks.
 
     Parameters
@@ -79,12 +77,12 @@ def regress(columns: Array, target: Array, block: Index) -> Regression:
     return Regression(values, (count - 1) / count * apart.T @ apart, count)
 
 
-def mean(values: Array, block: Index, unit: str = "1") -> Estimate:
+def mean(values: Array, block: Indices, unit: str = "1") -> Estimate:
     """Return the mean of correlated samples with its interval."""
     return regress(np.ones((len(values), 1)), values, block).estimate(0, unit)
 
 
-def blocks_of(t_s: Array, span: Index, block_s: float = BLOCK_S) -> Index:
+def blocks_of(t_s: Array, span: Indices, block_s: float = LONGEST_BLOCK_S) -> Indices:
     """Return the block of every sample: stretches of time that no segment's end cuts through.
 
     Blocks are shorter when there would be fewer than eight, but not below half a second.

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from hilserver.errors import LogError
@@ -22,7 +21,7 @@ from hilserver.identify.wheels import (
     present,
     side_sum_rpm,
 )
-from hilserver.measured.arrays import Array, Mask
+from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import GYRO, IMU_YAW, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
@@ -246,9 +245,9 @@ def _flag_lag(lag: Estimate, unsteady: Estimate, corrected: Estimate, flags: lis
         )
 
 
-def _increments(log: MeasuredLog, name: str) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+def _increments(log: MeasuredLog, name: str) -> tuple[Array, Array, Array, Indices]:
     """Return starts, ends, mean yaw rate and span of stretches of about half a second."""
-    rows: list[tuple[Array, Array, Array, NDArray[np.int64]]] = []
+    rows: list[tuple[Array, Array, Array, Indices]] = []
     for span in range(len(log.spans)):
         t_s, yaw = log[name].of(span)
         if len(t_s) < 2:

@@ -19,7 +19,7 @@ from hilserver.logs.writer import Segmented
 from hilserver.ros.types import Types
 
 Storage = Literal["mcap", "sqlite3"]
-VERSION: Final = 9
+BAG_VERSION: Final = 9
 
 
 class BagWriter:
@@ -55,7 +55,7 @@ class BagWriter:
         self._eduart = topics.Eduart(self._types, list(self._layout.names), period_ns)
         plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = Writer(path, version=VERSION, storage_plugin=plugin)
+        self._writer = Writer(path, version=BAG_VERSION, storage_plugin=plugin)
         self._writer.open()
         self._held: list[tuple[str, bytes]] = []
         self._newest_ns: int | None = None

@@ -3,12 +3,11 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant
 from hilserver.logs.bag_messages import Topic, is_bag, read_messages
 from hilserver.logs.table import first_of_equal, repeated_stamps
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.mapping import LogMapping
 from hilserver.measured.messages import Decoder, TopicError
 from hilserver.measured.tables import Recording, Stamped, as_signal
@@ -77,7 +76,7 @@ def _part(
     messages: list[tuple[int, bytes]],
     mapping: LogMapping,
     notices: list[str],
-) -> tuple[NDArray[np.int64], dict[str, Array]]:
+) -> tuple[Indices, dict[str, Array]]:
     """Return stamps [ns] and channels of one topic, sorted; of equal stamps the first counts."""
     where = f"{path}: topic '{name}'"
     decoder = Decoder(where, topic)

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs import Log, read_log
@@ -11,6 +10,7 @@ from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, in_time
+from hilserver.measured.arrays import Array
 from hilserver.measured.bag import read_bag
 from hilserver.measured.mapping import builtin_mappings, load_mapping
 from hilserver.measured.names import known_columns
@@ -69,7 +69,7 @@ def _parquet(path: Path) -> Log:
         raise LogError(f"{path}: there is no column 't_s'; name the time column so, in s")
     names = [name for name in table.header if name not in (TIME, SEGMENT, BLOCK)]
     table = in_time(table, TIME)
-    columns: dict[str, NDArray[np.float64]] = {name: table.column(name) for name in names}
+    columns: dict[str, Array] = {name: table.column(name) for name in names}
     return Log(
         path,
         table.column(TIME),

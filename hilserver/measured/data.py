@@ -4,9 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
@@ -53,7 +52,7 @@ class Channel:
 
     t_s: Array
     values: Array
-    span: NDArray[np.int64]
+    span: Indices
 
     def __len__(self) -> int:
         return len(self.t_s)

@@ -10,11 +10,10 @@ from typing import Final
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from hilserver.config.root import Config
 from hilserver.logs import Log
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import MODE, OF_MODE
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES
@@ -26,8 +25,6 @@ POSE_REQUEST: Final = "internal.pose_request"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
 BAD: Final = 0x8000_0000
 UNCERTAIN: Final = 0x4000_0000
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ class Frames:
 
     columns: Mapping[str, Array]
     age_s: Mapping[str, Array]
-    segment: Ints
+    segment: Indices
     on_ticks: bool
 
 
@@ -134,7 +131,7 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
     return Frames(columns, age_s, segment, on_ticks=sampling is not None)
 
 
-def _enough(tick: Ints) -> NDArray[np.bool_]:
+def _enough(tick: Indices) -> Mask:
     """Return which rows of wheels without noise are enough: every n-th, where none is missing.
 
     The number is prime: in step with a controller's period they would always show the same part of
@@ -147,7 +144,7 @@ def _enough(tick: Ints) -> NDArray[np.bool_]:
     return np.asarray(after_gap | (np.arange(len(tick)) % every == 0))
 
 
-def _ticks(log: Log, sampling: Sampling | None) -> Ints | None:
+def _ticks(log: Log, sampling: Sampling | None) -> Indices | None:
     if TICK in log.columns and np.isfinite(log.columns[TICK]).all():
         return log.columns[TICK].astype(np.int64)
     if sampling is None:
@@ -195,7 +192,7 @@ def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
     }
 
 
-def _fresh(values: Array, sample: Ints, segment: Ints) -> NDArray[np.bool_] | None:
+def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
     """Return the first row of every sample; None if what stands within one is not the same."""
     there = np.flatnonzero(np.isfinite(values))
     new = (np.diff(sample[there], prepend=-1) != 0) | (np.diff(segment[there], prepend=-1) != 0)

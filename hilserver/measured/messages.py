@@ -7,11 +7,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs.bag_messages import Topic
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.fields import Field
 
 _EDUART = {
@@ -111,7 +110,7 @@ class Decoder:
 
     def numbers(
         self, messages: Sequence[tuple[int, bytes]], fields: Sequence[str], *, from_header: bool
-    ) -> tuple[NDArray[np.int64], Array]:
+    ) -> tuple[Indices, Array]:
         """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields).
 
         NaN where a message does not hold a field.

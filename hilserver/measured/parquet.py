@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs.table import EXACT, Table
 from hilserver.logs.unpacking import Budget
+from hilserver.measured.arrays import Array
 
 
 def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
@@ -50,7 +50,7 @@ def read_parquet(path: Path, used: Container[str] | None = None) -> Table:
     return Table(path, header, numbers.reshape(-1), range(1, len(numbers) + 1), read=read)
 
 
-def _numbers(path: Path, name: str, column: Any) -> NDArray[np.float64]:
+def _numbers(path: Path, name: str, column: Any) -> Array:
     """Return a column as doubles; whole numbers too long for them count from the first one."""
     from pyarrow import ArrowException, types  # noqa: PLC0415 -- an extra
 

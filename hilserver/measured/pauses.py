@@ -1,4 +1,4 @@
-"""Pauses of a recorder: nobody knows what the machine did in them, so a segment ends there."""
+"""Pauses of a recorder: what the machine did in them is unknown, so a segment ends there."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
+from hilserver.measured.arrays import Indices
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling
@@ -179,7 +179,7 @@ def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
     return replace(log, channels=channels, spans=tuple(spans))
 
 
-def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[NDArray[np.int64]]]:
+def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]]:
     """Return the spans of a file and, for each part, the span of every row.
 
     A table begins a span where segment or block change; the parts of a bag share one.
@@ -209,7 +209,7 @@ def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[NDArray[
     return spans, [np.repeat(np.arange(len(starts)), ends - starts)]
 
 
-def _refuse_scattered(path: Path, part: Stamped, starts: NDArray[np.int64]) -> None:
+def _refuse_scattered(path: Path, part: Stamped, starts: Indices) -> None:
     numbers = part.segment[starts]
     runs = numbers[np.flatnonzero(np.diff(numbers, prepend=numbers[:1] - 1))]
     unique, counts = np.unique(runs, return_counts=True)
@@ -220,7 +220,7 @@ def _refuse_scattered(path: Path, part: Stamped, starts: NDArray[np.int64]) -> N
         )
 
 
-def _channels(part: Stamped, span: NDArray[np.int64]) -> Mapping[str, Channel]:
+def _channels(part: Stamped, span: Indices) -> Mapping[str, Channel]:
     found = {}
     begins_s = part.t_s[np.searchsorted(span, span)] if part.age_s else part.t_s
     for name, values in part.columns.items():

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import read_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
 from hilserver.measured.mapping import PER_SECOND, LogMapping
 from hilserver.measured.names import known_columns
@@ -35,9 +34,9 @@ class Stamped:
     """
 
     t_s: Array
-    segment: NDArray[np.int64]
+    segment: Indices
     columns: Mapping[str, Array]
-    block: NDArray[np.int64] | None = None
+    block: Indices | None = None
     age_s: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -180,7 +179,7 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     return Recording(path, [part], time is not None, table.notices)
 
 
-def _counted(segment: NDArray[np.int64], rate_hz: float) -> Array:
+def _counted(segment: Indices, rate_hz: float) -> Array:
     """Return the times of rows that come at a rate."""
     starts = np.flatnonzero(np.diff(segment, prepend=segment[:1] - 1))
     n = len(segment)

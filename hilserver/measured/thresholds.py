@@ -10,7 +10,7 @@ ABSURD: Final = 1e12  # a number beyond is no measurement in any unit
 LATEST_S: Final = 1e11  # s: later stamps are none, and too coarse (seconds since 1970 are 1.8e9)
 SHORTEST_LOG_S: Final = 1.0  # s
 LONGEST_LOG_S: Final = 28_800.0  # s
-FEWEST_VALUES: Final = 20  # different ones; fewer do not tell how often a new one comes
+FEWEST_VALUES: Final = 20  # different ones; fewer do not show how often a new one comes
 ENOUGH_ROWS: Final = 20_000  # the simulation's wheels show no noise that more rows would average
 UNIT_NORM: Final = 0.1  # a quaternion whose norm is further from 1 is no orientation
 

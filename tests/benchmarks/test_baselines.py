@@ -19,7 +19,7 @@ from benchmarks.baselines import (
 from benchmarks.diagnose_recordings import NINE_TERMS, Row, _figures
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.engine import silent
+from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.gain import free_run_errors, gains
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.schema.findings import Gain
@@ -36,7 +36,7 @@ def prepared_for(duration_s):
     recipe = replace(RECIPE, duration_s=duration_s)
     log = measured(make(recipe)[0], recipe)
     slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
-    return prepare_all(slim, assemble(None).robot, 1, silent)[0]["pose"]
+    return prepare_all(slim, assemble(None).robot, 1, Tracker())[0]["pose"]
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,9 @@ def test_both_rivals_gain_on_held_out_blocks(prepared):
 def test_without_a_heading_nothing_is_compared(prepared):
     log = prepared.problem.stage.log
     channels = {n: log[n] for n in log.channels if n != YAW}
-    blind = prepare_all(replace(log, channels=channels), assemble(None).robot, 1, silent)[0]["pose"]
+    blind = prepare_all(replace(log, channels=channels), assemble(None).robot, 1, Tracker())[0][
+        "pose"
+    ]
     assert all(name in blind.problem.stack.edges for name in POSITION)
     assert not applies(blind.problem)
 

@@ -15,7 +15,7 @@ from benchmarks.diagnose_beside import beside
 from benchmarks.diagnose_worker import measured
 from benchmarks.sindy import CAUSES, mapped, said, sparse
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.engine import silent
+from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.errors import FailedError
 from hilserver.plant.terms import TERMS
@@ -29,7 +29,7 @@ def prepared():
     recipe = Recipe(seed=3, causes={"rotation_gain": -0.3}, duration_s=60.0)
     log = measured(make(recipe)[0], recipe)
     slim = replace(log, channels={n: log[n] for n in log.channels if "duty" not in n})
-    return prepare_all(slim, assemble(None).robot, 1, silent)[0]["pose"]
+    return prepare_all(slim, assemble(None).robot, 1, Tracker())[0]["pose"]
 
 
 def test_pysindy_names_a_large_rotation_gain(prepared):

@@ -31,7 +31,7 @@ CIRCLE = of_moves([(20, 30, 60)])
 
 def seen(*spans, recording=None):
     recording = recording or Recording()
-    return look(spans, ROBOT, recording, seed=0, jobs=2, tell=lambda text, share: None)
+    return look(spans, ROBOT, recording, seed=0, jobs=2, report=lambda text, share: None)
 
 
 def written(folder, manoeuvre, name="given.yaml"):

@@ -31,43 +31,57 @@ LIMITS_PCT = (85.0, 65.0, 45.0)
 MEASURED = 0.05
 """Prior deviation of what somebody measured or counted: radii, distances between anchors, the
 increments of a turn."""
+PRIORS = {"wheel_radius": MEASURED, "nav_scale": MEASURED}
+OF_THE_DRIVE = (
+    ("process_gain", 0.02, 0.005, -0.6, 2.0),
+    ("time_constant", 0.05, 0.02, -0.7, 3.0),
+    ("coulomb_friction", 0.5, 0.2, 0.0, 60.0),
+    ("viscous_load", 0.02, 0.005, 0.0, 2.0),
+    ("dead_zone", 0.5, 0.25, 0.0, 40.0),
+    ("battery_sag", 0.3, 0.15, 0.0, 3.0),
+    ("controller_gains.p", -0.05, 0.03, -0.9, 2.0),
+    ("controller_gains.i", -0.05, 0.05, -0.9, 3.0),
+)
+OF_THE_POSE = (
+    ("wheel_radius", 0.01, 0.002, -0.5, 1.0),
+    # 10 m with it cost about half the heading of a full turn with the least rotation_gain
+    ("wheel_radius_difference", 0.005, 0.0005, -0.5, 0.5),
+    ("rotation_gain", 0.01, 0.003, -0.9, 3.0),
+    ("rotation_gain_speed", 0.05, 0.02, -2.0, 5.0),
+    ("rotation_gain_radius", 0.05, 0.02, -0.95, 5.0),
+    ("body_lag", 0.02, 0.008, 0.0, 1.5),
+    ("longitudinal_slip", 0.03, 0.01, -0.5, 2.0),
+    ("acceleration_slip", 0.02, 0.01, 0.0, 2.0),
+    ("side_slip", 0.03, 0.015, -2.0, 2.0),
+    ("icr_offset", 0.02, 0.006, -0.5, 0.5),
+    ("wheel_misalignment", 0.01, 0.003, -0.5, 0.5),
+    ("nav_frame_yaw", 0.01, 0.005, -3.2, 3.2),
+    ("nav_latency", 0.02, 0.008, 0.0, 1.5),
+    ("yaw_latency", 0.02, 0.01, 0.0, 1.5),
+    ("nav_scale", 0.01, 0.003, -0.5, 1.0),
+    ("gyro_bias", 0.002, 0.0005, -1.0, 1.0),
+    ("gyro_scale", 0.01, 0.003, -0.95, 3.0),
+    ("imu_latency", 0.01, 0.004, 0.0, 1.5),
+)
+"""Step of the differences, least size worth a name, lower and upper bound."""
+LATENCIES = (
+    ("imu_latency", 0.01, 0.004),
+    ("yaw_latency", 0.02, 0.01),
+    ("nav_latency", 0.02, 0.008),
+)
 
 
 def drive_candidates(limit_pct: float) -> list[Candidate]:
     """Return the candidates that set-points, wheel speeds and duties judge."""
     stage: StageName = "drive"
-    found = [
-        single("process_gain", stage, 0.02, 0.005, -0.6, 2.0),
-        single("time_constant", stage, 0.05, 0.02, -0.7, 3.0),
-        single("coulomb_friction", stage, 0.5, 0.2, 0.0, 60.0),
-        single("viscous_load", stage, 0.02, 0.005, 0.0, 2.0),
-        single("dead_zone", stage, 0.5, 0.25, 0.0, 40.0),
-        single("battery_sag", stage, 0.3, 0.15, 0.0, 3.0),
-        single("controller_gains.p", stage, -0.05, 0.03, -0.9, 2.0),
-        single("controller_gains.i", stage, -0.05, 0.05, -0.9, 3.0),
-        several(
-            "controller_gains",
-            "controller_gains",
-            stage,
-            ("controller_gains.p", "controller_gains.i"),
-            (-0.05, -0.05),
-            0.05,
-            None,
-            -0.9,
-            3.0,
-        ),
-    ]
+    found = [single(name, stage, *sizes) for name, *sizes in OF_THE_DRIVE]
+    gains, both = "controller_gains", ("controller_gains.p", "controller_gains.i")
+    found.append(several(gains, gains, stage, both, (-0.05, -0.05), 0.05, None, -0.9, 3.0))
     for wheel, term in enumerate(SPEED_SCALES.values()):
         found.append(_of_wheel("wheel_load", "f", wheel, 1.0, 0.4, 0.0, 60.0))
         found.append(_encoder(wheel))
-        found.append(
-            replace(
-                single(term, stage, 0.01, 0.005, 0.3, 3.0),
-                cause="unit_error",
-                start=(1.0,),
-                null=(1.0,),
-            )
-        )
+        scale = single(term, stage, 0.01, 0.005, 0.3, 3.0)
+        found.append(replace(scale, cause="unit_error", start=(1.0,), null=(1.0,)))
     found += [_stribeck(n_s) for n_s in (3.0, 6.0, 12.0)]
     limits = [limit for limit in LIMITS_PCT if limit < limit_pct]
     found += start_grid("saturation_limit", stage, 100.0, limits, -2.0, 1.0, 5.0, 99.0)
@@ -88,89 +102,31 @@ def pose_candidates(place: Region | None) -> list[Candidate]:
     place : tuple of float or None
         Where the robot drove: x_min, x_max, y_min, y_max [m]; None without a position.
     """
-    stage: StageName = "pose"
-    found = [
-        replace(single("wheel_radius", stage, 0.01, 0.002, -0.5, 1.0), prior=MEASURED),
-        # 10 m with it cost about half the heading of a full turn with the least rotation_gain
-        single("wheel_radius_difference", stage, 0.005, 0.0005, -0.5, 0.5),
-        single("rotation_gain", stage, 0.01, 0.003, -0.9, 3.0),
-        single("rotation_gain_speed", stage, 0.05, 0.02, -2.0, 5.0),
-        single("rotation_gain_radius", stage, 0.05, 0.02, -0.95, 5.0),
-        single("body_lag", stage, 0.02, 0.008, 0.0, 1.5),
-        single("longitudinal_slip", stage, 0.03, 0.01, -0.5, 2.0),
-        single("acceleration_slip", stage, 0.02, 0.01, 0.0, 2.0),
-        single("side_slip", stage, 0.03, 0.015, -2.0, 2.0),
-        single("icr_offset", stage, 0.02, 0.006, -0.5, 0.5),
-        single("wheel_misalignment", stage, 0.01, 0.003, -0.5, 0.5),
-        single("nav_frame_yaw", stage, 0.01, 0.005, -3.2, 3.2),
-        single("nav_latency", stage, 0.02, 0.008, 0.0, 1.5),
-        single("yaw_latency", stage, 0.02, 0.01, 0.0, 1.5),
-        replace(single("nav_scale", stage, 0.01, 0.003, -0.5, 1.0), prior=MEASURED),
-        single("gyro_bias", stage, 0.002, 0.0005, -1.0, 1.0),
-        single("gyro_scale", stage, 0.01, 0.003, -0.95, 3.0),
-        single("imu_latency", stage, 0.01, 0.004, 0.0, 1.5),
-        *start_grid("imu_latency", stage, 0.0, LATE_S, 0.01, 0.004, 0.0, 1.5),
-        *start_grid("yaw_latency", stage, 0.0, LATE_S, 0.02, 0.01, 0.0, 1.5),
-        *start_grid("nav_latency", stage, 0.0, LATE_S, 0.02, 0.008, 0.0, 1.5),
-        replace(single("shift.nav", stage, 0.02, 0.01, -1.5, 1.5), cause="clock_offset"),
-        several(
-            "floor_slope",
-            "floor_slope",
-            stage,
-            ("floor_slope.x", "floor_slope.y"),
-            (0.005, 0.005),
-            0.002,
-            None,
-            -0.5,
-            0.5,
-        ),
-        several(
-            "nav_lever_arm",
-            "nav_lever_arm",
-            stage,
-            ("nav_lever_arm.x", "nav_lever_arm.y"),
-            (0.02, 0.02),
-            0.006,
-            None,
-            -2.0,
-            2.0,
-        ),
-        wave(
-            "heading_distortion",
-            "heading_distortion.1",
-            "heading_distortion.a1",
-            "heading_distortion.phase1",
-            0.005,
-        ),
-        wave(
-            "heading_distortion",
-            "heading_distortion.2",
-            "heading_distortion.a2",
-            "heading_distortion.phase2",
-            0.005,
-        ),
-        wave("wheel_runout", "wheel_runout", "wheel_runout.amplitude", "wheel_runout.phase", 0.005),
-    ]
+    found = [replace(single(name, "pose", *sizes), prior=PRIORS.get(name, math.inf))
+             for name, *sizes in OF_THE_POSE]  # fmt: skip
+    for name, step, least in LATENCIES:
+        found += start_grid(name, "pose", 0.0, LATE_S, step, least, 0.0, 1.5)
+    found.append(replace(single("shift.nav", "pose", 0.02, 0.01, -1.5, 1.5), cause="clock_offset"))
+    for name, step, least, most in (
+        ("floor_slope", 0.005, 0.002, 0.5), ("nav_lever_arm", 0.02, 0.006, 2.0)
+    ):  # fmt: skip
+        parts = (f"{name}.x", f"{name}.y")
+        found.append(several(name, name, "pose", parts, (step, step), least, None, -most, most))
+    for k in (1, 2):
+        cause = "heading_distortion"
+        found.append(wave(cause, f"{cause}.{k}", f"{cause}.a{k}", f"{cause}.phase{k}", 0.005))
+    cause = "wheel_runout"
+    found.append(wave(cause, cause, f"{cause}.amplitude", f"{cause}.phase", 0.005))
     if place is not None:
-        found += _surfaces(place)
-        found += [
-            replace(
-                several(
-                    "nav_position_bias",
-                    f"nav_position_bias@{length:g}",
-                    stage,
-                    ("nav_position_bias.amplitude",),
-                    (0.02,),
-                    0.02,
-                    {"nav_position_bias.wavelength": length},
-                    -5.0,
-                    5.0,
-                ),
-                hidden=1,
-            )
-            for length in (3.0, 5.0, 8.0, 12.0)
-        ]
+        found += _surfaces(place) + [_position_bias(length_m) for length_m in (3.0, 5.0, 8.0, 12.0)]
     return found
+
+
+def _position_bias(length_m: float) -> Candidate:
+    cause = "nav_position_bias"
+    names, fixed = (f"{cause}.amplitude",), {f"{cause}.wavelength": length_m}
+    label = f"{cause}@{length_m:g}"
+    return replace(several(cause, label, "pose", names, (0.02,), 0.02, fixed, -5.0, 5.0), hidden=1)
 
 
 def roller_candidates() -> list[Candidate]:
@@ -192,7 +148,7 @@ def side_encoders(wheels: Collection[int]) -> list[Candidate]:
     Parameters
     ----------
     wheels : collection of int
-        Those with a speed in the log. Which of two on a side it is, the pose does not tell.
+        Those with a speed in the log. Which of two on a side it is, the pose does not show.
     """
     sides = [sorted({first, first + 1} & set(wheels)) for first in (0, 2)]
     return [

@@ -57,7 +57,7 @@ class Traits:
         Causes that it may stand for where both act: from it no exchange of one cause for another
         leads to them.
     hides_inputs : bool
-        Where it is found in an input, nobody knows any more when that changed.
+        Where it is found in an input, the log no longer says when that changed.
     """
 
     needs: tuple[Need, ...] = ()
@@ -97,7 +97,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "rotation_gain_radius": Traits(bends_turn=True),
     "longitudinal_slip": Traits(needs=(Need.POSITION,)),
     "acceleration_slip": Traits(needs=(Need.POSITION,)),
-    # rollers tell it from a scale of the navigation; tyres on one floor do not
+    # rollers separate it from a scale of the navigation; tyres on one floor do not
     "traction_slip": Traits(
         needs=(Need.POSITION,), not_judged="on one floor it is the same as nav_scale"
     ),

@@ -26,7 +26,7 @@ SPEED_SCALES: Final[Mapping[str, str]] = MappingProxyType(
 """By signal: factor by which the log, but not the controller, has a wheel's speed."""
 
 SPEED_STEP: Final = "encoder_quantization"
-"""Term of the step in which the loop sees the wheel speeds; the values themselves may tell it."""
+"""Term of the step in which the loop sees the wheel speeds; the values themselves may show it."""
 
 LATENCIES: Final[Mapping[str, str]] = MappingProxyType(
     {POSITION[0]: "nav_latency", YAW: "yaw_latency", GYRO: "imu_latency"}

@@ -1,7 +1,7 @@
 """Data checks: faults of the log itself, found without the model and taken out of the data.
 
-One file per check. Each takes a log and gives back the corrected log and what it found; the order
-matters, because units and signs can only be judged on samples that are real.
+Each check takes a log and gives back the corrected log and what it found; the order matters,
+because units and signs can only be judged on samples that are real.
 """
 
 from collections.abc import Callable
@@ -15,13 +15,11 @@ from hilserver.diagnosis.checks import (
     blocked,
     clocks,
     copied,
-    held,
-    interpolated,
+    dropouts,
     limited,
     orientation,
-    repeated,
-    sparse,
-    stuck,
+    repetitions,
+    setpoint_runs,
     too_fast,
     turned,
     units,
@@ -39,11 +37,11 @@ FAR_S = 1e5
 Check = Callable[[MeasuredLog, RobotParameters], tuple[MeasuredLog, list[Finding]]]
 
 ORDER: Final[tuple[Check, ...]] = (
-    stuck.find,
+    repetitions.find_stuck,
     copied.find,
-    interpolated.find,
-    held.find,
-    repeated.find,
+    setpoint_runs.find_interpolated,
+    repetitions.find_held,
+    dropouts.find,
     wrapped.find,
     turned.find,
     units.find,
@@ -51,7 +49,7 @@ ORDER: Final[tuple[Check, ...]] = (
     orientation.find,
     blocked.find,
     limited.find,
-    sparse.find,
+    setpoint_runs.find_sparse,
     clocks.find,
 )
 
@@ -73,7 +71,7 @@ class Checked:
 
     @property
     def lost_setpoints(self) -> bool:
-        """Whether nobody knows any more when the set-points changed."""
+        """Whether the log no longer says when the set-points changed."""
         return any(
             traits_of(cause).hides_inputs and any(map(is_input, finding.regressors))
             for finding in self.findings

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.motion import Windows, ends_in, mean_in, rolled, windows_of
 from hilserver.diagnosis.checks.support import SPAN_S
@@ -16,13 +15,13 @@ from hilserver.diagnosis.thresholds import (
     STANDS,
     TURNS_RAD_S,
 )
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.channels import GYRO, POSITION
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 
-PIECE_S: Final = 2.0
+WAY_S: Final = 2.0
 """Way and place are compared over so long."""
 
 
@@ -38,7 +37,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     """Tell when the robot was blocked, and leave that out: nothing here models what held it."""
     if not log.has(*POSITION, GYRO):
         return log, []
-    windows = windows_of(log, PIECE_S)
+    windows = windows_of(log, WAY_S)
     way_m = _asked_m(log, robot, windows)
     is_driven = way_m > BLOCKED_LEAST_WAY_M
     is_blocked = is_driven & _stands(log, windows, way_m)
@@ -66,14 +65,14 @@ def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Arra
     return asked * (windows.end - windows.begin)
 
 
-def _stands(log: MeasuredLog, windows: Windows, way_m: Array) -> NDArray[np.bool_]:
+def _stands(log: MeasuredLog, windows: Windows, way_m: Array) -> Mask:
     """Return in which windows position and heading stay where they are; False where unknown."""
     (x0, x1, _), (y0, y1, _) = (ends_in(log[name], windows) for name in POSITION)
     is_there = np.hypot(x1 - x0, y1 - y0) < STANDS * way_m
     return np.asarray(is_there & (np.abs(mean_in(log[GYRO], windows)) < TURNS_RAD_S))
 
 
-def _spells(is_blocked: NDArray[np.bool_], windows: Windows) -> list[Spell]:
+def _spells(is_blocked: Mask, windows: Windows) -> list[Spell]:
     """Return every spell that lasts, with the windows before and after it: it began within."""
     spans, found = np.rint(windows.begin / SPAN_S).astype(np.int64), []
     for span in np.unique(spans).tolist():
@@ -92,4 +91,4 @@ def _left(span: int, start_s: float, end_s: float, spells: list[Spell]) -> Piece
     mine = [spell for spell in spells if spell.span == span]
     begins, ends = [start_s, *(s.end_s for s in mine)], [*(s.begin_s for s in mine), end_s]
     pieces = zip(begins, ends, strict=True)
-    return [(begin, end) for begin, end in pieces if end - begin > PIECE_S]
+    return [(begin, end) for begin, end in pieces if end - begin > WAY_S]

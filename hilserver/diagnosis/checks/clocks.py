@@ -1,6 +1,6 @@
 """Clocks: the tag's and the gyro's clock beside that of the wheels, offset and drift.
 
-Without the model a late tag and a late clock look alike. What tells of the clock: heading and
+Without the model a late tag and a late clock look alike. Signs of a clock: heading and
 position late by the same time, early instead of late, or later and later.
 """
 
@@ -52,7 +52,7 @@ class Lag:
 
     @property
     def is_early(self) -> bool:
-        """Whether the source clearly tells before it happens."""
+        """Whether the source clearly shows a motion before it happens."""
         return self.offset_s < -max(CLOCK_LEAST_S, OUTLIER_SD * self.offset_sd_s)
 
     @property
@@ -141,7 +141,7 @@ Motion = tuple[Channel, Channel]
 def _wheel_motion(log: MeasuredLog, robot: RobotParameters) -> Motion | None:
     """Return forward and turning speed of the wheels, up to a factor.
 
-    One wheel of a side tells enough; those of a mecanum robot turn apart when it goes to the side.
+    One wheel of a side is enough; those of a mecanum robot turn apart when it goes to the side.
     """
     taken = slice(None) if robot.is_mecanum else slice(1)
     sides = [[f"wheel.{w}.speed_rpm" for w in s[taken]] for s in (LEFT_WHEELS, RIGHT_WHEELS)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hilserver.diagnosis.checks.runs import Fault, classified, corrected
 from hilserver.diagnosis.checks.support import along, data_fault, listed, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (
@@ -12,45 +13,30 @@ from hilserver.diagnosis.thresholds import (
     NEGLIGIBLE,
 )
 from hilserver.measured.arrays import Array
+from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog
-from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
-
-CAUSE = "setpoint_as_measurement"
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Find wheel speeds that are copies of set-points; they are left out of the log."""
-    copies: dict[str, float] = {}
-    for wheel in WHEELS:
-        name = f"wheel.{wheel}.speed_rpm"
-        sent = f"wheel.{wheel}.setpoint_rpm"
-        if log.has(name, sent):
-            lag_s = _lag_of_copy(log[sent], log[name], _rpm_per_s(robot))
-            if lag_s is not None:
-                copies[name] = lag_s
+    sent = {b: a for a, b in zip(SETPOINTS, SPEEDS, strict=True) if log.has(a, b)}
+    # no drive accelerates more than at full duty from rest
+    fastest_rpm_s = robot.process.gain * robot.controller.limit_pct / robot.process.t1_s
+    copies = classified(sent, lambda name: copy_of(log[sent[name]], log[name], fastest_rpm_s))
     if not copies:
         return log, []
-    lag_s = float(np.median(list(copies.values())))
+    lag_s = float(np.median([copy.figure for copy in copies.values()]))
     how = "the set-point itself" if lag_s == 0 else f"the set-point of {lag_s * 1e3:.0f} ms before"
-    finding = data_fault(
-        CAUSE,
-        copies,
-        lag_s,
-        None,
-        "s",
+    text = (
         f"The wheel speed in {listed(list(copies))} is no measurement but {how}: record the"
-        " measured speeds; these columns were dropped.",
+        " measured speeds; these columns were dropped."
     )
-    return log.without(copies), [finding]
+    finding = data_fault("setpoint_as_measurement", copies, lag_s, None, "s", text)
+    return corrected(log, copies), [finding]
 
 
-def _rpm_per_s(robot: RobotParameters) -> float:
-    """Return the acceleration at full duty from rest, beyond which no drive goes."""
-    return robot.process.gain * robot.controller.limit_pct / robot.process.t1_s
-
-
-def _lag_of_copy(sent: Channel, speed: Channel, rpm_per_s: float) -> float | None:
+def copy_of(sent: Channel, speed: Channel, fastest_rpm_s: float) -> Fault | None:
     """Return by how much `speed` is a late copy of `sent`, None if it is none."""
     period_s = row_period_s(speed)
     if period_s <= 0 or len(sent) < FEWEST_CHANGES:
@@ -62,15 +48,13 @@ def _lag_of_copy(sent: Channel, speed: Channel, rpm_per_s: float) -> float | Non
     for rows in range(int(COMMAND_SLOWEST_S / period_s) + 1):
         at = changed[changed + rows < len(speed)]
         at = at[speed.span[at] == speed.span[at + rows]]
-        wide_rpm = 1.5 * rpm_per_s * period_s
-        if _is_copy(
-            speed.values[at + rows], held[at], speed.values[at + rows - 1], held[at - 1], wide_rpm
-        ):
-            return rows * period_s
+        now, before = speed.values[at + rows], speed.values[at + rows - 1]
+        if is_copy(now, held[at], before, held[at - 1], 1.5 * fastest_rpm_s * period_s):
+            return Fault(None, rows * period_s)
     return None
 
 
-def _is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: float) -> bool:
+def is_copy(now: Array, sent: Array, last: Array, sent_last: Array, wide_rpm: float) -> bool:
     """Return whether the speed jumps with the set-point, from its old value to its new one.
 
     An exact copy agrees to the last digits; a noisy one follows at once where no drive could.

@@ -1,4 +1,4 @@
-"""A machine whose kinematics nothing tells of: its wheels are in the air, or it never turned."""
+"""A machine whose kinematics no data identify: its wheels are in the air, or it never turned."""
 
 from dataclasses import replace
 
@@ -11,10 +11,11 @@ from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 
-def untold(log: MeasuredLog, robot: RobotParameters) -> str | None:
-    """Return why nothing in a log tells of its machine's kinematics; None if something does.
+def unidentified(log: MeasuredLog, robot: RobotParameters) -> str | None:
+    """Return why a log does not identify its machine's kinematics; None if it does.
 
     On a frame they would all be wrong by the same whole. Without a position, what the wheels ask of
     a machine that does not turn is their own noise.
@@ -42,7 +43,7 @@ def asked_turn(log: MeasuredLog, robot: RobotParameters) -> Array | None:
     )
     p = pack(robot)
     rims = p.radius_left * left + p.radius_right * right
-    return np.asarray(p.yaw_gain * rims * 2.0 * np.pi / 60.0)
+    return np.asarray(p.yaw_gain * rims * RAD_S_PER_RPM)
 
 
 def _turning(turn: Array, least_rad_s: float) -> bool:
@@ -50,7 +51,7 @@ def _turning(turn: Array, least_rad_s: float) -> bool:
 
 
 def without_kinematics(log: MeasuredLog, why: str) -> MeasuredLog:
-    """Return a log without the channels that tell of the kinematics, see `untold`."""
+    """Return a log without the channels that show the kinematics, see `unidentified`."""
     moved = {*POSITION, YAW, GYRO}
     kept = {name: c for name, c in log.channels.items() if name not in moved}
     note = f"the machine {why}: the kinematics are not judged"

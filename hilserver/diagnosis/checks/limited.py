@@ -25,7 +25,11 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     `decide.limited_duty`.
     """
     most = robot.controller.limit_pct
-    limits = {name: most for name in DUTIES if name in log and _ends_at(log[name].values, most)}
+    limits = {
+        name: most
+        for name in DUTIES
+        if name in log and np.isclose(np.abs(log[name].values).max(initial=0.0), most)
+    }
     found = []
     if GYRO in log and (limit := _limit(log[GYRO].values, asked_turn(log, robot))) is not None:
         limits[GYRO] = limit
@@ -53,10 +57,6 @@ def piled_up(values: Array) -> float | None:
     limit = float(np.abs(values).max(initial=0.0))
     at = np.count_nonzero(np.abs(values) >= limit * AT)
     return limit if limit > 0.0 and at >= FEWEST_PIECES else None
-
-
-def _ends_at(values: Array, most: float) -> bool:
-    return bool(np.isclose(np.abs(values).max(initial=0.0), most))
 
 
 def _limit(values: Array, asked: Array | None) -> float | None:

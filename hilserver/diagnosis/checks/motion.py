@@ -4,16 +4,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.checks.support import SPAN_S, along
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
-WINDOW_S = 1.0
+MOTION_WINDOW_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +32,7 @@ class Windows:
         return len(self.begin)
 
 
-def windows_of(log: MeasuredLog, width_s: float = WINDOW_S) -> Windows:
+def windows_of(log: MeasuredLog, width_s: float = MOTION_WINDOW_S) -> Windows:
     """Cut the spans into windows of about `width_s`."""
     edges = []
     for index, span in enumerate(log.spans):
@@ -86,7 +85,7 @@ def side_mean(log: MeasuredLog, side: Iterable[str], what: str, windows: Windows
     return None if not found else np.mean(found, axis=0) * RAD_S_PER_RPM
 
 
-def aside_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
+def lateral_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
     """Return how fast mecanum wheels roll to the left [rad/s], None without one of them."""
     names = [f"wheel.{wheel}.{what}" for wheel in WHEELS]
     if not log.has(*names):
@@ -98,10 +97,10 @@ def aside_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
 def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters) -> Array | None:
     """Return how fast the wheels would move the robot ahead, back or to a side [m/s]."""
     left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
-    aside = aside_mean(log, what, windows) if robot.is_mecanum else 0.0
-    if left is None or right is None or aside is None:
+    lateral = lateral_mean(log, what, windows) if robot.is_mecanum else 0.0
+    if left is None or right is None or lateral is None:
         return None
-    return np.asarray(robot.wheel_radius_m * np.hypot(0.5 * (left - right), aside))
+    return np.asarray(robot.wheel_radius_m * np.hypot(0.5 * (left - right), lateral))
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +147,6 @@ def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:
     return Line(slope, correlation, int((np.abs(x[keep]) > least).sum()))
 
 
-def finite(*columns: Array) -> NDArray[np.bool_]:
+def finite(*columns: Array) -> Mask:
     """Return where all columns have a value."""
     return np.asarray(np.isfinite(np.stack(columns)).all(axis=0))

@@ -1,4 +1,4 @@
-"""Signs and sides: wheels, gyro, heading and position have to tell of the same turn.
+"""Signs and sides: wheels, gyro, heading and position have to show the same turn.
 
 The order of the questions matters: the wheels are judged by their set-points, the heading by the
 course over ground, and only then is asked whether what is left turns the same way. A base whose yaw
@@ -11,9 +11,9 @@ import numpy as np
 
 from hilserver.diagnosis.checks.motion import (
     Line,
-    aside_mean,
     ends_in,
     finite,
+    lateral_mean,
     line,
     mean_in,
     rate_in,
@@ -129,12 +129,14 @@ def _one_weight(y: Array, x: Array, size: Array) -> tuple[float, float] | None:
 def _course(log: MeasuredLog, robot: RobotParameters) -> tuple[Array, Array, Array] | None:
     """Return course over ground, heading and speed in each window in which they belong together."""
     moved, windows = _moved(log), windows_of(log)
-    aside = aside_mean(log, "speed_rpm", windows) if robot.is_mecanum else np.zeros(len(windows))
-    if moved is None or aside is None:
+    lateral = (
+        lateral_mean(log, "speed_rpm", windows) if robot.is_mecanum else np.zeros(len(windows))
+    )
+    if moved is None or lateral is None:
         return None
     dx, dy, dt, cosine, sine = moved
     good = finite(dx, dy, cosine) & (np.hypot(dx, dy) > 0.1)
-    good &= robot.wheel_radius_m * np.abs(aside) * dt < SIGN_AHEAD * np.hypot(dx, dy)
+    good &= robot.wheel_radius_m * np.abs(lateral) * dt < SIGN_AHEAD * np.hypot(dx, dy)
     good &= np.hypot(cosine, sine) > 0.9  # did not turn much in the window
     course = np.arctan2(dy, dx)[good]
     return course, np.arctan2(sine, cosine)[good], (np.hypot(dx, dy) / dt)[good]

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
@@ -13,7 +12,8 @@ from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, score
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.thresholds import COMPARE_INEXACT, FAR_SD
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices, Mask
+from hilserver.measured.data import MeasuredLog
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def differences_of(
     stage: str,
     prepared: Prepared,
     point: Point,
-    second: NDArray[np.bool_],
-    runs: NDArray[np.int64],
+    second: Mask,
+    runs: Indices,
 ) -> list[Difference]:
     """Estimate every cause of a stage in both sets, beside the causes that both share.
 
@@ -101,7 +101,7 @@ def differences_of(
 
 
 def _own_scores(
-    library: Library, point: Point, c: Candidate, mine: NDArray[np.int64]
+    library: Library, point: Point, c: Candidate, mine: Indices
 ) -> tuple[Scores, Array] | None:
     """Return scores and values of a shared cause, beside the others; None for other causes."""
     index = next((k for k, f in enumerate(point.model.fitted) if f.candidate.label == c.label), -1)
@@ -118,9 +118,9 @@ def _own_scores(
 def _one(
     score: Array,
     information: Array,
-    sides: Sequence[NDArray[np.bool_]],
-    runs: NDArray[np.int64],
-    span_of_block: NDArray[np.int64],
+    sides: Sequence[Mask],
+    runs: Indices,
+    span_of_block: Indices,
 ) -> tuple[tuple[float, float], tuple[float, float], float, float, float] | None:
     """Return estimates, errors, p, gain and degrees of freedom of one direction."""
     values, variances, counts, infos, repeats = [], [], [], [], []
@@ -155,3 +155,23 @@ def _one(
     gain = (values[1] - values[0]) ** 2 / (1.0 / infos[0] + 1.0 / infos[1])
     errors = (float(np.sqrt(variances[0])), float(np.sqrt(variances[1])))
     return (values[0], values[1]), errors, p, float(gain), float(dof)
+
+
+def run_of_spans(logs: Sequence[MeasuredLog]) -> Indices:
+    """Return the run that every span of the pooled log belongs to: its file.
+
+    A set of one file with several segments counts every block of its own as a run, every segment
+    where it has none.
+    """
+    runs: list[int] = []
+    for log in logs:
+        begin = max(runs, default=-1) + 1
+        blocks = [s.block for s in log.spans]
+        if len(log.sources) in (0, 1) and None not in blocks and len(set(blocks)) > 1:
+            number = {block: i for i, block in enumerate(dict.fromkeys(blocks))}
+            runs += [begin + number[block] for block in blocks]
+        elif len(log.sources) in (0, 1) or len(log.sources) != len(log.spans):
+            runs += [begin + i for i in range(len(log.spans))]
+        else:
+            runs += [begin + i for i in range(len(log.sources))]
+    return np.array(runs, dtype=np.int64)

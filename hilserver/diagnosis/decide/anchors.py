@@ -2,7 +2,7 @@
 
 All ranges to it are too long or too short by about the same, and the position moves with the place.
 Of all smooth fields this is the one that ranging makes, so it is tested for itself: among the
-hundred columns of unknown structure four would hardly be heard.
+hundred columns of unknown structure four would hardly count.
 """
 
 from collections.abc import Sequence
@@ -112,7 +112,7 @@ def anchor_off(
     rng: np.random.Generator,
     explained: float,
 ) -> tuple[Anchor, float] | None:
-    """Return the anchor that what a model leaves speaks for with its p, or None.
+    """Return the anchor that the residual of a model indicates, with its p, or None.
 
     It must hold on blocks that it was not fitted to, and beat every cause of the library and every
     unknown structure that was found: where another explains as much, nothing is said.

@@ -33,7 +33,7 @@ PARTS_OF_LOG: Final = 4
 TREND_DAMPING: Final = 1e-6
 """Of a size beside its trend, see `linear`."""
 FEWEST_IN_PARTS: Final = 2 * PARTS_OF_LOG
-"""Blocks; of fewer nobody can tell a change from noise."""
+"""Blocks; in fewer a change cannot be separated from noise."""
 
 
 @dataclass(frozen=True)

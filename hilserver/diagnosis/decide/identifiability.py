@@ -190,7 +190,7 @@ def deviations(difference: Array, more: float = 0.0) -> float:
     )
 
 
-def settle(
+def with_best_rivals(
     library: Library, point: Point, near: Mapping[str, Sequence[Trial]] | None = None
 ) -> tuple[Point, dict[str, list[Rival]]]:
     """Swap causes for better rivals until none is left; return the rivals that tie.
@@ -236,7 +236,7 @@ def _partial(problem: Problem, point: Point, without: Point, least: float) -> bo
     """Return whether only weights that take a model's side keep a cause in it."""
     if not problem.weighs_by_model:
         return False
-    other = problem.heard_by(without)
+    other = problem.under_noise_of(without)
     one, two = (fit(other, p.model, p, iterations=3) for p in (point, without))
     saved = two.loss - one.loss
     return float(saved.sum()) <= least or deviations(saved) <= 2.0

@@ -111,7 +111,7 @@ def attempt(
     Parameters
     ----------
     gross : bool
-        So much is left that the screen, which is linear, knows little of where to begin.
+        So much is left that the screen, which is linear, is a poor start.
     """
     c = library.candidates[index]
     begin = c.beginning
@@ -187,7 +187,7 @@ def _plausible(
     if not barred:
         return first
     own = problem.noise, problem.weights
-    _hear(problem, library, beginning, base)
+    _use_noise(problem, library, beginning, base)
     other = search(barred)
     impossible = any(at_bound(f) for f in first.point.model.fitted if _excessive(f))
     noises = own, (problem.noise, problem.weights)
@@ -197,7 +197,7 @@ def _plausible(
         why = "of a size that no machine has; others explain as much"
         other.rows[:0] = [SelectionRow(cause, "swapped", None, why) for cause in gone]
         return other
-    _hear(problem, library, own, first.point)
+    _use_noise(problem, library, own, first.point)
     if impossible:
         return Selected(problem.point(Model(), base.poses), rows=first.rows)
     return first
@@ -211,7 +211,7 @@ def _excessive(f: Fitted) -> bool:
     return worth_a_name(f) and (at_bound(f) or implausible(f))
 
 
-def _hear(problem: Problem, library: Library, noise: Noises, point: Point) -> None:
+def _use_noise(problem: Problem, library: Library, noise: Noises, point: Point) -> None:
     """Take a noise model that was learned before."""
     problem.noise, problem.weights = noise
     library.rewhiten(point)

@@ -99,7 +99,7 @@ def wald(problem: Problem, point: Point, index: int) -> float:
 
     Asked is the share in which all that it changes is there. The slope at the fit would say less of
     a cause that acts in jumps: a robot that nearly missed the edge of a floor turns there
-    altogether otherwise. The blocks that tell the cause from those beside it count, see
+    altogether otherwise. The blocks that separate the cause from the others count, see
     `screen.normal`.
     """
     columns = problem.accepted(point)

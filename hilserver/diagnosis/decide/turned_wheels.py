@@ -5,9 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from hilserver.diagnosis.decide.identifiability import deviations
-from hilserver.diagnosis.decide.settling import Judged
+from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.screen import critical, null_maxima
-from hilserver.diagnosis.regression.stages import Prepared, Tell, prepare, stages_of
+from hilserver.diagnosis.regression.stages import Prepared, prepare, stages_of
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, RIVAL_CLEAR_Z
 from hilserver.measured.arrays import Array
@@ -15,7 +16,7 @@ from hilserver.measured.data import MeasuredLog
 
 
 def with_wheels(
-    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, tell: Tell
+    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, report: Report
 ) -> Prepared | None:
     """Return the pose, moved by the wheels as the drive's causes say that they turn.
 
@@ -26,7 +27,7 @@ def with_wheels(
     if not terms:
         return None
     anew, shown = _moved(p, terms, log, jobs)
-    return prepare(anew, jobs, tell)[0] if float(shown @ shown) > LEAST_GAIN else None
+    return prepare(anew, jobs, report)[0] if float(shown @ shown) > LEAST_GAIN else None
 
 
 def disproved(

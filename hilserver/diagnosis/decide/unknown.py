@@ -119,7 +119,7 @@ def _(stage: PoseStage, problem: Problem, point: Point) -> list[Family]:
 def anchor_fields(m: Motion) -> Array:
     """Return how the position moves where one of four ranging anchors measures too long.
 
-    Shape (4, n, 2), metre per metre. Nobody knows where the anchors are: they are taken to stand
+    Shape (4, n, 2), metre per metre. Where the anchors are is unknown: they are assumed
     about the place where the robot drove, from low x and y on against the clock. Least squares of
     the four ranges moves by ``(H'H)^-1 H' e``, H the directions to them.
     """

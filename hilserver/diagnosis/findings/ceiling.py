@@ -1,14 +1,17 @@
 """How much better a model could be at all: a flexible regression on every direction at once."""
 
-from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 
+from hilserver.diagnosis.findings.worth import Part
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.diagnosis.schema.findings import Gain
 from hilserver.measured.arrays import Array
+
+DIGITS: Final = 5
+"""The rest of a ceiling hangs on how many threads share its large products."""
 
 
 def flexible(problem: Problem, library: Library, point: Point) -> Array:
@@ -30,15 +33,10 @@ def flexible(problem: Problem, library: Library, point: Point) -> Array:
     return prediction
 
 
-def ceilings(
-    problem: Problem,
-    library: Library,
-    point: Point,
-    before: Array,
-    horizon_s: float,
-    rng: np.random.Generator,
-) -> Mapping[str, float]:
+def ceilings(part: Part, horizon_s: float, rng: np.random.Generator) -> dict[str, float]:
     """Return the held-out ratio that the flexible regression reaches, by quantity."""
-    after = flexible(problem, library, point)
-    reached: dict[str, Gain] = gains(problem, before, after, horizon_s, rng)
-    return {key: gain.ratio for key, gain in reached.items()}
+    library, point = part.judged.prepared.library, part.judged.point
+    library.rewhiten(point)
+    after = flexible(part.problem, library, point)
+    reached = gains(part.problem, part.before, after, horizon_s, rng)
+    return {key: float(f"{gain.ratio:.{DIGITS}g}") for key, gain in reached.items()}

@@ -1,11 +1,14 @@
 """The smallest effect of every cause that these data would have shown."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.regression.columns import Library
-from hilserver.diagnosis.regression.screen import Scores, student
+from hilserver.diagnosis.regression.problem import Point
+from hilserver.diagnosis.regression.screen import Scores, critical, null_maxima, student
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import (
     DETECTABLE_LEAST_TIMES,
@@ -16,6 +19,16 @@ from hilserver.diagnosis.thresholds import (
 )
 
 
+def smallest_of(
+    stages: Sequence[tuple[Library, Point]], rng: np.random.Generator
+) -> tuple[list[Detectable], list[NotJudged]]:
+    """Return sizes for the causes of all stages at a model, and what the drive did not excite."""
+    scores = [library.scores(point) for library, point in stages]
+    limit = critical(null_maxima(scores, rng)) if scores else 0.0
+    found = [smallest(library, s, limit) for (library, _), s in zip(stages, scores, strict=True)]
+    return [size for some, _ in found for size in some], [one for _, some in found for one in some]
+
+
 def smallest(
     library: Library, scores: Scores, t_critical: float
 ) -> tuple[list[Detectable], list[NotJudged]]:
@@ -24,21 +37,22 @@ def smallest(
     needed = least + DETECTABLE_SELECTION_SD + DETECTABLE_POWER_SD
     found: dict[str, tuple[float, str, float]] = {}
     for i, c in enumerate(library.candidates):
-        part = next(iter(c.terms(c.start)))
+        norms = library.norms[i] if c.n > 1 else np.ones(1)  # that `spread` divided columns by
+        names = list(c.terms(c.start))
         mine = np.flatnonzero(library.owner == i)[: max(c.n, 1)]
         for k, j in enumerate(mine):
             information = scores.information[j]
             if information <= 1e-12:
                 continue
             visible = information / max(scores.deviation[j], 1e-300)  # t per unit
-            size = _size(c, float(needed[j] / visible), _unit(library, i, k))
+            size = _size(c, float(needed[j] / visible), float(norms[k]))
             if size is None:
                 continue
-            names = list(c.terms(c.start))
-            name = names[k] if k < len(names) and not names[k].endswith("phase") else part
+            name = names[k] if k < len(names) and not names[k].endswith("phase") else names[0]
             smaller = c.cause not in found or (size < found[c.cause][0]) != c.is_limit
             if smaller:
-                found[c.cause] = (size, name, np.inf if c.is_limit else _largest(c, k))
+                largest = max(c.high[k] - c.null[k], c.null[k] - c.low[k])
+                found[c.cause] = (size, name, np.inf if c.is_limit else float(largest))
     judged, not_judged = [], []
     for cause, (size, name, largest) in found.items():
         unit, reference = _unit_of(cause, name)
@@ -67,19 +81,6 @@ def _size(candidate: Candidate, times: float, norm: float) -> float | None:
     else:
         return None
     return float(max(size, DETECTABLE_LEAST_TIMES * candidate.least))
-
-
-def _largest(candidate: Candidate, k: int) -> float:
-    """Return the largest size that a parameter can have, from its null."""
-    null, low, high = (values[k] for values in (candidate.null, candidate.low, candidate.high))
-    return float(max(high - null, null - low))
-
-
-def _unit(library: Library, index: int, k: int) -> float:
-    """Return the norm that `spread` divided a column by: 1 for a single parameter."""
-    if library.candidates[index].n == 1:
-        return 1.0
-    return float(library.norms[index][k])
 
 
 def _unit_of(cause: str, name: str) -> tuple[str, float | None]:

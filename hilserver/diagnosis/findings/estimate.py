@@ -55,6 +55,11 @@ class Estimate:
     covariance: Array
 
     @classmethod
+    def none(cls) -> "Estimate":
+        """Return the estimate of a model without any cause."""
+        return cls((), (), np.zeros(0), np.zeros((0, 0)))
+
+    @classmethod
     def of(cls, model: Model, covariance: Array) -> "Estimate":
         """Return fitted parameters as they are reported.
 
@@ -86,7 +91,7 @@ class Estimate:
 def estimate_of(problem: Problem, point: Point) -> Estimate:
     """Return the estimate of a fitted model."""
     if not point.model.fitted:
-        return Estimate((), (), np.zeros(0), np.zeros((0, 0)))
+        return Estimate.none()
     return Estimate.of(point.model, fitted_covariance(problem, point)[0])
 
 

@@ -126,7 +126,7 @@ def remedy(cause: str) -> str:
 
 
 def separating_experiment(causes: Iterable[str]) -> str:
-    """Return what would tell the causes of a group apart: the fewest sentences that name them all.
+    """Return what would separate the causes of a group: the fewest sentences that name them all.
 
     A pair without its own sentence gets what makes the first cause visible.
     """

@@ -8,9 +8,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
-from hilserver.diagnosis.decide.settling import Judged, settled
-from hilserver.diagnosis.findings.worth import Explained, Predictions, without_causes
+from hilserver.diagnosis.findings.estimate import estimate_of
+from hilserver.diagnosis.findings.outcome import named_findings
+from hilserver.diagnosis.findings.worth import (
+    Answer,
+    Explained,
+    Part,
+    Predictions,
+    without_causes,
+)
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import of_halves
 from hilserver.diagnosis.regression.stages import without
@@ -21,12 +29,28 @@ Halves = Sequence[Judged | None]
 """What is found without each half of the blocks; None where nothing is left."""
 
 
+def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answer]:
+    """Return what each stage of one member says."""
+    halves, answers = judged_by_halves(judged, seed, jobs), []
+    for name, j in judged.items():
+        mine, problem = halves.get(name, ()), j.prepared.problem
+        before = problem.point(Model(), j.point.poses).predicted
+        whole = named = honest(j, mine, before)
+        if any(half is not None and half.whole is not half.point for half in mine):
+            named = honest(j, mine, before, named=True)
+        estimate = estimate_of(problem, j.point)
+        answers.append(Answer(whole, named, j.point.model, named_findings(j), estimate))
+    return answers
+
+
 def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:
     """Return for every stage with a cause what is found in it without each half of its blocks.
 
     The wheels that move the pose turn as the drive's causes of the whole log say.
     """
-    found: dict[str, list[Judged | None]] = {n: [] for n, j in judged.items() if predicts(j)}
+    found: dict[str, list[Judged | None]] = {
+        name: [] for name, j in judged.items() if j.whole.model.fitted
+    }
     for half in range(2 if found else 0):
         rng = np.random.default_rng(seed)
         prepared = {name: without(j.prepared, half) for name, j in judged.items()}
@@ -38,13 +62,8 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
                 continue
             beside = [s for other, s in scores.items() if other != name]
             selected = select(p.problem, p.library, p.base, rng, jobs, beside)
-            halves.append(settled(p, selected, rng))
+            halves.append(revised(p, selected, rng))
     return dict(found)
-
-
-def predicts(j: Judged) -> bool:
-    """Return whether a stage has a cause, with or without a name."""
-    return bool(j.whole.model.fitted)
 
 
 def honest(j: Judged, halves: Halves, before: Array, *, named: bool = False) -> Explained:
@@ -70,8 +89,8 @@ def honest(j: Judged, halves: Halves, before: Array, *, named: bool = False) -> 
         ]
         return (of_halves(problem, predicted),)
 
-    after = without_some(frozenset()) if halves else (before,)
-    return Explained((problem,), (before,), after, without_some)
+    after = without_some(frozenset())[0] if halves else before
+    return Explained((Part("", j, before, after),), without_some)
 
 
 def _model(half: Judged, barred: set[str], named: bool) -> Model:

@@ -16,25 +16,26 @@ from hilserver.diagnosis.catalogue.vocabulary import (
     part_of,
 )
 from hilserver.diagnosis.decide.anchors import Anchor
-from hilserver.diagnosis.decide.identifiability import Rival
-from hilserver.diagnosis.decide.lost_steps import LostSteps
+from hilserver.diagnosis.decide.lost_steps import LostSteps, lost_steps
+from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.trial import implausible
 from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
 from hilserver.diagnosis.findings.explain import explain_finding, number, separating_experiment
-from hilserver.diagnosis.noise.quick_noise import aside
+from hilserver.diagnosis.noise.quick_noise import deviation_from_median
 from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
+from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
 COARSE_SHARE: Final = 0.002
-"""Half the interval of a step that the spectrum tells, by the step."""
+"""Half the interval of a step found in the spectrum, by the step."""
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
@@ -74,8 +75,8 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
     along = float(np.hypot(half[0] * a, half[1] * b) / max(size, 1e-300))
     across = float(np.hypot(half[0] * b, half[1] * a) / max(size, 1e-300) / max(size, 1e-300))
     return {
-        names[0]: Parameter(value=size, ci95=(size - along, size + along), unit=unit_of(names[0])),
-        names[1]: Parameter(value=phase, ci95=(phase - across, phase + across), unit="rad"),
+        names[0]: _within(size, along, unit_of(names[0])),
+        names[1]: _within(phase, across, "rad"),
     }
 
 
@@ -87,64 +88,70 @@ def unit_of(name: str) -> str:
         return "1"
 
 
-def named(
-    problem: Problem,
-    point: Point,
-    ties: Mapping[str, Sequence[Rival]],
-    p: Mapping[str, float],
-    drift: Mapping[str, float],
-    *,
-    scrubs: bool = False,
-    anchor: Anchor | None = None,
-) -> list[Finding]:
-    """Return one finding for every accepted cause, with its group; what is plausible comes first.
-
-    Parameters
-    ----------
-    scrubs : bool
-        Friction across the wheels is a twin of the rotation gain, see `scrubbing`.
-    anchor : Anchor, optional
-        That could stand in the place of a scale of the navigation.
-    """
+def named_findings(j: Judged) -> tuple[Finding, ...]:
+    """Return one finding for every accepted cause, in its group; the plausible ones come first."""
+    problem, point = j.prepared.problem, j.point
+    if not point.model.fitted:
+        return ()
     own = parameters(problem, point)
     found = []
     for i, f in enumerate(point.model.fitted):
         cause = f.candidate.cause
         values = dict(own[i])
         causes, behind = [cause], {cause} if implausible(f) else set()
-        for rival in ties.get(cause, ()):
+        for rival in j.ties.get(cause, ()):
             if rival.candidate.cause in causes:
                 continue
             causes.append(rival.candidate.cause)
             behind |= {rival.candidate.cause} if implausible(rival.fitted) else set()
             index = rival.point.model.fitted.index(rival.fitted)
             values |= parameters(problem, rival.point)[index]
-        twins = _twins(problem, f, own[i].get(cause), scrubs=scrubs, anchor=anchor)
+        twins = _twins(j, f, own[i].get(cause))
         causes += [cause_of(name).name for name in twins]
         causes.sort(key=behind.__contains__)
         values |= twins
-        found.append(
-            fitted_finding(causes, values, drift.get(cause, p.get(cause, 0.01)), cause in drift)
-        )
+        found.append(fitted_finding(causes, values, chance(j, cause), cause in j.drift))
+    return tuple(found)
+
+
+def chance(j: Judged, cause: str) -> float:
+    """Return the p of an accepted cause; one that took another's place is given 1 %."""
+    return j.drift.get(cause, j.selected.p.get(cause, 0.01))
+
+
+def other_findings(j: Judged) -> list[Finding]:
+    """Return what was found in one stage besides fitted causes."""
+    problem, found = j.prepared.problem, []
+    if j.prepared.coarse_rpm is not None:
+        found.append(coarse(j.prepared.coarse_rpm))
+    if (far := outliers(problem, j.point)) is not None:
+        found.append(far)
+    if j.anchor is not None:
+        found.append(misplaced_anchor(*j.anchor))
+    steps = lost_steps(problem, j.point)
+    if steps is not None and steps.share > NEGLIGIBLE and steps.events >= FEWEST_EVENTS:
+        found.append(lost(steps))
+    elif j.unknown:
+        found.append(structure(j.unknown, problem.stage.block, deviating(problem, j.point)))
     return found
 
 
-def _twins(
-    problem: Problem, f: Fitted, own: Parameter | None, *, scrubs: bool, anchor: Anchor | None
-) -> dict[str, Parameter]:
+def _twins(j: Judged, f: Fitted, own: Parameter | None) -> dict[str, Parameter]:
     """Return what these data cannot tell from a cause and no candidate is fitted for."""
-    traits = traits_of(f.candidate.cause)
+    traits, robot = traits_of(f.candidate.cause), j.prepared.problem.stage.robot
     found: dict[str, Parameter] = {}
     if own is None:
         return found
-    if scrubs and traits.scrubs_as:
-        ratio = as_friction(problem.stage.robot, f, own)
+    if j.scrubs and traits.scrubs_as:
+        ratio = as_friction(robot, f, own)
         if ratio is not None:
             found[traits.scrubs_as] = ratio
-    if traits.mirrored_by and not problem.stage.robot.is_mecanum:
-        found[traits.mirrored_by] = _mirrored(own)
-    if anchor is not None and traits.field:
-        found |= _field(anchor)
+    if traits.mirrored_by and not robot.is_mecanum:
+        low, high = own.ci95 or (own.value, own.value)
+        mirrored = Parameter(value=-own.value, ci95=(-high, -low), unit=own.unit)
+        found[traits.mirrored_by] = mirrored
+    if j.in_doubt is not None and traits.field:
+        found |= _field(j.in_doubt)
     return found
 
 
@@ -154,21 +161,38 @@ def fitted_finding(
     """Return the finding of a fitted cause, the first, and those that could stand in its place."""
     alone = Verdict.DATA_FAULT if CAUSES[causes[0]].block == "data" else Verdict.NAMED
     verdict = alone if len(causes) == 1 else Verdict.NAMED_GROUP
-    finding = Finding(
-        verdict=Verdict.DRIFT if drifts else verdict,
-        causes=tuple(causes),
-        block=CAUSES[causes[0]].block,
-        parameters=values,
-        p_adjusted=p,
-        separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
+    return _explained(
+        Finding(
+            verdict=Verdict.DRIFT if drifts else verdict,
+            causes=tuple(causes),
+            block=CAUSES[causes[0]].block,
+            parameters=values,
+            p_adjusted=p,
+            separating_experiment=separating_experiment(causes) if len(causes) > 1 else None,
+        )
     )
+
+
+def _explained(finding: Finding) -> Finding:
     return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
-def _mirrored(own: Parameter) -> Parameter:
-    """Return the size of a cause that does the same with the other sign."""
-    low, high = own.ci95 or (own.value, own.value)
-    return Parameter(value=-own.value, ci95=(-high, -low), unit=own.unit)
+def _named(name: str, parameters: dict[str, Parameter], p: float = 0.001) -> Finding:
+    """Return the finding of a cause that no fit of the plant shows, with its sentence."""
+    cause = cause_of(name)
+    return _explained(
+        Finding(
+            verdict=Verdict.NAMED,
+            causes=(cause.name,),
+            block=cause.block,
+            parameters=parameters,
+            p_adjusted=p,
+        )
+    )
+
+
+def _within(value: float, half: float, unit: str) -> Parameter:
+    return Parameter(value=value, ci95=(value - half, value + half), unit=unit)
 
 
 def deviating(problem: Problem, point: Point) -> dict[str, Parameter]:
@@ -194,15 +218,16 @@ def structure(unknown: Sequence[Unknown], block: Block, most: dict[str, Paramete
     names: list[str] = []
     for u in unknown:
         names += [r for r in u.family.regressors if r not in names]
-    finding = Finding(
-        verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
-        causes=(),
-        block=block,
-        p_adjusted=unknown[0].p,
-        regressors=tuple(names[:6]),
-        parameters=most,
+    return _explained(
+        Finding(
+            verdict=Verdict.STRUCTURE_NOT_IN_LIBRARY,
+            causes=(),
+            block=block,
+            p_adjusted=unknown[0].p,
+            regressors=tuple(names[:6]),
+            parameters=most,
+        )
     )
-    return finding.model_copy(update={"explanation": explain_finding(finding)})
 
 
 def lost(steps: LostSteps) -> Finding:
@@ -223,33 +248,15 @@ def lost(steps: LostSteps) -> Finding:
 
 def coarse(step_rpm: float) -> Finding:
     """Return the finding of wheel speeds that come in steps."""
-    half = COARSE_SHARE * step_rpm
-    finding = Finding(
-        verdict=Verdict.NAMED,
-        causes=(SPEED_STEP,),
-        block=CAUSES[SPEED_STEP].block,
-        parameters={
-            SPEED_STEP: Parameter(
-                value=step_rpm, ci95=(step_rpm - half, step_rpm + half), unit="rpm"
-            )
-        },
-        p_adjusted=0.001,
-    )
-    return finding.model_copy(update={"explanation": explain_finding(finding)})
+    return _named(SPEED_STEP, {SPEED_STEP: _within(step_rpm, COARSE_SHARE * step_rpm, "rpm")})
 
 
 def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
     """Return the finding of a ranging anchor that stands elsewhere than configured."""
     error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
-    finding = Finding(
-        verdict=Verdict.NAMED,
-        causes=(cause_of(POSITION_FIELD).name,),
-        block=cause_of(POSITION_FIELD).block,
-        parameters=_field(anchor),
-        p_adjusted=p,
-    )
+    finding = _named(POSITION_FIELD, _field(anchor), p)
     text = (
-        f"{explain_finding(finding).rstrip('.')}, as if the ranging anchor on the side of"
+        f"{finding.explanation.rstrip('.')}, as if the ranging anchor on the side of"
         f" {anchor.side} measured about {number(abs(error_m), 'm', digits=2)} too {side}."
     )
     return finding.model_copy(update={"explanation": text})
@@ -258,8 +265,7 @@ def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
 def _field(anchor: Anchor) -> dict[str, Parameter]:
     """Return how far the position is off where an anchor moves it most."""
     size_m, half_m = anchor.largest * abs(anchor.error_m), anchor.largest * anchor.half_m
-    limits = (size_m - half_m, size_m + half_m)
-    return {POSITION_FIELD: Parameter(value=size_m, ci95=limits, unit="m")}
+    return {POSITION_FIELD: _within(size_m, half_m, "m")}
 
 
 def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Finding | None:
@@ -275,7 +281,7 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
         return None
     away = problem.residual(point.predicted)
     for _, _, part in stack.runs():
-        away[part] = aside(stack.t_s[part], away[part])
+        away[part] = deviation_from_median(stack.t_s[part], away[part])
     size = np.hypot(away[x], away[y])
     noise = max(
         float(np.hypot(problem.noise[n].white_sd, problem.noise[n].ou_sd)) for n in POSITION
@@ -291,17 +297,9 @@ def outliers(problem: Problem, point: Point, least_share: float = 0.004) -> Find
     sizes = size[left_out]
     half_size = 2.0 * 1.2533 * sizes.std(ddof=1) / np.sqrt(k) + 0.01 * float(np.median(sizes))
     middle = float(np.median(sizes))
-    finding = Finding(
-        verdict=Verdict.NAMED,
-        causes=(cause_of(OUTLIERS[0]).name,),
-        block=cause_of(OUTLIERS[0]).block,
-        parameters={
-            name: Parameter(value=value, ci95=(value - width, value + width), unit=unit_of(name))
-            for name, value, width in zip(OUTLIERS, (share, middle), (half, half_size), strict=True)
-        },
-        p_adjusted=0.001,
-    )
-    return finding.model_copy(update={"explanation": explain_finding(finding)})
+    found = zip(OUTLIERS, (share, middle), (half, half_size), strict=True)
+    values = {name: _within(value, width, unit_of(name)) for name, value, width in found}
+    return _named(OUTLIERS[0], values)
 
 
 def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tuple[FittedTerm, ...]:

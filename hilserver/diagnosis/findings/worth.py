@@ -1,53 +1,76 @@
 """What each cause is worth on held-out blocks: alone, and with those that could stand in for it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.regression.gain import channel_errors, errors, pooled_gains
+from hilserver.diagnosis.regression.gain import Pair, channel_errors, errors, pooled_gains
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
 from hilserver.measured.arrays import Array
 
 Predictions = tuple[Array, ...]
+"""One of each member."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One stage of one member.
+
+    Attributes
+    ----------
+    before, after : ndarray
+        Held-out predictions without any cause, and with all of them.
+    """
+
+    member: str
+    judged: Judged
+    before: Array
+    after: Array
+
+    @property
+    def problem(self) -> Problem:
+        """Its regression."""
+        return self.judged.prepared.problem
+
+    def errors(self, before: Array, horizon_s: float) -> dict[str, Pair]:
+        """Return the errors of every quantity of some prediction, and with all causes."""
+        return errors(self.problem, (before, self.after), horizon_s)
 
 
 @dataclass(frozen=True)
 class Explained:
-    """What the causes of one stage explain, of one set of logs or of several.
+    """What the causes of one stage explain, of one member or of several.
 
     Attributes
     ----------
-    problems : tuple of Problem
-    before, after : tuple of ndarray
-        Predictions of each problem without any cause, and with all of them.
     without : callable
         Predictions of the model without some of its causes, by their places in it.
     """
 
-    problems: tuple[Problem, ...]
-    before: Predictions
-    after: Predictions
+    parts: tuple[Part, ...]
     without: Callable[[frozenset[int]], Predictions]
 
+    @property
+    def predicts(self) -> bool:
+        """Whether there is a cause, with or without a name."""
+        return any(part.after is not part.before for part in self.parts)
+
     def gains(
-        self, before: Predictions, horizon_s: float, rng: np.random.Generator
+        self, horizon_s: float, rng: np.random.Generator, before: Predictions | None = None
     ) -> dict[str, Gain]:
-        """Return the gain of every quantity over all problems."""
-        return pooled_gains(
-            [
-                errors(p, (b, a), horizon_s)
-                for p, b, a in zip(self.problems, before, self.after, strict=True)
-            ],
-            rng,
-        )
+        """Return the gain of every quantity over all members: on no cause, or on some."""
+        base = before or tuple(part.before for part in self.parts)
+        pairs = [p.errors(b, horizon_s) for p, b in zip(self.parts, base, strict=True)]
+        return pooled_gains(pairs, rng)
 
     def matters(self, alone: Predictions, together: Predictions) -> dict[str, Matters]:
         """Return by how much the error of every channel falls."""
-        least = self._means(self.after)
+        least = self._means([part.after for part in self.parts])
         more, most = self._means(alone), self._means(together)
         return {
             name: Matters(
@@ -56,12 +79,12 @@ class Explained:
             for name in least
         }
 
-    def _means(self, predictions: Predictions) -> dict[str, float]:
+    def _means(self, predictions: Sequence[Array]) -> dict[str, float]:
         """Return the mean absolute error of every channel, initial poses free."""
         values: dict[str, list[Array]] = {}
-        for problem, predicted in zip(self.problems, predictions, strict=True):
-            for name in problem.stack.channels:
-                found = channel_errors(problem, predicted, (name,))
+        for part, predicted in zip(self.parts, predictions, strict=True):
+            for name in part.problem.stack.channels:
+                found = channel_errors(part.problem, predicted, (name,))
                 if found is not None:
                     values.setdefault(name, []).append(found.values)
         return {name: float(np.concatenate(parts).mean()) for name, parts in values.items()}
@@ -78,28 +101,45 @@ def without_causes(model: Model, causes: Iterable[int]) -> Model:
     return model
 
 
-def with_worth(
-    finding: Finding,
-    index: int,
-    whole: Explained,
-    estimate: Estimate,
-    horizon_s: float,
-    rng: np.random.Generator,
-    total: dict[str, Gain] | None = None,
-) -> Finding:
-    """Add what one cause gains and how it matters: all others on, with and without it.
+@dataclass(frozen=True)
+class Answer:
+    """What one stage of all members says.
 
-    Parameters
+    Attributes
     ----------
-    index : int
-        Place of the cause in the model.
-    total : dict of str to Gain, optional
-        The gain of the whole model, where this is its only cause.
+    explained, named : Explained
+        By all causes, and by those alone that have a name: a patch has no others.
+    model : Model
+        The causes with a name.
+    findings : tuple of Finding
+        One of each, in the order of the model.
+    estimate : Estimate
+        All parameters of the model.
     """
-    n = max(estimate.owner) + 1
-    alone = whole.without(frozenset({index}))
-    partners = estimate.partners(index)
-    together = whole.without(partners | {index}) if partners else alone
-    gain = total if n == 1 and total is not None else whole.gains(alone, horizon_s, rng)
-    matters = whole.matters(alone, together)
-    return finding.model_copy(update={"gain": gain, "matters": matters})
+
+    explained: Explained
+    named: Explained
+    model: Model
+    findings: tuple[Finding, ...]
+    estimate: Estimate
+
+    def with_worth(
+        self, horizon_s: float, rng: np.random.Generator, total: dict[str, Gain] | None = None
+    ) -> list[Finding]:
+        """Return the findings with what each cause gains and how it matters, all others on.
+
+        Parameters
+        ----------
+        total : dict of str to Gain, optional
+            The gain of all causes, if known: that of a single one.
+        """
+        found = []
+        for index, finding in enumerate(self.findings):
+            alone = self.explained.without(frozenset({index}))
+            partners = self.estimate.partners(index)
+            together = self.explained.without(partners | {index}) if partners else alone
+            only = total if len(self.findings) == 1 else None
+            gain = only or self.explained.gains(horizon_s, rng, alone)
+            matters = self.explained.matters(alone, together)
+            found.append(finding.model_copy(update={"gain": gain, "matters": matters}))
+        return found

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.decide.settling import Judged
+from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.findings.outcome import chance
 from hilserver.diagnosis.replay.model import Fitted
 
 
@@ -17,7 +18,7 @@ class Cause:
     fitted : Fitted
         Where a fit begins.
     rivals : mapping of str to Fitted
-        What no group that shows it can tell it from, by cause.
+        What it cannot be separated from in any group that shows it, by cause.
     p : float
         Of chance, in the group that shows it most clearly.
     drifts : bool
@@ -48,8 +49,8 @@ class Cause:
 def causes_of(judged: Sequence[Judged]) -> list[Cause]:
     """Return the causes that the groups show in one stage, without twins of each other.
 
-    What one group names alone another may not be able to tell from a twin: the one that is named
-    alone stands for both.
+    What one group names alone may have a twin in another: the one that is named alone stands for
+    both.
     """
     shown = [cause for j in judged for cause in _of(j, len(judged))]
     chosen: list[Cause] = []
@@ -76,6 +77,6 @@ def _of(j: Judged, groups: int) -> list[Cause]:
         rivals = {
             r.candidate.cause: r.fitted for r in j.ties.get(cause, ()) if r.candidate.cause != cause
         }
-        p = j.drift.get(cause, j.selected.p.get(cause, 0.01))
-        out.append(Cause(f, rivals, min(groups * p, 1.0), cause in j.drift))
+        p = min(groups * chance(j, cause), 1.0)
+        out.append(Cause(f, rivals, p, cause in j.drift))
     return out

@@ -1,15 +1,16 @@
 """From what the groups show by themselves to one model: causes, values, what is shared."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
+from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.decide.structure import families_of, remaining
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
 from hilserver.diagnosis.groups.causes import Cause, causes_of
-from hilserver.diagnosis.groups.joint_fit import JointFit, Member, fit_in_all, refitted
+from hilserver.diagnosis.groups.joint_fit import JointFit, fit_in_all
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import LEAST_GAIN, SCREEN_LEVEL
 
@@ -20,33 +21,42 @@ class Decided:
 
     Attributes
     ----------
+    names : tuple of str
+        Of the groups.
     causes : tuple of Cause
         In the order of the model.
     joint : JointFit or None
         None: there is no cause.
     """
 
-    members: tuple[Member, ...]
+    names: tuple[str, ...]
+    members: tuple[Judged, ...]
     causes: tuple[Cause, ...]
     joint: JointFit | None
 
 
-def decided(members: Sequence[Member]) -> Decided:
+def decided(judged: Mapping[str, Judged]) -> Decided:
     """Return the model of one stage: what some group shows and the others leave possible.
 
     What the others make superfluous is dropped, one cause at a time, the weakest first.
+
+    Parameters
+    ----------
+    judged : mapping of str to Judged
+        By group.
     """
-    causes = causes_of([member.judged for member in members])
+    members = tuple(judged.values())
+    causes = causes_of(members)
     joint = None
     while causes:
-        joint = fit_in_all(members, [_model(member, causes) for member in members])
+        joint = fit_in_all(members, [_model(j, causes) for j in members])
         doubt = [_doubt(joint, index, cause) for index, cause in enumerate(causes)]
         weakest = int(np.argmax(doubt))
         if doubt[weakest] < 1.0:
             break
         del causes[weakest]
         joint = None
-    return Decided(tuple(members), tuple(causes), joint)
+    return Decided(tuple(judged), members, tuple(causes), joint)
 
 
 def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
@@ -57,17 +67,14 @@ def with_what_remains(whole: Decided, rng: np.random.Generator) -> Decided:
     if whole.joint is None:
         return whole
     members = []
-    for group, member in enumerate(whole.members):
-        j, problem = member.judged, member.problem
-        model = whole.joint.model(group)
+    for group, j in enumerate(whole.members):
+        problem, model = j.prepared.problem, whole.joint.model(group)
         point = problem.point(model, whole.joint.points[group].poses)
         unknown = j.unknown
         if unknown or set(model.causes) != set(j.point.model.causes):
             explained = max(j.prepared.base.deviance - point.deviance, 0.0)
             unknown = remaining(problem, point, rng, families_of(problem, point), explained)
-        members.append(
-            replace(member, judged=replace(j, point=point, whole=point, unknown=unknown))
-        )
+        members.append(replace(j, point=point, whole=point, unknown=unknown))
     return replace(whole, members=tuple(members))
 
 
@@ -80,14 +87,13 @@ def with_rival(decided: Decided, index: int, rival: Fitted) -> JointFit:
     mine = decided.joint.points[0].model.slices[index]
     free = decided.joint.all.free
     own = np.full(rival.candidate.n, bool(free[mine].any()))
-    return refitted(
-        decided.members, models, np.concatenate([free[: mine.start], own, free[mine.stop :]])
-    )
+    free = np.concatenate([free[: mine.start], own, free[mine.stop :]])
+    return fit_in_all(decided.members, models, free)
 
 
-def _model(member: Member, causes: Sequence[Cause]) -> Model:
+def _model(j: Judged, causes: Sequence[Cause]) -> Model:
     """Return the model of a group, with its own values where it has some."""
-    own = {f.candidate.label: f for f in member.judged.point.model.fitted}
+    own = {f.candidate.label: f for f in j.point.model.fitted}
     model = Model()
     for cause in causes:
         c = cause.candidate

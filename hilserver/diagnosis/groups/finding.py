@@ -1,6 +1,6 @@
 """From a joint model to findings: values that are shared, and values by group."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,13 +14,12 @@ from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.schema.findings import Finding, InGroup, Parameter
 
 
-def fitted_findings(decided: Decided) -> list[Finding]:
+def fitted_findings(decided: Decided) -> tuple[Finding, ...]:
     """Return one finding for every cause of a stage, in the order of the model."""
     joint = decided.joint
     if joint is None:
-        return []
-    names = [member.group for member in decided.members]
-    found = []
+        return ()
+    names, found = decided.names, []
     for index, cause in enumerate(decided.causes):
         values, causes = parameters_by_group(joint, index, names), [cause.name]
         for rival_name, rival in cause.rivals.items():
@@ -31,7 +30,7 @@ def fitted_findings(decided: Decided) -> list[Finding]:
             values |= parameters_by_group(other, index, names)
         finding = fitted_finding(causes, values, cause.p, cause.drifts)
         found.append(finding.model_copy(update={"explanation": in_words(finding)}))
-    return found
+    return tuple(found)
 
 
 def parameters_by_group(joint: JointFit, index: int, names: Sequence[str]) -> dict[str, Parameter]:
@@ -71,22 +70,15 @@ def in_words(finding: Finding) -> str:
     groups = next((p.groups for p in finding.parameters.values() if p.groups), None)
     if groups is None:
         return finding.explanation
-    said = [
-        f"{group}: {_lower(explain(finding.causes, _of_group(finding.parameters, group)))}"
-        for group in groups
-    ]
-    return f"Differs by group. In group {' In group '.join(said)}"
-
-
-def _of_group(parameters: Mapping[str, Parameter], group: str) -> dict[str, Parameter]:
-    return {
-        name: p if p.groups is None else p.model_copy(update={"value": p.groups[group].value})
-        for name, p in parameters.items()
-    }
-
-
-def _lower(text: str) -> str:
-    return text[:1].lower() + text[1:]
+    said = []
+    for group in groups:
+        values = {
+            name: p if p.groups is None else p.model_copy(update={"value": p.groups[group].value})
+            for name, p in finding.parameters.items()
+        }
+        text = explain(finding.causes, values)
+        said.append(f"In group {group}: {text[:1].lower()}{text[1:]}")
+    return f"Differs by group. {' '.join(said)}"
 
 
 def estimate_in_groups(joint: JointFit, names: Sequence[str]) -> Estimate:

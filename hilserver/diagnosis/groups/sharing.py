@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.measured.arrays import Array, Mask
+from hilserver.measured.arrays import Array, Indices, Mask
 
 
 @dataclass(frozen=True)
@@ -34,10 +33,6 @@ class GroupFit:
     known: Mask
     covariance: Array
     dof: Array
-
-    def with_value(self, value: Array) -> "GroupFit":
-        """Return the same knowledge about other values."""
-        return GroupFit(value, self.known, self.covariance, self.dof)
 
     @property
     def weight(self) -> Array:
@@ -69,14 +64,14 @@ class Together:
     places : ndarray of int64, shape (groups, k)
         Which unknown each parameter of a group is.
     unknowns : ndarray, shape (m, m)
-        Covariance of all unknowns; 0 for what no group knows.
+        Covariance of all unknowns; 0 for what no group shows.
     """
 
     value: Array
     covariance: Array
     misfit: float
     free: Mask
-    places: NDArray[np.int64]
+    places: Indices
     unknowns: Array
 
 
@@ -94,7 +89,7 @@ def together(fits: Sequence[GroupFit], free: Mask) -> Together:
     best = covariance @ target
     value = np.stack([best[place] for place in places])
     known = np.stack([fit.known for fit in fits])
-    for j in np.flatnonzero(free):  # a group that knows nothing of it gets the others' mean
+    for j in np.flatnonzero(free):  # a group that does not show it gets the others' mean
         if known[:, j].any():
             value[~known[:, j], j] = value[known[:, j], j].mean()
     misfit = 0.0
@@ -105,7 +100,7 @@ def together(fits: Sequence[GroupFit], free: Mask) -> Together:
     return Together(value, parts, misfit, free.copy(), np.stack(places), covariance)
 
 
-def _places(group: int, free: Mask) -> NDArray[np.int64]:
+def _places(group: int, free: Mask) -> Indices:
     """Return which unknown each parameter of a group is."""
     n_shared, n_free = int((~free).sum()), int(free.sum())
     place = np.empty(len(free), dtype=np.int64)

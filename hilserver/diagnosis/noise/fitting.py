@@ -74,9 +74,9 @@ def fit_noise(
 
 
 def short_noise(residuals: Sequence[Array]) -> tuple[NoiseModel, float]:
-    """Return white noise that tells as much as the residuals of short segments, and their scale.
+    """Return white noise with the information of the residuals of short segments, and their scale.
 
-    In a segment of a second or two nobody can tell slow noise from what the model misses: a
+    In a segment of a second or two slow noise looks like what the model misses: a
     correlation fitted there would swallow the effect that is looked for. So the samples count as
     white, with the scale of Student's t, and their variance is raised by what their correlation
     takes from their number.

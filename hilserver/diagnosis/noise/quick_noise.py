@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from hilserver.diagnosis.noise.readings import FLOOR_SD
@@ -16,7 +15,7 @@ from hilserver.diagnosis.thresholds import (
     OUTLIER_SD,
     OUTLIERS_IN_A_ROW,
 )
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 
 AROUND_S: Final = 1.05
 """Width of the median that a spike leaves."""
@@ -24,7 +23,7 @@ WITHIN_3_SD = 0.97334
 """Variance of a normal variable that lies within three deviations, by that of all."""
 
 
-def isolated(white: Array) -> NDArray[np.bool_]:
+def isolated(white: Array) -> Mask:
     """Return which samples are outliers: far off, and only few in a row."""
     bad = np.abs(white) > OUTLIER_SD
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(np.int8)))
@@ -35,16 +34,16 @@ def isolated(white: Array) -> NDArray[np.bool_]:
     return out
 
 
-def spikes(t_s: Array, residual: Array) -> NDArray[np.bool_]:
+def spikes(t_s: Array, residual: Array) -> Mask:
     """Return which samples are far from their neighbours, alone or in a burst."""
     if len(t_s) < 20:
         return np.zeros(len(t_s), dtype=bool)
-    away = np.abs(aside(t_s, residual))
+    away = np.abs(deviation_from_median(t_s, residual))
     return np.asarray(away > OUTLIER_SD * 1.4826 * max(float(np.median(away)), 1e-9))
 
 
-def aside(t_s: Array, residual: Array) -> Array:
-    """Return how far samples are from the median about them.
+def deviation_from_median(t_s: Array, residual: Array) -> Array:
+    """Return how far samples are from the median around them.
 
     A burst of up to half of `AROUND_S` does not move it.
     """
@@ -81,7 +80,7 @@ def noise_of_neighbours(parts: Sequence[tuple[Array, Array]]) -> NoiseModel:
     steps = np.concatenate([np.diff(r) for _, r in parts])
     sd = 1.4826 * float(np.median(np.abs(steps))) / np.sqrt(2.0) if len(steps) else 0.0
     quiet = steps[np.abs(steps) < 3.0 * np.sqrt(2.0) * sd]
-    if len(quiet):  # the median alone would tell the level from a third of the samples
+    if len(quiet):  # the median alone would use a third of the samples
         sd = float(np.sqrt(np.mean(quiet**2) / 2.0 / WITHIN_3_SD))
     if sd <= 0.0 and len(steps):
         sd = float(np.std(steps)) / np.sqrt(2.0)

@@ -99,7 +99,7 @@ def noise_of_readings(
 ) -> NoiseModel | None:
     """Return the noise of rounded readings: white, and what of the rounding lasts.
 
-    Neighbouring readings of a quantity that hardly moves tell the noise before the rounding, and
+    Neighbouring readings of a quantity that hardly moves show the noise before the rounding, and
     the quantity itself how long the error of rounding lasts. What the model misses enters neither.
 
     Parameters

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hilserver.compiled import kernel
 from hilserver.measured.arrays import Array
 
 SMALLEST_DOF: Final = 2.1
 """Degrees of freedom; at 2 there is no variance."""
-_TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +42,6 @@ class NoiseModel:
     def sd(self) -> float:
         """Standard deviation of one sample."""
         return math.hypot(self.white_sd, self.ou_sd)
-
-    def autocorrelation(self, lag_s: ArrayLike) -> Array:
-        """Return the correlation of two samples this far apart (lag above 0)."""
-        share = self.ou_sd**2 / max(self.sd**2, _TINY)
-        decayed: Array = share * np.exp(-np.asarray(lag_s, float) / self.ou_tau_s)
-        return decayed
 
 
 class Whitener:

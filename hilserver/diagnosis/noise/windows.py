@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
 from hilserver.diagnosis.noise.whitening import NoiseModel
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
 _SAMPLES_MIN = 4  # in a window: level and slope are free
 _TRIMMED = 0.75
@@ -35,7 +34,7 @@ class Windows:
     t_s: Array
     r: Array
     weights: Array
-    starts: NDArray[np.int64]
+    starts: Indices
     lines: Array
 
     @classmethod

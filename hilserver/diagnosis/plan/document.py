@@ -5,7 +5,7 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from hilserver.diagnosis.findings.explain import separating_experiment
-from hilserver.diagnosis.plan.information import is_limit, reference
+from hilserver.diagnosis.plan.information import reference
 from hilserver.diagnosis.plan.outlook import Outlook
 from hilserver.diagnosis.schema.findings import NotJudged
 
@@ -89,7 +89,7 @@ def prospect(outlook: Outlook, duration_s: float) -> Prospect:
                 cause=cause,
                 size=found.size,
                 unit=found.unit,
-                reference=_reference(cause),
+                reference=reference(cause, cause),
                 shows=cause in outlook.shown,
             )
             for cause, found in outlook.sizes.items()
@@ -106,8 +106,3 @@ def prospect(outlook: Outlook, duration_s: float) -> Prospect:
             NotJudged(cause=cause, reason=reason) for cause, reason in outlook.not_judged.items()
         ),
     )
-
-
-def _reference(cause: str) -> float | None:
-    size = reference(cause, cause)
-    return size if size is None or not is_limit(cause) else float(size)

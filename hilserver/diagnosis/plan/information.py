@@ -1,8 +1,8 @@
-"""What measurements tell about every cause, as sums over stretches: Gram matrices.
+"""The information of measurements on every cause, as sums over stretches: Gram matrices.
 
 The whitened sensitivities of a stretch, with its initial pose projected out, have a Gram matrix.
 Those of stretches that each begin with a pose of their own add up, so that the information of a
-sequence of pieces is known before the sequence exists; joined pieces share a pose and tell more.
+sequence of pieces is known before the sequence exists; joined pieces share a pose and hold more.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ Z_APART: Final = 3.28
 """Standard errors between the deviances of an effect and its best imitation at which a diagnosis
 tells them apart with good power: 2.33 (`identifiability.CLEAR_Z`) and 0.95."""
 SEEN: Final = 0.5
-"""Worth of seeing a cause, by the worth of telling it from all others."""
+"""Worth of seeing a cause, by the worth of separating it from all others."""
 ENOUGH_TIMES: Final = 3.0
 LINEAR_REACH: Final = 1.5
 """How far a column of an effect that is not linear may be extrapolated, in its own size."""
@@ -169,7 +169,7 @@ def apart(directions: Sequence[Direction], gram: Array) -> Array:
 
 
 def score(directions: Sequence[Direction], gram: Array) -> float:
-    """Return how much a diagnosis could tell: small sizes and clear names of all sized causes."""
+    """Return the worth for a diagnosis: small sizes and clear names of all sized causes."""
     shares, z, total = sizes_of(directions, gram), apart(directions, gram), 0.0
     owner = np.array([d.cause for d in directions])
     for cause, mine in nearest(directions).items():

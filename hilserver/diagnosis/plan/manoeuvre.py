@@ -128,7 +128,7 @@ def from_twist(robot: RobotParameters, linear_m_s: Array, angular_rad_s: Array) 
 def of_scenario(
     path: Path, robot: RobotParameters, duration_s: float | None = None
 ) -> list[Manoeuvre]:
-    """Return the manoeuvre that a scenario's steps command; its faults are left aside.
+    """Return the manoeuvre that a scenario's steps command; its faults are left out.
 
     Raises
     ------

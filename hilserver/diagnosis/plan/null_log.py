@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.replay.drive_stage import DriveStage
@@ -39,7 +38,7 @@ WHITE: Final = {
 CORRELATED: Final = {**dict.fromkeys(POSITION, (0.05, 0.6)), YAW: (0.015, 2.0)}
 """Standard deviation and correlation time [s] of their Ornstein-Uhlenbeck noise."""
 JITTER_S: Final = 0.002
-"""Of a row's instant: rows that always fall on the same tick of a period tell less."""
+"""Of a row's instant: rows that always fall on the same tick of a period hold less information."""
 SAG_V_PER_S: Final = 0.001
 AT_ONCE_S: Final = 1e6
 
@@ -177,9 +176,7 @@ def _ornstein_uhlenbeck(t_s: Array, sd: float, tau_s: float, rng: np.random.Gene
     return sd * out
 
 
-def path_of(
-    spans: Sequence[Manoeuvre], robot: RobotParameters
-) -> list[tuple[Array, Array, NDArray[np.float64]]]:
+def path_of(spans: Sequence[Manoeuvre], robot: RobotParameters) -> list[tuple[Array, Array, Array]]:
     """Return x [m], y [m] and yaw [rad] that the model drives in each span, from the origin."""
     log = null_log(spans, robot, Recording((*POSITION, YAW)), None)
     return [

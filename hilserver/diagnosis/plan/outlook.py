@@ -1,6 +1,6 @@
-"""What a diagnosis could tell from a manoeuvre: sizes, groups, and what it cannot judge."""
+"""What a diagnosis could find in a manoeuvre: sizes, groups, and what it cannot judge."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from hilserver.diagnosis.plan.information import (
 )
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.plan.null_log import Recording, null_log
+from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
@@ -30,8 +31,6 @@ from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
 from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
-
-Tell = Callable[[str, float], None]
 
 OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"
 LEAST_SHOWN = 0.1
@@ -90,12 +89,12 @@ def look(
     *,
     seed: int,
     jobs: int,
-    tell: Tell,
+    report: Report,
 ) -> Outlook:
     """Replay a manoeuvre, add the reference noises and ask what a diagnosis could find."""
     rng = np.random.default_rng(seed)
     log = null_log(spans, robot, recording, rng)
-    prepared, reasons = prepare_all(log, robot, jobs, tell)
+    prepared, reasons = prepare_all(log, robot, jobs, report)
     found = judge(prepared, reasons, rng)
     return found if any(m.setpoints_rpm.any() for m in spans) else _at_rest(found)
 

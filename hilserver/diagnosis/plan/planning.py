@@ -11,12 +11,12 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.plan.document import Missing, PlanDocument, Proposed, prospect
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
 from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, path_of
-from hilserver.diagnosis.plan.outlook import Outlook, Tell, look
+from hilserver.diagnosis.plan.outlook import Outlook, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
 from hilserver.diagnosis.plan.search import choose, information_of
+from hilserver.diagnosis.progress import Report
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import as_yaml
-from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
@@ -65,7 +65,7 @@ class Given:
         return sum(span.duration_s for span in self.spans)
 
 
-def plan(wish: Wish, assembly: Assembly, tell: Tell) -> tuple[PlanDocument, dict[str, str]]:
+def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, dict[str, str]]:
     """Plan an experiment; return the document and the text of every file by its name.
 
     Raises
@@ -77,7 +77,7 @@ def plan(wish: Wish, assembly: Assembly, tell: Tell) -> tuple[PlanDocument, dict
     """
     given = read(wish, assembly.robot)
     recording = Recording(wish.channels or given.channels, wish.rate_hz)
-    studio = _Studio(given.robot, wish.seed, wish.jobs, tell)
+    studio = _Studio(given.robot, wish.seed, wish.jobs, report)
     now = studio.look(given.spans, recording)
     missing = _missing(studio, given.spans, recording, now)
     chosen = studio.better(recording, wish.room_m, wish.duration_s or given.duration_s)
@@ -90,6 +90,7 @@ def plan(wish: Wish, assembly: Assembly, tell: Tell) -> tuple[PlanDocument, dict
     better = then.score > now.score or not (fits and stays)
     if not better:
         spans, then = given.spans, now
+    leaves = f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when begun in the middle"
     text = f"what a diagnosis sees best in {sum(s.duration_s for s in spans):.0f} s"
     document = PlanDocument(
         version=__version__,
@@ -108,7 +109,7 @@ def plan(wish: Wish, assembly: Assembly, tell: Tell) -> tuple[PlanDocument, dict
             scenario=SCENARIO,
         ),
         missing_channels=missing,
-        notices=given.notices if stays else (*given.notices, _leaves(wish)),
+        notices=given.notices if stays else (*given.notices, leaves),
     )
     files = {
         SCENARIO: as_yaml(as_scenario(spans, text)),
@@ -123,11 +124,9 @@ def read(wish: Wish, robot: RobotParameters) -> Given:
         return Given(of_scenario(wish.manoeuvre, robot), robot, ALL)
     log = read_measured([wish.manoeuvre], wish.mapping)
     robot = machine(log, robot)
-    return Given(of_log(log, robot), robot, _measured(log), log.notices)
-
-
-def _measured(log: MeasuredLog) -> tuple[str, ...]:
-    return tuple(name for name in ALL if name in log) or ALL
+    return Given(
+        of_log(log, robot), robot, tuple(name for name in ALL if name in log) or ALL, log.notices
+    )
 
 
 @dataclass(frozen=True)
@@ -137,10 +136,12 @@ class _Studio:
     robot: RobotParameters
     seed: int
     jobs: int
-    tell: Tell
+    report: Report
 
     def look(self, spans: Sequence[Manoeuvre], recording: Recording) -> Outlook:
-        return look(spans, self.robot, recording, seed=self.seed, jobs=self.jobs, tell=self.tell)
+        return look(
+            spans, self.robot, recording, seed=self.seed, jobs=self.jobs, report=self.report
+        )
 
     def better(
         self, recording: Recording, room_m: tuple[float, float], duration_s: float
@@ -153,9 +154,9 @@ class _Studio:
                 " give more --duration or --room"
             )
         known = information_of(
-            able, self.robot, recording, seed=self.seed, jobs=self.jobs, tell=self.tell
+            able, self.robot, recording, seed=self.seed, jobs=self.jobs, report=self.report
         )
-        return choose(able, known, left_s, self.tell)
+        return choose(able, known, left_s, self.report)
 
 
 def _joined(chosen: Sequence[Piece]) -> Manoeuvre:
@@ -177,10 +178,6 @@ def _inside(
 
 def _sides(room_m: tuple[float, float]) -> str:
     return f"{room_m[0]:g} m x {room_m[1]:g} m"
-
-
-def _leaves(wish: Wish) -> str:
-    return f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when begun in the middle"
 
 
 def _missing(

@@ -1,4 +1,4 @@
-"""Puts the pieces together that tell most in the time there is."""
+"""Puts together the pieces with the most information in the time there is."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ import numpy as np
 
 from hilserver.diagnosis.plan.information import Direction, directions_of, grams_by_span, score
 from hilserver.diagnosis.plan.null_log import Recording, null_log
-from hilserver.diagnosis.plan.outlook import Tell
 from hilserver.diagnosis.plan.pieces import Piece
+from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
@@ -33,14 +33,14 @@ def information_of(
     *,
     seed: int,
     jobs: int,
-    tell: Tell,
+    report: Report,
 ) -> list[Information]:
     """Measure every piece once, each as a span of its own in one null log."""
     rng = np.random.default_rng(seed)
     log = null_log([piece.manoeuvre for piece in found], robot, recording, rng)
     known = []
     for stage in stages_of(log, robot).values():
-        prepared, _ = prepare(stage, jobs, tell)
+        prepared, _ = prepare(stage, jobs, report)
         if prepared is not None:
             library = prepared.library
             known.append(Information(directions_of(library), grams_by_span(library, len(found))))
@@ -48,7 +48,7 @@ def information_of(
 
 
 def choose(
-    found: Sequence[Piece], known: Sequence[Information], duration_s: float, tell: Tell
+    found: Sequence[Piece], known: Sequence[Information], duration_s: float, report: Report
 ) -> list[Piece]:
     """Return the pieces that say most; repetitions are allowed.
 
@@ -58,7 +58,7 @@ def choose(
     search = _Search([p.manoeuvre.duration_s for p in found], known, duration_s)
     search.add()
     for turn in range(TURNS):
-        tell("choosing pieces", turn / TURNS)
+        report("choosing pieces", turn / TURNS)
         if not search.exchange():
             break
         search.add()
@@ -66,7 +66,7 @@ def choose(
 
 
 class _Search:
-    """The pieces chosen so far and what they tell together."""
+    """The pieces chosen so far and their information together."""
 
     def __init__(
         self, lengths_s: Sequence[float], known: Sequence[Information], left_s: float

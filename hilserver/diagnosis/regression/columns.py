@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices, Mask
 
 RIDGE = 1e-3
 
@@ -35,7 +35,7 @@ class Library:
     candidates: list[Candidate]
     raw: list[NDArray[np.float32]]
     blocks: Blocks = field(init=False)
-    owner: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    owner: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     norms: list[Array] = field(default_factory=list)
 
@@ -59,7 +59,7 @@ class Library:
             self.columns[:, begin:end] = spread[self.blocks.order]
             begin = end
 
-    def ridge(self, point: Point, rows: NDArray[np.bool_] | None = None) -> Array:
+    def ridge(self, point: Point, rows: Mask | None = None) -> Array:
         """Return coefficients of all directions at once for what a model leaves.
 
         Parameters
@@ -76,7 +76,7 @@ class Library:
         along = (columns.T @ left).astype(np.float64) / norm
         return np.asarray(np.linalg.solve(gram + RIDGE * np.eye(len(norm)), along) / norm)
 
-    def effect(self, weight: Array, rows: NDArray[np.int64] | slice) -> Array:
+    def effect(self, weight: Array, rows: Indices | slice) -> Array:
         """Return what coefficients of all directions add to the prediction of some samples."""
         total = np.zeros(len(self.problem.stack))[rows]
         for i, raw in enumerate(self.raw):

@@ -29,7 +29,7 @@ class Motion:
         self.bounds = np.concatenate([[0], np.cumsum(sizes)])
         self.x, self.y, self.yaw, self.om = (dense[take, c] for c in range(4))
         left, right = stage.left[take], stage.right[take]
-        self.v, self.vy = stage.forward_m_s()[take], stage.aside[take]
+        self.v, self.vy = stage.forward_m_s()[take], stage.lateral_m_s[take]
         self.side = (left, right)
         self.t = np.concatenate([
             stage.segments.start_s[i] - stage.segments.lead_s + stage.period_s * (r - first[i])

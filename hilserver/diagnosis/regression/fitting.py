@@ -3,12 +3,11 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 
 DAMPED: Final = 1e-6
 """Damping of the steps of a fit, see `linear`."""
@@ -25,7 +24,7 @@ def fit(
     model: Model,
     start: Point,
     *,
-    rows: NDArray[np.bool_] | None = None,
+    rows: Mask | None = None,
     iterations: int = 6,
 ) -> Point:
     """Fit the parameters of a model.
@@ -71,9 +70,7 @@ def _columns_near(problem: Problem, point: Point, start: Point) -> Array:
     return found
 
 
-def _step(
-    problem: Problem, point: Point, raw: Array, used: NDArray[np.bool_]
-) -> tuple[Point | None, float]:
+def _step(problem: Problem, point: Point, raw: Array, used: Mask) -> tuple[Point | None, float]:
     """Return the point after a step that gains, if any, and the gain that was expected of it.
 
     A block in which a step does something else than its slope says does not steer the next attempt:
@@ -103,9 +100,9 @@ def _attempted(
     raw: Array,
     white: Array,
     nuisance: Array | None,
-    used: NDArray[np.bool_],
-    steering: NDArray[np.bool_],
-) -> tuple[Point | None, float, NDArray[np.bool_]]:
+    used: Mask,
+    steering: Mask,
+) -> tuple[Point | None, float, Mask]:
     """Return the same for the step that some blocks ask for, and where it diverged."""
     low, high = point.model.borders()
     keep = steering[problem.stack.block]

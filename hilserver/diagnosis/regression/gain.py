@@ -8,19 +8,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.diagnosis.thresholds import FEWEST_BLOCKS
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import POSITION, TAG, YAW
 
 RESAMPLES = 400
 SEGMENTS_APART_S = 1e7
-"""Longer than any segment; tells the stamps of two segments apart."""
+"""Longer than any segment, so that the stamps of two segments differ."""
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 
@@ -29,7 +28,7 @@ class Errors:
     """Absolute errors of one quantity and the block each belongs to."""
 
     values: Array
-    block: NDArray[np.int64]
+    block: Indices
 
 
 def crossed(problem: Problem, point: Point, model: Model) -> list[Array]:
@@ -82,8 +81,8 @@ class Windows:
         Their mean length.
     """
 
-    start: Mapping[str, NDArray[np.int64]]
-    end: Mapping[str, NDArray[np.int64]]
+    start: Mapping[str, Indices]
+    end: Mapping[str, Indices]
     horizon_s: float
 
 
@@ -126,9 +125,7 @@ def windows(problem: Problem, horizon_s: float) -> Windows | None:
     return Windows(starts, ends, float(np.mean(length_s)))
 
 
-def _nearest(
-    problem: Problem, name: str, segment: NDArray[np.int64], t_s: Array
-) -> NDArray[np.int64]:
+def _nearest(problem: Problem, name: str, segment: Indices, t_s: Array) -> Indices:
     """Return the samples of a channel next to some times of some segments."""
     edge, start_s = problem.stack.edges[name], problem.stage.segments.start_s
     mine = problem.stack.segment[edge]

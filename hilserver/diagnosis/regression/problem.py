@@ -104,7 +104,7 @@ class Problem:
         """
         return self.stage.segments.longest_s < NOISE_TAU_MAX_S
 
-    def heard_by(self, point: Point) -> "Problem":
+    def under_noise_of(self, point: Point) -> "Problem":
         """Return the same stage under the noise that a model leaves."""
         other = replace(self)
         other.learn_noise(other.residual(point.predicted))

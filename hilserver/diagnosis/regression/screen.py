@@ -1,4 +1,4 @@
-"""Which causes the residuals speak for: a score test that holds whatever the noise.
+"""Which causes the residuals indicate: a score test that holds whatever the noise.
 
 For every block of the log and every direction the efficient score is taken. Their sum is compared
 with the scatter of the blocks about the fitted effect, or with what the noise model says if that is
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
 Real = NDArray[Any]
 """Of 32 or 64 bits."""
@@ -110,11 +110,11 @@ class Blocks:
     starts : ndarray of int64, shape (blocks + 1,)
     """
 
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
+    order: Indices
+    starts: Indices
 
     @classmethod
-    def of(cls, block: NDArray[np.int64], n_blocks: int) -> "Blocks":
+    def of(cls, block: Indices, n_blocks: int) -> "Blocks":
         """Sort samples by their block."""
         counts = np.bincount(block, minlength=n_blocks)
         return cls(np.argsort(block, kind="stable"), np.concatenate([[0], np.cumsum(counts)]))

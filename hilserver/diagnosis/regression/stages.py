@@ -1,6 +1,6 @@
 """Makes the regressions of a log: which stages it has, their noise, and all columns."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_STEP
 from hilserver.diagnosis.checks.comb import coarse_step
+from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
@@ -23,8 +24,6 @@ from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
-
-Tell = Callable[[str, float], None]
 
 
 @dataclass
@@ -78,7 +77,7 @@ def prepare_all(
     log: MeasuredLog,
     robot: RobotParameters,
     jobs: int,
-    tell: Tell,
+    report: Report,
     *,
     lost_setpoints: bool = False,
 ) -> tuple[dict[str, Prepared], dict[str, str]]:
@@ -97,7 +96,7 @@ def prepare_all(
             candidates, others = judged_candidates(stage)
             reasons |= dict.fromkeys([*others, *(c.cause for c in candidates)], text)
             continue
-        one, why = prepare(stage, jobs, tell)
+        one, why = prepare(stage, jobs, report)
         reasons |= why
         if one is not None:
             prepared[name] = one
@@ -105,7 +104,7 @@ def prepare_all(
 
 
 def prepare(
-    stage: Stage, jobs: int, tell: Tell, barred: frozenset[str] = frozenset()
+    stage: Stage, jobs: int, report: Report, barred: frozenset[str] = frozenset()
 ) -> tuple[Prepared | None, dict[str, str]]:
     """Learn a stage's noise and compute the columns of all causes that are not barred."""
     if len(stage.stack) == 0:
@@ -124,7 +123,7 @@ def prepare(
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         for i, column in enumerate(pool.map(lambda c: problem.column(base, c), candidates)):
             raw.append(column.astype(np.float32))
-            tell(f"{stage.name}: effect of {candidates[i].label}", (i + 1) / len(candidates))
+            report(f"{stage.name}: effect of {candidates[i].label}", (i + 1) / len(candidates))
     return _ready(problem, Library(problem, candidates, raw), base, coarse_rpm), reasons
 
 
@@ -162,7 +161,7 @@ def _coarse(problem: Problem, base: Point) -> float | None:
     """Return the step of coarse wheel speeds where the replay of smooth ones misses grossly.
 
     A loop on a coarse speed hunts about its set-point, and no replay hunts in step with it for
-    long: the measured values themselves tell the step, and the ripple counts as noise.
+    long: the measured values themselves show the step, and the ripple counts as noise.
     """
     names = [n for n in SPEEDS if n in problem.stack.edges]
     if not names or base.deviance < GROSS * len(base.left):

@@ -53,7 +53,7 @@ class DriveStage(Stage):
     stack : Stack
         Measured speeds and duties.
     settled_s : ndarray, shape (segments,)
-        From when on the loops have forgotten what nobody knows of their start.
+        From when on the unknown start of the loops no longer matters.
     """
 
     name = "drive"
@@ -138,8 +138,8 @@ class DriveStage(Stage):
     ) -> Array:
         """Return what the stack's samples would be.
 
-        Where the log itself is rounded its steps tell nothing of those that the loop sees: what the
-        loop makes of them does.
+        Where the log itself is rounded, its steps are not those that the loop sees; what the loop
+        makes of them shows these.
         """
         del poses, keep
         speed, seen, duty = self.simulate(terms)
@@ -213,7 +213,7 @@ class DriveStage(Stage):
         """
         skips_s = np.full(len(self.segments), 0.0 if self._at_rest() else SETTLING_S)
         for i, span in enumerate(self.segments.span.tolist()):
-            if not self.knows(span):
+            if not self.has_setpoints(span):
                 skips_s[i] = np.inf
                 continue
             first_s = max(float(self.log[n].of(span)[0][0]) for n in self._commanded)
@@ -221,7 +221,7 @@ class DriveStage(Stage):
                 skips_s[i] = first_s - self.segments.start_s[i] + SETTLING_S
         return skips_s
 
-    def knows(self, span: int) -> bool:
+    def has_setpoints(self, span: int) -> bool:
         """Return whether the log holds set-points of a span."""
         return all(len(self.log[n].of(span)[0]) for n in self._commanded)
 
@@ -279,7 +279,7 @@ class DriveStage(Stage):
         return np.array(rows), index
 
     def _placed(self) -> tuple[Array, NDArray[np.int64]]:
-        """Return the inputs with changes at the ticks, between two rows, that the wheels tell."""
+        """Return the inputs, changes moved to the tick that fits the wheels best."""
         ticks = self.segments.ticks
         is_row, measured = np.zeros(ticks, dtype=np.bool_), np.full((ticks, 8), np.nan)
         for name in (*INPUTS, *SPEEDS, *DUTIES):

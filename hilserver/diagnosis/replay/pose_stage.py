@@ -42,11 +42,11 @@ STRIDES: Final = (2, 10)
 ... except for samples that the plant itself took at its ticks.
 """
 SLOW_ROWS_S: Final = 0.04
-"""... and 10 ms where nothing but wheel speeds in slower rows tells how it moved."""
+"""... and 10 ms where wheel speeds in slower rows are all that was recorded."""
 _SENSORS: Final = Parameters.where("seed").start
 """Of the parameters, those from here on do not change how the robot moves."""
 HEADING, TURN = "pose.yaw_rad", "velocity.angular_rad_s"
-FORWARD, ASIDE = "velocity.linear_m_s", "velocity.lateral_m_s"
+FORWARD, LATERAL = "velocity.linear_m_s", "velocity.lateral_m_s"
 
 
 class PoseStage(Stage):
@@ -101,7 +101,7 @@ class PoseStage(Stage):
         self.left, self.right = wheels.sides()
         self.apart = wheels.apart() if robot.is_mecanum else np.empty((2, 0))
         self.encoders: dict[int, Array] = {}
-        if drive is None or not any(n in log for n in DUTIES):  # duties tell far better
+        if drive is None or not any(n in log for n in DUTIES):  # duties show it far better
             self.encoders = {w: own for w, own in wheels.shares.items() if SPEEDS[w] in log}
         self.angle_0 = angles_at_starts(self.left, self.segments)
         names = [n for n in (*TAG, GYRO) if n in log]
@@ -140,7 +140,7 @@ class PoseStage(Stage):
 
     def _is_driven(self, span: int) -> bool:
         """Return whether it is known in a span how the wheels turned."""
-        if self.drive is not None and self.drive.knows(span):
+        if self.drive is not None and self.drive.has_setpoints(span):
             return True
         log = self.log
         return tell_motion(self.robot, lambda n: n in log and len(log[n].of(span)[0]) > 0)
@@ -182,7 +182,7 @@ class PoseStage(Stage):
         return [need for need, there in held.items() if not there]
 
     @property
-    def aside(self) -> Array:
+    def lateral_m_s(self) -> Array:
         """Speed to the left [m/s] as nominal wheels make it, shape (ticks,); of tyres none."""
         if not self.apart.size:
             return np.zeros(self.segments.ticks)
@@ -196,7 +196,7 @@ class PoseStage(Stage):
         Parameters
         ----------
         driven : bool
-            The drive's stage tells how wheels turn whose speed is not measured.
+            The drive's stage replays wheels whose speed is not measured.
         """
         moved = driven or tell_motion(robot, lambda name: name in log)
         return moved and (log.has(*POSITION) or YAW in log or GYRO in log)
@@ -298,7 +298,7 @@ class PoseStage(Stage):
             YAW: yaw,
             HEADING: yaw,
             FORWARD: self.forward_m_s(),
-            ASIDE: self.aside,
+            LATERAL: self.lateral_m_s,
             TURN: dense[:, 3],
         }
 

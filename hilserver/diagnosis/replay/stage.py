@@ -20,7 +20,7 @@ NO_POSES: Final = np.zeros((0, 3))
 
 
 class Stage(ABC):
-    """The replay of one part of the machine, from what the log knows of its input.
+    """The replay of one part of the machine, from what the log holds of its input.
 
     Attributes
     ----------

@@ -145,7 +145,7 @@ def neighbours(log: MeasuredLog) -> list[list[int]]:
 
 
 def beyond_rounding(difference: Array, step: float) -> Array:
-    """Return what of a difference rounded readings do speak for: what half a step does not cover.
+    """Return the part of a difference that rounding does not explain: beyond half a step.
 
     The rest stays while a wheel keeps its speed, and would turn a robot that drives straight on.
     """

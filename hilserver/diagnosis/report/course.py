@@ -19,7 +19,6 @@ FEWEST_SEGMENTS: Final = 6
 of its segment."""
 LEAST_SHARE: Final = 0.05
 """Of the windows' mean information on a parameter: a window with less says nothing."""
-TINY: Final = 1e-300
 
 
 def courses(problem: Problem, point: Point, causes: set[str]) -> list[Course]:

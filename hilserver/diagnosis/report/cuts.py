@@ -5,12 +5,11 @@ measured wheel speeds the kinematics alone. A residual that is larger than the s
 one cut point, and not from the next, arises between the two.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from functools import singledispatch
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
@@ -19,7 +18,7 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import CutRow
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.names import signal_unit
 from hilserver.plant.parameters import RobotParameters
@@ -32,20 +31,20 @@ DENSE_SHARE: Final = 0.5
 FALL: Final = 8.0
 """Closed loop's time constants after which the duty moves slowly again."""
 REST: Final = 7.0
-"""Time constants of the process after which it has forgotten a duty that nobody saw."""
+"""Time constants of the process after which a duty that was not recorded no longer counts."""
 FEWEST: Final = 20
 
 
-def cuts(stages: Mapping[str, Prepared]) -> tuple[CutRow, ...]:
+def cuts(stages: Collection[Prepared]) -> tuple[CutRow, ...]:
     """Return the residual of every channel from every cut point that the log allows.
 
     Parameters
     ----------
-    stages : mapping of str to Prepared
-        ``drive``, ``pose`` or both. The configured plant is replayed, whatever was found.
+    stages : collection of Prepared
+        Drive, pose or both. The configured plant is replayed, whatever was found.
     """
-    known = any(p.problem.stage.follows_setpoints for p in stages.values())
-    rows = [row for p in stages.values() for row in _from_all(p.problem.stage, p, known)]
+    known = any(p.problem.stage.follows_setpoints for p in stages)
+    rows = [row for p in stages for row in _from_all(p.problem.stage, p, known)]
     return tuple(sorted(rows, key=lambda row: CUTS.index(row.cut)))
 
 
@@ -86,9 +85,9 @@ def _of_pose(cut: str, problem: Problem, point: Point) -> list[CutRow]:
     return _rows(cut, problem, problem.residual(point.predicted), less=taken)
 
 
-def remarks(stages: Mapping[str, Prepared]) -> tuple[str, ...]:
+def remarks(stages: Collection[Prepared]) -> tuple[str, ...]:
     """Return what a reader of the cuts must know."""
-    for problem in (p.problem for p in stages.values()):
+    for problem in (p.problem for p in stages):
         stack, robot = problem.stack, problem.stage.robot
         duties = [stack.t_s[stack.edges[n]] for n in DUTIES if n in stack.edges]
         if any(
@@ -110,7 +109,7 @@ def _rows(
     *,
     less: Array | None = None,
     more: Array | None = None,
-    only: NDArray[np.bool_] | None = None,
+    only: Mask | None = None,
 ) -> list[CutRow]:
     """Compare residuals with the sensors' noise.
 
@@ -189,7 +188,7 @@ def _process_only(stage: DriveStage, problem: Problem) -> list[CutRow]:
     return _rows("duty", problem, residual, more=(shaken - seen) ** 2, only=judged)
 
 
-def _unseen(stage: DriveStage, wheel: int, held: Array) -> NDArray[np.bool_]:
+def _unseen(stage: DriveStage, wheel: int, held: Array) -> Mask:
     """Return the ticks at which a duty falls after a step and its samples are too far apart.
 
     In a ramp of many steps every sample shows the same moment of the fall, so there it counts as

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from hilserver.diagnosis.decide.structure import Unknown
@@ -16,7 +15,7 @@ from hilserver.diagnosis.replay.pose_stage import FORWARD, HEADING, TURN
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import Dependence
 from hilserver.diagnosis.thresholds import REST_LEVEL
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 
@@ -33,7 +32,7 @@ PERIODS: Final = 4.0
 
 @dataclass(frozen=True)
 class _Left:
-    """What is left of one channel, or of a velocity that positions or yaw tell.
+    """What is left of one channel, or of a velocity derived from positions or yaw.
 
     Attributes
     ----------
@@ -45,7 +44,7 @@ class _Left:
     name: str
     edge: slice
     values: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[Dependence]:
@@ -175,7 +174,7 @@ def _folded(problem: Problem, point: Point, t_s: Array) -> tuple[str, str, Array
 
 
 def binned(
-    x: Array, residual: Array, block: NDArray[np.int64], bins: int
+    x: Array, residual: Array, block: Indices, bins: int
 ) -> list[tuple[float, float, float]]:
     """Return middle, mean and half of the interval of 95 % of every bin that has enough blocks.
 

@@ -26,7 +26,6 @@ from hilserver.diagnosis.schema.evidence import (
     Course,
     Dependence,
     HorizonRow,
-    NoiseRow,
     Path,
     Similarity,
 )
@@ -37,7 +36,7 @@ SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22
 INTERVAL_WIDTH = 260.0
 INTERVAL_TICKS = 4
-ASIDE = 1.02
+APART = 1.02
 """Lines of one plot stand so far apart that their intervals can be read."""
 
 
@@ -63,29 +62,24 @@ def path(way: Path) -> Figure:
         plot.dots(starts[:, 0], starts[:, 1], f"begin {role}", titles)
     plot.dots(way.measured[:1, 0], way.measured[:1, 1], "start", ["start"])
     ends = ", ".join(
-        f"{name} {number(_end_error(way.measured, track), 'm', digits=2)}" for name, track in models
+        f"{name} {number(float(np.hypot(*(track[-1] - way.measured[-1]))), 'm', digits=2)}"
+        for name, track in models
     )
+    rings = "Rings: where a model begins; that pose is fitted."
+    if way.begins:
+        pieces = len(way.begins) + 1
+        rings = f"Rings: where a model begins, in {pieces} pieces; those poses are fitted."
     title = f"Path, {way.group}, segment {way.span}" if way.group else f"Path, segment {way.span}"
     return Figure(
         picture([plot], title),
         title,
-        f"Distance from the measured end: {ends}. {_beginnings(way)}",
+        f"Distance from the measured end: {ends}. {rings}",
     )
-
-
-def _beginnings(way: Path) -> str:
-    if not way.begins:
-        return "Rings: where a model begins; that pose is fitted."
-    return f"Rings: where a model begins, in {len(way.begins) + 1} pieces; those poses are fitted."
 
 
 def _around(span: tuple[float, float], width: float) -> tuple[float, float]:
     middle = 0.5 * (span[0] + span[1])
     return middle - width / 2, middle + width / 2
-
-
-def _end_error(measured: Array, track: Array) -> float:
-    return float(np.hypot(*(track[-1] - measured[-1])))
 
 
 def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
@@ -103,25 +97,18 @@ def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
     for place, (key, (name, unit)) in enumerate(QUANTITIES.items()):
         if own := [r for r in runs if r.quantity == key]:
             legend.append((f"quantity q{place}", name))
-            _gain_line(plot, own, f"quantity q{place}", name, unit, aside=ASIDE**place)
-    steps = [
-        f"{QUANTITIES.get(r.quantity, (r.quantity, ''))[0]} {Change.of(r)}"
-        for r in rows
-        if r.horizon_s == 0
-    ]
+            _gain_line(plot, own, f"quantity q{place}", name, unit, shift=APART**place)
     caption = "Error of the simulation by that of the extension, on held-out parts."
     if any(r.ci95 is None for r in runs):
         caption += " Rings: too few runs for an interval."
-    if steps:
-        caption += f" Of one step the error is: {'; '.join(steps)}."
     svg = picture([plot], "Gain over the length of a free run")
     return Figure(svg, "Gain", caption, wide=True, legend=tuple(legend))
 
 
 def _gain_line(
-    plot: Plot, rows: list[HorizonRow], role: str, name: str, unit: str, *, aside: float
+    plot: Plot, rows: list[HorizonRow], role: str, name: str, unit: str, *, shift: float
 ) -> None:
-    x, ratio = aside * np.array([r.horizon_s for r in rows]), np.array([r.ratio for r in rows])
+    x, ratio = shift * np.array([r.horizon_s for r in rows]), np.array([r.ratio for r in rows])
     low, high = np.array([(math.nan, math.nan) if r.ci95 is None else r.ci95 for r in rows]).T
     plot.line(x, ratio, role, f"{name}: ratio of errors")
     plot.whiskers(x, low, high, role)
@@ -183,34 +170,6 @@ def _heat_map(names: Sequence[str], cosine: Array, limit: float) -> Markup:
     return Markup(  # noqa: S704 - names of causes and numbers
         f'<svg style="width:{width:.0f}px" viewBox="0 0 {width:.0f} {height:.0f}" role="img"'
         f' aria-label="Likeness of causes">{"".join(parts)}</svg>'
-    )
-
-
-def spectrum(row: NoiseRow) -> Figure | None:
-    """Draw the power spectral density of one channel's noise and of its model."""
-    if row.frequency_hz is None or row.density is None:
-        return None
-    keep = (row.frequency_hz > 0) & (row.density > 0)
-    f, density = row.frequency_hz[keep], row.density[keep]
-    model = None if row.model is None else row.model[keep]
-    low, high = (10.0 ** v for v in span_of(np.log10(density)))  # fmt: skip
-    squared = f"({row.unit})²" if "/" in row.unit else f"{row.unit}²"
-    plot = Plot(
-        (float(f.min()), float(f.max())),
-        (low, high),
-        "frequency [Hz]",
-        f"density [{squared}/Hz]",
-        log_x=True,
-        log_y=True,
-        height=250,
-    )
-    plot.line(f, density, "measured", "measured")
-    if model is not None:
-        plot.line(f, model, "extended", "model")
-    return Figure(
-        picture([plot], f"Noise of {row.channel}"),
-        plain(row.channel),
-        "Dark: residual; blue: noise model.",
     )
 
 

@@ -7,15 +7,16 @@ import numpy as np
 
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import Evidence, FittedRange, Interval, Series
-from hilserver.measured.arrays import Array
 
 PATHS_EACH = 2
 """Paths of every group that are drawn."""
 
 
 def merged(parts: Mapping[str, Evidence]) -> Evidence:
-    """Return the evidence of all groups; tables say which group a row is of."""
+    """Return the evidence of all groups; tables say which group a row is of, if there are any."""
     first = next(iter(parts.values()))
+    if len(parts) == 1:
+        return first
     many = parts.items()
     return Evidence(
         series=_series(parts.values()),
@@ -46,19 +47,16 @@ def _series(parts: Iterable[Evidence]) -> tuple[Series, ...]:
         if known is None:
             found[item.name] = item
             continue
+        a, b = known.extended, item.extended
         found[item.name] = replace(
             known,
             t_s=np.concatenate([known.t_s, item.t_s]),
             measured=np.concatenate([known.measured, item.measured]),
             simulated=np.concatenate([known.simulated, item.simulated]),
-            extended=_both(known.extended, item.extended),
+            extended=None if a is None or b is None else np.concatenate([a, b]),
             run=np.concatenate([known.run, item.run + int(known.run.max(initial=-1)) + 1]),
         )
     return tuple(found.values())
-
-
-def _both(a: Array | None, b: Array | None) -> Array | None:
-    return None if a is None or b is None else np.concatenate([a, b])
 
 
 def _screen(parts: Iterable[Evidence]) -> tuple[ScreenRow, ...]:

@@ -61,7 +61,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
             faults=[f for f in findings.findings if f.verdict is Verdict.DATA_FAULT],
             steps=words.steps(findings),
             where=words.where(evidence.cuts),
-            screens=tables.screens(evidence.screen),
+            screen=sorted(evidence.screen, key=lambda r: -abs(r.statistic) / r.critical),
             selected=tables.selected(evidence.selection, findings.findings),
             shared=words.belonging(findings, differs=False),
             free=words.belonging(findings, differs=True),
@@ -83,7 +83,6 @@ class _Plots:
     horizons: Figure | None
     courses: list[Figure]
     rest: list[Figure]
-    spectra: list[Figure]
     likeness: Figure | None
 
     @classmethod
@@ -101,7 +100,6 @@ class _Plots:
             horizons=figures.horizons(evidence.gain_by_horizon),
             courses=[figures.course(c) for c in evidence.courses],
             rest=[figures.dependence(d) for d in evidence.dependences],
-            spectra=[s for row in evidence.noise if (s := figures.spectrum(row))],
             likeness=None if like is None else figures.likeness(like),
         )
 

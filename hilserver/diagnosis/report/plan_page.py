@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from hilserver.diagnosis.plan.document import PlanDocument, Prospect, Visible
+from hilserver.diagnosis.plan.document import PlanDocument, Visible
 from hilserver.diagnosis.report.page import environment
 from hilserver.diagnosis.report.tables import by_reason
 
@@ -26,35 +26,24 @@ class Seen:
 
 def render_plan(document: PlanDocument) -> str:
     """Return a plan as one HTML file without any reference to the network."""
-    planned, proposed = document.as_planned, document.proposed
+    proposed = document.proposed
+    first, second = ({v.cause: v for v in p.causes} for p in (document.as_planned, proposed))
     return (
         environment()
         .get_template("plan.html.j2")
         .render(
             plan=document,
             headline=_headline(document),
-            seen=_seen(planned, proposed),
-            pieces=_counted(proposed.pieces),
+            seen=[Seen(c, first.get(c), second.get(c)) for c in dict.fromkeys((*first, *second))],
+            pieces={name: proposed.pieces.count(name) for name in proposed.pieces},
             unjudged=by_reason(proposed.not_judged),
         )
     )
 
 
 def _headline(document: PlanDocument) -> str:
-    shown, then = (_shown(p) for p in (document.as_planned, document.proposed))
+    both = document.as_planned, document.proposed
+    shown, then = (sum(v.shows for v in prospect.causes) for prospect in both)
     if not document.proposed.better:
         return f"{document.manoeuvre} shows {shown} causes; nothing better was found."
     return f"{document.manoeuvre} shows {shown} causes; the proposed manoeuvre shows {then}."
-
-
-def _shown(prospect: Prospect) -> int:
-    return sum(v.shows for v in prospect.causes)
-
-
-def _seen(planned: Prospect, proposed: Prospect) -> list[Seen]:
-    first, second = ({v.cause: v for v in p.causes} for p in (planned, proposed))
-    return [Seen(c, first.get(c), second.get(c)) for c in dict.fromkeys((*first, *second))]
-
-
-def _counted(pieces: tuple[str, ...]) -> dict[str, int]:
-    return {name: pieces.count(name) for name in pieces}

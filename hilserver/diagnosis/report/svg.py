@@ -8,10 +8,9 @@ from typing import Final
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.explain import MINUS, power_of_ten
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
 MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0
@@ -111,7 +110,7 @@ def decimate(x: Array, y: Array, n: int = LINE_POINTS) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
-def thinned(x: Array, y: Array, run: NDArray[np.int64]) -> tuple[Array, Array]:
+def thinned(x: Array, y: Array, run: Indices) -> tuple[Array, Array]:
     """Return the points of a line that breaks (at a NaN) wherever another run begins."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [len(run)]])
     drawn = np.arange(0, len(edges) - 1, math.ceil((len(edges) - 1) / MAX_RUNS) or 1)
@@ -178,7 +177,7 @@ class Plot:
         title: str,
         *,
         points: int = LINE_POINTS,
-        run: NDArray[np.int64] | None = None,
+        run: Indices | None = None,
     ) -> None:
         """Draw a line; `role` is its class, `title` what shows when the pointer rests on it.
 
@@ -244,12 +243,6 @@ class Plot:
         y = self.top + MARGIN_TOP
         data = "".join(f"M{at:.1f} {y:g}v-7" for at in self.to_x(x))
         self._drawn.append(f'<path class="begin" d="{data}"/>')
-
-    def stretch(self, first: float, last: float, role: str) -> None:
-        """Shade the whole height between two places."""
-        a, b = (float(self.to_x(v)) for v in (first, last))
-        y0, y1 = self.top + self.height - MARGIN_BOTTOM, self.top + MARGIN_TOP
-        self._drawn.append(f'<path class="band {role}" d="M{a:.1f} {y0}V{y1}H{b:.1f}V{y0}Z"/>')
 
     def level(self, y: float, text: str = "") -> None:
         """Draw a horizontal reference line with a word at its right end."""

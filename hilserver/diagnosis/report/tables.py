@@ -1,12 +1,12 @@
 """What the tables behind a report show, chosen and sorted from findings and evidence."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.schema.evidence import Similarity
 from hilserver.diagnosis.schema.findings import Finding, Joint, NotJudged, Parameter
 
@@ -16,16 +16,6 @@ CUT_POINTS: Final = {
     "speed": "From the measured wheel speed: kinematics and sensors",
 }
 MAX_TWINS: Final = 40
-
-
-def screens(rows: Sequence[ScreenRow]) -> dict[int, list[ScreenRow]]:
-    """Return all causes by the number that had been taken up, the strongest first."""
-    return {
-        taken: sorted(
-            (r for r in rows if r.round == taken), key=lambda r: -abs(r.statistic) / r.critical
-        )
-        for taken in sorted({r.round for r in rows})
-    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,13 +4,12 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, span_of
 from hilserver.diagnosis.schema.evidence import Series
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
 MAX_MARKS = 60
 """Beginnings of a run that are marked; more of them would be a bar."""
@@ -26,8 +25,6 @@ def series(item: Series) -> Figure:
     residual = Plot(
         x, span_of(before, after), "time [s]", f"residual [{item.unit}]", height=190, top=206
     )
-    for edge in _held_out(item):
-        residual.stretch(float(t[edge.start]), float(t[edge.stop - 1]), "held")
     residual.level(0.0)
     for plot, role, y, title in (
         (values, "measured", item.measured, f"{item.name} measured"),
@@ -44,8 +41,6 @@ def series(item: Series) -> Figure:
     text = f"Mean absolute residual {_mean(before, item.unit)}"
     if after is not None:
         text += f" before, {_mean(after, item.unit)} after"
-    if item.held_out is not None:
-        text += "; shaded: took no part in the fit"
     return Figure(
         picture([values, residual], f"{item.name} over time"),
         plain(item.name),
@@ -72,19 +67,12 @@ def improvement(item: Series) -> float:
     return before / after if after > 0 else math.inf
 
 
-def _edges(run: NDArray[np.int64]) -> list[slice]:
+def _edges(run: Indices) -> list[slice]:
     starts = [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
     return [slice(a, b) for a, b in pairwise(starts)]
 
 
-def _held_out(item: Series) -> list[slice]:
-    if item.held_out is None:
-        return []
-    runs = _edges(item.held_out.astype(np.int64))
-    return [run for run in runs if item.held_out[run.start]]
-
-
-def _continuous(t_s: Array, run: NDArray[np.int64]) -> Array:
+def _continuous(t_s: Array, run: Indices) -> Array:
     """Put runs whose times overlap one after the other."""
     t, end = t_s.copy(), -math.inf
     for edge in _edges(run):

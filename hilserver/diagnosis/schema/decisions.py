@@ -22,8 +22,6 @@ class ScreenRow:
         Robust one of `size`.
     dof : float
         Effective degrees of freedom.
-    round : int
-        0: the first screen; k: after k causes were taken up.
     """
 
     cause: str
@@ -35,7 +33,6 @@ class ScreenRow:
     standard_error: float
     unit: str
     dof: float
-    round: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
 from hilserver.diagnosis.schema.findings import Findings, InGroup
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 
 Interval = tuple[float, float]
 
@@ -33,8 +32,6 @@ class Series:
         The plant with the terms of the extension; None when there is none.
     run : ndarray of int64, shape (n,)
         The models begin anew where it rises; it does not fall.
-    held_out : ndarray of bool, shape (n,), or None
-        True where the sample took no part in selection and fit.
     """
 
     name: str
@@ -43,8 +40,7 @@ class Series:
     measured: Array
     simulated: Array
     extended: Array | None
-    run: NDArray[np.int64]
-    held_out: NDArray[np.bool_] | None = None
+    run: Indices
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +100,6 @@ class NoiseRow:
         Correlation time of the second; None without one.
     tail_dof : float or None
         Degrees of freedom of Student's t; None: Gaussian.
-    frequency_hz, density, model : ndarray of float64, shape (k,), or None
-        Power spectral density measured and of the model, in unit^2/Hz.
     """
 
     channel: str
@@ -114,9 +108,6 @@ class NoiseRow:
     correlated: float
     tau_s: float | None
     tail_dof: float | None
-    frequency_hz: Array | None = None
-    density: Array | None = None
-    model: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -146,8 +137,6 @@ class HorizonRow:
     ----------
     quantity : str
         Key of ``Findings.total_gain``: position_m, yaw_rad, speed_rpm, duty_pct or gyro_z_rad_s.
-    horizon_s : float
-        0: one step.
     """
 
     quantity: str

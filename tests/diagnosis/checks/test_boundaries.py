@@ -13,9 +13,9 @@ from hilserver.diagnosis.checks import (
     frame,
     limited,
     orientation,
+    repetitions,
+    runs,
     standstill,
-    stuck,
-    support,
     too_fast,
     units,
 )
@@ -53,19 +53,19 @@ def too_fast_said(share_beyond):
 
 
 def speed_moved(rpm):
-    return stuck._should_change(
+    return repetitions.should_change(
         log({SETPOINTS[0]: np.linspace(0.0, rpm, 400), SPEEDS[0]: 1.0}), SPEEDS[0]
     )
 
 
 def constant(samples):
-    return stuck._is_constant(channel(np.ones(samples)))
+    return repetitions.is_constant(channel(np.ones(samples)))
 
 
 def zigzag(share):
     steps = np.ones(1001)
     steps[: 2 * round(share * 500) : 2] = -1.0
-    return support.alternates(steps)
+    return runs.alternates(steps)
 
 
 def asked_of(turn, gyro, more=None):
@@ -76,12 +76,12 @@ def asked_of(turn, gyro, more=None):
 
 def on_a_frame(share):
     """The wheels turn it at 0.5 rad/s."""
-    return frame.untold(asked_of(0.5, share * 0.5), ROBOT) is None
+    return frame.unidentified(asked_of(0.5, share * 0.5), ROBOT) is None
 
 
 def turns_enough(rad_s):
     """Without a position."""
-    return frame.untold(asked_of(rad_s, rad_s), ROBOT) is None
+    return frame.unidentified(asked_of(rad_s, rad_s), ROBOT) is None
 
 
 def beyond_a_limit(share):
@@ -142,7 +142,7 @@ def against(correlation):
 
 def need_not_turn(rad_s):
     """Its position tells of its kinematics, unless it should have turned."""
-    return frame.untold(asked_of(rad_s, 0.0, {"nav.x_m": 0.0, "nav.y_m": 0.0}), ROBOT) is None
+    return frame.unidentified(asked_of(rad_s, 0.0, {"nav.x_m": 0.0, "nav.y_m": 0.0}), ROBOT) is None
 
 
 def combed(samples):

@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis import thresholds as at
-from hilserver.diagnosis.checks import (
-    copied,
-    held,
-    interpolated,
-    repeated,
-    sparse,
-)
-from hilserver.diagnosis.checks.support import runs_of
+from hilserver.diagnosis.checks import copied, dropouts, repetitions, setpoint_runs
+from hilserver.diagnosis.checks.runs import runs_of
 from hilserver.measured.data import Channel
 from tests.diagnosis.checks.samples import ROBOT, log_of
 
@@ -43,15 +37,15 @@ def late_rows(rows, period_s=0.01, gap=4):
 
 
 def gaps(number):
-    return repeated._missing(late_rows(number), at.SHORTEST_BURST) > 0.0
+    return dropouts.missing(late_rows(number), at.SHORTEST_BURST) > 0.0
 
 
 def gap_rows(rows):
-    return repeated._missing(late_rows(5, gap=rows), at.SHORTEST_BURST) > 0.0
+    return dropouts.missing(late_rows(5, gap=rows), at.SHORTEST_BURST) > 0.0
 
 
 def gap_period(period_s):
-    return repeated._missing(late_rows(5, period_s=period_s), at.SHORTEST_BURST) > 0.0
+    return dropouts.missing(late_rows(5, period_s=period_s), at.SHORTEST_BURST) > 0.0
 
 
 def every(rows, n=4000, step=1.0, quantum=1e-4):
@@ -61,7 +55,7 @@ def every(rows, n=4000, step=1.0, quantum=1e-4):
 
 
 def held_rate(samples):
-    return held._rate(samples, runs_of(samples), np.empty(0)) is not None
+    return repetitions.held(samples, runs_of(samples), np.empty(0)) is not None
 
 
 def held_hz(rate_hz):
@@ -85,14 +79,14 @@ def is_copy(share=1.0, off=0.0):
     sent = np.cumsum(np.full(101, 1.0))
     last, now = sent[:-1].copy(), sent[1:].copy() + off
     now[: round((1.0 - share) * 100)] += 0.5
-    return copied._is_copy(now, sent[1:], last, sent[:-1], 2.0)
+    return copied.is_copy(now, sent[1:], last, sent[:-1], 2.0)
 
 
 def ramps(rows):
     """Straight pieces between set-points that came once in so many rows."""
     corners = np.cumsum(noise(200))
     values = np.interp(np.arange(199 * rows), np.arange(200) * rows, corners)
-    return interpolated._period_rows(channel(values)) is not None
+    return setpoint_runs.period_rows(channel(values)) is not None
 
 
 def ramps_after_s(time_s):
@@ -104,35 +98,35 @@ def ramps_on_the_clock(share):
     rows = np.where(rng.random(300) < share, 10, 7)
     at_rows = np.concatenate([[0], np.cumsum(rows)])
     values = np.interp(np.arange(at_rows[-1]), at_rows, np.cumsum(noise(301)))
-    return interpolated._period_rows(channel(values)) is not None
+    return setpoint_runs.period_rows(channel(values)) is not None
 
 
 def same_slope(share):
     """Two slopes in turn that differ by a share: one straight line, or corners."""
     slope = 1.0 + share * (np.arange(400) // 10 % 2)
-    return len(interpolated._pieces(channel(np.cumsum(slope)))[0]) < 10
+    return len(setpoint_runs.pieces(channel(np.cumsum(slope)))[0]) < 10
 
 
 def set_points(number):
-    return sparse._rate(every(5, n=5 * round(number) + 10)) is not None
+    return setpoint_runs.sent_rate(every(5, n=5 * round(number) + 10)) is not None
 
 
 def set_points_too_soon(share):
     rows = np.full(1000, 10)
     rows[:: round(1.0 / share)] = 5
-    return sparse._rate(channel(np.repeat(np.cumsum(noise(1000)), rows))) is not None
+    return setpoint_runs.sent_rate(channel(np.repeat(np.cumsum(noise(1000)), rows))) is not None
 
 
 def sent_together(share):
     both = log({"nav.x_m": 0.0, "nav.y_m": 0.0})
     first = {"nav.x_m": np.arange(0, 400, 4), "nav.y_m": np.arange(0, 400, 4)}
     first["nav.y_m"][: round((1.0 - share) * 100)] += 1
-    return held._begins(both, "nav.x_m", ["nav.y_m"], first).sum() > 100
+    return repetitions.begins_of(both, "nav.x_m", ["nav.y_m"], first).sum() > 100
 
 
 def copied_steps(rpm):
     sent = channel(rpm * (np.arange(100) % 2))
-    return copied._lag_of_copy(sent, sent, 10.0) is not None
+    return copied.copy_of(sent, sent, 10.0) is not None
 
 
 def held_quanta(steps):
@@ -155,7 +149,7 @@ def missing(share):
     for begin in range(100, 19_900, round(5 / share)):
         keep[begin : begin + 5] = False
     values[~keep] = np.nan
-    return bool(repeated.find(log_of(t, {"nav.x_m": values}, has_stamps=True), ROBOT)[1])
+    return bool(dropouts.find(log_of(t, {"nav.x_m": values}, has_stamps=True), ROBOT)[1])
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hilserver.diagnosis import thresholds as at
 from hilserver.diagnosis.catalogue.library import pose_candidates
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.compare.differences import Difference
-from hilserver.diagnosis.decide import scrubbing, settling, structure, trial
+from hilserver.diagnosis.decide import revision, scrubbing, structure, trial
 from hilserver.diagnosis.decide.drift import changing_alike, left_by_changes
 from hilserver.diagnosis.decide.identifiability import Rival, prune
 from hilserver.diagnosis.decide.unknown import Family
@@ -65,7 +65,7 @@ def failed(values, columns):
     problem = toy.problem(values, columns)
     library, base = toy.library(problem)
     point = fit(problem, toy.model("a"), base)
-    return settling.fails(Prepared(problem, library, base), point)
+    return revision.fails(Prepared(problem, library, base), point)
 
 
 def stays(deviance):

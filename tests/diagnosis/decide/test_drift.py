@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.drift import course, drifting, parts, with_drift
-from hilserver.diagnosis.decide.settling import Judged
+from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy

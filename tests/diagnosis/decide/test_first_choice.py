@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.identifiability import Rival
+from hilserver.diagnosis.decide.revision import no_name
 from hilserver.diagnosis.decide.selection import Selected, _plausible, select
-from hilserver.diagnosis.decide.settling import no_name
 from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model

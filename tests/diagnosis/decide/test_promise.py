@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.promise import Step, _grows
-from hilserver.diagnosis.decide.settling import _harmless, _predicting
+from hilserver.diagnosis.decide.revision import _harmless, _predicting
 from hilserver.diagnosis.findings.outcome import worsened
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import Errors, Pair

@@ -1,6 +1,7 @@
 """All parameters with one covariance, and what each cause matters."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hilserver.diagnosis.catalogue.candidate import wave
 from hilserver.diagnosis.findings.estimate import Estimate, estimate_of, joint
 from hilserver.diagnosis.findings.outcome import parameters
 from hilserver.diagnosis.findings.sensors import noise_of
-from hilserver.diagnosis.findings.worth import Explained, with_worth, without_causes
+from hilserver.diagnosis.findings.worth import Answer, Explained, Part, without_causes
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import crossed, held_out
 from hilserver.diagnosis.replay.model import Model
@@ -87,10 +88,12 @@ def test_partners_take_over_what_one_cause_explains_alone(alike):
         start = problem.point(without_causes(point.model, causes), point.poses)
         return (held_out(problem, crossed(problem, start, start.model)),)
 
-    whole = Explained((problem,), (np.zeros(N),), (after,), without)
-    base, rng = sample.findings().findings[0], np.random.default_rng(0)
-    found = [with_worth(base, i, whole, estimate, 5.0, rng).matters for i in range(3)]
-    one, _, alone = (item[toy.SIGNAL] for item in found)
+    judged = SimpleNamespace(prepared=SimpleNamespace(problem=problem))
+    whole = Explained((Part("", judged, np.zeros(N), after),), without)
+    findings = (sample.findings().findings[0],) * 3
+    answer = Answer(whole, whole, point.model, findings, estimate)
+    found = answer.with_worth(5.0, np.random.default_rng(0))
+    one, _, alone = (item.matters[toy.SIGNAL] for item in found)
     assert one.alone == pytest.approx(1.0, abs=0.05)
     assert one.with_partners > 2.0
     assert alone.alone > 2.0

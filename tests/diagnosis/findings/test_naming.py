@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.identifiability import Rival, cosines, prune, settle
+from hilserver.diagnosis.decide.identifiability import Rival, cosines, prune, with_best_rivals
+from hilserver.diagnosis.decide.revision import with_fewer
 from hilserver.diagnosis.decide.selection import select
-from hilserver.diagnosis.decide.settling import with_fewer
 from hilserver.diagnosis.decide.structure import holds_out, imitated, joint_gain, remaining
 from hilserver.diagnosis.decide.trial import cost
 from hilserver.diagnosis.decide.unknown import Family
@@ -67,8 +67,8 @@ def test_of_two_that_explain_alike_the_one_without_a_shape_is_taken():
     found = select(problem, library, base, rng)
     assert found.point.model.causes[0] == "simple"
     assert cost(library.candidates[1], 1000.0) > cost(library.candidates[0], 1000.0) + 4.0
-    settled, _ = settle(library, found.point)
-    assert settled.model.causes[0] == "simple"
+    exchanged, _ = with_best_rivals(library, found.point)
+    assert exchanged.model.causes[0] == "simple"
 
 
 def twins(seed, likeness):
@@ -86,20 +86,20 @@ def twins(seed, likeness):
 def test_exact_twins_tie_and_others_do_not():
     for seed in range(5):
         library, point = twins(seed, 1.0)
-        settled, ties = settle(library, point)
-        assert settled.model.causes == ("true",)
+        exchanged, ties = with_best_rivals(library, point)
+        assert exchanged.model.causes == ("true",)
         assert [r.candidate.cause for r in ties["true"]] == ["twin"]
         assert ties["true"][0].cosine == pytest.approx(1.0, abs=1e-3)
         assert abs(ties["true"][0].worse) < 0.1
         library, point = twins(seed, 0.9)
-        assert settle(library, point)[1]["true"] == [], "below 0.95 and clearly worse"
+        assert with_best_rivals(library, point)[1]["true"] == [], "below 0.95 and clearly worse"
 
 
 def test_a_wrong_name_is_swapped_for_the_right_one():
     library, point = twins(3, 0.9)
     wrong = fit(library.problem, toy.model("twin"), point)
-    settled, _ = settle(library, wrong)
-    assert settled.model.causes == ("true",)
+    exchanged, _ = with_best_rivals(library, wrong)
+    assert exchanged.model.causes == ("true",)
 
 
 def test_the_cosine_is_that_of_the_columns_without_what_others_explain():
@@ -143,7 +143,7 @@ def test_one_cause_stands_for_two_that_explain_no_more():
     problem = toy.problem(0.5 * columns["gain"] + rng.normal(size=N), columns)
     library, base = toy.library(problem)
     point = fit(problem, toy.model("radius", "scale"), base)
-    _, ties = settle(library, point)
+    _, ties = with_best_rivals(library, point)
     fewer = with_fewer(problem, point, ties)
     assert fewer.model.terms == pytest.approx({"gain": 0.5}, abs=0.05)
 
@@ -156,7 +156,7 @@ def test_two_causes_stay_two_where_none_stands_for_both():
     problem = toy.problem(values, columns)
     library, base = toy.library(problem)
     point = fit(problem, toy.model("gain", "scale"), base)
-    _, ties = settle(library, point)
+    _, ties = with_best_rivals(library, point)
     assert [r.candidate.cause for r in ties["gain"]] == ["twin"]
     assert with_fewer(problem, point, ties) is None
 

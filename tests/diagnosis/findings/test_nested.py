@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hilserver.diagnosis.decide.revision import revised
 from hilserver.diagnosis.decide.selection import select
-from hilserver.diagnosis.decide.settling import settled
 from hilserver.diagnosis.findings import nested
 from hilserver.diagnosis.findings.nested import honest, judged_by_halves
 from hilserver.diagnosis.regression.fitting import fit
@@ -23,7 +23,7 @@ SEED = 3
 @pytest.fixture(autouse=True)
 def no_families(monkeypatch):
     """A sum of columns has no motion that an unknown structure could depend on."""
-    monkeypatch.setattr("hilserver.diagnosis.decide.settling.families_of", lambda *_: [])
+    monkeypatch.setattr("hilserver.diagnosis.decide.revision.families_of", lambda *_: [])
 
 
 def judged(values, columns):
@@ -31,7 +31,7 @@ def judged(values, columns):
     library, base = toy.library(problem)
     p = Prepared(problem, library, base)
     rng = np.random.default_rng(SEED)
-    return settled(p, select(problem, library, base, rng), rng)
+    return revised(p, select(problem, library, base, rng), rng)
 
 
 def drawn(sizes=(1.0, 1.0)):
@@ -44,7 +44,7 @@ def drawn(sizes=(1.0, 1.0)):
 def after(j):
     halves = judged_by_halves({"drive": j}, SEED, 1)["drive"]
     before = np.zeros(len(j.prepared.problem.stack))
-    return honest(j, halves, before).after[0]
+    return honest(j, halves, before).parts[0].after
 
 
 def no_prediction_saw_its_half():
@@ -68,7 +68,7 @@ def test_a_half_is_predicted_by_what_was_selected_and_fitted_without_it():
 
 def test_nested_halves_off():
     """Causes and sizes of the whole log are no honest gain."""
-    line = "halves.append(settled(p, selected, rng))"
+    line = "halves.append(revised(p, selected, rng))"
     whole = "halves.append(judged[name])"
     with (
         mutated(nested.judged_by_halves, line, whole),
@@ -89,7 +89,7 @@ def test_a_cause_of_one_half_gains_nothing_in_the_other():
     index = j.point.model.causes.index("lure")
     rows = stack.half[stack.block] == 0
     unseen = whole.without(frozenset({index}))[0]
-    assert np.allclose(whole.after[0][rows], unseen[rows], atol=0.05)
+    assert np.allclose(whole.parts[0].after[rows], unseen[rows], atol=0.05)
 
 
 @pytest.mark.parametrize("seconds", [20.0, 60.0])
@@ -125,6 +125,6 @@ def test_a_column_without_a_name_predicts_and_is_in_no_patch():
     nameless = replace(j, point=less, whole=j.point)
     whole = honest(nameless, (nameless, nameless), base)
     patch = honest(nameless, (nameless, nameless), base, named=True)
-    assert np.allclose(whole.after[0], j.point.predicted)
-    assert np.allclose(patch.after[0], less.predicted)
-    assert whole.gains((base,), 5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5
+    assert np.allclose(whole.parts[0].after, j.point.predicted)
+    assert np.allclose(patch.parts[0].after, less.predicted)
+    assert whole.gains(5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5

@@ -16,7 +16,7 @@ from hilserver_injector import Recipe, make
 from scipy import stats
 
 from benchmarks.diagnose_worker import measured
-from hilserver.diagnosis.groups.diagnosing import diagnose_groups
+from hilserver.diagnosis.engine import diagnose_groups
 from tests.diagnosis.assertions import LARGEST_GROUP, said
 from tests.diagnosis.hidden.logs import assembly
 

@@ -8,8 +8,8 @@ from hilserver_injector import Recorder, make
 
 from benchmarks.diagnose_worker import measured
 from hilserver.config.patch import load_patch
+from hilserver.diagnosis.engine import diagnose_groups
 from hilserver.diagnosis.findings.patch import as_yaml, make_patch
-from hilserver.diagnosis.groups.diagnosing import diagnose_groups
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.report.summary import summary
 from tests.diagnosis.assertions import said

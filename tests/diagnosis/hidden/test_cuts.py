@@ -49,7 +49,7 @@ def ratios(rows, cut, *parts):
 
 @pytest.mark.parametrize("log", white.LOGS, ids=str)
 def test_on_a_null_log_all_residuals_are_the_sensors_noise(log):
-    rows = cuts(white.prepared(*log))
+    rows = cuts(white.prepared(*log).values())
     assert len(rows) == (12 + 4 + 4 if log[0] == "drive" else 8 + 4)
     for row in rows:
         slow = row.channel.startswith("nav.")  # few independent samples, and noise that is fitted
@@ -59,20 +59,20 @@ def test_on_a_null_log_all_residuals_are_the_sensors_noise(log):
 
 @pytest.mark.parametrize(("cause", "size"), [("process_gain", 0.05), ("time_constant", 0.2)])
 def test_a_fault_of_the_process_shows_from_the_measured_duty(cause, size):
-    rows = cuts(prepared(*BENCH, (cause, size)))
+    rows = cuts(prepared(*BENCH, (cause, size)).values())
     assert ratios(rows, "duty", "speed").min() > 5.0
     assert ratios(rows, "setpoints", "duty").min() > 5.0
     assert where(rows) == "The error arises in the motors, the gears or their load."
 
 
 def test_a_fault_of_the_process_is_none_of_the_kinematics():
-    rows = cuts(prepared(*DRIVE, ("process_gain", 0.05)))
+    rows = cuts(prepared(*DRIVE, ("process_gain", 0.05)).values())
     assert ratios(rows, "duty", "speed").min() > 5.0
     assert ratios(rows, "speed", "nav", "gyro") == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_fault_of_the_kinematics_shows_from_the_measured_speed_alone():
-    rows = cuts(prepared(*DRIVE, ("rotation_gain", 0.05)))
+    rows = cuts(prepared(*DRIVE, ("rotation_gain", 0.05)).values())
     for cut in ("setpoints", "speed"):
         assert ratios(rows, cut, "yaw", "gyro").min() > 3.0
     assert ratios(rows, "duty", "speed") == pytest.approx(1.0, abs=0.06)
@@ -94,22 +94,22 @@ def test_a_fault_of_the_kinematics_shows_from_the_measured_speed_alone():
 def test_a_fault_before_the_motors_shows_from_the_setpoints_alone(log):
     """Even where the duty between its samples is not known."""
     stages = prepared(*log)
-    rows = cuts(stages)
+    rows = cuts(stages.values())
     assert ratios(rows, "setpoints", "duty").min() > 5.0
     assert ratios(rows, "duty", "speed") == pytest.approx(1.0, abs=0.12)
     assert "in the controller" in where(rows)
-    assert bool(remarks(stages)) == (log[1] < 500.0)
+    assert bool(remarks(stages.values())) == (log[1] < 500.0)
 
 
 def test_without_a_duty_or_a_speed_there_is_no_such_cut():
     channels = ("setpoint", "speed", "gyro", "nav")
     stages = prepared("drive", 50.0, 40.0, channels=channels)
-    assert {r.cut for r in cuts(stages)} == {"setpoints", "speed"}
+    assert {r.cut for r in cuts(stages.values())} == {"setpoints", "speed"}
     stages = prepared("drive", 50.0, 40.0, channels=("setpoint", "duty", "gyro"))
-    rows = cuts(stages)
+    rows = cuts(stages.values())
     assert {r.cut for r in rows} == {"setpoints"}
     assert {r.channel for r in rows} >= {"imu.gyro_z_rad_s", "wheel.fl.duty_pct"}
-    assert not cuts({})
+    assert not cuts([])
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def test_flips_that_are_not_fitted_anew():
 
 def test_twin_check_off():
     the_twins_are_one_group(diagnosis(*TWINS).findings, "wheel_misalignment", "nav_frame_yaw")
-    with mutated(identifiability.settle, "if r.ties]", "if False]"):
+    with mutated(identifiability.with_best_rivals, "if r.ties]", "if False]"):
         findings = judged(recipe(*TWINS)).findings
     assert len(findings.findings) == 1
     with pytest.raises(AssertionError, match="named: "):

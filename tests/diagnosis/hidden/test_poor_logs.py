@@ -11,10 +11,10 @@ import pytest
 from hilserver_injector import make
 
 from benchmarks.diagnose_worker import measured
-from hilserver.diagnosis.compare.comparison import compare
 from hilserver.diagnosis.decide.lost_steps import lost_steps
-from hilserver.diagnosis.engine import diagnose, silent
+from hilserver.diagnosis.engine import compare, diagnose
 from hilserver.diagnosis.output import documents
+from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.schema.findings import Overall, Verdict
@@ -120,7 +120,7 @@ def test_set_points_that_begin_while_the_machine_drives_were_no_standstill():
 
 def test_lost_steps_are_looked_for_within_each_log():
     one, two = (
-        prepare_all(log, assembly().robot, 1, silent)[0]["drive"]
+        prepare_all(log, assembly().robot, 1, Tracker())[0]["drive"]
         for log in (sound(), pooled(moved(sound(), 1000.0), sound()))
     )
     alone, both = (lost_steps(p.problem, p.base) for p in (one, two))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.compare.comparison import compare
-from hilserver.diagnosis.engine import judge
+from hilserver.diagnosis.engine import compare, judge
 from hilserver.diagnosis.schema.findings import Overall
 from hilserver.measured.data import Channel
 from hilserver.measured.reading import read_measured

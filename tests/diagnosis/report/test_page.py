@@ -116,16 +116,10 @@ def test_hundred_segments_that_all_begin_at_zero_follow_each_other():
     given = evidence(20_000)
     span = np.repeat(np.arange(200), 100)
     t = np.tile(np.arange(100) * 0.02, 200)
-    series = tuple(replace(s, t_s=t, run=span, held_out=None) for s in given.series)
+    series = tuple(replace(s, t_s=t, run=span) for s in given.series)
     page = render(findings(), replace(given, series=series))
     assert len(page.encode()) < 2_000_000
     assert Reader(page).open == []
-
-
-def test_stretches_that_took_no_part_in_the_fit_are_shaded():
-    given = evidence(9000)  # three minutes, every second 20 s held out
-    one = replace(given, series=given.series[:1], paths=())
-    assert render(findings(), one).count('class="band held"') == 4
 
 
 def test_channels_that_do_not_change_are_folded_away(page):

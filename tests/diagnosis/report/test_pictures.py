@@ -114,8 +114,7 @@ def test_a_path_is_drawn_to_scale():
 
 
 def test_a_channel_has_its_models_above_and_their_residuals_below(given):
-    item = replace(given.series[1], held_out=None)
-    drawn = series(item)
+    drawn = series(given.series[1])
     picture = Drawing(drawn.svg)
     assert [m.colour("stroke") for m in picture.of("line")] == [
         "measured", "simulated", "extended", "simulated", "extended",
@@ -129,7 +128,7 @@ def test_a_channel_has_its_models_above_and_their_residuals_below(given):
 def runs(given, n):
     length = len(given.series[1].t_s)
     run = np.arange(length) * n // length
-    return replace(given.series[1], run=run, held_out=None)
+    return replace(given.series[1], run=run)
 
 
 def test_lines_of_a_channel_break_where_its_models_begin_anew(given):
@@ -179,12 +178,6 @@ def test_causes_that_look_alike_are_framed(given):
     minus = [m for m in picture.of("cell") if "\N{MINUS SIGN}" in m.title]
     assert minus
     assert {m.colour("fill") for m in minus} == {"simulated"}
-
-
-def test_a_spectrum_has_the_residual_and_its_model(given):
-    picture = Drawing(figures.spectrum(given.noise[0]).svg)
-    assert [m.colour("stroke") for m in picture.of("line")] == ["measured", "extended"]
-    assert picture.texts("axis-label") == ["frequency [Hz]", "density [m²/Hz]"]
 
 
 def test_a_dependence_lies_in_its_band(given):

@@ -9,7 +9,7 @@ import numpy as np
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
-from hilserver.diagnosis.decide.identifiability import Rival, prune, settle
+from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_rivals
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, agreed, with_noise_anew
@@ -57,7 +57,7 @@ class Judged:
         return Model(tuple(f for f in fitted if f.candidate.cause not in self.drift))
 
 
-def settled(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
+def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
     point, ties = _weighed(p, selected)
@@ -191,7 +191,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     problem, point, rows = p.problem, selected.point, selected.rows
     if not point.model.fitted:
         return point, {}
-    exchanged, ties = settle(p.library, point, selected.near)
+    exchanged, ties = with_best_rivals(p.library, point, selected.near)
     rows += _left_out(problem, point, exchanged, "swapped", "a rival explains the data better")
     point = prune(problem, exchanged, LEAST_GAIN)
     rows += _left_out(problem, exchanged, point, "dropped", "the others have made it superfluous")
@@ -199,7 +199,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
     if simpler is None:
         return point, ties
     rows += _left_out(problem, point, simpler, "swapped", "a rival needs no other cause beside it")
-    return settle(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
+    return with_best_rivals(p.library, with_noise_anew(problem, p.library, simpler), selected.near)
 
 
 def _without_what_tyres_do(

@@ -1,25 +1,25 @@
-"""Fills the evidence: what the report draws."""
+"""Collects the evidence: what the report draws."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, part_of
-from hilserver.diagnosis.decide.structure import Unknown
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
+from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.findings.outcome import unit_of
+from hilserver.diagnosis.findings.sensors import noise_of
+from hilserver.diagnosis.findings.worth import Part
+from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.gain import HORIZONS_S, compare, free_run_errors, windows
-from hilserver.diagnosis.regression.problem import Point
-from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
-from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.diagnosis.regression.problem import Problem
+from hilserver.diagnosis.regression.screen import adjusted, critical, null_maxima
 from hilserver.diagnosis.replay.pose_stage import FORWARD, TURN
 from hilserver.diagnosis.report import cuts
 from hilserver.diagnosis.report.course import courses
 from hilserver.diagnosis.report.dependence import dependences
-from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import (
-    Course,
-    Dependence,
     Evidence,
     FittedRange,
     FittedTerm,
@@ -29,7 +29,7 @@ from hilserver.diagnosis.schema.evidence import (
     Series,
     Similarity,
 )
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import POSITION, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit
@@ -39,79 +39,48 @@ MOST_PATHS = 4
 HALF_AS_LARGE = 0.5
 
 
-@dataclass(frozen=True)
-class Shown:
-    """One stage with its predictions before and after the extension.
-
-    Attributes
-    ----------
-    unknown : sequence of Unknown
-        What the residual of `point` depends on without a name.
-    drift : mapping of str to float
-        Causes of `point` that change along the log, with their p.
-    """
-
-    prepared: Prepared
-    point: Point
-    before: Array
-    after: Array
-    scores: Scores
-    unknown: Sequence[Unknown]
-    drift: Mapping[str, float]
-    selection: tuple[SelectionRow, ...] = ()
-
-
 def evidence(
     log: MeasuredLog,
-    stages: Mapping[str, Shown],
+    stages: Sequence[Part],
     terms: tuple[FittedTerm, ...],
-    timings: Mapping[str, float],
+    timings_s: Mapping[str, float],
 ) -> Evidence:
-    """Collect what stands behind the findings."""
-    series: list[Series] = []
-    noise: list[NoiseRow] = []
-    screen: list[ScreenRow] = []
-    horizons: list[HorizonRow] = []
-    paths: tuple[Path, ...] = ()
-    similarity = None
-    rest: list[Dependence] = []
-    over_time: list[Course] = []
+    """Collect what stands behind the findings of one member."""
     extended = bool(terms)
-    prepared = {name: s.prepared for name, s in stages.items()}
-    for s in stages.values():
-        series += _series(s, extended)
-        noise += _noise(s)
-        screen += _screen(s)
-        rest += dependences(s.prepared.problem, s.point, s.unknown)
-        over_time += courses(s.prepared.problem, s.point, set(s.drift))
-        horizons += _horizons(s)
-        paths += _paths(s, extended)
-        similarity = _similarity(s)
+    prepared = [part.judged.prepared for part in stages]
     start_s = min((float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0)
     return Evidence(
-        series=tuple(replace(item, t_s=item.t_s - start_s) for item in series),
-        paths=paths,
-        cuts=cuts.cuts(prepared),
-        noise=tuple(noise),
-        screen=tuple(screen),
-        selection=tuple(row for s in stages.values() for row in s.selection),
-        similarity=similarity,
-        gain_by_horizon=tuple(horizons),
-        dependences=tuple(
-            replace(item, x=item.x - start_s) if item.regressor == "t_s" else item for item in rest
+        series=tuple(
+            replace(item, t_s=item.t_s - start_s) for p in stages for item in _series(p, extended)
         ),
-        courses=tuple(replace(item, t_s=item.t_s - start_s) for item in over_time),
+        paths=tuple(path for p in stages for path in _paths(p, extended)),
+        cuts=cuts.cuts(prepared),
+        noise=tuple(row for p in stages for row in _noise(p.problem)),
+        screen=tuple(row for p in stages for row in _screen(p.judged)),
+        selection=tuple(row for p in stages for row in p.judged.selected.rows),
+        similarity=_similarity(stages[-1].judged.prepared.library) if stages else None,
+        gain_by_horizon=tuple(row for p in stages for row in _horizons(p)),
+        dependences=tuple(
+            replace(item, x=item.x - start_s) if item.regressor == "t_s" else item
+            for p in stages
+            for item in dependences(p.problem, p.judged.point, p.judged.unknown)
+        ),
+        courses=tuple(
+            replace(item, t_s=item.t_s - start_s)
+            for p in stages
+            for item in courses(p.problem, p.judged.point, set(p.judged.drift))
+        ),
         extension=terms,
         fitted=_range(log, stages),
-        timings_s=dict(timings),
+        timings_s=dict(timings_s),
         remarks=cuts.remarks(prepared),
     )
 
 
-def _series(s: Shown, extended: bool) -> list[Series]:
-    problem, stack = s.prepared.problem, s.prepared.problem.stack
+def _series(part: Part, extended: bool) -> list[Series]:
+    problem, stack = part.problem, part.problem.stack
     span = problem.stage.segments.span[stack.segment]
-    first, second = problem.residual(s.before), problem.residual(s.after)
+    first, second = problem.residual(part.before), problem.residual(part.after)
     out = []
     for name in stack.channels:
         e = stack.edges[name]
@@ -132,32 +101,23 @@ def _series(s: Shown, extended: bool) -> list[Series]:
     return out
 
 
-def _unwrapped(values: Array, span: NDArray[np.int64]) -> Array:
+def _unwrapped(values: Array, span: Indices) -> Array:
     out = values.copy()
     for s in np.unique(span):
         out[span == s] = np.unwrap(values[span == s])
     return out
 
 
-def _noise(s: Shown) -> list[NoiseRow]:
-    rows = []
-    for name, model in s.prepared.problem.noise.items():
-        rows.append(
-            NoiseRow(
-                name,
-                signal_unit(name),
-                float(model.white_sd),
-                float(model.ou_sd),
-                float(model.ou_tau_s) if model.ou_sd > 0.0 else None,
-                float(model.tail_dof) if np.isfinite(model.tail_dof) else None,
-            )
-        )
-    return rows
+def _noise(problem: Problem) -> list[NoiseRow]:
+    return [
+        NoiseRow(name, signal_unit(name), o.white_sd, o.ou_sd, o.ou_tau_s, o.tail_dof)
+        for name, o in noise_of(problem).items()
+    ]
 
 
-def _screen(s: Shown) -> list[ScreenRow]:
-    library = s.prepared.library
-    maxima = null_maxima([s.scores], np.random.default_rng(0))
+def _screen(judged: Judged) -> list[ScreenRow]:
+    library, scores = judged.prepared.library, judged.scores
+    maxima = null_maxima([scores], np.random.default_rng(0))
     limit = critical(maxima)
     if limit <= 0.0:  # no cause shows in such data at all
         return []
@@ -166,20 +126,16 @@ def _screen(s: Shown) -> list[ScreenRow]:
         mine = np.flatnonzero(library.owner == i)
         if not mine.size:
             continue
-        j = int(mine[np.argmax(np.abs(s.scores.t[mine]))])
+        j = int(mine[np.argmax(np.abs(scores.t[mine]))])
         part = next(iter(c.terms(c.start)))
         part = OF_THE_LOG.get(part, part)
-        t = float(s.scores.t[j])
+        t = float(scores.t[j])
         if c.cause in rows and abs(rows[c.cause].statistic) >= abs(t):
             continue
-        share = float(s.scores.size[j])
+        share = float(scores.size[j])
         value = c.null[0] + share * (1.0 if c.linear else c.start[0] - c.null[0])
         size = share * (1.0 if c.linear else abs(c.start[0] - c.null[0]))
         is_possible = not c.is_limit and c.low[0] <= value <= c.high[0]
-        try:
-            unit = part_of(part).unit
-        except KeyError:
-            unit = "1"
         rows[c.cause] = ScreenRow(
             cause=c.cause,
             part="" if part == c.cause else part.partition(".")[2],
@@ -188,41 +144,42 @@ def _screen(s: Shown) -> list[ScreenRow]:
             p_adjusted=float(adjusted(np.array([t]), maxima)[0]),
             size=size if is_possible else None,
             standard_error=abs(size / t) if t else 0.0,
-            unit=unit,
+            unit=unit_of(part),
             dof=float(library.problem.stack.n_blocks),
         )
     return list(rows.values())
 
 
-def _horizons(s: Shown) -> list[HorizonRow]:
-    rng, out = np.random.default_rng(0), []
+def _horizons(part: Part) -> list[HorizonRow]:
+    problem, rng, out = part.problem, np.random.default_rng(0), []
     seen: set[float] = set()
     for horizon_s in HORIZONS_S:
-        w = windows(s.prepared.problem, horizon_s)
+        w = windows(problem, horizon_s)
         if w is None or round(w.horizon_s, 1) in seen:
             continue
         seen.add(round(w.horizon_s, 1))
-        first, second = (free_run_errors(s.prepared.problem, p, w) for p in (s.before, s.after))
+        first, second = (free_run_errors(problem, p, w) for p in (part.before, part.after))
         for key in first:
             g = compare(first[key], second[key], w.horizon_s, rng)
             out.append(HorizonRow(key, g.horizon_s, g.before, g.after, g.ratio, g.ci95))
     return out
 
 
-def _paths(s: Shown, extended: bool) -> tuple[Path, ...]:
-    stack = s.prepared.problem.stack
+def _paths(part: Part, extended: bool) -> tuple[Path, ...]:
+    stack = part.problem.stack
     if not all(n in stack.edges for n in POSITION):
         return ()
     x, y = (stack.edges[n] for n in POSITION)
     if x.stop - x.start != y.stop - y.start:
         return ()
     segment = stack.segment[x]
-    span = s.prepared.problem.stage.segments.span[segment]
+    span = part.problem.stage.segments.span[segment]
     out = []
     for k in np.unique(span):
         rows = span == k
         tracks = [
-            np.stack([v[x][rows], v[y][rows]], axis=1) for v in (stack.values, s.before, s.after)
+            np.stack([v[x][rows], v[y][rows]], axis=1)
+            for v in (stack.values, part.before, part.after)
         ]
         begins = tuple((np.flatnonzero(np.diff(segment[rows])) + 1).tolist())
         out.append(Path(int(k), tracks[0], tracks[1], tracks[2] if extended else None, begins))
@@ -231,8 +188,7 @@ def _paths(s: Shown, extended: bool) -> tuple[Path, ...]:
     return tuple(large[:: -(-len(large) // MOST_PATHS)])
 
 
-def _similarity(s: Shown) -> Similarity:
-    library = s.prepared.library
+def _similarity(library: Library) -> Similarity:
     first: dict[str, int] = {}
     for j, i in enumerate(library.owner):
         first.setdefault(library.candidates[i].cause, j)
@@ -242,11 +198,11 @@ def _similarity(s: Shown) -> Similarity:
     return Similarity(tuple(first), unit.T @ unit)
 
 
-def _range(log: MeasuredLog, stages: Mapping[str, Shown]) -> FittedRange:
+def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedRange:
     """Return the range of what happened in the log: outside of it nothing is known."""
     moved: dict[str, Array] = {}
-    for s in stages.values():
-        moved |= s.prepared.problem.stage.signals(s.point.model.terms, s.point.poses)
+    for p in stages:
+        moved |= p.problem.stage.signals(p.judged.point.model.terms, p.judged.point.poses)
     measured = {name: log[name].values for name in (*SPEEDS, VOLTAGE) if name in log}
 
     def ends(of: Mapping[str, Array], *names: str) -> tuple[float, float] | None:

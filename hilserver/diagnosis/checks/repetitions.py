@@ -1,0 +1,268 @@
+"""Values of measured channels that come again: stuck, held at a slower clock, repeated in bursts.
+
+Stairs of a coarse or slow encoder are no held samples: they rise by one or two of their quanta,
+and while the wheel accelerates they change in every row.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from hilserver.diagnosis.checks.runs import (
+    Fault,
+    Faults,
+    Runs,
+    alternates,
+    classified,
+    corrected,
+    rate_fault,
+    resolution,
+    runs_of,
+)
+from hilserver.diagnosis.checks.support import (
+    along,
+    data_fault,
+    listed,
+    measured_channels,
+    row_period_s,
+    subset,
+)
+from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import (
+    FEWEST_CHANGES,
+    FEWEST_EVENTS,
+    FEWEST_SAMPLES,
+    HALF,
+    HELD_QUANTA,
+    HELD_SHARE,
+    HELD_SLOWEST_HZ,
+    HELD_SPREAD,
+    LARGE_STEP_RPM,
+    SHORTEST_BURST,
+)
+from hilserver.measured.arrays import Array, Indices, Mask
+from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, SETPOINTS, YAW
+from hilserver.measured.data import Channel, MeasuredLog
+from hilserver.plant.layout import WHEELS
+from hilserver.plant.parameters import RobotParameters
+
+AXES: Final = {NAV_X: NAV_Y, NAV_Y: NAV_X}
+TURNS: Final = (YAW, GYRO)
+OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
+"""Share of a period by which runs may miss whole ones, beside half a row; longest row."""
+MOST_PERIODS: Final = 6.5
+"""Of a longer run the period is not known well enough."""
+
+
+def find_stuck(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find channels that never change although they should, and leave them out.
+
+    A simulated log without any noise is none of a sensor: there a robot that drives along an axis
+    keeps its other coordinate to the bit.
+    """
+    names = measured_channels(log.channels)
+    if not any(_is_noisy(log[name]) for name in names):
+        return log, []
+    stuck = [name for name in names if is_constant(log[name]) and should_change(log, name)]
+    if not stuck:
+        return log, []
+    text = (
+        f"{listed(stuck)}: the same value in every row although the robot moved, as of a sensor"
+        " that is stuck or not connected; it was left out."
+    )
+    return log.without(stuck), [data_fault("held_samples", stuck, 0.0, None, "Hz", text)]
+
+
+def is_constant(channel: Channel) -> bool:
+    """Return whether a channel has one value."""
+    return len(channel) >= FEWEST_SAMPLES and float(np.ptp(channel.values)) == 0.0
+
+
+def _is_noisy(channel: Channel) -> bool:
+    """Return whether a channel goes up and down from row to row."""
+    steps = np.diff(channel.values)
+    return len(steps) >= FEWEST_SAMPLES and alternates(steps)
+
+
+def should_change(log: MeasuredLog, name: str) -> bool:
+    """Return whether the machine moved in a way that a channel shows."""
+    if name in AXES:
+        other = log.channels.get(AXES[name])
+        known = other is not None and (_is_noisy(other) or is_constant(other))
+        return known and any(_range(log, wheel) > LARGE_STEP_RPM for wheel in WHEELS)
+    if name in TURNS:
+        return max(_range(log, "fl", "fr"), _range(log, "rl", "rr")) > LARGE_STEP_RPM
+    _, _, wheel_part = name.partition("wheel.")
+    wheel, _, quantity = wheel_part.partition(".")
+    return quantity in ("speed_rpm", "duty_pct") and _range(log, wheel) > LARGE_STEP_RPM
+
+
+def _range(log: MeasuredLog, *wheels: str) -> float:
+    """Return by how much the speed of a wheel varies, or the turn that two wheels make [rpm].
+
+    As commanded; as measured where no set-point is known. Right wheels are mirrored.
+    """
+    values = []
+    for wheel in wheels:
+        wanted = (f"wheel.{wheel}.setpoint_rpm", f"wheel.{wheel}.speed_rpm")
+        channel = next((log[name] for name in wanted if name in log and len(log[name])), None)
+        if channel is None:
+            return 0.0
+        values.append(channel.values)
+    if len({len(v) for v in values}) > 1:
+        return 0.0
+    return float(np.ptp(np.sum(values, axis=0)))
+
+
+def find_held(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
+    """Find channels on a slower clock; of each run only the first sample, the real one, is kept."""
+    changes = _changes_s(log)
+    runs = {name: runs_of(log[name]) for name in measured_channels(log.channels)}
+    slow = classified(runs, lambda name: held(log[name], runs[name], changes))
+    groups, findings = _alike(slow), []
+    for group in groups:
+        for name in group:
+            begins = begins_of(log, name, list(group), {n: runs[n].first for n in group})
+            fresh = _fresh(log[name], begins, 1.0 / slow[name].figure)
+            group[name] = slow[name]._replace(left=subset(log[name], fresh))
+        text = (
+            "{names}: a new value comes only {rate_hz} times a second and is repeated in the rows"
+            " between: leave these empty; the repetitions were dropped."
+        )
+        findings.append(rate_fault("held_samples", group, text))
+    return corrected(log, {n: f for group in groups for n, f in group.items()}), findings
+
+
+def begins_of(log: MeasuredLog, name: str, group: Sequence[str], first: dict[str, Indices]) -> Mask:
+    """Return which samples are known to be new: those at which this or another channel changed.
+
+    A source mostly sends its channels at once, and one of them may stay the same by chance.
+    """
+    at = along(log[name])
+    begins = np.zeros(len(at), dtype=bool)
+    begins[first[name]] = True
+    for other in group:
+        there = np.searchsorted(at, along(log[other])[first[other]])
+        there = there[there < len(at)]
+        if np.mean(np.isin(first[name], there)) > HALF:
+            begins[there] = True
+    return begins
+
+
+def _changes_s(log: MeasuredLog) -> Array:
+    """Return stamps at which set-points change, see `along`."""
+    found = [np.empty(0)]
+    for channel in (log[name] for name in SETPOINTS if name in log):
+        runs = runs_of(channel)
+        found.append(along(channel)[runs.first[runs.before > 0]])
+    return np.unique(np.concatenate(found))
+
+
+def held(channel: Channel, runs: Runs, changes: Array) -> Fault | None:
+    """Return the rate of a slower clock and its standard error; None if nothing is held."""
+    steps = np.abs(np.diff(channel.values))[np.diff(channel.span) == 0]
+    moving = steps[steps > 0]
+    if len(moving) < FEWEST_CHANGES:
+        return None
+    real = max(HELD_QUANTA * resolution(channel.values), 0.2 * float(np.median(moving)))
+    full = (runs.before >= real) & (runs.after >= real) & np.isfinite(runs.duration_s)
+    if full.sum() < FEWEST_CHANGES:
+        return None
+    length, duration = runs.length[full], runs.duration_s[full]
+    if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first[full], changes):
+        return None
+    low, middle, high = np.quantile(length, [0.1, 0.5, 0.9])
+    if middle < 2:
+        return None
+    usual = duration[(length > 0.5 * middle) & (length < 1.6 * middle)]
+    rate_hz, row_s = 1.0 / float(usual.mean()), row_period_s(channel)
+    if high > HELD_SPREAD * max(low, 1.0) and not _on_a_clock(rate_hz * duration, rate_hz * row_s):
+        return None
+    if rate_hz < HELD_SLOWEST_HZ or rate_hz * row_s > 0.67:
+        return None
+    return Fault(None, rate_hz, rate_hz**2 * float(usual.std()) / np.sqrt(len(usual)))
+
+
+def _on_a_clock(periods: Array, row: float) -> bool:
+    """Return whether runs last whole periods: a rounded value may stay the same for several.
+
+    Parameters
+    ----------
+    periods : ndarray
+        Their durations by the period.
+    row : float
+        Time between rows by the period.
+    """
+    known = periods[periods < MOST_PERIODS]
+    on = np.abs(known - np.rint(known)) < 0.5 * row + OFF_THE_CLOCK
+    return row < MOST_OF_A_PERIOD and bool(np.mean(on) >= HELD_SHARE)
+
+
+def _follow(channel: Channel, first: Indices, changes: Array) -> bool:
+    """Return whether the steps are answers to single set-points, long held themselves."""
+    if len(changes) < 2 or len(changes) > 1.5 * len(first):
+        return False
+    at = along(channel)[first]
+    index = np.clip(np.searchsorted(changes, at + 1e-6, side="right") - 1, 0, None)
+    after = at - changes[index]
+    return bool(np.mean((after >= -1e-6) & (after < 0.1)) > 0.5)
+
+
+def _fresh(channel: Channel, begins: Mask, period_s: float) -> Mask:
+    """Return which samples are new: in a run of several periods one per period, evenly."""
+    t, first, run = channel.t_s, np.flatnonzero(begins), np.cumsum(begins) - 1
+    last = np.append(first[1:], len(t)) - 1
+    length_s = np.append(t[first[1:]], t[-1]) - t[first]
+    count = np.maximum(np.rint(length_s / period_s), 1.0)
+    ends = np.append(channel.span[first[1:]] != channel.span[first[:-1]], True)
+    count[ends] = np.maximum(np.rint((t[last] - t[first])[ends] / period_s), 1.0)
+    length_s[ends] = count[ends] * period_s
+    number = np.floor((t - t[first][run]) / length_s[run] * count[run] + 1e-6)
+    return np.asarray(begins | (np.diff(number, prepend=0.0) > 0.0))
+
+
+def _alike(faults: Faults) -> list[dict[str, Fault]]:
+    """Return channels of one source: the same rate within 15 %."""
+    groups: list[dict[str, Fault]] = []
+    for name, fault in faults.items():
+        for group in groups:
+            first = next(iter(group))
+            same_source = name.split(".")[0] == first.split(".")[0]
+            if same_source and abs(np.log(fault.figure / group[first].figure)) < 0.15:
+                group[name] = fault
+                break
+        else:
+            groups.append({name: fault})
+    return groups
+
+
+def repeated(channel: Channel) -> Fault | None:
+    """Return a channel without the samples that repeat the one before in bursts; None if sound.
+
+    Judged only where equal values are no accident: in a channel with noise of its own, which a
+    computed one (the duty) and a coarse one have not. Rounded noise repeats itself now and then.
+    """
+    if len(channel) < 200:
+        return None
+    runs = runs_of(channel)
+    short = runs.length < SHORTEST_BURST
+    if not short.any() or np.mean(runs.length[short] == 1) < 0.95:
+        return None
+    steps = np.diff(channel.values)
+    steps = steps[steps != 0]
+    if not alternates(steps):
+        return None
+    least = 0.05 * float(np.median(np.abs(steps)))
+    size = np.abs(channel.values)
+    burst = ~short & (channel.values[runs.first] != 0)
+    burst &= size[runs.first] < size.max()  # a limited sensor stands there, too
+    sudden = burst & (runs.before > least) & (runs.after > least)
+    samples = int(runs.length[burst].sum())
+    by_chance = len(runs.length) * float(np.mean(runs.length > 1)) ** (SHORTEST_BURST - 1)
+    fewest = max(FEWEST_EVENTS * (1.0 + by_chance), 0.7 * burst.sum())
+    if sudden.sum() < fewest or samples > 0.5 * len(channel):
+        return None
+    again = np.repeat(burst, runs.length)
+    again[runs.first] = False
+    return Fault(subset(channel, ~again), float(again.mean()))
