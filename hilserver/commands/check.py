@@ -60,7 +60,11 @@ def describe(assembly: Assembly) -> list[str]:
         lines.append(f"slice {part.name}: every {period_ms:g} ms ({kind})")
     terms = {name: value for name, value in config.plant.terms.items() if value is not None}
     lines.append(f"terms: {', '.join(f'{n} = {v:g}' for n, v in terms.items()) or 'none'}")
-    lines += [f"own block {b.name}: {b.function} in slice {b.slice}" for b in config.blocks]
+    lines += [
+        f"own block {b.name}: {b.function or b.fmu} in slice {b.slice}"
+        + (", in a process of its own, one slice behind" if b.process else "")
+        for b in config.blocks
+    ]
     lines += [
         f"peer {peer.name}: {peer.endpoint}, reads {len(peer.read)} and writes {len(peer.write)}"
         f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}, {_protection(peer)}"
@@ -92,6 +96,12 @@ def describe(assembly: Assembly) -> list[str]:
 
 def warnings(assembly: Assembly) -> list[str]:
     """Return what is allowed and yet hardly meant."""
+    why = assembly.not_replayable
+    found = [f"{why}: snapshots leave it as it is, recordings are not replayable"] if why else []
+    return found + _idle_peers(assembly)
+
+
+def _idle_peers(assembly: Assembly) -> list[str]:
     config, table = assembly.config, assembly.table
     if config.first_source != "peer":
         return []

@@ -6,7 +6,7 @@ through here, so that what `check` accepts, `run` can start.
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,17 +16,20 @@ from hilserver import __version__
 from hilserver.body.engine import Engine
 from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
+from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
 from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
 from hilserver.config.root import Config, load_config, without_passwords
-from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
+from hilserver.config.timing import COMMUNICATION_SLICES
 from hilserver.errors import ConfigError
+from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
+from hilserver.kernel.composition import ForeignModel, Setting
 from hilserver.kernel.fitted import fitted_limits
-from hilserver.plant.blocks import load_block
+from hilserver.plant.blocks import BlockDeclaration, load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
@@ -100,7 +103,9 @@ class Assembly:
             digest.update(c.body.identity)
         for block in c.blocks:
             wiring = (block.name, block.slice, dict(block.inputs), dict(block.parameters))
-            digest.update(repr(wiring).encode() + block.declaration.source.read_bytes())
+            own = block.model
+            source = block.declaration.source.read_bytes() if own is None else own.identity
+            digest.update(repr(wiring).encode() + source)
         periods = {s.name: s.period_ticks for s in self.slices if s.compiled}
         return {
             "parameters": digest.hexdigest(),
@@ -108,13 +113,36 @@ class Assembly:
             "slices": repr(periods),
         } | ({} if self.patch is None else {"patch": self.patch.sha256})
 
-    def with_own_body(self) -> "Assembly":
-        """Return the same with a mechatronic model that nobody else steps."""
-        body = self.composition.body
-        if body is None:
-            return self
-        own = Engine(body.body)
-        return replace(self, composition=replace(self.composition, body=own))
+    def started(self, *, waits: bool) -> "Assembly":
+        """Return the same with foreign models of its own: the mechatronic one, and FMUs.
+
+        Parameters
+        ----------
+        waits : bool
+            Whether time waits for models in processes of their own: simulated time does.
+
+        Raises
+        ------
+        ConfigError
+            If an FMU does not start.
+        """
+        composition = self.composition
+        body = None if composition.body is None else Engine(composition.body.body)
+        with ExitStack() as begun:
+            blocks = [self._started(block, begun, waits=waits) for block in composition.blocks]
+            begun.pop_all()
+        return replace(self, composition=replace(composition, body=body, blocks=blocks))
+
+    def _started(self, block: BlockUse, begun: ExitStack, *, waits: bool) -> BlockUse:
+        if block.model is None:
+            return block
+        period_s = self.composition.periods_s[block.slice]
+        setting = Setting(period_s, self.base_period_ns * 1e-9, waits)
+        index = list(self.composition.blocks).index(block)
+        with self.at("blocks", index, "fmu"):
+            foreign = block.model.start(block.name, setting)
+        begun.callback(foreign.close)
+        return replace(block, foreign=foreign)
 
     def patched(self, patch: Patch | None) -> "Assembly":
         """Return the same with another patch, or none, over the plant.
@@ -145,7 +173,13 @@ class Assembly:
             "patch": None if self.patch is None else self.patch.provenance,
             "seed": self.config.plant.seed,
             "base_period_ns": self.base_period_ns,
-        }
+        } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
+
+    @property
+    def not_replayable(self) -> str:
+        """Why a recording of this run cannot be replayed; empty if it can."""
+        models = [b.model for b in self.composition.blocks if b.model is not None]
+        return "; ".join(filter(None, (model.not_replayable for model in models)))
 
 
 def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:
@@ -312,8 +346,8 @@ class _Builder:
     def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
         here = ("blocks", index)
         self._need_compiled((*here, "slice"), block.slice, slices)
-        declared = self._checked(
-            (*here, "function"), lambda: load_block(block.function, self._folder)
+        declared, model = self._checked(
+            (*here, "function" if block.fmu is None else "fmu"), lambda: self._declared(block)
         )
         missing = [name for name in declared.inputs if name not in block.inputs]
         if missing:
@@ -328,7 +362,21 @@ class _Builder:
                         (*here, kind, name),
                         f"the block has no {kind[:-1]} '{name}'; known are {', '.join(known)}",
                     )
-        return BlockUse(block.name, declared, block.slice, block.inputs, block.parameters)
+        return BlockUse(
+            block.name, declared, block.slice, block.inputs, block.parameters, model=model
+        )
+
+    def _declared(self, block: BlockConfig) -> tuple[BlockDeclaration, ForeignModel | None]:
+        if block.function is not None:
+            return load_block(block.function, self._folder), None
+        return load_fmu_block(
+            str(block.fmu),
+            self._folder,
+            inputs=block.inputs,
+            outputs=block.outputs,
+            start=block.start,
+            process=block.process,
+        )
 
     def _check_wiring(self, table: SignalTable, blocks: Sequence[BlockUse]) -> None:
         for index, block in enumerate(blocks):

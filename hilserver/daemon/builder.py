@@ -11,6 +11,7 @@ import math
 import os
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -27,6 +28,7 @@ from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
+from hilserver.kernel.composition import Foreign
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -143,25 +145,44 @@ class Core:
         try:
             await self.scheduler.start()
         except BaseException:
-            self.image.close()
+            self.close()
             raise
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.scheduler.stop()
+        self.close()
+
+    @property
+    def foreign(self) -> Mapping[str, Foreign]:
+        """Models of others that run, by the name of their block."""
+        blocks = self.assembly.composition.blocks
+        return {block.name: block.foreign for block in blocks if block.foreign is not None}
+
+    def close(self) -> None:
+        """Free the memory and end the models of others; nothing is paced any more."""
+        close(self.assembly)
         self.image.close()
 
 
 def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
     pace = Pace() if pace is None else pace
-    assembly = assembly.with_own_body()
-    image = _image(assembly, pace)
-    try:
-        return _core(assembly, pace, image)
-    except BaseException:
-        image.close()
-        raise
+    assembly = assembly.started(waits=pace.backend == "virtual")
+    with ExitStack() as begun:
+        begun.callback(close, assembly)
+        image = _image(assembly, pace)
+        begun.callback(image.close)
+        core = _core(assembly, pace, image)
+        begun.pop_all()
+    return core
+
+
+def close(assembly: Assembly) -> None:
+    """End the models of others that an assembly has started."""
+    for block in assembly.composition.blocks:
+        if block.foreign is not None:
+            block.foreign.close()
 
 
 def _image(assembly: Assembly, pace: Pace) -> ProcessImage:

@@ -87,11 +87,11 @@ class Daemon:
         self._resources = AsyncExitStack()
         self._begun: list[Part] = []
         self.core = build(assembly, Pace.configured(assembly, paused=paused))
-        self._resources.callback(self.core.image.close)
+        self._resources.callback(self.core.close)
         try:
             self._surround(self.core)
         except BaseException:
-            self.core.image.close()
+            self.core.close()
             raise
 
     def _surround(self, core: Core) -> None:
@@ -173,6 +173,8 @@ class Daemon:
     async def _start(self) -> None:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
+        if why := self.assembly.not_replayable:
+            _log.warning("recordings of this run are not replayable", reason=why)
         await self._start_recorder()
         self._resources.push_async_callback(self.desk.recordings.close)
         await self._start_parts(early=True)
