@@ -96,9 +96,11 @@ def describe(assembly: Assembly) -> list[str]:
 
 def warnings(assembly: Assembly) -> list[str]:
     """Return what is allowed and yet hardly meant."""
-    why = assembly.not_replayable
-    found = [f"{why}: snapshots leave it as it is, recordings are not replayable"] if why else []
-    return found + _idle_peers(assembly)
+    foreign = [
+        f"{why}: snapshots leave it as it is, recordings are not replayable"
+        for why in assembly.not_replayable
+    ]
+    return foreign + _idle_peers(assembly)
 
 
 def _idle_peers(assembly: Assembly) -> list[str]:

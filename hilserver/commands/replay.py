@@ -124,7 +124,7 @@ class _Replay:
         log, assembly = self._log, self._assembly
         if not self._exact:
             return plan_inputs(log, engine.table, assembly.base_period_ns)
-        if why := (log.run or {}).get("not_replayable"):
+        for why in (log.run or {}).get("not_replayable", ()):
             raise LogError(
                 f"{log.path}: is not replayable: {why}; replay its set-points with --as-inputs"
             )

@@ -176,10 +176,10 @@ class Assembly:
         } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
 
     @property
-    def not_replayable(self) -> str:
+    def not_replayable(self) -> list[str]:
         """Why a recording of this run cannot be replayed; empty if it can."""
         models = [b.model for b in self.composition.blocks if b.model is not None]
-        return "; ".join(filter(None, (model.not_replayable for model in models)))
+        return [model.not_replayable for model in models if model.not_replayable]
 
 
 def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:

@@ -173,7 +173,7 @@ class Daemon:
     async def _start(self) -> None:
         self._resources.callback(self.events.subscribe(log_event))
         self._resources.callback(self.events.subscribe(self._on_event))
-        if why := self.assembly.not_replayable:
+        for why in self.assembly.not_replayable:
             _log.warning("recordings of this run are not replayable", reason=why)
         await self._start_recorder()
         self._resources.push_async_callback(self.desk.recordings.close)

@@ -137,12 +137,17 @@ class Beside:
     def __init__(self, model: FmuModel, name: str, setting: Setting) -> None:
         self._child = Child(model.fmu, model.wiring, name, setting)
         self.addresses, self.initial = self._child.addresses, self._child.initial
-        self.key, self._name, self._failures, self._late = _key(), name, Failures(name), 0
+        self.key, self._name, self._failures = _key(), name, Failures(name)
+        self._status, self._late, self._is_lost = at.OK, 0, False
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
         """Return what happened since the last look; start it again if it has ended."""
         status, late = int(a[at.A_STATUS]), int(a[at.A_LATE])
-        ended = self._child.look(a, gives_up=status == at.SILENT)
+        if status == at.OK != self._status:
+            self._is_lost = False  # a state was restored: its process goes on from it
+        ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
+        self._is_lost |= ended is not None
+        self._status = status
         news = [] if ended is None else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
         if status != at.SILENT:  # how it ended is said already
             news += self._failures.look(status, self._child.message)

@@ -43,10 +43,10 @@ def _encode(values: Any, kind: int, size: int, out: Any) -> None:
             continue
         if kind == at.BOOLEAN:
             whole = 1 if value != 0.0 else 0
+        elif math.isnan(value):
+            whole = 0
         else:
-            whole = (
-                int(min(max(math.floor(value + 0.5), low), high)) if not math.isnan(value) else 0
-            )
+            whole = int(min(max(math.floor(value + 0.5), low), high))
         for k in range(size):
             octets[i * size + k] = (whole >> (8 * k)) & 255
 
@@ -143,10 +143,13 @@ def _changed(p: Any, a: Any) -> bool:
 
 @kernel()
 def advance(n: int, dt_s: float, u: Any, y: Any, x: Any, p: Any, a: Any) -> int:
-    """Take the inputs, do `n` steps, show the outputs; return the worst status."""
+    """Take the inputs, do `n` steps, show the outputs; return the worst status.
+
+    With no step to do the inputs stay as well: the outputs are those of the state.
+    """
     n_in, n_p, n_out = a[at.A_INPUTS], a[at.A_PARAMETERS], a[at.A_OUTPUTS]
-    worst = set_values(0, n_in, u, a)
-    if _changed(p, a):
+    worst = set_values(0, n_in, u, a) if n > 0 else at.OK
+    if n > 0 and _changed(p, a):
         worst = max(worst, set_values(n_in, n_p, p, a))
     for _ in range(n):
         if worst > at.WARNING:

@@ -45,6 +45,7 @@ static Model *make(Log log, void *environment) {
     m->gain = 2.0;
     m->lag = 0.1;
     m->at_step = 100;
+    m->v[0] = m->v[1] = 3.0;
     m->log = log;
     m->environment = environment;
     return m;

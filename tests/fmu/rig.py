@@ -26,7 +26,7 @@ VARIABLES = [
 ]
 _ONLY_3 = """
 <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
-<Float64 name="v" valueReference="9" causality="input" start="0 0"><Dimension start="2"/></Float64>
+<Float64 name="v" valueReference="9" causality="input" start="3 3"><Dimension start="2"/></Float64>
 <Float64 name="sum" valueReference="10" causality="output"/>
 <Float32 name="small" valueReference="11" causality="input" start="0"/>
 """
