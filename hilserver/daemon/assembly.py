@@ -6,7 +6,7 @@ through here, so that what `check` accepts, `run` can start.
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from hilserver.config.timing import COMMUNICATION_SLICES
 from hilserver.errors import ConfigError
 from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
-from hilserver.kernel.composition import ForeignModel, Setting
+from hilserver.kernel.composition import ForeignModel
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.plant.blocks import BlockDeclaration, load_block
 from hilserver.plant.errors import PlantError
@@ -112,37 +112,6 @@ class Assembly:
             "base_period_ns": str(self.base_period_ns),
             "slices": repr(periods),
         } | ({} if self.patch is None else {"patch": self.patch.sha256})
-
-    def started(self, *, waits: bool) -> "Assembly":
-        """Return the same with foreign models of its own: the mechatronic one, and FMUs.
-
-        Parameters
-        ----------
-        waits : bool
-            Whether time waits for models in processes of their own: simulated time does.
-
-        Raises
-        ------
-        ConfigError
-            If an FMU does not start.
-        """
-        composition = self.composition
-        body = None if composition.body is None else Engine(composition.body.body)
-        with ExitStack() as begun:
-            blocks = [self._started(block, begun, waits=waits) for block in composition.blocks]
-            begun.pop_all()
-        return replace(self, composition=replace(composition, body=body, blocks=blocks))
-
-    def _started(self, block: BlockUse, begun: ExitStack, *, waits: bool) -> BlockUse:
-        if block.model is None:
-            return block
-        period_s = self.composition.periods_s[block.slice]
-        setting = Setting(period_s, self.base_period_ns * 1e-9, waits)
-        index = list(self.composition.blocks).index(block)
-        with self.at("blocks", index, "fmu"):
-            foreign = block.model.start(block.name, setting)
-        begun.callback(foreign.close)
-        return replace(block, foreign=foreign)
 
     def patched(self, patch: Patch | None) -> "Assembly":
         """Return the same with another patch, or none, over the plant.

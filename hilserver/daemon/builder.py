@@ -22,6 +22,7 @@ from hilserver.core.inputs import InputGate
 from hilserver.core.leases import TELEOP, Leases
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.models import end_models, with_models
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
@@ -161,28 +162,21 @@ class Core:
 
     def close(self) -> None:
         """Free the memory and end the models of others; nothing is paced any more."""
-        close(self.assembly)
+        end_models(self.assembly)
         self.image.close()
 
 
 def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
     pace = Pace() if pace is None else pace
-    assembly = assembly.started(waits=pace.backend == "virtual")
+    assembly = with_models(assembly, waits=pace.backend == "virtual")
     with ExitStack() as begun:
-        begun.callback(close, assembly)
+        begun.callback(end_models, assembly)
         image = _image(assembly, pace)
         begun.callback(image.close)
         core = _core(assembly, pace, image)
         begun.pop_all()
     return core
-
-
-def close(assembly: Assembly) -> None:
-    """End the models of others that an assembly has started."""
-    for block in assembly.composition.blocks:
-        if block.foreign is not None:
-            block.foreign.close()
 
 
 def _image(assembly: Assembly, pace: Pace) -> ProcessImage:

@@ -26,7 +26,7 @@ EXACT: Final = 2.0**53
 @kernel(int64(int64))
 def _place(row: int) -> int:
     """Return the index of a row in `a`."""
-    return at.ROWS + row * at.N_ROW
+    return at.ROWS + row * at.VARIABLE_WORDS
 
 
 @kernel()

@@ -53,7 +53,7 @@ SLOW_CALLS: Final = 256
 ROWS: Final = N_HEAD + 2 * SLOW_CALLS
 """Rows of the variables: inputs, parameters, outputs."""
 R_REFERENCE, R_COUNT, R_BYTES, R_KIND, R_FUNCTION = range(5)
-N_ROW: Final = 5
+VARIABLE_WORDS: Final = 5
 
 FLOAT, SIGNED, UNSIGNED, BOOLEAN = range(4)
 """Kinds of numbers."""

@@ -207,7 +207,7 @@ class Instance:
             for verb, variables in wiring.rows
             for v in variables
         ]
-        scratch = at.ROWS + at.N_ROW * len(rows)
+        scratch = at.ROWS + at.VARIABLE_WORDS * len(rows)
         known = scratch + max((row[1] for row in rows), default=0)
         a = np.zeros(known + wiring.n_parameters, dtype=np.int64)
         a[at.ROWS : scratch] = np.array(rows, dtype=np.int64).ravel()

@@ -24,7 +24,7 @@ from hilserver.kernel.composition import Setting
 from hilserver.plant.blocks import BlockError
 from hilserver.program import children
 
-START_LIMIT_S: Final = 60.0
+CHILD_START_S: Final = 60.0
 SILENCE_S, LEAST_SLICES = 0.1, 10
 """Without an answer for so long, and so many slices, it counts as dead."""
 _STOP_S: Final = 0.2
@@ -162,7 +162,7 @@ class Child:
         """Return what the first child says of its start."""
         raw, ready = b"", self._ready
         assert ready is not None
-        while select.select([ready], [], [], START_LIMIT_S)[0]:
+        while select.select([ready], [], [], CHILD_START_S)[0]:
             piece = os.read(ready, 1 << 16)
             raw += piece
             if not piece:
