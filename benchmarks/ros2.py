@@ -198,9 +198,9 @@ async def _measure(args: argparse.Namespace, fast_dds: Path, cyclone: Path) -> S
     node = {"enabled": True, "domain": args.domain, "publish": EXTRAS, "stale_after_ms": 10_000}
     async with AsyncExitStack() as stack:
         daemon = await stack.enter_async_context(_daemon(node))
-        if daemon.ros2 is None:
+        if daemon.part("ros2") is None:
             raise FailedError("ROS 2 is not enabled")
-        commands = daemon.ros2.status.one_way = Commands()
+        commands = daemon.part("ros2").status.one_way = Commands()
         for peer in peers:
             stack.push_async_callback(peer.end)
             await peer.start()
@@ -208,9 +208,9 @@ async def _measure(args: argparse.Namespace, fast_dds: Path, cyclone: Path) -> S
         reader.write(speeds, times)
         for writer in writers:
             writer.write(twist, times)
-        before = daemon.ros2.status.writes
+        before = daemon.part("ros2").status.writes
         cpu_share = await _cpu_share(args.seconds)
-        rate_hz = (daemon.ros2.status.writes - before) / args.seconds
+        rate_hz = (daemon.part("ros2").status.writes - before) / args.seconds
         real_time_factor = daemon.core.scheduler.statistics.tick.real_time_factor_total
     got = reader.streams()
     return Seen(

@@ -77,7 +77,7 @@ async def _measure(args: argparse.Namespace, config: Config, folder: Path) -> Bl
         period_us=PERIOD_US, priority=priority, duration_s=args.block_s, bins=BINS
     )
     async with Daemon(assemble_config(config, folder)) as daemon:
-        shield = daemon.shield
+        shield = daemon.part("shield")
         if shield is None:
             raise FailedError("the shield is not enabled")
         words, begin_s = shield.status.words, time.monotonic()

@@ -108,12 +108,12 @@ class Announcer:
 
     def running(self, daemon: "Daemon") -> None:
         """Say that the robot runs, and where everything is."""
-        peers = {part.label: part.wing.address for part in daemon.parts if part.section == "peers"}
+        peers = {part.label: part.address for part in daemon.parts if part.section == "peers"}
         others = {part.section: part for part in daemon.parts if part.section != "peers"}
         lines = ["hilserver is running; stop it with Ctrl-C"]
-        lines += [f"  {part.label:8} {part.wing.address}" for part in others.values()]
+        lines += [f"  {part.label:8} {part.address}" for part in others.values()]
         lines += [f"  peer     {name} at {endpoint}" for name, endpoint in peers.items()]
-        where = {section: part.wing.address for section, part in others.items()}
+        where = {section: part.address for section, part in others.items()}
         self.say("\n".join(lines), "hilserver is running", **_NOWHERE | where, peers=peers)
 
     @contextlib.asynccontextmanager

@@ -20,7 +20,6 @@ from hilserver.commands.patching import assembled
 from hilserver.config.page import PageConfig
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.daemon import Daemon
-from hilserver.daemon.parts import Part
 from hilserver.daemon.reload import Reloader
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.faults.scenario import Play, load_scenario
@@ -139,13 +138,13 @@ class Run:
             self._announcer.page(url)
             yield listener
 
-    def _page(self, daemon: Daemon, listener: socket.socket) -> Part:
+    def _page(self, daemon: Daemon, listener: socket.socket) -> PageBeside:
         def setup() -> Any:
-            server = daemon.server
+            server = daemon.part("opcua")
             endpoint, secret = ("", "") if server is None else (server.url, server.page_secret)
             return page_setup(daemon.assembly, daemon.image.name, endpoint, secret)
 
-        return Part("page", "page", PageBeside(setup, listener, self._announcer.page_url))
+        return PageBeside(setup, listener, self._announcer.page_url)
 
     @contextlib.asynccontextmanager
     async def _reloading(self, daemon: Daemon, watchdog: Watchdog) -> AsyncIterator[None]:

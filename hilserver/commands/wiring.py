@@ -128,7 +128,7 @@ class Wiring:
         say: Callable[[str], None],
     ) -> None:
         self._daemon = daemon
-        self._peer = next(link for link in daemon.peers if link.config.name == peer)
+        self._peer = next(link for link in daemon.parts_of("peers") if link.config.name == peer)
         self._speed_rpm = speed_rpm
         self._timeout_s = timeout_s
         self._say = say

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, Field, model_validator
 
 from hilserver.config.peer_security import PeerSecurity
-from hilserver.config.section import Section
+from hilserver.config.section import Driver, LinkSection
 from hilserver.errors import meant
 from hilserver.opcua.settings import check_endpoint, is_loopback
 
@@ -99,7 +99,7 @@ Inputs = Annotated[tuple[str, ...], Field(min_length=1, max_length=100)]
 Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
 
 
-class PeerConfig(Section):
+class PeerConfig(LinkSection):
     """One peer.
 
     Attributes
@@ -189,6 +189,12 @@ class PeerConfig(Section):
     def inputs(self) -> tuple[str, ...]:
         """Every input that this peer sets."""
         return tuple(name for node in self.read for name in self.inputs_of(node))
+
+    @property
+    def driver(self) -> Driver:
+        """The peer."""
+        who = (self.name, f"peer:{self.name}", f"peer '{self.name}'")
+        return Driver(*who, self.stale_after_ms, self.on_stale)
 
     @property
     def host(self) -> str:

@@ -7,7 +7,6 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from hilserver.config.blocks import BlockConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
 from hilserver.config.mechatronic import MechatronicConfig
@@ -17,11 +16,17 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.ros2 import Ros2Config
-from hilserver.config.section import Section
+from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
-from hilserver.config.timing import ControlConfig, ImageConfig, SchedulerConfig, SnapshotConfig
+from hilserver.config.timing import (
+    BlockConfig,
+    ControlConfig,
+    ImageConfig,
+    SchedulerConfig,
+    SnapshotConfig,
+)
 from hilserver.opcua.settings import Role
 from hilserver.signals import Source
 
@@ -61,6 +66,13 @@ class Config(Section):
                 " opcua.anonymous: observer, or listen on 127.0.0.1"
             )
         return self
+
+    @property
+    def drivers(self) -> list[Driver]:
+        """Who may drive over a link, whether or not it is enabled."""
+        values = (value if isinstance(value, tuple) else (value,) for _, value in self)
+        sections = (section for found in values for section in found)
+        return [section.driver for section in sections if isinstance(section, LinkSection)]
 
     @property
     def sources(self) -> tuple[Source, ...]:

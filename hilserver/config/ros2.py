@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hilserver.config.section import Section
+from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.errors import meant
 from hilserver.ros.flavours import FLAVOURS
 from hilserver.ros.types import Types
@@ -29,7 +29,7 @@ class Ros2Publish(Section):
     robot_description: bool = Field(False, description="robot_description: URDF, for RViz")
 
 
-class Ros2Config(Section):
+class Ros2Config(LinkSection):
     """ROS 2 over DDS, without a ROS installation (extra ros2)."""
 
     enabled: bool = Field(False, description="Take part in ROS 2")
@@ -103,6 +103,12 @@ class Ros2Config(Section):
         except ValueError as error:
             raise ValueError(f"service_fields: {error}") from None
         return self
+
+    @property
+    def driver(self) -> Driver:
+        """The host."""
+        limit_ms = self.stale_after_ms
+        return Driver("ros2", "ros2", "the ROS 2 host", limit_ms, self.on_stale, self.enabled)
 
     def full_name(self, name: str) -> str:
         """Return the absolute name of a topic or service, renamed, within the namespace."""

@@ -1,7 +1,7 @@
 """What all sections of the configuration have in common."""
 
 from dataclasses import fields
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -10,6 +10,43 @@ class Section(BaseModel):
     """A section of config.yaml: unknown keys are errors, nothing changes after loading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Driver(NamedTuple):
+    """Somebody who may drive over a link.
+
+    Attributes
+    ----------
+    name : str
+        In log, metrics and OPC UA.
+    source : str
+        Name under which it writes; the part before a colon is its kind.
+    title : str
+        What messages call it.
+    limit_ms : float
+        How long a command holds that is not renewed.
+    on_stale : str
+        What happens to it then.
+    has_faults : bool
+        Whether faults can be injected.
+    """
+
+    name: str
+    source: str
+    title: str
+    limit_ms: float
+    on_stale: str
+    is_enabled: bool = True
+    has_faults: bool = True
+
+
+class LinkSection(Section):
+    """A section that lets somebody drive; leases, messages and faults follow from its `driver`."""
+
+    @property
+    def driver(self) -> Driver:
+        """Who drives over it."""
+        raise NotImplementedError
 
 
 def of(part: type, name: str) -> Any:

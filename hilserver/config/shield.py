@@ -5,7 +5,7 @@ from typing import Final, Literal
 
 from pydantic import Field, field_validator
 
-from hilserver.config.section import Section
+from hilserver.config.section import Driver, LinkSection
 from hilserver.plant.layout import N_WHEELS, WHEELS
 
 Variant = Literal["iotbot", "crc"]
@@ -16,7 +16,7 @@ CHANNELS: Final[dict[Variant, tuple[str, ...]]] = {
 """Wheel on each motor channel, by variant."""
 
 
-class ShieldConfig(Section):
+class ShieldConfig(LinkSection):
     """The shield that a robot's own driver speaks to, on a pseudo-terminal or a serial line."""
 
     enabled: bool = Field(False, description="Answer as the shield does")
@@ -56,6 +56,12 @@ class ShieldConfig(Section):
         if value is not None and (len(value) != N_WHEELS or set(value) != set(WHEELS)):
             raise ValueError(f"name each of {', '.join(WHEELS)} once, channel 0 first")
         return value
+
+    @property
+    def driver(self) -> Driver:
+        """The host."""
+        who = ("shield", "shield", "the shield's host")
+        return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled, has_faults=False)
 
     @property
     def wheels(self) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ import math
 import os
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -22,14 +21,12 @@ from hilserver.core.inputs import InputGate
 from hilserver.core.leases import TELEOP, Leases
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
-from hilserver.daemon.models import end_models, with_models
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
-from hilserver.kernel.composition import Foreign
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -43,8 +40,8 @@ from hilserver.signals import SignalTable
 LINEAR_BINS = 10_000
 VIRTUAL_RING = 2048
 """Frames that are read between two batches of virtual time."""
-OTHER_LEASES = 5
-"""Of those that are no peers: see `leases_of`."""
+OTHER_LEASES = 3
+"""Of those that are no links: see `leases_of`."""
 UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
 """Asks nothing of the operating system."""
 
@@ -146,42 +143,30 @@ class Core:
         try:
             await self.scheduler.start()
         except BaseException:
-            self.close()
+            self.image.close()
             raise
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.scheduler.stop()
-        self.close()
-
-    @property
-    def foreign(self) -> Mapping[str, Foreign]:
-        """Models of others that run, by the name of their block."""
-        blocks = self.assembly.composition.blocks
-        return {block.name: block.foreign for block in blocks if block.foreign is not None}
-
-    def close(self) -> None:
-        """Free the memory and end the models of others; nothing is paced any more."""
-        end_models(self.assembly)
         self.image.close()
 
 
 def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
     pace = Pace() if pace is None else pace
-    assembly = with_models(assembly, waits=pace.backend == "virtual")
-    with ExitStack() as begun:
-        begun.callback(end_models, assembly)
-        image = _image(assembly, pace)
-        begun.callback(image.close)
-        core = _core(assembly, pace, image)
-        begun.pop_all()
-    return core
+    assembly = assembly.with_own_body()
+    image = _image(assembly, pace)
+    try:
+        return _core(assembly, pace, image)
+    except BaseException:
+        image.close()
+        raise
 
 
 def _image(assembly: Assembly, pace: Pace) -> ProcessImage:
     is_made_up, composition = pace.image == MADE_UP, assembly.composition
-    held = leases.words_needed(OTHER_LEASES + len(assembly.config.peers))
+    held = leases.words_needed(OTHER_LEASES + len(assembly.config.drivers))
     statistics = words_needed(len(assembly.slices), LINEAR_BINS)
     return ProcessImage(
         f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}" if is_made_up else pace.image,
@@ -215,8 +200,7 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
     image.tell(identity=snapshots.identity)
-    linked = [peer.name for peer in config.peers] + (["ros2"] if config.ros2.enabled else [])
-    lines = {name: Line(name) for name in linked}
+    lines = {o.name: Line(o.name) for o in config.drivers if o.is_enabled and o.has_faults}
     faults = Faults(
         table,
         Mailbox(image),
@@ -234,10 +218,8 @@ def leases_of(config: Config, image: ProcessImage, period_ns: int) -> Leases:
     found.add("opcua", config.control.opcua_stale_after_ms, "ramp")
     found.add(TELEOP, config.page.deadman_ms, "zero")
     found.add("page", config.page.deadman_ms, "zero")
-    found.add("ros2", config.ros2.stale_after_ms, config.ros2.on_stale)
-    found.add("shield", config.shield.stale_after_ms, config.shield.on_stale)
-    for peer in config.peers:
-        found.add(f"peer:{peer.name}", peer.stale_after_ms, peer.on_stale)
+    for driver in config.drivers:
+        found.add(driver.source, driver.limit_ms, driver.on_stale)
     return found
 
 

@@ -1,8 +1,9 @@
-"""What connects a robot with the world: peers, OPC UA server, metrics, health."""
+"""What connects a robot with the world: its links, what they need, metrics, health."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
+from hilserver.body.export import robot_urdf
 from hilserver.config.root import Config
 from hilserver.core import metrics as core_metrics
 from hilserver.core.clock import UtcClock
@@ -17,42 +18,71 @@ from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
-from hilserver.io import peer_metrics
-from hilserver.io.opcua_client import LinkSecurity, PeerLink
-from hilserver.io.opcua_server.server import OpcUaServer
+from hilserver.io import foxglove, peer_metrics, ros2
+from hilserver.io.opcua_client import link as opcua_client
+from hilserver.io.opcua_server import server as opcua_server
+from hilserver.io.part import Part
 from hilserver.io.peer_status import PeerStatus
-from hilserver.io.shield import ShieldLink
+from hilserver.io.shield import link as shield
 from hilserver.io.shield import metrics as shield_metrics
+from hilserver.io.shield.status import ShieldStatus
+from hilserver.io.world import World
 from hilserver.metrics import Source
 from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
 from hilserver.monitoring.audit import AuditItem
 from hilserver.monitoring.health import HealthSources
 from hilserver.monitoring.health_http import HttpServer
 from hilserver.monitoring.metrics import Metrics
+from hilserver.ros.robot import Shape
 from hilserver.scheduler import metrics as scheduler_metrics
 
+LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
+    opcua_server.parts,
+    ros2.parts,
+    shield.parts,
+    foxglove.parts,
+    opcua_client.parts,
+)
+"""Every link, in the order of the banner; a new one is a line here."""
 
-def make_peers(
-    core: Core, clock: UtcClock, outputs: Outputs, supervision: Supervision
-) -> list[PeerLink]:
-    """Return a link for every configured peer."""
-    assembly, links = core.assembly, []
-    for index, peer in enumerate(assembly.config.peers):
-        with assembly.at("peers", index):
-            security = LinkSecurity(peer, assembly.config.opcua, assembly.folder)
-        links.append(
-            PeerLink(
-                peer,
-                gate=core.gate,
-                on_stale=supervision.on_stale,
-                events=core.events,
-                read_output=outputs.read,
-                clock=clock,
-                line=core.lines[peer.name],
-                security=security,
-            )
-        )
-    return links
+
+def make_world(
+    core: Core,
+    clock: UtcClock,
+    control: Control,
+    outputs: Outputs,
+    peers: Callable[[], Sequence[PeerStatus]],
+    audit: Sequence[AuditItem],
+    desk: Desk,
+) -> World:
+    """Return what links need of the robot."""
+    assembly = core.assembly
+    parameters = assembly.composition.parameters
+    return World(
+        config=assembly.config,
+        folder=assembly.folder,
+        at=assembly.at,
+        table=core.table,
+        image=core.image,
+        gate=core.gate,
+        events=core.events,
+        clock=clock,
+        control=control,
+        faults=core.faults,
+        lines=core.lines,
+        robot=assembly.robot,
+        shape=Shape.of(assembly.robot, parameters),
+        hall=assembly.composition.hall,
+        period_ns=assembly.base_period_ns,
+        description=lambda prefix: robot_urdf(assembly.body, prefix),
+        read_output=outputs.read,
+        tables={
+            "slices": lambda: figures.slice_table(core.scheduler),
+            "peers": lambda: figures.peer_table(peers()),
+            "audit": lambda: figures.audit_table(audit),
+        },
+        files=desk,
+    )
 
 
 def make_desk(core: Core, stage: Stage) -> Desk:
@@ -99,45 +129,15 @@ def make_notice(
     return Notice(core.image, bulletin)
 
 
-def make_server(
-    core: Core,
-    clock: UtcClock,
-    control: Control,
-    peers: Callable[[], Sequence[PeerStatus]],
-    audit: Sequence[AuditItem],
-    desk: Desk,
-) -> OpcUaServer | None:
-    """Return the OPC UA server, None where the configuration has none."""
-    assembly = core.assembly
-    if not assembly.config.opcua.enabled:
-        return None
-    with assembly.at("blocks"):  # a name or a unit of theirs that cannot be shown
-        return OpcUaServer(
-            assembly.config.opcua,
-            core.table,
-            core.image,
-            core.gate,
-            control,
-            core.events,
-            clock,
-            statistics=lambda: figures.slice_table(core.scheduler),
-            peers=lambda: figures.peer_table(peers()),
-            audit=lambda: figures.audit_table(audit),
-            faults=core.faults,
-            files=desk,
-            folder=assembly.folder,
-        )
-
-
 def make_metrics(
     core: Core,
     control: Control,
     outputs: Outputs,
     peers: Callable[[], Sequence[PeerStatus]],
-    shield: ShieldLink | None,
     gaps: GapWatch,
     audit: Sequence[AuditItem],
     config: Callable[[], Config],
+    links: Sequence[Part],
 ) -> Metrics:
     """Return the metrics; `config` is asked anew each time, as a reload changes it."""
     scheduler = core.scheduler
@@ -146,7 +146,7 @@ def make_metrics(
         Source(core_metrics.STATE_METRICS, lambda: control.state),
         Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
         Source(peer_metrics.METRICS, peers),
-        Source(shield_metrics.METRICS, lambda: [] if shield is None else [shield.status]),
+        Source(shield_metrics.METRICS, lambda: [p for p in peers() if isinstance(p, ShieldStatus)]),
         Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
         Source(metrics.GAP_METRICS, outputs.model_gap),
         Source(metrics.OUTPUT_METRICS, outputs.exported),
@@ -157,22 +157,30 @@ def make_metrics(
             metrics.PROGRAM_METRICS,
             lambda: metrics.Program(config().sha256, len(asyncio.all_tasks())),
         ),
+        *(source for link in links for source in link.metrics),
     )
+
+
+class MetricsEndpoint(HttpServer, Part):
+    """The HTTP server of metrics and health."""
+
+    section = label = "metrics"
+    is_early = True
 
 
 def make_http(
     core: Core, control: Control, supervision: Supervision, exported: Metrics
-) -> HttpServer | None:
-    """Return the HTTP server of metrics and health, None where the configuration has none."""
+) -> Iterator[MetricsEndpoint]:
+    """Yield the HTTP server of metrics and health, if the configuration has one."""
     config = core.assembly.config.metrics
     if not config.enabled:
-        return None
+        return
     health = HealthSources(
         state=lambda: control.state.word,
         heartbeat_ns=lambda: core.scheduler.heartbeat_ns,
         first_ticks_met=lambda: supervision.first_ticks_met,
     )
-    return HttpServer(
+    yield MetricsEndpoint(
         host=config.host,
         port=config.port,
         render=exported.render,

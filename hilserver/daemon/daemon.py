@@ -8,6 +8,7 @@ publishes a frame, the publish slice hands the frame to OPC UA and the peers.
 import asyncio
 import dataclasses
 import time
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AsyncExitStack
 from typing import Any, Self
 
@@ -20,27 +21,25 @@ from hilserver.daemon import figures
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core, Pace, build
 from hilserver.daemon.connections import (
+    LINKS,
     make_desk,
     make_http,
     make_metrics,
     make_notice,
-    make_peers,
-    make_server,
+    make_world,
 )
-from hilserver.daemon.foxglove_endpoint import make_foxglove
 from hilserver.daemon.outputs import Outputs
-from hilserver.daemon.parts import Part, Wing, stop_all
-from hilserver.daemon.ros2_node import make_ros2
-from hilserver.daemon.serial_shield import make_shield
 from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Play
 from hilserver.faults.scenario import Stage
+from hilserver.io.part import Part
 from hilserver.io.peer_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.marks import Marks
 from hilserver.io.recorder.state_service import StateService
+from hilserver.io.world import World
 from hilserver.kernel import watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
@@ -49,6 +48,7 @@ from hilserver.scheduler.pacing_virtual import BATCH_TICKS
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
+STOP_LIMIT_S = 1.0
 
 
 class Daemon:
@@ -63,13 +63,8 @@ class Daemon:
         `faults` are its.
     config : Config
         What is in force; a reload replaces it.
-    server : OpcUaServer or None
-    peers : list of PeerLink
-    shield : ShieldLink or None
-    ros2 : Ros2Node or None
-    foxglove : Endpoint or None
     parts : list of Part
-        All of these, and what else starts and stops with the daemon.
+        All links, and what else starts and stops with the daemon.
     """
 
     def __init__(
@@ -79,6 +74,7 @@ class Daemon:
         *,
         play: Play | None = None,
         paused: bool = False,
+        links: Sequence[Callable[[World], Iterable[Part]]] = LINKS,
     ) -> None:
         self.assembly, self.config = assembly, assembly.config
         self.limiter = limiter
@@ -87,14 +83,14 @@ class Daemon:
         self._resources = AsyncExitStack()
         self._begun: list[Part] = []
         self.core = build(assembly, Pace.configured(assembly, paused=paused))
-        self._resources.callback(self.core.close)
+        self._resources.callback(self.core.image.close)
         try:
-            self._surround(self.core)
+            self._surround(self.core, links)
         except BaseException:
-            self.core.close()
+            self.core.image.close()
             raise
 
-    def _surround(self, core: Core) -> None:
+    def _surround(self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]) -> None:
         config, period_ns = self.config, self.assembly.base_period_ns
         self.table, self.image, self.events = core.table, core.image, core.events
         self.gate, self.scheduler, self.faults = core.gate, core.scheduler, core.faults
@@ -119,42 +115,37 @@ class Daemon:
         self.supervision = Supervision(core, self.control)
         self.gaps = GapWatch(config.shadow, self.table, self.outputs.model_gap, self.events)
         self._states = StateService(core.snapshots, self.image.name)
-        self.peers = make_peers(core, self.clock, self.outputs, self.supervision)
-        self.shield = make_shield(core, self.supervision)
-        self.ros2 = make_ros2(core, self.clock, self.supervision)
-        self.foxglove = make_foxglove(core, self.clock)
         self.desk = make_desk(core, self.stage)
         self._notice = make_notice(
             core, self.control, self.outputs, self._statuses, self.audit, self.desk
         )
-        self.server = make_server(
-            core, self.clock, self.control, self._statuses, self.audit, self.desk
+        world = make_world(
+            core, self.clock, self.control, self.outputs, self._statuses, self.audit, self.desk
         )
+        self.parts: list[Part] = [part for make in links for part in make(world)]
         self.metrics = make_metrics(
             core,
             self.control,
             self.outputs,
             self._statuses,
-            self.shield,
             self.gaps,
             self.audit,
             lambda: self.config,
+            self.parts,
         )
-        self.http = make_http(core, self.control, self.supervision, self.metrics)
-        wings: list[tuple[str, str, Wing | None, bool]] = [
-            ("opcua", "OPC UA", self.server, True),
-            ("metrics", "metrics", self.http, True),
-            ("ros2", "ROS 2", self.ros2, True),  # joining takes a second
-            ("shield", "shield", self.shield, False),
-            ("foxglove", "foxglove", self.foxglove, False),
-            *(("peers", peer.config.name, peer, False) for peer in self.peers),
-        ]
-        self.parts = [Part(s, label, w, early) for s, label, w, early in wings if w is not None]
+        self.parts += make_http(core, self.control, self.supervision, self.metrics)
+
+    def parts_of(self, section: str) -> list[Any]:
+        """Return what a section of the configuration has brought in."""
+        return [part for part in self.parts if part.section == section]
+
+    def part(self, section: str) -> Any:
+        """Return the one part of a section, None where the configuration has none."""
+        return next(iter(self.parts_of(section)), None)
 
     def _statuses(self) -> list[PeerStatus]:
         """Return what is known about everybody at the other end of a link."""
-        links = (*self.peers, self.shield, self.ros2)
-        return [link.status for link in links if link is not None]
+        return [part.status for part in self.parts if part.status is not None]
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -162,21 +153,23 @@ class Daemon:
         try:
             await self._start()
         except BaseException:
-            await self._stop()
+            await self._resources.aclose()
             raise
         return self
 
     async def __aexit__(self, *_: object) -> None:
         self.control.stopping("stopping")
-        await self._stop()
+        await self._resources.aclose()
 
     async def _start(self) -> None:
-        self._resources.callback(self.events.subscribe(log_event))
-        self._resources.callback(self.events.subscribe(self._on_event))
-        for why in self.assembly.not_replayable:
-            _log.warning("recordings of this run are not replayable", reason=why)
+        """Start all in order; what was begun ends in the reverse order, the plant first."""
+        ending = self._resources
+        ending.callback(self.events.subscribe(log_event))
+        ending.callback(self.events.subscribe(self._on_event))
         await self._start_recorder()
-        self._resources.push_async_callback(self.desk.recordings.close)
+        ending.push_async_callback(self.desk.recordings.close)
+        ending.push_async_callback(stop_all, self._begun)
+        ending.push_async_callback(self.scheduler.stop)
         await self._start_parts(early=True)
         self.scheduler.on_slice("publish", self._publish)
         self.scheduler.on_slice("supervise", self._supervise)
@@ -185,11 +178,9 @@ class Daemon:
             self.stage.play(self._play.scenario)
         await self.scheduler.start()
         self._take_audit()
-        for peer in self.peers:
-            self.gate.expect(f"peer:{peer.config.name}", peer.config.inputs)
         await self._start_parts(early=False)
         idle = asyncio.create_task(self._idle(), name="idle")
-        self._resources.callback(idle.cancel)
+        ending.callback(idle.cancel)
         self.control.started()
 
     async def _start_parts(self, *, early: bool) -> None:
@@ -197,13 +188,7 @@ class Daemon:
             if part.is_early == early:
                 self._begun.append(part)
                 with self.assembly.at(part.section):
-                    await part.wing.start()
-
-    async def _stop(self) -> None:
-        """Stop the plant, then all parts side by side, then what they write to."""
-        await self.scheduler.stop()
-        await stop_all(self._begun)
-        await self._resources.aclose()
+                    await part.start()
 
     def bring_to_rest(self) -> None:
         """Ramp the set-points to zero, from any thread, when the event loop cannot."""
@@ -274,7 +259,7 @@ class Daemon:
     # --- communication slices ---------------------------------------------------------------------
 
     def _publish(self, _tick: int, _planned_ns: int) -> None:
-        self.outputs.publish(self.control, self.server)
+        self.outputs.publish(self.control, self.parts)
 
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
         self.clock.slew()
@@ -282,8 +267,8 @@ class Daemon:
         self.gaps.run()
         self._states.serve()
         self._notice.show()
-        if self.server is not None:
-            self.server.publish_diagnostics()
+        for part in self.parts:
+            part.supervise()
         if self.limiter is not None:
             report_repeats(self.limiter)
 
@@ -318,3 +303,18 @@ class Daemon:
         with self.metrics.statistics_reset():
             self.scheduler.statistics.reset()
             self.outputs.end_to_end.clear()
+
+
+async def stop_all(parts: Sequence[Part]) -> None:
+    """Stop all parts side by side; one that fails or hangs holds up no other."""
+    await asyncio.gather(*(_stop(part) for part in parts))
+
+
+async def _stop(part: Part) -> None:
+    task = asyncio.ensure_future(part.stop())
+    await asyncio.wait({task}, timeout=STOP_LIMIT_S)
+    if not task.done():
+        task.cancel()  # and not waited for: a library may swallow it
+        _log.warning("did not stop in time and was left", part=part.label)
+    elif not task.cancelled() and (error := task.exception()) is not None:
+        _log.error("failed to stop", part=part.label, error=f"{type(error).__name__}: {error}")

@@ -1,7 +1,7 @@
 """The newest frame on its way out: to the OPC UA server, to the peers, into the figures."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from hilserver.compiled.histogram import Histogram125
 from hilserver.core.control import Control
@@ -9,7 +9,7 @@ from hilserver.daemon import figures
 from hilserver.daemon.builder import Core
 from hilserver.daemon.shadow import Pose, measured_pose
 from hilserver.image import Frame
-from hilserver.io.opcua_server.server import OpcUaServer
+from hilserver.io.part import Part
 from hilserver.plant.layout import WHEELS, Parameters
 
 EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
@@ -34,7 +34,7 @@ class Outputs:
         self.end_to_end = Histogram125()
         self._core = core
 
-    def publish(self, control: Control, server: OpcUaServer | None) -> None:
+    def publish(self, control: Control, parts: Iterable[Part]) -> None:
         """Beat for the plant's watch, take the newest frame and hand it on."""
         image, gate = self._core.image, self._core.gate
         image.control.heartbeat += 1
@@ -43,8 +43,8 @@ class Outputs:
             return
         frame.values[self._core.table.slot("sim.state")] = control.state
         self.frame = frame
-        if server is not None:
-            server.publish(frame)
+        for part in parts:
+            part.publish(frame)
         received_ns = gate.take_change(frame.latched_rows)
         if received_ns is not None:
             self.end_to_end.observe(time.monotonic_ns() - received_ns)

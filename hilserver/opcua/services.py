@@ -28,42 +28,25 @@ def _id(request: str) -> int:
 
 
 SERVICES: dict[int, Service] = {
-    _id("Write"): Service(ua.WriteParameters, nodes.write),
-    _id("Call"): Service(ua.CallParameters, nodes.call),
-    _id("Browse"): Service(ua.BrowseParameters, nodes.browse),
-    _id("BrowseNext"): Service(ua.BrowseNextParameters, nodes.browse_next),
-    _id("TranslateBrowsePathsToNodeIds"): Service(
-        ua.TranslateBrowsePathsToNodeIdsParameters, nodes.translate_paths
-    ),
-    _id("RegisterNodes"): Service(ua.RegisterNodesParameters, nodes.register_nodes),
-    _id("UnregisterNodes"): Service(ua.UnregisterNodesParameters, nodes.unregister_nodes),
-    _id("CreateSubscription"): Service(
-        ua.CreateSubscriptionParameters, subscriptions.create_subscription
-    ),
-    _id("ModifySubscription"): Service(
-        ua.ModifySubscriptionParameters, subscriptions.modify_subscription
-    ),
-    _id("DeleteSubscriptions"): Service(
-        ua.DeleteSubscriptionsParameters, subscriptions.delete_subscriptions
-    ),
-    _id("SetPublishingMode"): Service(
-        ua.SetPublishingModeParameters, subscriptions.set_publishing_mode
-    ),
-    _id("TransferSubscriptions"): Service(
-        ua.TransferSubscriptionsParameters, subscriptions.transfer_subscriptions
-    ),
-    _id("CreateMonitoredItems"): Service(
-        ua.CreateMonitoredItemsParameters, subscriptions.create_monitored_items
-    ),
-    _id("ModifyMonitoredItems"): Service(
-        ua.ModifyMonitoredItemsParameters, subscriptions.modify_monitored_items
-    ),
-    _id("DeleteMonitoredItems"): Service(
-        ua.DeleteMonitoredItemsParameters, subscriptions.delete_monitored_items
-    ),
-    _id("SetMonitoringMode"): Service(
-        ua.SetMonitoringModeParameters, subscriptions.set_monitoring_mode
-    ),
-    _id("SetTriggering"): Service(ua.SetTriggeringParameters, subscriptions.set_triggering),
+    _id(name): Service(getattr(ua, f"{name}Parameters"), answer)
+    for name, answer in {
+        "Write": nodes.write,
+        "Call": nodes.call,
+        "Browse": nodes.browse,
+        "BrowseNext": nodes.browse_next,
+        "TranslateBrowsePathsToNodeIds": nodes.translate_paths,
+        "RegisterNodes": nodes.register_nodes,
+        "UnregisterNodes": nodes.unregister_nodes,
+        "CreateSubscription": subscriptions.create_subscription,
+        "ModifySubscription": subscriptions.modify_subscription,
+        "DeleteSubscriptions": subscriptions.delete_subscriptions,
+        "SetPublishingMode": subscriptions.set_publishing_mode,
+        "TransferSubscriptions": subscriptions.transfer_subscriptions,
+        "CreateMonitoredItems": subscriptions.create_monitored_items,
+        "ModifyMonitoredItems": subscriptions.modify_monitored_items,
+        "DeleteMonitoredItems": subscriptions.delete_monitored_items,
+        "SetMonitoringMode": subscriptions.set_monitoring_mode,
+        "SetTriggering": subscriptions.set_triggering,
+    }.items()
 }
 REPUBLISH = Service(ua.RepublishParameters, subscriptions.republish)

@@ -3,9 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Self
 
-from hilserver.plant.layout import WHEELS
+from hilserver.plant.layout import WHEELS, Parameters
+from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RPM_PER_RAD_S
 from hilserver.ros.types import Types
 
@@ -42,6 +43,25 @@ class Shape:
     tof_field_rad: float
     tof_x_m: tuple[float, ...] = ()
     tof_y_m: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, robot: RobotParameters, packed: Parameters) -> Self:
+        """Return the dimensions of a robot and of its packed parameters."""
+        x_m, y_m = robot.tof.mount_x_m, robot.tof.mount_y_m
+        return cls(
+            rpm_per_m_s=packed.rpm_per_m_s,
+            rpm_per_rad_s=packed.rpm_per_rad_s,
+            max_rpm=robot.max_rpm,
+            max_linear_m_s=robot.ranges.max_linear_m_s,
+            max_lateral_m_s=robot.ranges.max_lateral_m_s,
+            max_angular_rad_s=robot.ranges.max_angular_rad_s,
+            wheel_radius_m=robot.wheel_radius_m,
+            wheelbase_m=robot.wheelbase_m or 0.0,
+            track_m=robot.track_m,
+            tof_field_rad=robot.tof.field_of_view_rad,
+            tof_x_m=(x_m, x_m, -x_m, -x_m),
+            tof_y_m=(y_m, -y_m, y_m, -y_m),
+        )
 
 
 @dataclass

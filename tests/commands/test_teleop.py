@@ -165,7 +165,7 @@ async def daemon(tmp_path_factory):
 async def terminal(daemon):
     master, slave = os.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, b"\x18\x00\xc8\x00\x00\x00\x00\x00")
-    command = [sys.executable, "-m", "hilserver", "teleop", "--endpoint", daemon.server.url]
+    command = [sys.executable, "-m", "hilserver", "teleop", "--endpoint", daemon.part("opcua").url]
     process = subprocess.Popen(  # noqa: ASYNC220 - returns at once
         command,
         stdin=slave,

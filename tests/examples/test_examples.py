@@ -39,7 +39,7 @@ async def test_own_controller_drives_a_square_and_gives_control_back():
     # Where the computer holds the controller up, the robot waits for it.
     control = {"source": "peer", "command_timeout_ms": 200}
     async with running(configuration(control=control)) as (daemon, _):
-        program = started("own-controller/drive_square.py", daemon.server.url)
+        program = started("own-controller/drive_square.py", daemon.part("opcua").url)
         text, _ = await asyncio.to_thread(program.communicate, timeout=120)
         assert program.returncode == 0
         corners = re.findall(r"corner \d: x (\S+) m, y (\S+) m", text)
@@ -107,7 +107,7 @@ async def test_a_controller_in_lockstep_sees_the_same_bits_every_time():
     async with running(config) as (daemon, _):
         said = []
         for _ in range(2):
-            program = started("lockstep/lockstep.py", daemon.server.url)
+            program = started("lockstep/lockstep.py", daemon.part("opcua").url)
             text, _ = await asyncio.to_thread(program.communicate, timeout=120)
             assert program.returncode == 0
             said.append(re.search(r"heading (\S+) rad after (\S+) s", text).groups())
@@ -135,7 +135,7 @@ async def test_node_red_as_a_client_drives_a_circle(tmp_path):
     flow = json.loads((EXAMPLES / "node-red-client" / "flows.json").read_text())
     flow = with_sink(flow, poses, out="pose-out")
     async with running(configuration()) as (daemon, _):
-        environment = {"HIL_ENDPOINT": daemon.server.url}
+        environment = {"HIL_ENDPOINT": daemon.part("opcua").url}
         node_red = NodeRed(tmp_path / "home", free_port(), flow, environment=environment)
         await node_red.start(ready=False)
         try:

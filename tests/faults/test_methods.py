@@ -21,7 +21,7 @@ def double(value):
 
 async def test_forcing_and_faults_over_opcua():
     async with open_hil(OPCUA, "virtual") as hil:
-        client = RobotClient(hil.daemon.server.url)
+        client = RobotClient(hil.daemon.part("opcua").url)
         await client.connect()
 
         async def call(name, *arguments):

@@ -38,7 +38,7 @@ def configuration(*, scheduler=None, **sections):
 async def serving(assembly):
     """A daemon that runs, and a client of its OPC UA server."""
     async with Daemon(assembly) as daemon:
-        client = RobotClient(daemon.server.url)
+        client = RobotClient(daemon.part("opcua").url)
         await client.connect()
         try:
             yield daemon, client
@@ -66,8 +66,10 @@ async def wait_until(condition, timeout_s=120.0):
 async def scrape(daemon, path="/metrics"):
     """GET of the daemon's HTTP server, as text."""
 
+    base = daemon.part("metrics").url.rsplit("/", 1)[0]
+
     def get():
-        with urllib.request.urlopen(f"{daemon.http.url.rsplit('/', 1)[0]}{path}", timeout=120) as r:
+        with urllib.request.urlopen(f"{base}{path}", timeout=120) as r:
             return r.read().decode()
 
     return await asyncio.to_thread(get)

@@ -99,7 +99,7 @@ async def robot():
     )
     try:
         async with running(config, Path(__file__).parent) as (daemon, client):
-            await wait_until(lambda: daemon.peers[0].status.connected)
+            await wait_until(lambda: daemon.parts_of("peers")[0].status.connected)
             assert await take(client, "opcua") == "Good"
             await run_ticks(daemon, 200)  # the first hundred are warm-up: not counted
             yield Robot(daemon, client, controller)
@@ -174,7 +174,7 @@ async def _not(truth):
 async def lying_values(robot):
     """The link judges a sample that no sane controller sends."""
     node = next(iter(robot.daemon.config.peers[0].read))
-    intake = robot.daemon.peers[0]._intake
+    intake = robot.daemon.parts_of("peers")[0]._intake
     intake.receive([(node, ua.DataValue(ua.Variant(math.nan)))], time.monotonic_ns())
 
 
@@ -289,7 +289,9 @@ async def test_a_killed_peer_is_not_connected_grows_old_and_comes_back(robot):
         await robot.controller.start()
         await wait_until(robot.connected)
         offset = ("hil_clock_offset_seconds", frozenset(PEER.items()))
-        await wait_until(lambda: robot.daemon.peers[0].status.clock_offset_s != diff.before[offset])
+        await wait_until(
+            lambda: robot.daemon.parts_of("peers")[0].status.clock_offset_s != diff.before[offset]
+        )
         await wait_until(lambda: robot.daemon.gate.age_s("peer:plc") < 0.3)
     assert diff["hil_peer_reconnects_total", PEER] == 1
     assert diff["hil_clock_offset_seconds", PEER] != 0

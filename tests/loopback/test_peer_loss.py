@@ -211,12 +211,12 @@ async def test_of_two_silent_peers_both_have_to_come_back_before_reset(peer):
         await wait_until(lambda: daemon.control.state is State.SAFE)
         assert daemon.control.reason == "peer 'left' is silent"
         peer.is_silent = True
-        await wait_until(lambda: daemon.peers[1].status.stale)
+        await wait_until(lambda: daemon.parts_of("peers")[1].status.stale)
         other.is_silent = False
-        await wait_until(lambda: not daemon.peers[0].status.stale)
+        await wait_until(lambda: not daemon.parts_of("peers")[0].status.stale)
         with pytest.raises(ControlRefused, match="'right' is silent"):
             daemon.control.reset()
         peer.is_silent = False
-        await wait_until(lambda: not daemon.peers[1].status.stale)
+        await wait_until(lambda: not daemon.parts_of("peers")[1].status.stale)
         daemon.control.reset()
         await wait_until(lambda: speed(daemon) > 39.0 and speed(daemon, "rr") < -39.0)

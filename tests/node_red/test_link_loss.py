@@ -65,7 +65,7 @@ async def seconds_to_safe(daemon: Daemon) -> float:
 
 async def seconds_to_return(daemon: Daemon) -> float:
     """Wait until the peer drives again; return how long it took to be fresh."""
-    took_s = await seconds_until(lambda: not daemon.peers[0].status.stale)
+    took_s = await seconds_until(lambda: not daemon.parts_of("peers")[0].status.stale)
 
     def drives() -> bool:
         if daemon.control.state is State.SAFE:
@@ -92,7 +92,7 @@ async def test_killed_and_restarted(node_red, rounds):
             await wait_until(lambda: len(asyncio.all_tasks()) <= tasks)  # noqa: B023
             await peer.kill()
             safe_s.append(await seconds_to_safe(daemon))
-        status = daemon.peers[0].status
+        status = daemon.parts_of("peers")[0].status
         assert status.reconnects >= rounds - 1
     # A busy computer may hold up any round, and not all of them.
     assert min(back_s) <= BACK_S
@@ -119,7 +119,7 @@ async def test_black_hole(node_red):
                 await asyncio.sleep(hole_s)
                 network.heal()
                 await seconds_to_return(daemon)
-            assert daemon.peers[0].status.reconnects >= 1
+            assert daemon.parts_of("peers")[0].status.reconnects >= 1
             await wait_until(lambda: len(asyncio.all_tasks()) <= tasks)
             await wait_until(lambda: Holdings.of().sockets <= before.sockets)
         await peer.kill()

@@ -31,11 +31,11 @@ class Rig:
 
     @property
     def is_connected(self) -> bool:
-        return self.daemon.peers[0].status.connected
+        return self.daemon.parts_of("peers")[0].status.connected
 
     @property
     def is_fresh(self) -> bool:
-        return self.is_connected and not self.daemon.peers[0].status.stale
+        return self.is_connected and not self.daemon.parts_of("peers")[0].status.stale
 
 
 def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: object) -> Assembly:

@@ -131,7 +131,7 @@ async def return_as_a_liar(rig: Rig) -> None:
     """The controller comes back and sends NaN with status Good."""
     rig.peer.flow = test_flow("lying")
     await rig.peer.start()
-    status = rig.daemon.peers[0].status
+    status = rig.daemon.parts_of("peers")[0].status
     await until(lambda: sum(status.fault_counts.values()) > 0, 120, "the lie is noticed")
     await asyncio.sleep(HOLD_S)
     await rig.peer.kill()
@@ -145,7 +145,7 @@ async def restart_the_peer_with_another_clock(rig: Rig) -> None:
     rig.peer.environment["NODE_OPTIONS"] = f"--require {shift}"
     await rig.peer.start()
     await until(lambda: rig.is_fresh, 120, "the peer delivers again")
-    status = rig.daemon.peers[0].status
+    status = rig.daemon.parts_of("peers")[0].status
     await until(lambda: status.clock_offset_s < -1.0, 120, "the other clock is noticed")
     rig.daemon.control.reset()
     await asyncio.sleep(HOLD_S)

@@ -1,5 +1,14 @@
 """An endpoint for viewers: the only room that imports `foxglove` (package foxglove-sdk)."""
 
-from hilserver.io.foxglove.endpoint import Endpoint, View
+from collections.abc import Iterator
 
-__all__ = ["Endpoint", "View"]
+from hilserver.io.part import Part
+from hilserver.io.world import World
+
+
+def parts(world: World) -> Iterator[Part]:
+    """Yield the endpoint, if the configuration has one."""
+    if world.config.foxglove.enabled:
+        from hilserver.io.foxglove.endpoint import Endpoint  # noqa: PLC0415 -- an extra
+
+        yield Endpoint(world.config.foxglove, world)

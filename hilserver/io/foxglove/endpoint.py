@@ -6,8 +6,7 @@ and the dead-man of the page ends what is not renewed.
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any, Final
 
 import foxglove
@@ -18,18 +17,16 @@ from foxglove.websocket import Capability
 from pydantic import BaseModel, TypeAdapter
 
 from hilserver.config.foxglove import FoxgloveConfig
-from hilserver.core.clock import UtcClock
-from hilserver.core.inputs import Refusal
 from hilserver.errors import FailedError
 from hilserver.image import Frame
 from hilserver.io.foxglove.door import Door, hidden_host
 from hilserver.io.foxglove.inbox import Inbox
 from hilserver.io.foxglove.scene import scene
+from hilserver.io.part import Part
+from hilserver.io.world import World
 from hilserver.logs.mcap_writer import TOPIC
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
-from hilserver.ros.robot import Shape
 from hilserver.ros.types import Types
-from hilserver.signals import SignalTable
 
 SOURCE: Final = "page:foxglove"
 TWIST, TWIST_TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
@@ -52,30 +49,14 @@ class _Twist(BaseModel):
     angular: _Vector = _Vector()
 
 
-@dataclass(frozen=True, slots=True)
-class View:
-    """What an endpoint needs of the daemon.
-
-    Attributes
-    ----------
-    write : callable
-        The input gate's: ``write(source, values) -> refused``.
-    """
-
-    table: SignalTable
-    shape: Shape
-    hall: Any
-    clock: UtcClock
-    latest: Callable[[], Frame | None]
-    write: Callable[[str, Mapping[str, object]], Mapping[str, Refusal]]
-
-
-class Endpoint:
+class Endpoint(Part):
     """One WebSocket server, run by the SDK in threads of its own."""
 
-    def __init__(self, config: FoxgloveConfig, view: View) -> None:
-        self._config, self._view = config, view
-        signals = [signal for signal in view.table.scalars if not signal.hidden]
+    section = label = "foxglove"
+
+    def __init__(self, config: FoxgloveConfig, world: World) -> None:
+        self._config, self._world = config, world
+        signals = [signal for signal in world.table.scalars if not signal.hidden]
         slots = {signal.name: signal.slots[0] for signal in signals}
         layout = make_layout(list(slots))
         self._slots = np.array([slots[name] for name in layout.names], dtype=np.intp)
@@ -118,7 +99,7 @@ class Endpoint:
             if not loop.is_closed():
                 loop.call_soon_threadsafe(take_soon)
 
-        table = self._view.table
+        table = self._world.table
         inbox = Inbox(self._understood, lambda name: name in table and table[name].writable, wake)
         host = hidden_host()
         try:
@@ -157,17 +138,17 @@ class Endpoint:
         number = -1
         loop = asyncio.get_running_loop()
         while True:
-            frame = self._view.latest()
+            frame = self._world.image.latest()
             if frame is not None and frame.number != number:
                 number = frame.number
                 self._show(frame)
             if self._scene.has_sinks() and loop.time() >= scene_s:
                 scene_s = loop.time() + SCENE_EVERY_S
-                self._scene.log(scene(self._view.hall, self._view.shape))
+                self._scene.log(scene(self._world.hall, self._world.shape))
             await asyncio.sleep(period_s)
 
     def _show(self, frame: Frame) -> None:
-        stamp_ns = self._view.clock.utc_ns(frame.planned_ns)
+        stamp_ns = self._world.clock.utc_ns(frame.planned_ns)
         if self._frames.has_sinks():
             row = self._row
             row["number"], row["tick"], row["planned_ns"] = (
@@ -184,7 +165,7 @@ class Endpoint:
                 )
 
     def _transform(self, frame: Frame, parent: str, child: str, name: str, stamp_ns: int) -> Any:
-        slot, values = self._view.table.slot, frame.values
+        slot, values = self._world.table.slot, frame.values
         x, y, yaw = (float(values[slot(f"{name}.{part}")]) for part in ("x_m", "y_m", "yaw_rad"))
         sec, nsec = divmod(stamp_ns, 10**9)
         return fg.FrameTransform(
@@ -199,7 +180,7 @@ class Endpoint:
 
     def _take_all(self, inbox: Inbox) -> None:
         if values := inbox.take():
-            self._view.write(SOURCE, values)
+            self._world.gate.write(SOURCE, values)
 
     def _understood(self, topic: str, encoding: str, data: bytes) -> Mapping[str, object]:
         if topic == SET and encoding == "json":

@@ -5,34 +5,21 @@ hand-over of control or a reset a constant set-point is there again with the nex
 peer has a counter, a batch without a newer number brings nothing in.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
-from hilserver.core.inputs import Refusal
-from hilserver.core.staleness import Staleness
 from hilserver.io.opcua_client.latency import ClockOffset, StampWatch, one_way_ns
 from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.validation import FaultKind, SequenceWatch, Verdict, judge
-from hilserver.io.peer_faults import FaultBook
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.source import Source
 
 SEQUENCE_SIGNAL = "input.sequence"
 
 REPEATS_TOLERATED = 3
 """So many batches may change values under one sequence number before it is called repeating."""
-
-
-class Gate(Protocol):
-    """The input gate, as the link sees it."""
-
-    def write(
-        self, source: str, values: Mapping[str, object], *, renews: bool = True
-    ) -> Mapping[str, Refusal]:
-        """Take one group; return signal -> reason for what was refused."""
-        ...
 
 
 class Taker(Protocol):
@@ -54,24 +41,13 @@ class Intake:
         CLOCK_MONOTONIC [ns] -> UTC [ns].
     """
 
-    def __init__(
-        self,
-        config: PeerConfig,
-        status: PeerStatus,
-        gate: Gate,
-        staleness: Staleness,
-        faults: FaultBook,
-        utc_ns: Callable[[int], int],
-    ) -> None:
+    def __init__(self, config: PeerConfig, source: Source, utc_ns: Callable[[int], int]) -> None:
         self._inputs = {node: config.inputs_of(node) for node in config.read}
         self._sequence_node = config.sequence_node
         self._stamped_node = config.sequence_node
         self._sends_sequence = SEQUENCE_SIGNAL not in config.inputs
-        self._source = f"peer:{config.name}"
-        self._status = status
-        self._gate = gate
-        self._staleness = staleness
-        self._faults = faults
+        self._source, self._status = source, source.status
+        self._staleness, self._faults = source.staleness, source.faults
         self._utc_ns = utc_ns
         self.begin_session()
 
@@ -206,14 +182,8 @@ class Intake:
         if not self._picture or self._staleness.waiting:
             return
         renews = not self._staleness.lacks_input
-        refusals = self._gate.write(self._source, self._picture, renews=renews)
-        for signal, reason in refusals.items():
-            if reason in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL):
-                continue
-            value = self._picture.pop(signal)
-            self._refused[signal] = value
-            sentence = f"{signal} = {value!r} was refused: {reason}"
-            self._faults.report(FaultKind.REFUSED_VALUE, signal, sentence, now_ns)
+        for signal in self._source.write(self._picture, now_ns, renews=renews).wrong:
+            self._refused[signal] = self._picture.pop(signal)
 
     def _watch_repeats(self, now_ns: int) -> None:
         self._repeats += 1

@@ -2,27 +2,28 @@
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import structlog
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
-from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.core.staleness import Staleness, Transition
+from hilserver.core.events import EventBus
 from hilserver.faults.links import Lane, Line
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.faulty_intake import FaultyIntake
-from hilserver.io.opcua_client.intake import Gate, Intake
+from hilserver.io.opcua_client.intake import Intake
 from hilserver.io.opcua_client.refusal import RefusedError
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import LinkLostError, Session
 from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.opcua_client.writer import Output, Writer
-from hilserver.io.peer_faults import FaultBook
+from hilserver.io.part import Part
 from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.source import Gate, Source
+from hilserver.io.world import World
 from hilserver.signals import MEASURED
 
 HEARTBEAT_S = 1.0
@@ -55,16 +56,14 @@ class Backoff:
         return pause_s
 
 
-class PeerLink:
+class PeerLink(Part):
     """Reads set-points from one peer and writes outputs back, whatever the peer does.
 
     Parameters
     ----------
     config : PeerConfig
     gate : Gate
-        Takes the groups of inputs; ``write(source, values) -> refused``.
-    on_stale : callable
-        ``on_stale(source)``: the inputs have become too old.
+        Takes the groups of inputs.
     events : EventBus
     read_output : callable
         ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
@@ -82,12 +81,14 @@ class PeerLink:
         Always up to date.
     """
 
+    section = "peers"
+    status: PeerStatus
+
     def __init__(
         self,
         config: PeerConfig,
         *,
         gate: Gate,
-        on_stale: Callable[[str], None],
         events: EventBus,
         read_output: Callable[[str], Output],
         clock: UtcClock,
@@ -96,19 +97,25 @@ class PeerLink:
     ) -> None:
         if security is None and (config.security.is_secure or config.security.user is not None):
             raise ValueError(f"peer '{config.name}' asks for a protected link")
-        self.config = config
+        self.config, self.label = config, config.name
         self._security = security
         self.status = PeerStatus(config.name, config.endpoint)
-        self._on_stale = on_stale
-        self._events = events
         self._read_output = read_output
         self._clock = clock
         commanding = [name for name in config.inputs if not name.startswith(MEASURED)]
-        self._staleness = Staleness(int(config.stale_after_ms * 1e6), commanding)
-        self._faults = FaultBook(self.status, events.publish)
-        self._intake = Intake(
-            config, self.status, gate, self._staleness, self._faults, clock.utc_ns
+        self._source = Source(
+            config.driver.source,
+            f"peer {config.name}",
+            self.status,
+            gate,
+            events.publish,
+            limit_ms=config.stale_after_ms,
+            on_stale=config.on_stale,
+            fresh=lambda: f"peer {config.name} delivers fresh values",
+            commanding=commanding,
         )
+        self._faults = self._source.faults
+        self._intake = Intake(config, self._source, clock.utc_ns)
         self._line = line or Line(config.name)
         self._tasks: list[asyncio.Task[None]] = []
 
@@ -121,6 +128,7 @@ class PeerLink:
         """Start connecting; returns at once, the peer may come later."""
         if self._tasks:
             return
+        self._source.expect(self.config.inputs)
         self.status.state = LinkState.CONNECTING
         self._tasks = [
             asyncio.create_task(self._run(), name=f"peer-{self.config.name}"),
@@ -138,22 +146,12 @@ class PeerLink:
     async def _watch(self) -> None:
         while True:
             now_ns = time.monotonic_ns()
-            transition = self._staleness.check(now_ns) if self.config.read else None
-            self.status.stale = self._staleness.stale and bool(self.config.read)
-            if transition is not None:
-                self._tell(transition, now_ns)
-            self._faults.expire(now_ns)
+            if self.config.read:
+                self._source.watch(now_ns)
+            else:
+                self.status.stale = False
+                self._faults.expire(now_ns)
             await asyncio.sleep(WATCH_S)
-
-    def _tell(self, transition: Transition, now_ns: int) -> None:
-        name = self.config.name
-        if transition is Transition.LOST:
-            message = f"peer {name}: {self._staleness.reason}; on_stale is {self.config.on_stale}"
-            self._events.publish(Event(EventKind.PEER_LOST, 800, name, message, now_ns))
-            self._on_stale(f"peer:{name}")
-            return
-        message = f"peer {name} delivers fresh values"
-        self._events.publish(Event(EventKind.PEER_RESTORED, 200, name, message, now_ns))
 
     async def _run(self) -> None:
         backoff = Backoff()
@@ -268,6 +266,22 @@ class PeerLink:
             return False
         utc_ns = self._clock.utc_ns
         return self._intake.offset.read(utc_ns(sent_ns), utc_ns(received_ns), peer_ns)
+
+
+def parts(world: World) -> Iterator[PeerLink]:
+    """Yield a link for every configured peer."""
+    for index, peer in enumerate(world.config.peers):
+        with world.at("peers", index):
+            security = LinkSecurity(peer, world.config.opcua, world.folder)
+        yield PeerLink(
+            peer,
+            gate=world.gate,
+            events=world.events,
+            read_output=world.read_output,
+            clock=world.clock,
+            line=world.lines[peer.name],
+            security=security,
+        )
 
 
 def refusal_in(error: BaseException) -> RefusedError | None:

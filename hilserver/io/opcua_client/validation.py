@@ -19,7 +19,6 @@ class FaultKind(StrEnum):
     BAD_STATUS = "bad_status"
     NO_VALUE = "no_value"
     MISSING_NODE = "missing_node"
-    REFUSED_VALUE = "refused_value"
     REFUSED_WRITE = "refused_write"
     UNFIT_OUTPUT = "unfit_output"
     FROZEN_STAMP = "frozen_stamp"

@@ -1,56 +1,38 @@
 """The OPC UA server as the daemon sees it."""
 
+from collections.abc import Iterator
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from asyncua import ua
 
-from hilserver.config.server import OpcUaConfig
-from hilserver.core.clock import UtcClock
-from hilserver.core.control import Control
-from hilserver.core.events import EventBus
-from hilserver.core.inputs import InputGate
-from hilserver.faults import Faults
-from hilserver.image import Frame, ProcessImage
+from hilserver.image import Frame
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.application import RobotApplication
-from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure, Provider, Table
-from hilserver.io.opcua_server.method_table import METHODS, Files, Parts
+from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure
+from hilserver.io.opcua_server.method_table import METHODS, Parts
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
 from hilserver.io.opcua_server.values import SignalVariables
+from hilserver.io.part import Part
+from hilserver.io.world import World
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.logs import log
 from hilserver.opcua.server import HardenedServer
 from hilserver.opcua.settings import Role
-from hilserver.signals import SignalTable, State
+from hilserver.signals import State
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
 _SLICES_EVERY_S = 1.0
 """They have changed every time, and there are many of them."""
 
 
-def _nothing() -> Table:
-    return {}
-
-
-class OpcUaServer:
+class OpcUaServer(Part):
     """Shows the process image over OPC UA and lets clients write inputs and call methods.
 
     Everything but `start` and `stop` is synchronous, does not wait and belongs to the event loop's
     thread; the plant never notices.
-
-    Parameters
-    ----------
-    statistics, peers, audit : callable
-        Return plain tables, ``{name: {figure: number, text, Boolean or None}}``. Rows of `peers`
-        have the figure "connected", rows of `audit` "ok"; both act on ServiceLevel.
-    files : Files or None
-        Scenarios and recordings by name.
-    folder : Path or None
-        Folder that relative paths of the configuration start from.
 
     Raises
     ------
@@ -58,40 +40,16 @@ class OpcUaServer:
         If a signal's name or unit cannot be shown.
     """
 
-    def __init__(
-        self,
-        config: OpcUaConfig,
-        table: SignalTable,
-        image: ProcessImage,
-        gate: InputGate,
-        control: Control,
-        events: EventBus,
-        clock: UtcClock,
-        *,
-        statistics: Provider = _nothing,
-        peers: Provider = _nothing,
-        audit: Provider = _nothing,
-        folder: Path | None = None,
-        faults: Faults | None = None,
-        files: Files | None = None,
-    ) -> None:
-        self._config = config
-        self._table = table
-        self._image = image
-        self._gate = gate
-        self._control = control
-        self._events = events
-        self._clock = clock
-        self._providers: dict[str, Provider] = {
-            "slices": statistics,
-            "peers": peers,
-            "audit": lambda: {**audit(), **self.audit()},
-        }
-        self._faults, self._files = faults, files
-        if faults is not None:
-            self._providers["faults"] = faults.figures
-        self._folders, self._rows = model.describe(table)
-        self._folder = folder
+    section, label, is_early = "opcua", "OPC UA", True
+
+    def __init__(self, world: World) -> None:
+        self._world, self._config = world, world.config.opcua
+        self._gate = world.gate
+        audit = world.tables["audit"]
+        self._providers = dict(world.tables) | {"audit": lambda: {**audit(), **self.audit()}}
+        if world.faults is not None:
+            self._providers["faults"] = world.faults.figures
+        self._folders, self._rows = model.describe(world.table)
         self._server: HardenedServer | None = None
         self._owner_shown = ""
 
@@ -129,7 +87,7 @@ class OpcUaServer:
             },
             "opcua_time_stamps": {
                 "ok": True,
-                "found": "simulated time" if self._clock.simulated else "UTC",
+                "found": "simulated time" if self._world.clock.simulated else "UTC",
             },
         }
 
@@ -143,7 +101,7 @@ class OpcUaServer:
         ConfigError
             If certificate or key are missing or cannot be used.
         """
-        server = HardenedServer(self._config, self._folder)
+        server = HardenedServer(self._config, self._world.folder)
         server.set_server_name("hilserver")
         server.product_uri, server.manufacturer_name = PRODUCT_URI, "hilserver"
         await server.init()
@@ -151,7 +109,7 @@ class OpcUaServer:
         await self._build(server)
         await server.start()
         self._server = server
-        self._robot_events.attach(self._events)
+        self._robot_events.attach(self._world.events)
         self.publish_diagnostics()
         if not self.audit()["opcua_access"]["ok"]:
             log.warning("opcua open to the network: anyone may command", endpoint=self.url)
@@ -181,11 +139,13 @@ class OpcUaServer:
             return
         self._show_owner()
         tables = {group: shown.publish() for group, shown in self._diagnostics.items()}
-        self._status.show(self._control.state, tables["peers"], tables["audit"])
+        self._status.show(self._world.control.state, tables["peers"], tables["audit"])
         self._robot_events.flush()
 
+    supervise = publish_diagnostics
+
     async def _build(self, server: HardenedServer) -> None:
-        iserver = server.iserver
+        iserver, world = server.iserver, self._world
         robot_index = await server.register_namespace(model.NAMESPACE_URI)
         di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
@@ -199,7 +159,7 @@ class OpcUaServer:
         def place(path: str) -> Any:
             return builder.value_of(builder.node_id(path))
 
-        self._variables = SignalVariables(self._table, self._clock)
+        self._variables = SignalVariables(world.table, world.clock)
         for name, signal_place in self._variables.places.items():
             builder.set_place(builder.node_id(name), signal_place)
         self._owner_place = place(model.CONTROL_SOURCE)
@@ -217,18 +177,18 @@ class OpcUaServer:
         self._robot_events = RobotEvents(
             builder,
             iserver.subscription_service,
-            self._clock,
+            world.clock,
             limit_per_s=self._config.max_events_per_s,
         )
         self._status = ServerStatus(iserver.aspace)
         self._application = server.application = RobotApplication(
             iserver,
             robot_index,
-            self._table,
-            self._image,
+            world.table,
+            world.image,
             self._gate,
             self._variables,
-            Parts(self._control, self._faults, self._files),
+            Parts(world.control, world.faults, world.files),
             self._show_owner,
         )
 
@@ -239,3 +199,11 @@ class OpcUaServer:
         now = datetime.now(UTC)
         owner = ua.Variant(self._owner_shown, ua.VariantType.String)
         self._owner_place.value = FixedDataValue(owner, _GOOD, now, now)
+
+
+def parts(world: World) -> Iterator[OpcUaServer]:
+    """Yield the server, if the configuration has one."""
+    if not world.config.opcua.enabled:
+        return
+    with world.at("blocks"):  # a name or a unit of theirs that cannot be shown
+        yield OpcUaServer(world)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import structlog
 
 from hilserver.io.page.setup import Setup
+from hilserver.io.part import Part
 from hilserver.program import children
 
 STOP_LIMIT_S = 0.7
@@ -19,7 +20,7 @@ STEADY_S = 60.0
 _log = structlog.get_logger(__name__)
 
 
-class PageBeside:
+class PageBeside(Part):
     """A page that runs beside a daemon, which never waits for it.
 
     Parameters
@@ -32,10 +33,16 @@ class PageBeside:
         That of the page.
     """
 
+    section = label = "page"
+
     def __init__(self, setup: Callable[[], Setup], listener: socket.socket, address: str) -> None:
-        self._setup, self._listener = setup, listener
-        self.address = address
+        self._setup, self._listener, self._address = setup, listener, address
         self._task: asyncio.Task[None] | None = None
+
+    @property
+    def address(self) -> str:
+        """That of the page."""
+        return self._address
 
     async def start(self) -> None:
         """Start it; it comes up when it can."""

@@ -3,3 +3,16 @@
 `wire` tells DDS the types, `participant` opens the domain, `node` is the robot's program: it
 publishes, listens and serves what a flavour of `hilserver.ros.flavours` lists.
 """
+
+from collections.abc import Iterator
+
+from hilserver.io.part import Part
+from hilserver.io.world import World
+
+
+def parts(world: World) -> Iterator[Part]:
+    """Yield the node, if the configuration has one."""
+    if world.config.ros2.enabled:
+        from hilserver.io.ros2.node import NAME, Ros2Node  # noqa: PLC0415 -- an extra
+
+        yield Ros2Node(world.config.ros2, world, world.lines[NAME])

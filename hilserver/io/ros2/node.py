@@ -6,29 +6,24 @@ judged, its figures are those of a peer with the name ``ros2``.
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from enum import StrEnum
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import structlog
 
 from hilserver.config.ros2 import Ros2Config
-from hilserver.core.clock import UtcClock
-from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.core.inputs import Refusal
-from hilserver.core.staleness import Staleness, Transition
 from hilserver.faults.links import Lane, Line
-from hilserver.image import Frame
-from hilserver.io.peer_faults import FaultBook
+from hilserver.io.part import Part
 from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
+from hilserver.io.source import Source
+from hilserver.io.world import World
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Subscribed
-from hilserver.ros.robot import Odometer, Robot, Shape
+from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
-from hilserver.signals import SignalTable
 
 NAME: Final = "ros2"
 PERIOD_S: Final = 0.02
@@ -42,46 +37,12 @@ class Ros2Fault(StrEnum):
     """Ways in which a host's messages can be wrong."""
 
     BAD_MESSAGE = "bad_message"
-    REFUSED_VALUE = "refused_value"
     SAMPLE_LOST = "sample_lost"
     INCOMPATIBLE_QOS = "incompatible_qos"
     NOT_TAKEN = "not_taken"
 
 
-class Gate(Protocol):
-    """The input gate, as the node sees it."""
-
-    def write(self, source: str, values: Mapping[str, object]) -> Mapping[str, Refusal]:
-        """Take one group; return signal -> reason for what was refused."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class World:
-    """What a node needs of the daemon.
-
-    Attributes
-    ----------
-    description : callable
-        The robot as URDF, with a prefix before the names of frames and joints.
-    latest : callable
-        The newest frame, None before the first.
-    on_stale : callable
-        Called when the host falls silent.
-    """
-
-    table: SignalTable
-    shape: Shape
-    gate: Gate
-    events: EventBus
-    clock: UtcClock
-    description: Callable[[str], str]
-    latest: Callable[[], Frame | None]
-    on_stale: Callable[[], None]
-    period_ns: int
-
-
-class Ros2Node:
+class Ros2Node(Part):
     """One node for as long as the daemon runs.
 
     Attributes
@@ -90,7 +51,10 @@ class Ros2Node:
         Always up to date.
     """
 
-    def __init__(self, config: Ros2Config, world: World, line: Line | None = None) -> None:
+    section, label, is_early = NAME, "ROS 2", True  # joining takes a second
+    status: PeerStatus
+
+    def __init__(self, config: Ros2Config, world: World, line: Line) -> None:
         self.config, self._world = config, world
         self._flavour = FLAVOURS[config.flavour]
         self._types = Types(config.service_fields)
@@ -105,9 +69,16 @@ class Ros2Node:
         )
         self._names = [signal.name for signal in world.table.scalars]
         self.status = PeerStatus(NAME, f"{config.flavour} on {config.interface}", mode="dds")
-        self._staleness = Staleness(round(config.stale_after_ms * 1e6))
-        self._faults = FaultBook(self.status, world.events.publish)
-        line = line or Line(NAME)
+        self._source = Source(
+            NAME,
+            "ROS 2",
+            self.status,
+            world.gate,
+            world.events.publish,
+            limit_ms=config.stale_after_ms,
+            on_stale=self._action,
+            fresh=lambda: "ROS 2: the host sends fresh commands",
+        )
         self._line = line
         self._arriving: Lane[list[tuple[Subscribed, Arrival]]] = Lane(line, "in")
         self._leaving: Lane[list[tuple[str, Out, bytes]]] = Lane(line, "out")
@@ -119,6 +90,14 @@ class Ros2Node:
         self._cycle = 0
         self._news_ns: int | None = None
         self._seen: dict[str, int] = {}
+
+    @property
+    def _action(self) -> str:
+        """What happens to a command that nobody renews, in words."""
+        action, service = self.config.on_stale, self._flavour.enabled_by
+        if action != "device" or not service:
+            return action
+        return f"{action}: {self.config.full_name(service)} enables the drive again"
 
     @property
     def address(self) -> str:
@@ -202,7 +181,7 @@ class Ros2Node:
 
     def _look(self) -> bool:
         """Take the newest frame; False before the first."""
-        frame = self._world.latest()
+        frame = self._world.image.latest()
         if frame is None:
             return False
         robot = self.robot
@@ -282,19 +261,9 @@ class Ros2Node:
             self._hand_over(subscribed, values, now_ns)
 
     def _hand_over(self, subscribed: Subscribed, values: dict[str, object], now_ns: int) -> None:
-        refusals = self._world.gate.write(NAME, values)
-        wrong = {
-            signal: reason
-            for signal, reason in refusals.items()
-            if reason not in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL)
-        }
-        for signal, reason in wrong.items():
-            sentence = (
-                f"{subscribed.topic}: {signal} = {values[signal]!r:.60} was refused: {reason}"
-            )
-            self._report(Ros2Fault.REFUSED_VALUE, signal, sentence)
+        wrong = self._source.write(values, now_ns, of=f"{subscribed.topic}: ").wrong
         if subscribed.commands and not wrong:
-            self._staleness.heard(now_ns)
+            self._source.staleness.heard(now_ns)
             self.status.input_received_ns = dict.fromkeys(values, now_ns)
 
     def _serve(self, service: Service, request: Any) -> None:
@@ -314,28 +283,11 @@ class Ros2Node:
         cycle = 0
         while True:
             self._receive_due()
-            now_ns = time.monotonic_ns()
-            transition = self._staleness.check(now_ns)
-            self.status.stale = self._staleness.stale
-            if transition is not None:
-                self._tell(transition, now_ns)
+            self._source.watch(time.monotonic_ns())
             if cycle % LOOK_EVERY == 0:
                 self._look_at_endpoints()
-                self._faults.expire(now_ns)
             cycle += 1
             await asyncio.sleep(WATCH_S)
-
-    def _tell(self, transition: Transition, now_ns: int) -> None:
-        action = self.config.on_stale
-        if transition is Transition.LOST:
-            text = f"ROS 2: {self._staleness.reason}; on_stale is {action}"
-            if action == "device" and (service := self._flavour.enabled_by):
-                text += f": {self.config.full_name(service)} enables the drive again"
-            self._world.events.publish(Event(EventKind.PEER_LOST, 800, NAME, text, now_ns))
-            self._world.on_stale()
-            return
-        text = "ROS 2: the host sends fresh commands"
-        self._world.events.publish(Event(EventKind.PEER_RESTORED, 200, NAME, text, now_ns))
 
     def _look_at_endpoints(self) -> None:
         """Count matched endpoints, losses, and those that will never match."""
@@ -366,4 +318,4 @@ class Ros2Node:
         return total - before
 
     def _report(self, kind: Ros2Fault, subject: str, sentence: str) -> None:
-        self._faults.report(kind, subject, sentence, time.monotonic_ns())
+        self._source.faults.report(kind, subject, sentence, time.monotonic_ns())

@@ -1,18 +1,17 @@
 """What the shield does with a request: the plant's inputs that it writes, what it stores."""
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Final
 
 from hilserver.config.shield import ShieldConfig
-from hilserver.core.inputs import Refusal
-from hilserver.io.peer_faults import FaultBook
 from hilserver.io.shield.protocol import Command, Request
 from hilserver.io.shield.status import ShieldStatus
+from hilserver.io.source import Source
 from hilserver.signals import LIGHTS
 
-SOURCE: Final = "shield"
 MODE_WHEELS, MODE_DUTY = 0, 2
 
 NUMBERS: Final = frozenset(
@@ -58,11 +57,7 @@ class ShieldFault(StrEnum):
     TOO_FAST = "too_fast"
     BAD_NUMBER = "bad_number"
     FREQUENCY_FORM = "frequency_form"
-    REFUSED_VALUE = "refused_value"
     UNHEARD = "unheard"
-
-
-Write = Callable[[str, Mapping[str, object]], Mapping[str, Refusal]]
 
 
 class Device:
@@ -70,8 +65,8 @@ class Device:
 
     Parameters
     ----------
-    write : callable
-        ``write(source, values) -> refused``: the input gate.
+    source : Source
+        Hands over what it writes.
     max_rpm : float
         What the plant takes; faster commands are scaled down together.
     apply : callable
@@ -87,15 +82,14 @@ class Device:
         self,
         config: ShieldConfig,
         status: ShieldStatus,
-        faults: FaultBook,
-        write: Write,
+        source: Source,
         *,
         max_rpm: float,
         apply: Callable[[float, float], None],
     ) -> None:
         self.limit_ns = round(config.stale_after_ms * 1e6)
-        self._config, self._status, self._faults = config, status, faults
-        self._write, self._max_rpm, self._apply = write, max_rpm, apply
+        self._config, self._status, self._source = config, status, source
+        self._max_rpm, self._apply = max_rpm, apply
         self._wheels = config.wheels
 
     def take(self, request: Request) -> None:
@@ -176,15 +170,11 @@ class Device:
         self._put(request, {"lights.command": pattern, **colours})
 
     def _put(self, request: Request | None, values: Mapping[str, object]) -> None:
-        refused = self._write(SOURCE, values)
-        if request is None:
-            return
-        taken = [name for name in values if name not in refused]
-        self._status.input_received_ns.update(dict.fromkeys(taken, request.received_ns))
-        for name, reason in refused.items():
-            if reason not in (Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL):
-                text = f"{name} = {values[name]!r} was refused: {reason}"
-                self._report(ShieldFault.REFUSED_VALUE, request, text, name)
+        now_ns = time.monotonic_ns() if request is None else request.received_ns
+        refused = self._source.write(values, now_ns).refused
+        if request is not None:
+            taken = [name for name in values if name not in refused]
+            self._status.input_received_ns.update(dict.fromkeys(taken, now_ns))
 
     # --- what is stored ---------------------------------------------------------------------------
 
@@ -241,4 +231,4 @@ class Device:
     def _report(
         self, kind: ShieldFault, request: Request, sentence: str, subject: str = "host"
     ) -> None:
-        self._faults.report(kind, subject, sentence, request.received_ns)
+        self._source.faults.report(kind, subject, sentence, request.received_ns)

@@ -6,22 +6,26 @@ import contextlib
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 import structlog
 
 from hilserver.config.shield import ShieldConfig
 from hilserver.core.events import Event, EventKind
+from hilserver.core.staleness import Transition
 from hilserver.errors import FailedError
-from hilserver.image import ProcessImage
-from hilserver.io.peer_faults import FaultBook
+from hilserver.io.part import Part
 from hilserver.io.peer_status import LinkState
 from hilserver.io.shield import words as w
+from hilserver.io.shield.answer import places
 from hilserver.io.shield.device import Device, ShieldFault
-from hilserver.io.shield.line import Line
+from hilserver.io.shield.gains import Gains
+from hilserver.io.shield.line import Line, open_device, open_pseudo_terminal
 from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, RESPONSE_BYTES, Request
-from hilserver.io.shield.status import ShieldStatus
+from hilserver.io.shield.status import NAME, ShieldStatus
+from hilserver.io.source import Source
+from hilserver.io.world import World
 from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
 
 WATCH_S = 0.02
@@ -33,23 +37,8 @@ END_WITHIN_S = 5.0
 _log = structlog.get_logger(__name__)
 
 
-class ShieldLink:
+class ShieldLink(Part):
     """Answers a host as the shield does.
-
-    Parameters
-    ----------
-    open_line : callable
-        Opens the line; raises FailedError with the reason.
-    slots : list of int
-        What a response shows, see `answer.places`.
-    device : Device
-        Does what requests say.
-    on_silent : callable
-        The host has been silent for too long.
-    renew : callable
-        ``renew(limit_ns)``: it was heard, and may be silent for so long.
-    publish : callable
-        Takes every `Event`.
 
     Attributes
     ----------
@@ -59,30 +48,31 @@ class ShieldLink:
         What the system granted to the thread of the line.
     """
 
-    def __init__(
-        self,
-        config: ShieldConfig,
-        *,
-        open_line: Callable[[], Line],
-        image: ProcessImage,
-        slots: list[int],
-        status: ShieldStatus,
-        device: Device,
-        faults: FaultBook,
-        on_silent: Callable[[], None],
-        renew: Callable[[int], None],
-        publish: Callable[[Event], None],
-        realtime: RealtimeSettings,
-    ) -> None:
+    section = label = NAME
+    status: ShieldStatus
+
+    def __init__(self, config: ShieldConfig, world: World) -> None:
         from hilserver.io.shield.wire import serve  # noqa: PLC0415 - compiled only where it is needed
 
         self._serve = serve
-        self.status, self.device = status, device
+        self.status = status = ShieldStatus(NAME)
+        self._source = Source(
+            NAME,
+            "shield",
+            status,
+            world.gate,
+            world.events.publish,
+            limit_ms=config.stale_after_ms,
+            on_stale=config.on_stale,
+            fresh=lambda: f"shield: a host sends on {self.address}",
+        )
+        max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
+        self.device = Device(config, status, self._source, max_rpm=max_rpm, apply=gains.apply)
         self.grants: list[Grant] = []
-        self._config, self._open_line, self._image = config, open_line, image
-        self._slots = np.array(slots, dtype=np.int64)
-        self._faults, self._publish, self._realtime = faults, publish, realtime
-        self._on_silent, self._renew = on_silent, renew
+        self._config, self._world, self._image = config, world, world.image
+        mechatronic = world.config.mechatronic
+        body = mechatronic.enabled and mechatronic.sensors == "body"
+        self._slots = np.array(places(world.table, config.wheels, body=body), dtype=np.int64)
         self._heard_ns: int | None = None
         self._seen: dict[ShieldFault, int] = {}
         self._thread = threading.Thread(target=self._run, name="shield", daemon=True)
@@ -114,7 +104,7 @@ class ShieldLink:
             If the line cannot be opened.
         """
         self._loop = asyncio.get_running_loop()
-        self._line = self._open_line()
+        self._line = self._opened()
         self.status.endpoint = self.address
         self.status.state = LinkState.CONNECTING
         self._doorbell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -135,6 +125,20 @@ class ShieldLink:
         os.close(self._doorbell)
         self._line.close()
         self.status.connected, self.status.state = False, LinkState.STOPPED
+
+    def _opened(self) -> Line:
+        if self._config.device is not None:
+            return open_device(self._config.device)
+        return open_pseudo_terminal(self._world.folder / self._config.link)
+
+    @property
+    def _realtime(self) -> RealtimeSettings:
+        """What the thread asks for: less than the plant's, never its core.
+
+        Without the line's pace a host could keep it busy for ever; it is then a thread like others.
+        """
+        priority = self._world.config.scheduler.realtime.priority - 1 if self._config.pace else 0
+        return RealtimeSettings(priority=max(priority, 0))
 
     def _end_thread(self) -> None:
         """End the thread before the interpreter frees the arrays under it."""
@@ -165,14 +169,14 @@ class ShieldLink:
         self._tell(f"the line {line.path} is lost")
         while not self._stopping.wait(REOPEN_S):
             with contextlib.suppress(FailedError):
-                self._line = self._open_line()
+                self._line = self._opened()
                 return self._line
         return None
 
     def _tell(self, text: str) -> None:
         event = Event(EventKind.PEER_LOST, 800, self.status.name, f"shield: {text}")
         with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody listens
-            self._loop.call_soon_threadsafe(self._publish, event)
+            self._loop.call_soon_threadsafe(self._world.events.publish, event)
 
     # --- the event loop ---------------------------------------------------------------------------
 
@@ -184,7 +188,8 @@ class ShieldLink:
     def _take_requests(self) -> None:
         words = self.status.words
         if words[w.RING_TAIL] < words[w.RING_HEAD]:
-            self._renew(self.device.limit_ns)
+            self._world.gate.leases.limit(NAME, self.device.limit_ns * 1e-6)
+            self._world.gate.renew(NAME)
         while words[w.RING_TAIL] < words[w.RING_HEAD]:
             row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.RING - 1))
             command, flags, payload, received_ns = words[row : row + 4].tolist()
@@ -194,15 +199,8 @@ class ShieldLink:
             self._heard_ns = received_ns
             terminated = not flags & w.ALONE
             data = payload.to_bytes(8, "little", signed=True)
-            self._welcome(received_ns)
+            self._source.staleness.heard(received_ns)
             self.device.take(Request(command, data, received_ns, terminated))
-
-    def _welcome(self, now_ns: int) -> None:
-        if not self.status.stale:
-            return
-        self.status.stale = False
-        text = f"shield: a host sends on {self.address}"
-        self._publish(Event(EventKind.PEER_RESTORED, 200, self.status.name, text, now_ns))
 
     async def _watch(self) -> None:
         while True:
@@ -215,15 +213,9 @@ class ShieldLink:
         status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
         self._note_counters(now_ns)
-        self._faults.expire(now_ns)
-        is_silent = self._heard_ns is not None and now_ns - self._heard_ns > self.device.limit_ns
-        if is_silent and not status.stale:
-            status.stale = True
-            limit_ms, action = self.device.limit_ns / 1e6, self._config.on_stale
-            text = f"shield: nothing from the host for {limit_ms:g} ms; on_stale is {action}"
-            self._publish(Event(EventKind.PEER_LOST, 800, status.name, text, now_ns))
+        self._source.staleness.limit_ns = self.device.limit_ns
+        if self._source.watch(now_ns) is Transition.LOST:
             status.enabled = False
-            self._on_silent()
 
     def _note_counters(self, now_ns: int) -> None:
         """Report what the thread has counted since the last look."""
@@ -235,4 +227,10 @@ class ShieldLink:
             count = self.status.count(word)
             if count > self._seen.get(kind, 0):
                 self._seen[kind] = count
-                self._faults.report(kind, "line", text, now_ns)
+                self._source.faults.report(kind, "line", text, now_ns)
+
+
+def parts(world: World) -> Iterator[ShieldLink]:
+    """Yield the shield, if the configuration has one."""
+    if world.config.shield.enabled:
+        yield ShieldLink(world.config.shield, world)

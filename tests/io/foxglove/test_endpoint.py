@@ -82,7 +82,7 @@ class Viewer:
 
 
 async def test_signals_transforms_and_hall():
-    async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
+    async with robot() as daemon, Viewer(daemon.part("foxglove").url) as viewer:
         assert set(viewer.channels) == {"/hilserver/frame", "/transforms", "/scene"}
         channel = viewer.channels["/hilserver/frame"]
         assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
@@ -98,7 +98,7 @@ async def test_signals_transforms_and_hall():
 
 
 async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
-    async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
+    async with robot() as daemon, Viewer(daemon.part("foxglove").url) as viewer:
         await viewer.advertise(1, "/cmd_vel", "json", "geometry_msgs/Twist")
         await viewer.advertise(2, "/hilserver/set", "json")
         await viewer.advertise(3, "/cmd_vel", "cdr", "geometry_msgs/msg/Twist")
@@ -141,7 +141,7 @@ async def test_what_is_published_obeys_control_and_the_dead_man(caplog):
 
 async def test_a_port_in_use_is_a_sentence():
     async with robot() as first:
-        port = int(first.foxglove.url.rsplit(":", 1)[1])
+        port = int(first.part("foxglove").url.rsplit(":", 1)[1])
         with pytest.raises(FailedError, match="foxglove: cannot listen on"):
             async with robot(port):
                 pass
@@ -170,8 +170,8 @@ async def test_a_flood_of_unknown_names_holds_nobody_up():
 
     async with (
         robot() as daemon,
-        Viewer(daemon.foxglove.url) as hostile,
-        Viewer(daemon.foxglove.url) as honest,
+        Viewer(daemon.part("foxglove").url) as hostile,
+        Viewer(daemon.part("foxglove").url) as honest,
     ):
         await hostile.advertise(1, "/hilserver/set", "json")
         await honest.advertise(1, "/hilserver/set", "json")
@@ -195,12 +195,12 @@ async def test_a_flood_of_unknown_names_holds_nobody_up():
 
 
 async def test_a_message_that_is_too_long_ends_its_connection_and_nothing_else():
-    async with robot() as daemon, Viewer(daemon.foxglove.url) as viewer:
+    async with robot() as daemon, Viewer(daemon.part("foxglove").url) as viewer:
         await viewer.advertise(1, "/hilserver/set", "json")
         long = json.dumps({"x": "y" * LARGEST_MESSAGE}).encode()
         await viewer.publish(1, long)
         await wait_until(lambda: viewer.is_closed, PATIENCE_S)
-        async with Viewer(daemon.foxglove.url) as another:
+        async with Viewer(daemon.part("foxglove").url) as another:
             assert another.info
 
 
@@ -241,7 +241,7 @@ async def test_only_named_web_pages_enter(origin, enters):
 
 async def test_the_door_is_before_the_server():
     async with robot() as daemon, aiohttp.ClientSession() as session:
-        url, protocols = daemon.foxglove.url, ["foxglove.sdk.v1"]
+        url, protocols = daemon.part("foxglove").url, ["foxglove.sdk.v1"]
         with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
             await session.ws_connect(url, origin="https://evil.example", protocols=protocols)
         assert refused.value.status == 403

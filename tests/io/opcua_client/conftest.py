@@ -5,7 +5,7 @@ import logging
 import math
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -43,6 +43,7 @@ class RecordingGate:
 
     groups: list[dict[str, object]] = field(default_factory=list)
     refuse: dict[str, Refusal] = field(default_factory=dict)
+    stale: list[str] = field(default_factory=list)
 
     def write(
         self, source: str, values: Mapping[str, object], *, renews: bool = True
@@ -51,6 +52,12 @@ class RecordingGate:
         refused = {name: self.refuse[name] for name in values if name in self.refuse}
         self.groups.append({k: v for k, v in values.items() if k not in refused})
         return refused
+
+    def expect(self, source: str, names: Iterable[str]) -> None:
+        assert source == "peer:iot2050"
+
+    def mark_stale(self, source: str) -> None:
+        self.stale.append(source)
 
     @property
     def latest(self) -> dict[str, object]:
@@ -97,7 +104,6 @@ def make_harness(
     config: PeerConfig, line: Line | None = None, security: LinkSecurity | None = None
 ) -> Harness:
     gate, events = RecordingGate(), EventBus()
-    stale: list[str] = []
     outputs: dict[str, tuple[object, int]] = {}
 
     def read_output(name: str) -> tuple[object, int, int]:
@@ -107,14 +113,13 @@ def make_harness(
     link = PeerLink(
         config,
         gate=gate,
-        on_stale=stale.append,
         events=events,
         read_output=read_output,
         clock=UtcClock(),
         line=line,
         security=security,
     )
-    return Harness(link, gate, events, stale, outputs)
+    return Harness(link, gate, events, gate.stale, outputs)
 
 
 def peer_config(port: int, **changes: object) -> PeerConfig:

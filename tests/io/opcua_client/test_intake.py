@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus
-from hilserver.core.staleness import Staleness
 from hilserver.io.opcua_client.intake import Intake
 from hilserver.io.opcua_client.validation import FaultKind
-from hilserver.io.peer_faults import HOLD_NS, FaultBook
+from hilserver.io.peer_faults import HOLD_NS
 from hilserver.io.peer_status import PeerStatus
+from hilserver.io.source import Source
 from tests.io.opcua_client.conftest import URI, RecordingGate, peer_config
 
 FL, RR, SEQ = (f"nsu={URI};s={name}" for name in ("rpm_set_FL", "rpm_set_RR", "seq"))
@@ -22,12 +22,20 @@ class Bench:
         config = peer_config(1, **changes)
         self.status = PeerStatus("iot2050")
         self.gate, self.events = RecordingGate(), EventBus()
-        self.faults = FaultBook(self.status, self.events.publish)
         commanding = [n for n in config.inputs if n.partition(".")[0] != "measured"]
-        self.staleness = Staleness(300_000_000, commanding)
-        self.intake = Intake(
-            config, self.status, self.gate, self.staleness, self.faults, lambda ns: ns
+        source = Source(
+            "peer:iot2050",
+            "peer iot2050",
+            self.status,
+            self.gate,
+            self.events.publish,
+            limit_ms=300,
+            on_stale="ramp",
+            fresh=lambda: "fresh",
+            commanding=commanding,
         )
+        self.faults, self.staleness = source.faults, source.staleness
+        self.intake = Intake(config, source, lambda ns: ns)
         self.now_ns = 0
 
     def receive(self, *samples):

@@ -5,7 +5,9 @@ import uuid
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from asyncua import Client, ua
@@ -93,18 +95,21 @@ class Rig:
         self.server = self.make_server()
 
     def make_server(self, **config: Any) -> OpcUaServer:
-        return OpcUaServer(
-            self.config.model_copy(update=config),
-            self.table,
-            self.image,
-            self.gate,
-            self.control,
-            self.events,
-            self.clock,
-            statistics=lambda: self.tables["slices"],
-            peers=lambda: self.tables["peers"],
-            audit=lambda: self.tables["audit"],
+        changed = self.config.model_copy(update=config)
+        world: Any = SimpleNamespace(
+            config=SimpleNamespace(opcua=changed),
+            folder=None,
+            table=self.table,
+            image=self.image,
+            gate=self.gate,
+            control=self.control,
+            events=self.events,
+            clock=self.clock,
+            tables={name: partial(self.tables.__getitem__, name) for name in self.tables},
+            faults=None,
+            files=None,
         )
+        return OpcUaServer(world)
 
     def tick(self, change: Callable[[Any, Any], None] | None = None, n: int = 1) -> None:
         """Run `n` ticks; `change(values, status)` may alter the working frame of the last."""

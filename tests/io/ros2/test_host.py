@@ -101,7 +101,7 @@ async def test_without_control_nothing_moves_and_silence_stops_nobody(fast_dds, 
             rejected = lambda: daemon.gate.rejected["ros2", "not_in_control"] > 0  # noqa: E731
             await wait_until(rejected, PATIENCE_S)
             await drives(daemon, 10.0)
-        await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
+        await wait_until(lambda: daemon.part("ros2").status.stale, PATIENCE_S)
         assert value(daemon, "drive.enable") == 1.0
         assert value(daemon, "wheel.fl.setpoint_rpm") == 10.0
 
@@ -111,8 +111,10 @@ async def test_a_host_that_is_not_in_control_is_heard_all_the_same(fast_dds, dom
     async with robot(domain, stale_after_ms=400) as daemon, host:
         daemon.gate.take("opcua")
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
-            heard = daemon.ros2.status.sequence_received + REFUSALS
-            await wait_until(lambda: daemon.ros2.status.sequence_received > heard, PATIENCE_S)
+            heard = daemon.part("ros2").status.sequence_received + REFUSALS
+            await wait_until(
+                lambda: daemon.part("ros2").status.sequence_received > heard, PATIENCE_S
+            )
             await asyncio.sleep(1.0)
             losses = [e for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
             assert not losses, "it sends all the time"
@@ -168,9 +170,9 @@ async def test_defect_2_drives_on(fast_dds, domain):
         daemon.faults.inject({"fault": "shield.dead_command_timeout"})
         async with host.repeating("rt/iotbot/rpm", **FORWARD):
             await drives(daemon)
-        await wait_until(lambda: daemon.ros2.status.stale, PATIENCE_S)
+        await wait_until(lambda: daemon.part("ros2").status.stale, PATIENCE_S)
         await wait_until(
-            lambda: daemon.ros2.status.input_age_s(time.monotonic_ns()) > 2.5, PATIENCE_S
+            lambda: daemon.part("ros2").status.input_age_s(time.monotonic_ns()) > 2.5, PATIENCE_S
         )
         assert value(daemon, "wheel.fl.speed_rpm") == pytest.approx(50.0, abs=1.0)
         daemon.faults.clear()

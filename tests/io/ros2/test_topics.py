@@ -41,7 +41,7 @@ async def test_a_host_drives_by_rpm_and_reads_every_topic(peer, domain):
         transform = host.last("rt/tf").transforms[0]
         assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
         assert daemon.gate.owner == "ros2"
-        status = daemon.ros2.status
+        status = daemon.part("ros2").status
         await wait_until(lambda: status.connected and not status.stale, PATIENCE_S)
         assert status.interval.last_ns is not None
         assert status.one_way.last_ns is not None
@@ -71,7 +71,7 @@ async def test_reliable_topics_lose_nothing(fast_dds, domain, minutes):
     async with robot(domain, publish=EXTRAS) as daemon, host:
         enough = lambda: sum(map(len, host.received.values())) > count  # noqa: E731
         await wait_until(enough, PATIENCE_S + 20 * minutes)
-        counts = daemon.ros2.status.fault_counts.copy()
+        counts = daemon.part("ros2").status.fault_counts.copy()
     seen = [[nanoseconds(of(m)) for m in host.messages(topic)] for topic, of in STAMPS.items()]
     first, last = max(times[0] for times in seen), min(times[-1] for times in seen)
     clock, *others = ([t for t in times if first <= t <= last] for times in seen)
@@ -106,7 +106,7 @@ async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
     host = Host(fast_dds, domain, *endpoints("thesis_sil"))
     async with robot(domain, flavour="thesis_sil") as daemon, host:
         await host.sees("rt/rpm/return")
-        counts = daemon.ros2.status.fault_counts
+        counts = daemon.part("ros2").status.fault_counts
 
         def all_are_counted():
             """Write until it arrives: a reader of what may be lost takes no message for granted."""
@@ -118,8 +118,10 @@ async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
 
         await wait_until(all_are_counted, PATIENCE_S)
         assert set(counts) == {"refused_value", "bad_message"}
-        assert any("3 numbers" in sentence for sentence in daemon.ros2.status.faults.values())
-        assert daemon.ros2.status.stale, "nothing usable has come"
+        assert any(
+            "3 numbers" in sentence for sentence in daemon.part("ros2").status.faults.values()
+        )
+        assert daemon.part("ros2").status.stale, "nothing usable has come"
         assert daemon.control.state is State.RUNNING
         assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
 
@@ -145,7 +147,7 @@ async def test_edu_robot(peer, domain):
             joints = "rt/eduard/joint_states"
             await wait_until(lambda: len(host.received[joints]) >= 8, PATIENCE_S)
             assert len({m.name[0] for m in host.messages(joints)}) == 4
-        assert daemon.ros2.status.fault_counts.total() == 0
+        assert daemon.part("ros2").status.fault_counts.total() == 0
 
 
 async def test_the_five_topics_of_the_thesis(peer, domain):

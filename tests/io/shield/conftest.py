@@ -40,7 +40,7 @@ class Robot:
     """A daemon with its shield, seen from a test."""
 
     def __init__(self, daemon, program):
-        self.daemon, self.shield, self._program = daemon, daemon.shield, program
+        self.daemon, self.shield, self._program = daemon, daemon.part("shield"), program
 
     @property
     def status(self):

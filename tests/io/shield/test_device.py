@@ -7,10 +7,10 @@ import pytest
 
 from hilserver.config.shield import ShieldConfig
 from hilserver.core.inputs import Refusal
-from hilserver.io.peer_faults import FaultBook
 from hilserver.io.shield.device import Device
 from hilserver.io.shield.protocol import Command, Request
 from hilserver.io.shield.status import ShieldStatus
+from hilserver.io.source import Source
 
 
 class Bench:
@@ -18,16 +18,21 @@ class Bench:
         self.status = ShieldStatus("shield")
         self.values, self.gains, self.refused = {}, [], {}
         self.told = []
-        self.device = Device(
-            ShieldConfig(**config),
+        source = Source(
+            "shield",
+            "shield",
             self.status,
-            FaultBook(self.status, self.told.append),
-            self._write,
-            max_rpm=90.0,
-            apply=self._apply,
+            self,
+            self.told.append,
+            limit_ms=1000,
+            on_stale="device",
+            fresh=lambda: "fresh",
+        )
+        self.device = Device(
+            ShieldConfig(**config), self.status, source, max_rpm=90.0, apply=self._apply
         )
 
-    def _write(self, source, values):
+    def write(self, source, values, *, renews=True):
         assert source == "shield"
         self.values.update({k: v for k, v in values.items() if k not in self.refused})
         return {k: v for k, v in self.refused.items() if k in values}

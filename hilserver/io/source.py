@@ -1,0 +1,121 @@
+"""The way in of a link: groups of values to the gate, what is wrong with them, silence."""
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from enum import StrEnum
+from typing import NamedTuple, Protocol
+
+from hilserver.core.events import Event, EventKind
+from hilserver.core.inputs import Refusal
+from hilserver.core.staleness import Staleness, Transition
+from hilserver.io.peer_faults import FaultBook
+from hilserver.io.peer_status import PeerStatus
+
+OFFERED_AGAIN = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
+"""Reasons that are not the value's: the next group may be accepted as it is."""
+
+
+class WrongValue(StrEnum):
+    """The fault that every link can have."""
+
+    REFUSED_VALUE = "refused_value"
+
+
+class Gate(Protocol):
+    """The input gate, as links see it."""
+
+    def write(
+        self, source: str, values: Mapping[str, object], *, renews: bool = True
+    ) -> Mapping[str, Refusal]:
+        """Take one group; return signal -> reason for what was refused."""
+        ...
+
+    def mark_stale(self, source: str) -> None:
+        """Keep what the source wrote last, as no longer fresh."""
+
+    def expect(self, source: str, names: Iterable[str]) -> None:
+        """Mark signals that the source will write as without a value yet."""
+
+
+class Outcome(NamedTuple):
+    """What came of a group: all that was refused, and what is wrong whoever has control."""
+
+    refused: Mapping[str, Refusal]
+    wrong: Mapping[str, Refusal]
+
+
+class Source:
+    """Hands over what one link brings; says once, each time it begins and ends, what it lacks.
+
+    Parameters
+    ----------
+    name : str
+        At the gate: ``peer:iot2050``.
+    label : str
+        In messages.
+    limit_ms : float
+        Silence after which it is stale.
+    on_stale : str
+        What the step then does with its command; messages say so.
+    fresh : callable
+        Says that values come in again.
+    commanding : collection of str
+        Inputs without which it cannot command.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        label: str,
+        status: PeerStatus,
+        gate: Gate,
+        publish: Callable[[Event], None],
+        *,
+        limit_ms: float,
+        on_stale: str,
+        fresh: Callable[[], str],
+        commanding: Collection[str] = (),
+    ) -> None:
+        self.name, self.status = name, status
+        self.faults = FaultBook(status, publish)
+        self.staleness = Staleness(round(limit_ms * 1e6), commanding)
+        self._label, self._gate, self._publish = label, gate, publish
+        self._on_stale, self._fresh = on_stale, fresh
+
+    def write(
+        self, values: Mapping[str, object], now_ns: int, *, of: str = "", renews: bool = True
+    ) -> Outcome:
+        """Hand one group to the gate; report what is wrong with it.
+
+        Parameters
+        ----------
+        of : str
+            What brought the values, before their names in messages.
+        renews : bool
+            Whether what the source holds may go on.
+        """
+        refused = self._gate.write(self.name, values, renews=renews)
+        wrong = {name: why for name, why in refused.items() if why not in OFFERED_AGAIN}
+        for name, why in wrong.items():
+            sentence = f"{of}{name} = {values[name]!r:.60} was refused: {why}"
+            self.faults.report(WrongValue.REFUSED_VALUE, name, sentence, now_ns)
+        return Outcome(refused, wrong)
+
+    def expect(self, names: Iterable[str]) -> None:
+        """Have signals wait for their first value."""
+        self._gate.expect(self.name, names)
+
+    def watch(self, now_ns: int) -> Transition | None:
+        """Judge its silence; called a few times within the limit. Return what changed."""
+        self.faults.expire(now_ns)
+        transition = self.staleness.check(now_ns)
+        self.status.stale = self.staleness.stale
+        if transition is Transition.LOST:
+            text = f"{self._label}: {self.staleness.reason}; on_stale is {self._on_stale}"
+            self._tell(EventKind.PEER_LOST, 800, text, now_ns)
+            self._gate.mark_stale(self.name)
+        elif transition is not None:
+            self._tell(EventKind.PEER_RESTORED, 200, self._fresh(), now_ns)
+        return transition
+
+    def _tell(self, kind: EventKind, severity: int, text: str, now_ns: int) -> None:
+        self._publish(Event(kind, severity, self.status.name, text, now_ns))

@@ -1,0 +1,65 @@
+"""What a link needs of the robot and of the daemon around it."""
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hilserver.config.root import Config
+from hilserver.core.clock import UtcClock
+from hilserver.core.control import Control
+from hilserver.core.events import EventBus
+from hilserver.core.inputs import InputGate
+from hilserver.faults import Faults, Line
+from hilserver.image import ProcessImage
+from hilserver.plant.parameters import RobotParameters
+from hilserver.ros.robot import Shape
+from hilserver.signals import SignalTable
+
+Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
+
+
+@dataclass(frozen=True)
+class World:
+    """The robot and its daemon, as links see them.
+
+    Attributes
+    ----------
+    folder : Path
+        Relative paths of the configuration start from it.
+    at : callable
+        ``at(section, ...)``: a context that adds the place in the file to complaints.
+    lines : mapping of Line
+        Where injected faults act, by the link's name.
+    hall : ndarray of float64, shape (n, 4)
+        Walls [m].
+    description : callable
+        The robot as URDF, with a prefix before the names of frames and joints.
+    read_output : callable
+        Value, status and planned start [ns] of a signal in the newest frame.
+    tables : mapping of callable
+        Figures that are no signals: "slices", "peers" and "audit".
+    files : object
+        Starts and stops what has the name of a file.
+    """
+
+    config: Config
+    folder: Path
+    at: Callable[..., AbstractContextManager[None]]
+    table: SignalTable
+    image: ProcessImage
+    gate: InputGate
+    events: EventBus
+    clock: UtcClock
+    control: Control
+    faults: Faults | None
+    lines: Mapping[str, Line]
+    robot: RobotParameters
+    shape: Shape
+    hall: Any
+    period_ns: int
+    description: Callable[[str], str]
+    read_output: Callable[[str], tuple[Any, int, int]]
+    tables: Mapping[str, Callable[[], Table]]
+    files: Any

@@ -1,0 +1,132 @@
+"""A newcomer's link: set-points over UDP, as `docs/how-to/extend.md` says.
+
+Three places: this file stands for its folder and for its section, `links` for its line in `LINKS`.
+Lease, safe state, banner, metrics and OPC UA figures follow from them.
+"""
+
+import asyncio
+import contextlib
+import json
+import socket
+import time
+
+from pydantic import Field
+
+from hilserver.commands.announcing import Announcer
+from hilserver.config.root import Config
+from hilserver.config.section import Driver, LinkSection
+from hilserver.core.events import EventKind
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.connections import LINKS
+from hilserver.daemon.daemon import Daemon
+from hilserver.io.part import Part
+from hilserver.io.peer_status import PeerStatus
+from hilserver.io.source import Source
+from hilserver.signals import State
+from tests.loopback.rig import configuration, scrape, wait_until
+
+LIMIT_MS = 2000.0
+
+
+class UdpConfig(LinkSection):
+    enabled: bool = False
+    port: int = 0
+    stale_after_ms: float = LIMIT_MS
+    on_stale: str = "ramp"
+
+    @property
+    def driver(self):
+        who = ("udp", "peer:udp", "the UDP sender")
+        return Driver(*who, self.stale_after_ms, self.on_stale, self.enabled)
+
+
+class UdpConfiguration(Config):
+    udp: UdpConfig = Field(default_factory=UdpConfig)
+
+
+class UdpLink(Part, asyncio.DatagramProtocol):
+    section = label = "udp"
+
+    def __init__(self, world):
+        config, self._events = world.config.udp, world.events
+        self.status = PeerStatus("udp", f"port {config.port}")
+        self._port, name = config.port, config.driver.source
+        self._source = Source(
+            name, "UDP", self.status, world.gate, world.events.publish,
+            limit_ms=config.stale_after_ms, on_stale=config.on_stale,
+            fresh=lambda: "UDP: datagrams come in",
+        )  # fmt: skip
+
+    @property
+    def address(self):
+        host, port = self._transport.get_extra_info("sockname")
+        return f"udp://{host}:{port}"
+
+    async def start(self):
+        make = asyncio.get_running_loop().create_datagram_endpoint
+        self._transport, _ = await make(lambda: self, local_addr=("127.0.0.1", self._port))
+        self._task = asyncio.create_task(self._watch())
+
+    async def stop(self):
+        self._task.cancel()
+        self._transport.close()
+
+    async def _watch(self):
+        while True:
+            self._source.watch(time.monotonic_ns())
+            await asyncio.sleep(0.02)
+
+    def datagram_received(self, data, _address):
+        now_ns = time.monotonic_ns()
+        with contextlib.suppress(ValueError):
+            values = dict(json.loads(data))
+            if not self._source.write(values, now_ns).wrong:
+                self._source.staleness.heard(now_ns)
+
+
+def parts(world):
+    if world.config.udp.enabled:
+        yield UdpLink(world)
+
+
+class Notes:
+    """A terminal that keeps what is said."""
+
+    def __init__(self):
+        self.text = ""
+        self.write = self._keep
+        self.is_watched = True
+
+    def isatty(self):
+        return False
+
+    def _keep(self, text):
+        self.text += text
+
+
+async def test_a_link_of_its_own_drives_is_shown_and_lapses():
+    base = configuration(control={"source": "peer"}, opcua={"enabled": False})
+    config = UdpConfiguration.model_validate(base.model_dump() | {"udp": {"enabled": True}})
+    async with Daemon(assemble_config(config), links=(*LINKS, parts)) as daemon:
+        link, notes = daemon.part("udp"), Notes()
+        Announcer(notes, "console").running(daemon)
+        assert f"  udp      {link.address}" in notes.text
+        port = int(link.address.rpartition(":")[2])
+        speed = daemon.table.slot("wheel.fl.speed_rpm")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+
+            def drives():
+                for values in ({"wheel.fl.setpoint_rpm": 30.0}, {"wheel.fl.setpoint_rpm": "fast"}):
+                    sender.sendto(json.dumps(values).encode(), ("127.0.0.1", port))
+                sender.sendto(b"no JSON", ("127.0.0.1", port))
+                return daemon.image.frame_values[speed] > 20.0
+
+            await wait_until(drives)
+        assert link.status.fault_counts == {"refused_value": link.status.fault_counts.total()}
+        text = await scrape(daemon)
+        assert 'hil_peer_faults_total{kind="refused_value",peer="udp"}' in text
+        assert 'hil_input_age_seconds{source="peer:udp"}' in text
+        await wait_until(lambda: daemon.control.state is State.SAFE and link.status.stale)
+        assert daemon.control.reason == "the UDP sender is silent"
+        lost = [e.message for e in daemon.events.recent if e.kind is EventKind.PEER_LOST]
+        assert lost == [f"UDP: nothing new for more than {LIMIT_MS:g} ms; on_stale is ramp"]
