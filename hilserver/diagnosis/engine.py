@@ -51,6 +51,7 @@ from hilserver.plant.parameters import RobotParameters
 T = TypeVar("T")
 
 HORIZON_S = 5.0
+"""Length of the free runs for which the gain is reported."""
 
 
 def diagnose(
@@ -82,7 +83,6 @@ def judge(
     config_sha256: str = "",
     seed: int = 0,
     jobs: int = 2,
-    horizon_s: float = HORIZON_S,
     progress: Report | None = None,
     test: MeasuredLog | None = None,
 ) -> Diagnosis:
@@ -97,8 +97,6 @@ def judge(
         Of sign flips and bootstrap; equal seeds give equal findings.
     jobs : int
         Threads; the findings do not depend on it.
-    horizon_s : float
-        Length of the free runs for which the gain is reported.
     progress : callable, optional
         Called with what is being done and its share.
     test : MeasuredLog, optional
@@ -108,26 +106,25 @@ def judge(
     member = examine(log, robot, rng, jobs, tracker)
     tracker("measuring the gain", 0.0)
     answers = answers_of(member.judged, seed, jobs)
-    own = [answer.explained.gains(horizon_s, rng) for answer in answers]
-    of_patch = [answer.named.gains(horizon_s, rng) for answer in answers]
+    own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]
+    of_patch = [answer.named.gains(HORIZON_S, rng) for answer in answers]
     total, notices = _all_of(own), member.log.notices
     if test is not None:
-        total, patched = _on_other_logs(member, test, horizon_s, rng)
+        total, patched = _on_other_logs(member, test, rng)
         of_patch.append(patched)
         files = ", ".join(s.file for s in test.sources)
         notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
-    # what has a name is judged with all that predicts; the gain is its own where there is no more
-    only = [gain if a.explained is a.named else None for a, gain in zip(answers, own, strict=True)]
-    found, fitted = _collected([member], answers, horizon_s, rng, only)
-    ceiling = _all_of(ceilings(a.explained.parts[0], horizon_s, rng) for a in answers)
+    # the gain of all that predicts is that of a single cause where nothing else predicts
+    alone = [j.whole is j.point for j in member.judged.values()]
+    gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]
+    found, fitted = _collected([member], answers, rng, gains)
+    ceiling = _all_of(ceilings(a.explained.parts[0], HORIZON_S, rng) for a in answers)
     sizes, unseen = member.smallest(rng)
     if stood_still(member.log):
         sizes, unseen = at_rest(sizes, unseen)
     tracker.timed("gain")
     judged = {d.cause for d in sizes} | {c for f in found for c in f.causes}
     reasons = vocabulary_reasons(judged, member.reasons, set(member.judged))
-    if member.robot.wheelbase_m is None:
-        found = [of_two_wheels(finding) for finding in found]
     return _diagnosis(
         [member],
         answers,
@@ -153,7 +150,6 @@ def diagnose_groups(
     *,
     seed: int = 0,
     jobs: int = 2,
-    horizon_s: float = HORIZON_S,
     progress: Report | None = None,
 ) -> Diagnosis:
     """Judge groups of logs of one machine, on several floors or with several loads.
@@ -173,8 +169,8 @@ def diagnose_groups(
     tracker.timed("joint fit")
     tracker("measuring the gain", 0.0)
     rng = np.random.default_rng(seed)
-    total, by_group = gains_in_groups(answers, horizon_s, rng)
-    found, fitted = _collected(members, answers, horizon_s, rng)
+    total, by_group = gains_in_groups(answers, HORIZON_S, rng)
+    found, fitted = _collected(members, answers, rng)
     sizes, unseen = smallest_in_groups(members, seed)
     tracker.timed("gain")
     return _diagnosis(
@@ -231,21 +227,19 @@ def compare(
 
 
 def _on_other_logs(
-    member: Member, test: MeasuredLog, horizon_s: float, rng: np.random.Generator
+    member: Member, test: MeasuredLog, rng: np.random.Generator
 ) -> tuple[dict[str, Gain], dict[str, Gain]]:
     """Return the gain on other logs, of what predicts and of what has a name alone."""
     log, stages = check(test, member.robot).log, member.judged.items()
-    whole = gain_on(
-        log, member.robot, {stage: j.whole.model for stage, j in stages}, horizon_s, rng
-    )
+    whole = {stage: j.whole.model for stage, j in stages}
     named = {stage: j.point.model for stage, j in stages}
-    return whole, gain_on(log, member.robot, named, horizon_s, rng)
+    predicted = gain_on(log, member.robot, whole, HORIZON_S, rng)
+    return predicted, gain_on(log, member.robot, named, HORIZON_S, rng)
 
 
 def _collected(
     members: Sequence[Member],
     answers: Sequence[Answer],
-    horizon_s: float,
     rng: np.random.Generator,
     gains: Iterable[dict[str, Gain] | None] | None = None,
 ) -> tuple[list[Finding], dict[int, Fitted]]:
@@ -260,10 +254,12 @@ def _collected(
     fitted: dict[int, Fitted] = {}
     for answer, gain in zip(answers, gains or [None] * len(answers), strict=True):
         fitted |= enumerate(answer.model.fitted, len(found))
-        found += answer.with_worth(horizon_s, rng, gain)
+        found += answer.with_worth(HORIZON_S, rng, gain)
         for part in answer.explained.parts:
             found += [_in(part.member, one) for one in other_findings(part.judged)]
     found += [_in(m.name, too_little_motion()) for m in members if stood_still(m.log)]
+    if members[0].robot.wheelbase_m is None:
+        found = [of_two_wheels(finding) for finding in found]
     return found, fitted
 
 

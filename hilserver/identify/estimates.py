@@ -54,6 +54,10 @@ class Regression:
 def regress(columns: Array, target: Array, block: Indices) -> Regression:
     """Fit ``target = columns @ values``; the covariance is the jackknife's over blocks.
 
+    A single step has three to eight blocks: there intervals of 95 % hold the truth in 93 % of the
+    cases, and in 84 to 89 % by the sandwich that a diagnosis takes with its dozens of blocks
+    (`diagnosis.regression.linear`).
+
     Parameters
     ----------
     columns : ndarray of float64, shape (n, k)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.findings.explain import separating_experiment
 from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
@@ -10,7 +11,6 @@ from hilserver.diagnosis.schema.evidence import (
     CutRow,
     Dependence,
     Evidence,
-    FittedRange,
     FittedTerm,
     HorizonRow,
     NoiseRow,
@@ -24,17 +24,28 @@ from hilserver.diagnosis.schema.findings import (
     Findings,
     Gain,
     LogFile,
+    Noise,
     NotJudged,
     Parameter,
 )
 
 GROUP = ("icr_offset", "nav_lever_arm")
+ROTATION = Parameter(value=-0.47, ci95=(-0.48, -0.46), unit="1")
 
 
 def gain(before, after, low, high, horizon_s=5.0):
     return Gain(
         horizon_s=horizon_s, before=before, after=after, ratio=before / after, ci95=(low, high)
     )
+
+
+def gain_of(horizon_s, before, ratio, ci95):
+    return Gain(horizon_s=horizon_s, before=before, after=before / ratio, ratio=ratio, ci95=ci95)
+
+
+def noise_of(white_sd, ou_sd=0.0, ou_tau_s=None, tail_dof=None):
+    return Noise(white_sd=white_sd, ou_sd=ou_sd, ou_tau_s=ou_tau_s, tail_dof=tail_dof,
+                 step=None, limits=None)  # fmt: skip
 
 
 def findings(**changes):
@@ -51,7 +62,7 @@ def findings(**changes):
                 verdict="named",
                 causes=("rotation_gain",),
                 block="kinematics",
-                parameters={"rotation_gain": Parameter(value=-0.47, ci95=(-0.48, -0.46), unit="1")},
+                parameters={"rotation_gain": ROTATION},
                 p_adjusted=0.001,
                 gain={"yaw_rad": gain(0.31, 0.04, 6.1, 9.0)},
             ),
@@ -151,8 +162,8 @@ def evidence(n=18000, seed=1):
             CutRow("speed", "nav.yaw_rad", "rad", 0.11, 0.015),
         ),
         noise=(
-            NoiseRow("nav.x_m", "m", 0.01, 0.05, 0.6, 4.2),
-            NoiseRow("wheel.fl.speed_rpm", "rpm", 0.12, 0.0, None, None),
+            NoiseRow("nav.x_m", "m", noise_of(0.01, 0.05, 0.6, 4.2)),
+            NoiseRow("wheel.fl.speed_rpm", "rpm", noise_of(0.12)),
         ),
         screen=tuple(
             ScreenRow(c, "", s, 3.4, min(1.0, 40 * np.exp(-s * s / 2)), 0.01 * s, 0.01,
@@ -167,7 +178,7 @@ def evidence(n=18000, seed=1):
         ),
         similarity=Similarity(names, cosine),
         gain_by_horizon=tuple(
-            HorizonRow(q, h, 0.06 * h, 0.06 * h / r, r, (0.8 * r, 1.2 * r))
+            HorizonRow(q, gain_of(h, 0.06 * h, r, (0.8 * r, 1.2 * r)))
             for h in (0.5, 1, 2, 5, 10, 20)
             for q, r in (("yaw_rad", 1.1 + 2.0 * np.log1p(h)), ("position_m", 1 + np.log1p(h)))
         ),
@@ -179,8 +190,8 @@ def evidence(n=18000, seed=1):
             Course("rotation_gain", "1", x + 3, -0.47 + 0.01 * x, -0.48 + 0.01 * x,
                    -0.46 + 0.01 * x),
         ),
-        extension=(FittedTerm("rotation_gain", -0.47, (-0.48, -0.46), "1", 0),),
-        fitted=FittedRange(speed_m_s=(0.0, 0.46), turn_rate_rad_s=(-0.3, 0.4)),
+        extension=(FittedTerm("rotation_gain", ROTATION),),
+        fitted=FittedIn(speed_m_s=(0.0, 0.46), turn_rate_rad_s=(-0.3, 0.4)),
         timings_s={"replay": 0.4, "screen": 2.1},
         remarks=("Bootstrap over 18 blocks.",),
     )  # fmt: skip

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import pytest
 
-from hilserver.config.patch import load_patch
+from hilserver.config.patch import FittedIn, load_patch
 from hilserver.diagnosis.checks.standstill import too_little_motion
 from hilserver.diagnosis.output import documents, findings_text, write
 from hilserver.diagnosis.report.summary import one_line, summary
-from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedRange, FittedTerm
-from hilserver.diagnosis.schema.findings import Findings, Overall, overall
+from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
+from hilserver.diagnosis.schema.findings import Findings, Overall, Parameter, overall
 from hilserver.errors import FailedError
-from tests.diagnosis.sample import evidence, findings, nothing_found
+from tests.diagnosis.sample import ROTATION, evidence, findings, nothing_found
 
 FITTED = Evidence(
-    extension=(FittedTerm("rotation_gain", -0.47, (-0.48, -0.46), "1", 0),),
-    fitted=FittedRange(speed_m_s=(0.0, 0.4), turn_rate_rad_s=(-1.0, 1.0), conditions="carpet"),
+    extension=(FittedTerm("rotation_gain", ROTATION),),
+    fitted=FittedIn(speed_m_s=(0.0, 0.4), turn_rate_rad_s=(-1.0, 1.0), conditions="carpet"),
 )
 
 
@@ -105,8 +105,8 @@ def test_where_nothing_could_be_judged_the_simulation_is_not_said_to_fit(verdict
 
 def test_a_term_of_several_parts_keeps_them_all():
     terms = (
-        FittedTerm("stribeck_friction.f_s", 4.0, None, "%", 0),
-        FittedTerm("stribeck_friction.n_s", 6.0, None, "rpm", 0),
+        FittedTerm("stribeck_friction.f_s", Parameter(value=4.0, ci95=None, unit="%")),
+        FittedTerm("stribeck_friction.n_s", Parameter(value=6.0, ci95=None, unit="rpm")),
     )
     text = documents(Diagnosis(findings(), replace(FITTED, extension=terms)))["model_patch.yaml"]
     assert "stribeck_friction.f_s" in text

@@ -315,8 +315,7 @@ def extension(findings: Iterable[Finding], fitted: Mapping[int, Fitted]) -> tupl
         for name in names:
             if name in OF_THE_LOG or name not in finding.parameters:
                 continue
-            p = finding.parameters[name]
-            out.append(FittedTerm(name, p.value, p.ci95, p.unit, index, p.groups))
+            out.append(FittedTerm(name, finding.parameters[name]))
     return tuple(out)
 
 

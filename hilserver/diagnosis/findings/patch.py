@@ -29,13 +29,7 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
     findings, evidence = diagnosis.findings, diagnosis.evidence
     if not evidence.extension:
         return None
-    fitted = FittedIn(
-        speed_m_s=evidence.fitted.speed_m_s,
-        wheel_speed_rpm=evidence.fitted.wheel_speed_rpm,
-        turn_rate_rad_s=evidence.fitted.turn_rate_rad_s,
-        voltage_v=evidence.fitted.voltage_v,
-        conditions=_conditions(diagnosis),
-    )
+    fitted = evidence.fitted.model_copy(update={"conditions": _conditions(diagnosis)})
     return ModelPatch(
         schema_=SCHEMA,
         made_from=MadeFrom(
@@ -44,9 +38,9 @@ def make_patch(diagnosis: Diagnosis, findings_sha256: str) -> ModelPatch | None:
             version=findings.version,
         ),
         terms={
-            term.name: PatchTerm(value=term.value, unit=term.unit, ci95=term.ci95, fitted_in=fitted)
+            term.name: PatchTerm(value=p.value, unit=p.unit, ci95=p.ci95, fitted_in=fitted)
             for term in evidence.extension
-            if term.groups is None
+            if (p := term.parameter).groups is None
         },
         groups=_groups(evidence.extension, fitted),
     )
@@ -58,9 +52,9 @@ def _groups(
     """Return the terms that differ, by group; None without any."""
     groups: dict[str, dict[str, PatchTerm]] = {}
     for term in terms:
-        for group, own in (term.groups or {}).items():
+        for group, own in (term.parameter.groups or {}).items():
             groups.setdefault(group, {})[term.name] = PatchTerm(
-                value=own.value, unit=term.unit, ci95=own.ci95, fitted_in=fitted
+                value=own.value, unit=term.parameter.unit, ci95=own.ci95, fitted_in=fitted
             )
     return groups or None
 

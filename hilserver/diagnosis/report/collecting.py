@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.outcome import unit_of
@@ -21,7 +22,6 @@ from hilserver.diagnosis.report.dependence import dependences
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import (
     Evidence,
-    FittedRange,
     FittedTerm,
     HorizonRow,
     NoiseRow,
@@ -109,10 +109,7 @@ def _unwrapped(values: Array, span: Indices) -> Array:
 
 
 def _noise(problem: Problem) -> list[NoiseRow]:
-    return [
-        NoiseRow(name, signal_unit(name), o.white_sd, o.ou_sd, o.ou_tau_s, o.tail_dof)
-        for name, o in noise_of(problem).items()
-    ]
+    return [NoiseRow(name, signal_unit(name), noise) for name, noise in noise_of(problem).items()]
 
 
 def _screen(judged: Judged) -> list[ScreenRow]:
@@ -160,8 +157,8 @@ def _horizons(part: Part) -> list[HorizonRow]:
         seen.add(round(w.horizon_s, 1))
         first, second = (free_run_errors(problem, p, w) for p in (part.before, part.after))
         for key in first:
-            g = compare(first[key], second[key], w.horizon_s, rng)
-            out.append(HorizonRow(key, g.horizon_s, g.before, g.after, g.ratio, g.ci95))
+            gain = compare(first[key], second[key], w.horizon_s, rng)
+            out.append(HorizonRow(key, gain))
     return out
 
 
@@ -198,7 +195,7 @@ def _similarity(library: Library) -> Similarity:
     return Similarity(tuple(first), unit.T @ unit)
 
 
-def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedRange:
+def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedIn:
     """Return the range of what happened in the log: outside of it nothing is known."""
     moved: dict[str, Array] = {}
     for p in stages:
@@ -210,9 +207,9 @@ def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedRange:
         both = np.concatenate(found) if found else None
         return None if both is None else (float(both.min()), float(both.max()))
 
-    return FittedRange(
-        ends(moved, FORWARD),
-        ends(measured, *SPEEDS),
-        ends(moved, TURN),
-        ends(measured, VOLTAGE),
+    return FittedIn(
+        speed_m_s=ends(moved, FORWARD),
+        wheel_speed_rpm=ends(measured, *SPEEDS),
+        turn_rate_rad_s=ends(moved, TURN),
+        voltage_v=ends(measured, VOLTAGE),
     )

@@ -29,7 +29,7 @@ from hilserver.diagnosis.schema.evidence import (
     Path,
     Similarity,
 )
-from hilserver.diagnosis.schema.findings import Parameter
+from hilserver.diagnosis.schema.findings import Gain, Parameter
 from hilserver.measured.arrays import Array
 
 SMALLEST_LIKENESS = 0.5
@@ -84,44 +84,40 @@ def _around(span: tuple[float, float], width: float) -> tuple[float, float]:
 
 def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
     """Draw the gain over the length of a free run, a line for each quantity; none without any."""
-    runs = [r for r in rows if r.horizon_s > 0 and math.isfinite(r.ratio) and r.ratio > 0]
-    if all(Change.of(r).is_none for r in runs):
+    runs = [r for r in rows if math.isfinite(r.gain.ratio) and r.gain.ratio > 0]
+    gains = [r.gain for r in runs]
+    if all(Change.of(g).is_none for g in gains):
         return None
-    length_s, ratios = np.array([r.horizon_s for r in runs]), np.array([r.ratio for r in runs])
-    ends = np.array([e for r in runs for e in r.ci95 or () if math.isfinite(e) and e > 0])
+    length_s, ratios = np.array([g.horizon_s for g in gains]), np.array([g.ratio for g in gains])
+    ends = np.array([e for g in gains for e in g.ci95 or () if math.isfinite(e) and e > 0])
     low, high = (10.0**v for v in span_of(np.log10(ratios), np.log10(ends), np.zeros(1)))
     plot = Plot((length_s.min() / 1.25, length_s.max() * 1.25), (low, high), "free run [s]",
                 "times better", width=720, height=320, log_x=True, log_y=True)  # fmt: skip
     plot.level(1.0, "as good as before")
     legend = []
     for place, (key, (name, unit)) in enumerate(QUANTITIES.items()):
-        if own := [r for r in runs if r.quantity == key]:
+        if own := [r.gain for r in runs if r.quantity == key]:
             legend.append((f"quantity q{place}", name))
             _gain_line(plot, own, f"quantity q{place}", name, unit, shift=APART**place)
     caption = "Error of the simulation by that of the extension, on held-out parts."
-    if any(r.ci95 is None for r in runs):
+    if any(g.ci95 is None for g in gains):
         caption += " Rings: too few runs for an interval."
     svg = picture([plot], "Gain over the length of a free run")
     return Figure(svg, "Gain", caption, wide=True, legend=tuple(legend))
 
 
 def _gain_line(
-    plot: Plot, rows: list[HorizonRow], role: str, name: str, unit: str, *, shift: float
+    plot: Plot, gains: Sequence[Gain], role: str, name: str, unit: str, *, shift: float
 ) -> None:
-    x, ratio = shift * np.array([r.horizon_s for r in rows]), np.array([r.ratio for r in rows])
-    low, high = np.array([(math.nan, math.nan) if r.ci95 is None else r.ci95 for r in rows]).T
+    x, ratio = shift * np.array([g.horizon_s for g in gains]), np.array([g.ratio for g in gains])
+    low, high = np.array([(math.nan, math.nan) if g.ci95 is None else g.ci95 for g in gains]).T
     plot.line(x, ratio, role, f"{name}: ratio of errors")
     plot.whiskers(x, low, high, role)
-    for at, value, row in zip(x, ratio, rows, strict=True):
-        own = f"{role} ring" if row.ci95 is None else role
-        plot.dots(at[None], value[None], own, [f"{name}, {_horizon_title(row, unit)}"])
-
-
-def _horizon_title(row: HorizonRow, unit: str) -> str:
-    return (
-        f"{number(row.horizon_s)} s: {number(row.before, unit)} to {number(row.after, unit)},"
-        f" {Change.of(row)}"
-    )
+    for at, value, g in zip(x, ratio, gains, strict=True):
+        own = f"{role} ring" if g.ci95 is None else role
+        errors = f"{number(g.before, unit)} to {number(g.after, unit)}"
+        title = f"{name}, {number(g.horizon_s)} s: {errors}, {Change.of(g)}"
+        plot.dots(at[None], value[None], own, [title])
 
 
 def likeness(similarity: Similarity) -> Figure | None:

@@ -1,12 +1,14 @@
 """The evidence of several groups of logs as one: plots go on from group to group."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.schema.decisions import ScreenRow
-from hilserver.diagnosis.schema.evidence import Evidence, FittedRange, Interval, Series
+from hilserver.diagnosis.schema.evidence import Evidence, Series
+from hilserver.diagnosis.schema.findings import Interval
 
 PATHS_EACH = 2
 """Paths of every group that are drawn."""
@@ -68,17 +70,12 @@ def _screen(parts: Iterable[Evidence]) -> tuple[ScreenRow, ...]:
     return tuple(rows.values())
 
 
-def _range(parts: Iterable[FittedRange]) -> FittedRange:
+def _range(parts: Sequence[FittedIn]) -> FittedIn:
     """Return what the machine did in all groups together."""
-    known = list(parts)
 
-    def whole(values: Iterable[Interval | None]) -> Interval | None:
-        given = [v for v in values if v is not None]
-        return (min(v[0] for v in given), max(v[1] for v in given)) if given else None
+    def whole(name: str) -> Interval | None:
+        ends = [end for p in parts for end in getattr(p, name) or ()]
+        return (min(ends), max(ends)) if ends else None
 
-    return FittedRange(
-        whole(p.speed_m_s for p in known),
-        whole(p.wheel_speed_rpm for p in known),
-        whole(p.turn_rate_rad_s for p in known),
-        whole(p.voltage_v for p in known),
-    )
+    names = ("speed_m_s", "wheel_speed_rpm", "turn_rate_rad_s", "voltage_v")
+    return FittedIn(**{name: whole(name) for name in names})

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number, remedy
 from hilserver.diagnosis.report.plain import plain
-from hilserver.diagnosis.schema.evidence import CutRow, HorizonRow
+from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.diagnosis.schema.findings import (
     Finding,
     Findings,
@@ -99,7 +99,7 @@ class Change:
     ci95: Interval | None
 
     @classmethod
-    def of(cls, gain: Gain | HorizonRow) -> "Change":
+    def of(cls, gain: Gain) -> "Change":
         """Return the change of an error, from before to after."""
         is_better, ends = not 0.0 < gain.ratio < 1.0, gain.ci95
         factor = gain.ratio if is_better else 1.0 / gain.ratio

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
-from hilserver.diagnosis.schema.findings import Findings, InGroup
+from hilserver.diagnosis.schema.findings import Findings, Gain, Noise, Parameter
 from hilserver.measured.arrays import Array, Indices
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,24 +89,11 @@ class CutRow:
 
 @dataclass(frozen=True, slots=True)
 class NoiseRow:
-    """Noise model of one channel: white + Ornstein-Uhlenbeck + heavy tails.
-
-    Attributes
-    ----------
-    white, correlated : float
-        Standard deviations in `unit`.
-    tau_s : float or None
-        Correlation time of the second; None without one.
-    tail_dof : float or None
-        Degrees of freedom of Student's t; None: Gaussian.
-    """
+    """What one channel shows; `unit` is its own."""
 
     channel: str
     unit: str
-    white: float
-    correlated: float
-    tau_s: float | None
-    tail_dof: float | None
+    noise: Noise
 
 
 @dataclass(frozen=True)
@@ -131,7 +117,7 @@ class Similarity:
 
 @dataclass(frozen=True, slots=True)
 class HorizonRow:
-    """Mean absolute error at the end of free runs of one length, on held-out blocks.
+    """Gain at the end of free runs of one length, on held-out blocks.
 
     Attributes
     ----------
@@ -140,11 +126,7 @@ class HorizonRow:
     """
 
     quantity: str
-    horizon_s: float
-    before: float
-    after: float
-    ratio: float
-    ci95: Interval | None
+    gain: Gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,37 +175,10 @@ class FittedTerm:
     ----------
     name : str
         As in ``plant/terms.csv``. Of a group it is the member that was fitted.
-    finding : int
-        Index into ``Findings.findings``; which finding it belongs to.
-    groups : mapping of str to InGroup, or None
-        By group of logs, where it differs; then `value` is their mean.
     """
 
     name: str
-    value: float
-    ci95: Interval | None
-    unit: str
-    finding: int
-    groups: Mapping[str, InGroup] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class FittedRange:
-    """What the machine did in the data that the extension was fitted to.
-
-    Attributes
-    ----------
-    speed_m_s, wheel_speed_rpm, turn_rate_rad_s, voltage_v : tuple of float or None
-        Smallest and largest; None: not excited or not in the log. Speeds carry their sign.
-    conditions : str
-        What else it holds for, in words (floor, load, rate); the logs are named anyway.
-    """
-
-    speed_m_s: Interval | None = None
-    wheel_speed_rpm: Interval | None = None
-    turn_rate_rad_s: Interval | None = None
-    voltage_v: Interval | None = None
-    conditions: str = ""
+    parameter: Parameter
 
 
 @dataclass(frozen=True)
@@ -232,6 +187,8 @@ class Evidence:
 
     Attributes
     ----------
+    fitted : FittedIn
+        What the machine did in the data that the extension was fitted to.
     timings_s : mapping of str to float
         Wall time by stage.
     remarks : tuple of str
@@ -249,7 +206,7 @@ class Evidence:
     dependences: tuple[Dependence, ...] = ()
     courses: tuple[Course, ...] = ()
     extension: tuple[FittedTerm, ...] = ()
-    fitted: FittedRange = field(default_factory=FittedRange)
+    fitted: FittedIn = field(default_factory=FittedIn)
     timings_s: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 

@@ -59,12 +59,12 @@ class OverHorizon:
 
     def draw(self, case: Case) -> tuple[list[Plot], Legend]:
         """Draw the mean absolute errors of both models."""
-        rows = [r for r in case.diagnosis.evidence.gain_by_horizon if r.quantity == self.quantity]
-        rows = [r for r in rows if r.horizon_s > 0.0]
-        t = np.array([r.horizon_s for r in rows])
+        rows = case.diagnosis.evidence.gain_by_horizon
+        gains = [row.gain for row in rows if row.quantity == self.quantity]
+        t = np.array([g.horizon_s for g in gains])
         curves = {
-            "simulated": np.array([r.before for r in rows]),
-            "extended": np.array([r.after for r in rows]),
+            "simulated": np.array([g.before for g in gains]),
+            "extended": np.array([g.after for g in gains]),
         }
         label = f"{self.words} [{self.unit}]"
         y = span_of(*curves.values(), np.zeros(1))

@@ -259,7 +259,11 @@ def test_a_regression_that_reaches_nothing_is_left_out():
 
 def test_without_an_extension_there_is_no_gain():
     given = evidence(500)
-    same = tuple(replace(r, after=r.before, ratio=1.0, ci95=None) for r in given.gain_by_horizon)
+    none = {"ratio": 1.0, "ci95": None}
+    same = tuple(
+        replace(r, gain=r.gain.model_copy(update={"after": r.gain.before, **none}))
+        for r in given.gain_by_horizon
+    )
     page = render(nothing_found(), replace(given, gain_by_horizon=same))
     assert 'id="gain"' not in page
     assert 'id="sizes"' in page

@@ -14,7 +14,7 @@ from hilserver.diagnosis.report.time_series import MAX_MARKS, series
 from hilserver.diagnosis.schema.evidence import Evidence, HorizonRow, Path
 from hilserver.diagnosis.schema.findings import Parameter
 from tests.diagnosis.report.drawing import Drawing
-from tests.diagnosis.sample import evidence, findings
+from tests.diagnosis.sample import evidence, findings, gain_of
 
 SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 
@@ -27,7 +27,7 @@ def given():
 def rows(*ratios):
     """Gains as the engine reports them: all quantities of one horizon, then of the next."""
     return tuple(
-        HorizonRow(quantity, h, r, 1.0, r, ci)
+        HorizonRow(quantity, gain_of(h, r, r, ci))
         for h, ci in ((1.0, (1.0, 9.0)), (2.0, (1.0, 9.0)), (5.0, None))
         for quantity, r in zip(("yaw_rad", "position_m"), ratios, strict=True)
     )
