@@ -5,6 +5,7 @@ import json
 
 from hilserver.commands.credentials import check_credentials
 from hilserver.commands.options import add_config, config_path, out_file
+from hilserver.config.blocks import BlockConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import json_schema
 from hilserver.daemon.assembly import Assembly, assemble
@@ -60,7 +61,7 @@ def describe(assembly: Assembly) -> list[str]:
         lines.append(f"slice {part.name}: every {period_ms:g} ms ({kind})")
     terms = {name: value for name, value in config.plant.terms.items() if value is not None}
     lines.append(f"terms: {', '.join(f'{n} = {v:g}' for n, v in terms.items()) or 'none'}")
-    lines += [f"own block {b.name}: {b.function} in slice {b.slice}" for b in config.blocks]
+    lines += [_block(block) for block in config.blocks]
     lines += [
         f"peer {peer.name}: {peer.endpoint}, reads {len(peer.read)} and writes {len(peer.write)}"
         f" nodes, stale after {peer.stale_after_ms:g} ms: {peer.on_stale}, {_protection(peer)}"
@@ -90,8 +91,21 @@ def describe(assembly: Assembly) -> list[str]:
     return lines + [f"warning: {text}" for text in warnings(assembly)]
 
 
+def _block(block: BlockConfig) -> str:
+    place = ", in a process of its own, one slice behind" if block.process else ""
+    return f"own block {block.name}: {block.function or block.fmu} in slice {block.slice}{place}"
+
+
 def warnings(assembly: Assembly) -> list[str]:
     """Return what is allowed and yet hardly meant."""
+    foreign = [
+        f"{why}: snapshots leave it as it is, recordings are not replayable"
+        for why in assembly.not_replayable
+    ]
+    return foreign + _idle_peers(assembly)
+
+
+def _idle_peers(assembly: Assembly) -> list[str]:
     config, table = assembly.config, assembly.table
     if config.first_source != "peer":
         return []

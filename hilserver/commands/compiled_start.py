@@ -33,7 +33,7 @@ def _build(args: argparse.Namespace) -> None:
 
     assembly = assembled(args)
     pace = dataclasses.replace(Pace.configured(assembly), image="", realtime=UNDEMANDING)
-    build(assembly, pace).image.close()
+    build(assembly, pace).close()
     if assembly.config.shield.enabled:
         import hilserver.io.shield.wire  # noqa: F401, PLC0415 - compiles, too
 

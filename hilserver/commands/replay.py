@@ -124,6 +124,10 @@ class _Replay:
         log, assembly = self._log, self._assembly
         if not self._exact:
             return plan_inputs(log, engine.table, assembly.base_period_ns)
+        for why in (log.run or {}).get("not_replayable", ()):
+            raise LogError(
+                f"{log.path}: is not replayable: {why}; replay its set-points with --as-inputs"
+            )
         identity = (log.run or {}).get("identity", {})
         start = None if self._args.start is None else self._snapshot(engine)
         for state in (start,) if start is not None else log.states:

@@ -75,3 +75,13 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
         return numba.njit(*signature, **settings)(function)
 
     return decorate
+
+
+def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function that C code calls by its address; cached like a kernel."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        config.CACHE_DIR = str(room_dir(Path(function.__code__.co_filename).parent))
+        return numba.cfunc(signature, nopython=True, cache=True)(function)
+
+    return decorate

@@ -7,11 +7,13 @@ disk stays valid from one process to the next. Integers and pointers travel in t
 
 from typing import Any
 
+import numba
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-_WORD = ir.IntType(64)
+_POINTER: Any = numba.types.CPointer(types.int64)
+_WORD, _STATUS, _DOUBLE = ir.IntType(64), ir.IntType(32), ir.DoubleType()
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -26,3 +28,40 @@ def call(
         return context.get_dummy_value()
 
     return types.void(*[types.int64] * 5), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def ask(
+    typing_context: Any,
+    address: Any,
+    a: Any,
+    b: Any,
+    c: Any,
+    d: Any,
+    e: Any,
+    f: Any,
+    x: Any,
+    y: Any,
+) -> Any:
+    """Call the C function at `address`; return its int.
+
+    Integers, pointers and booleans are `a` to `f`, doubles are `x` and `y`, wherever they stand
+    among each other: the two travel in registers of their own.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = ir.FunctionType(_STATUS, [_WORD] * 6 + [_DOUBLE] * 2)
+        status = builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+        return builder.sext(status, _WORD)
+
+    return types.int64(*[types.int64] * 7, types.float64, types.float64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def words_at(typing_context: Any, address: Any) -> Any:
+    """Return a pointer to int64 for `numba.carray`."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], _WORD.as_pointer())
+
+    return _POINTER(types.int64), generate

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
+from hilserver.config.blocks import BlockConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
 from hilserver.config.mechatronic import MechatronicConfig
@@ -20,13 +21,7 @@ from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
 from hilserver.config.shield import ShieldConfig
-from hilserver.config.timing import (
-    BlockConfig,
-    ControlConfig,
-    ImageConfig,
-    SchedulerConfig,
-    SnapshotConfig,
-)
+from hilserver.config.timing import ControlConfig, ImageConfig, SchedulerConfig, SnapshotConfig
 from hilserver.opcua.settings import Role
 from hilserver.signals import Source
 

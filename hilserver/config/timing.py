@@ -1,4 +1,4 @@
-"""The sections ``scheduler``, ``control``, ``image``, ``snapshots`` and ``blocks``."""
+"""The sections ``scheduler``, ``control``, ``image`` and ``snapshots``."""
 
 from difflib import get_close_matches
 from typing import Annotated, Literal, Self
@@ -12,7 +12,7 @@ from pydantic import (
 
 from hilserver.config.section import Section
 from hilserver.program.shared_memory import DEFAULT_IMAGE
-from hilserver.signals import RESERVED, SOURCES, Ranges, Source, robot_table
+from hilserver.signals import SOURCES, Source
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 
@@ -169,25 +169,3 @@ class SnapshotConfig(Section):
     """Where snapshots lie."""
 
     folder: str = Field("snapshots", description="Folder, relative to the configuration file")
-
-
-_ROBOT = robot_table(Ranges(1.0, 1.0, 1.0), body=True)
-_TAKEN = RESERVED | {signal.name.partition(".")[0] for signal in (*_ROBOT, *_ROBOT.scalars)}
-"""First parts of the robot's signals and of the folders of the address space."""
-
-
-class BlockConfig(Section):
-    """One of the user's own blocks."""
-
-    name: Name = Field(description="its outputs are the signals <name>.<output>")
-    function: str = Field(description="module:function or file.py:function")
-    slice: Name = Field("plant", description="Time slice it runs in")
-    inputs: dict[str, str] = Field(default={}, description="Input of the block: signal")
-    parameters: dict[str, float] = Field(default={}, description="Parameters by name")
-
-    @field_validator("name")
-    @classmethod
-    def _name_is_free(cls, value: str) -> str:
-        if value in _TAKEN:
-            raise ValueError(f"'{value}' is reserved for the robot or the address space")
-        return value

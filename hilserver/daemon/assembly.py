@@ -16,17 +16,20 @@ from hilserver import __version__
 from hilserver.body.engine import Engine
 from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
+from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
 from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
 from hilserver.config.root import Config, load_config, without_passwords
-from hilserver.config.timing import COMMUNICATION_SLICES, BlockConfig
+from hilserver.config.timing import COMMUNICATION_SLICES
 from hilserver.errors import ConfigError
+from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
+from hilserver.kernel.composition import ForeignModel
 from hilserver.kernel.fitted import fitted_limits
-from hilserver.plant.blocks import load_block
+from hilserver.plant.blocks import BlockDeclaration, load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
@@ -100,21 +103,15 @@ class Assembly:
             digest.update(c.body.identity)
         for block in c.blocks:
             wiring = (block.name, block.slice, dict(block.inputs), dict(block.parameters))
-            digest.update(repr(wiring).encode() + block.declaration.source.read_bytes())
+            own = block.model
+            source = block.declaration.source.read_bytes() if own is None else own.identity
+            digest.update(repr(wiring).encode() + source)
         periods = {s.name: s.period_ticks for s in self.slices if s.compiled}
         return {
             "parameters": digest.hexdigest(),
             "base_period_ns": str(self.base_period_ns),
             "slices": repr(periods),
         } | ({} if self.patch is None else {"patch": self.patch.sha256})
-
-    def with_own_body(self) -> "Assembly":
-        """Return the same with a mechatronic model that nobody else steps."""
-        body = self.composition.body
-        if body is None:
-            return self
-        own = Engine(body.body)
-        return replace(self, composition=replace(self.composition, body=own))
 
     def patched(self, patch: Patch | None) -> "Assembly":
         """Return the same with another patch, or none, over the plant.
@@ -145,7 +142,13 @@ class Assembly:
             "patch": None if self.patch is None else self.patch.provenance,
             "seed": self.config.plant.seed,
             "base_period_ns": self.base_period_ns,
-        }
+        } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
+
+    @property
+    def not_replayable(self) -> list[str]:
+        """Why a recording of this run cannot be replayed; empty if it can."""
+        models = [b.model for b in self.composition.blocks if b.model is not None]
+        return [model.not_replayable for model in models if model.not_replayable]
 
 
 def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:
@@ -313,8 +316,8 @@ class _Builder:
     def _block(self, index: int, block: BlockConfig, slices: Sequence[Slice]) -> BlockUse:
         here = ("blocks", index)
         self._need_compiled((*here, "slice"), block.slice, slices)
-        declared = self._checked(
-            (*here, "function"), lambda: load_block(block.function, self._folder)
+        declared, model = self._checked(
+            (*here, "function" if block.fmu is None else "fmu"), lambda: self._declared(block)
         )
         missing = [name for name in declared.inputs if name not in block.inputs]
         if missing:
@@ -329,7 +332,21 @@ class _Builder:
                         (*here, kind, name),
                         f"the block has no {kind[:-1]} '{name}'; known are {', '.join(known)}",
                     )
-        return BlockUse(block.name, declared, block.slice, block.inputs, block.parameters)
+        return BlockUse(
+            block.name, declared, block.slice, block.inputs, block.parameters, model=model
+        )
+
+    def _declared(self, block: BlockConfig) -> tuple[BlockDeclaration, ForeignModel | None]:
+        if block.function is not None:
+            return load_block(block.function, self._folder), None
+        return load_fmu_block(
+            str(block.fmu),
+            self._folder,
+            inputs=block.inputs,
+            outputs=block.outputs,
+            start=block.start,
+            process=block.process,
+        )
 
     def _check_wiring(self, table: SignalTable, blocks: Sequence[BlockUse]) -> None:
         for index, block in enumerate(blocks):

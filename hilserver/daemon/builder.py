@@ -11,6 +11,7 @@ import math
 import os
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -21,12 +22,14 @@ from hilserver.core.inputs import InputGate
 from hilserver.core.leases import TELEOP, Leases
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.models import end_models, with_models
 from hilserver.faults import Faults, Line
 from hilserver.faults.mail import Mailbox
 from hilserver.faults.plan import Planner, ShieldFigures
 from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
+from hilserver.kernel.composition import Foreign
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -143,25 +146,37 @@ class Core:
         try:
             await self.scheduler.start()
         except BaseException:
-            self.image.close()
+            self.close()
             raise
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.scheduler.stop()
+        self.close()
+
+    @property
+    def foreign(self) -> Mapping[str, Foreign]:
+        """Models of others that run, by the name of their block."""
+        blocks = self.assembly.composition.blocks
+        return {block.name: block.foreign for block in blocks if block.foreign is not None}
+
+    def close(self) -> None:
+        """Free the memory and end the models of others; nothing is paced any more."""
+        end_models(self.assembly)
         self.image.close()
 
 
 def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
     pace = Pace() if pace is None else pace
-    assembly = assembly.with_own_body()
-    image = _image(assembly, pace)
-    try:
-        return _core(assembly, pace, image)
-    except BaseException:
-        image.close()
-        raise
+    assembly = with_models(assembly, waits=pace.backend == "virtual")
+    with ExitStack() as begun:
+        begun.callback(end_models, assembly)
+        image = _image(assembly, pace)
+        begun.callback(image.close)
+        core = _core(assembly, pace, image)
+        begun.pop_all()
+    return core
 
 
 def _image(assembly: Assembly, pace: Pace) -> ProcessImage:

@@ -83,11 +83,11 @@ class Daemon:
         self._resources = AsyncExitStack()
         self._begun: list[Part] = []
         self.core = build(assembly, Pace.configured(assembly, paused=paused))
-        self._resources.callback(self.core.image.close)
+        self._resources.callback(self.core.close)
         try:
             self._surround(self.core, links)
         except BaseException:
-            self.core.image.close()
+            self.core.close()
             raise
 
     def _surround(self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]) -> None:
@@ -166,6 +166,8 @@ class Daemon:
         ending = self._resources
         ending.callback(self.events.subscribe(log_event))
         ending.callback(self.events.subscribe(self._on_event))
+        for why in self.assembly.not_replayable:
+            _log.warning("recordings of this run are not replayable", reason=why)
         await self._start_recorder()
         ending.push_async_callback(self.desk.recordings.close)
         ending.push_async_callback(stop_all, self._begun)

@@ -3,14 +3,19 @@
 Commands that lapse do so in the step; here it is said why, and overruns become events.
 """
 
+from dataclasses import replace
+
 from hilserver.core.control import Control
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import kind_of
 from hilserver.core.leases import OFFERING
 from hilserver.daemon.builder import Core
+from hilserver.fmu.block import hangs_since, slow_call
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
 from hilserver.scheduler import OverrunReport
+from hilserver.scheduler.causes import Cause
+from hilserver.scheduler.overruns import STALLED
 
 NOTICES = {
     X_TWIST_REDUCED: "the twist has two parts: only the larger one is driven (exclusive_twist)",
@@ -41,12 +46,16 @@ class Supervision:
         control.before_reset = self._take_lapses
         self._overruns_seen = 0
         self._causes: set[str] = set()
+        self._models = {
+            name: (model, core.image.region(f"{name}.a")[1]) for name, model in core.foreign.items()
+        }
         self._drivers = {"opcua": "the OPC UA client in control"}
         self._drivers |= {driver.source: driver.title for driver in config.drivers}
 
     def run(self) -> None:
         """Look at everything that has no event of its own."""
         self._take_lapses()
+        self._look_at_models()
         self._control.supervise()
         self._watch_first_ticks()
         self._watch_command()
@@ -70,9 +79,32 @@ class Supervision:
 
     def on_overrun(self, report: OverrunReport) -> None:
         """Log an overrun with its cause and make it an event."""
+        report = self._with_part(report)
         log_overrun(report)
         text = f"slice '{report.slice}': {report.kind} in tick {report.tick}: {report.cause}"
+        text += f", {report.part}" if report.part else ""
         self._events.publish(Event(EventKind.OVERRUN, 500, report.slice, text))
+
+    def _with_part(self, report: OverrunReport) -> OverrunReport:
+        """Return the report with the model of others that took at least half of the time."""
+        is_stalled = report.consequence == STALLED
+        for name, (_, a) in self._models.items():
+            if is_stalled and hangs_since(a):
+                return replace(report, part=f"FMU '{name}' has not come back")
+            slow_ns = slow_call(a, report.tick)
+            if 2 * slow_ns >= report.execution_ns > 0:
+                part = f"{slow_ns / 1e6:.3f} ms of it in FMU '{name}'"
+                return replace(report, cause=Cause.SLICE, part=part)
+        return report
+
+    def _look_at_models(self) -> None:
+        """Say what happened to models of others; one that fails leads to the safe state."""
+        for name, (model, a) in self._models.items():
+            for news in model.look(a):
+                kind = EventKind.STATE if news.is_fault else EventKind.OVERRUN
+                self._events.publish(Event(kind, 700 if news.is_fault else 500, name, news.text))
+                if news.is_fault:
+                    self._control.enter_safe(news.text, cause=None)
 
     def _take_lapses(self) -> None:
         """Say what the step has done with commands that nobody renewed."""

@@ -33,7 +33,12 @@ def is_done(number: int, words: Any) -> bool:
 @kernel()
 def serve_request(tick: int, words: Any) -> int:
     """Serve the pending request, if any; return the tick to go on with."""
-    number = load_acquire(words, word.REQUEST)
+    return int(serve(load_acquire(words, word.REQUEST), tick, words))
+
+
+@kernel()
+def serve(number: int, tick: int, words: Any) -> int:
+    """Serve request `number` if it is pending; return the tick to go on with."""
     if number == words[word.REQUEST_DONE]:
         return tick
     live, shadow = words[word.LIVE_BASE], words[word.SHADOW_BASE]

@@ -17,7 +17,6 @@ from hilserver.image import ProcessImage
 from hilserver.kernel.composition import BlockUse, Composition
 from hilserver.kernel.source import step_source
 from hilserver.plant import layout as robot
-from hilserver.plant.blocks import BlockDeclaration
 from hilserver.scheduler.step import StepFunction
 
 
@@ -69,20 +68,26 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     for block in composition.blocks:
         values = {**block.declaration.parameters, **block.parameters}
         put(f"{block.name}.p", [values[name] for name in block.declaration.parameters])
-        put(f"{block.name}.x", list(block.declaration.state.values()))
+        if block.foreign is None:
+            put(f"{block.name}.x", list(block.declaration.state.values()))
+        else:
+            put(f"{block.name}.x", block.foreign.initial)
+            put(f"{block.name}.a", block.foreign.addresses.view(np.float64))
 
 
-def _identity(declaration: BlockDeclaration) -> str:
+def _identity(block: BlockUse) -> str:
     """Return what tells two functions of one file apart, as the source of the step does not."""
-    function = declaration.source_function
+    if block.foreign is not None:
+        return block.foreign.key
+    declaration, function = block.declaration, block.declaration.source_function
     enclosed = [cell.cell_contents for cell in function.__closure__ or ()]
     return f"{declaration.name}:{function.__code__.co_firstlineno}:{enclosed!r}"
 
 
 def _module(source: str, blocks: Sequence[BlockUse]) -> ModuleType:
     """Import the generated source from the cache folder, so that numba can cache its code."""
-    own = [block.declaration.source for block in blocks]
-    name = f"step_{hash_of(own, source, *(_identity(block.declaration) for block in blocks))}"
+    own = [block.declaration.source for block in blocks if block.foreign is None]
+    name = f"step_{hash_of(own, source, *(_identity(block) for block in blocks))}"
     path = cache_dir() / f"{name}.py"
     if not path.exists():
         partial = path.with_suffix(f".{id(source)}.part")
@@ -93,7 +98,11 @@ def _module(source: str, blocks: Sequence[BlockUse]) -> ModuleType:
         raise ImportError(f"cannot import {path}")
     module = importlib.util.module_from_spec(spec)
     for number, block in enumerate(blocks):
-        setattr(module, f"block_{number}", block.declaration.function)
+        if block.foreign is None:
+            setattr(module, f"block_{number}", block.declaration.function)
+        else:
+            for verb in ("step", "keep", "adopt"):
+                setattr(module, f"{verb}_{number}", getattr(block.foreign, verb))
     sys.modules[name] = module  # numba looks the module up when it loads code from the cache
     spec.loader.exec_module(module)
     return module

@@ -1,8 +1,8 @@
 """What runs in a step: the robot's own parts and the user's blocks, by slice."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,73 @@ class Part:
     of_body: bool = False
 
 
+class Setting(NamedTuple):
+    """What surrounds a foreign model: periods of its slice and of a tick, virtual time or not."""
+
+    period_s: float
+    base_period_s: float
+    waits: bool
+
+
+class News(NamedTuple):
+    """What happened to a foreign model; a fault leads to the safe state."""
+
+    text: str
+    is_fault: bool
+
+
+class Foreign(Protocol):
+    """A started model of others: compiled functions that call it, and what they need.
+
+    Attributes
+    ----------
+    step : callable
+        ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0.
+    keep, adopt : callable
+        ``(u, y, x, p, a)``: write the state to `x` before a snapshot; go on from `x` after one.
+    addresses : ndarray of int64
+        `a` at the start, of this process; must outlive the step.
+    initial : ndarray of float64
+        `x` at the start.
+    key : str
+        Hash of the functions' sources.
+    """
+
+    step: Callable[..., int]
+    keep: Callable[..., None]
+    adopt: Callable[..., None]
+    addresses: NDArray[np.int64]
+    initial: NDArray[np.float64]
+    key: str
+
+    def look(self, a: NDArray[np.int64]) -> Sequence[News]:
+        """Return what happened since the last look; `a` as the step has it."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class ForeignModel(Protocol):
+    """A model of others, of which every robot starts its own.
+
+    Attributes
+    ----------
+    identity : bytes
+        What two runs must share for one to continue the other.
+    not_replayable : str
+        Why a recording with it cannot be replayed; empty if it can.
+    """
+
+    @property
+    def identity(self) -> bytes: ...  # noqa: D102
+
+    @property
+    def not_replayable(self) -> str: ...  # noqa: D102
+
+    def start(self, name: str, setting: Setting) -> Foreign:
+        """Start it."""
+
+
 @dataclass(frozen=True)
 class BlockUse:
     """A user's block, put into a slice and wired.
@@ -40,6 +107,10 @@ class BlockUse:
         Signal for each declared input.
     parameters : mapping of float
         Values that replace the declared defaults.
+    model : ForeignModel or None
+        What is behind it if it is no function of the user.
+    foreign : Foreign or None
+        The same, started for this robot.
     """
 
     name: str
@@ -47,6 +118,8 @@ class BlockUse:
     slice: str
     inputs: Mapping[str, str]
     parameters: Mapping[str, float] = field(default_factory=dict)
+    model: ForeignModel | None = None
+    foreign: Foreign | None = None
 
     def output_signal(self, output: str) -> str:
         """Return the name of the signal of an output."""
@@ -59,7 +132,7 @@ class BlockUse:
         return {
             f"{self.name}.u": len(d.inputs),
             f"{self.name}.y": len(d.outputs),
-            f"{self.name}.x": len(d.state),
+            f"{self.name}.x": len(d.state) if self.foreign is None else self.foreign.initial.size,
         }
 
 
@@ -113,4 +186,6 @@ class Composition:
             regions |= {"body_p": self.body.parameters.size, "body_a": self.body.addresses.size}
         for block in self.blocks:
             regions[f"{block.name}.p"] = len(block.declaration.parameters)
+            if block.foreign is not None:
+                regions[f"{block.name}.a"] = block.foreign.addresses.size
         return regions

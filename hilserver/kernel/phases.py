@@ -8,7 +8,7 @@ from hilserver.image import leases, word
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
 from hilserver.image.leases import adopt_outcome, end_leases, show_outcome
 from hilserver.image.queues import latch_rows
-from hilserver.image.requests import serve_request
+from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame
 from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel.modifier_layout import H_TIMEOUT_DEAD
@@ -19,6 +19,7 @@ from hilserver.scheduler import faults
 from hilserver.signals import State
 
 SAFE = int(State.SAFE)
+NOTHING, SAVES, RESTORES = range(3)
 
 
 @kernel()
@@ -108,13 +109,27 @@ def _watch_heartbeat(at: Places, values: Any, words: Any) -> None:
 
 
 @kernel()
-def latch(tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
+def requested(words: Any) -> int:
+    """Return the number of the newest snapshot request; later ones are for the next tick."""
+    return int(load_acquire(words, word.REQUEST))
+
+
+@kernel()
+def task(request: int, words: Any) -> int:
+    """Return what `latch` will do with a request: save the state, restore one, or nothing."""
+    if request == words[word.REQUEST_DONE]:
+        return NOTHING
+    return RESTORES if words[word.REQUEST_KIND] in (REQUEST_LOAD, REQUEST_RESTART) else SAVES
+
+
+@kernel()
+def latch(request: int, tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
     """Serve a snapshot request, take the inputs of this tick, return the tick to execute.
 
     The daemon's state is an input like others, so that a replay shows it at the same ticks.
     """
     served = words[word.REQUEST_DONE]
-    tick = serve_request(tick, words)
+    tick = serve(request, tick, words)
     restore_true_values(tick, values, words)
     if words[word.REQUEST_DONE] != served:
         _drive_on(planned_ns, values, words)

@@ -30,7 +30,9 @@ _PHASES = """
 @kernel(STEP_SIGNATURE)
 def step(phase, tick, planned_ns, values, words):
     if phase == LATCH:
-        return phases.latch(tick, planned_ns, AT, values, words)
+        request = phases.requested(words)
+{before}        tick = phases.latch(request, tick, planned_ns, AT, values, words)
+{after}        return tick
     if phase == PUBLISH:
         fitted.flag_unfitted({limits}, values, words)
         return phases.publish(tick, planned_ns, AT, values, words)
@@ -66,7 +68,11 @@ def step_source(composition: Composition, layout: Layout) -> str:
     rooms, names = "fitted, parts, phases", "Places"
     if composition.body is not None:
         rooms, names = "body_parts, fitted, parts, phases", "BodyPlaces, Places"
-    phases = _PHASES.format(limits=layout.regions["fitted"].base)
+    phases = _PHASES.format(
+        limits=layout.regions["fitted"].base,
+        before=_around_latch(blocks, layout, "keep", "phases.SAVES"),
+        after=_around_latch(blocks, layout, "adopt", "phases.RESTORES"),
+    )
     head = _HEAD.format(rooms=rooms, places=names)
     return head + _text(lines) + phases + _text(f"    {line}" for line in body)
 
@@ -95,12 +101,43 @@ def _slots(signals: Sequence[str], composition: Composition) -> str:
     return f"np.array({slots}, dtype=np.int64)  # {', '.join(signals)}"
 
 
+def _around_latch(
+    blocks: Sequence[tuple[int, BlockUse]], layout: Layout, verb: str, task: str
+) -> str:
+    """Return the calls of models that keep their state elsewhere, while the image's is served."""
+    calls = [
+        f"{verb}_{number}({_arrays(block, layout)})"
+        for number, block in blocks
+        if block.foreign is not None
+    ]
+    if not calls:
+        return ""
+    head = ["task = phases.task(request, words)"] if verb == "keep" else []
+    lines = [*head, f"if task == {task}:", *(f"    {line}" for line in calls)]
+    return _text(f"        {line}" for line in lines)
+
+
+def _arrays(block: BlockUse, layout: Layout) -> str:
+    """Return u, y, x and p of a foreign block, and its addresses."""
+    pieces = [_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp"]
+    a = layout.regions[f"{block.name}.a"]
+    return ", ".join([*pieces, f"words[{a.base} : {a.base + a.length}]"])
+
+
 def _piece(region: Region) -> str:
     return f"values[{region.base} : {region.base + region.length}]"
 
 
 def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -> list[str]:
     u, y, x, p = (_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp")
+    if block.foreign is not None:
+        return [
+            f"# {block.name}",
+            f"parts.read_inputs(INPUTS_{number}, {u}, values, words)",
+            f"if step_{number}(tick, {period_s!r}, {_arrays(block, layout)}) != 0:",
+            f"    fault = {number + 1}",
+            f"parts.write_outputs(OUTPUTS_{number}, {y}, values, words)",
+        ]
     return [
         f"# {block.name}",
         f"parts.read_inputs(INPUTS_{number}, {u}, values, words)",

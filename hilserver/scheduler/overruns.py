@@ -18,6 +18,8 @@ from hilserver.scheduler.machine import Machine
 PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
 """A loop that does not respond for this long is reported at once: its own record may never come."""
+STALLED = "stalled"
+"""Consequence of a tick that has not ended."""
 _SETTLE_NS = 20_000_000
 """A record is explained no sooner than this after its tick: a SIGCONT needs time to arrive."""
 
@@ -41,6 +43,8 @@ class OverrunReport:
     consequence : str
         "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
         ``fault 3`` (the slice's own number), ``stalled``: it has not come back for a second.
+    part : str
+        "" or what took the time within the slice.
     """
 
     slice: str
@@ -51,6 +55,7 @@ class OverrunReport:
     missed: int
     cause: Cause
     consequence: str = ""
+    part: str = ""
 
     def __str__(self) -> str:
         """One line for a log."""
@@ -58,7 +63,7 @@ class OverrunReport:
         span_ns = self.latency_ns if duration == "started" else self.execution_ns
         late = " late" if duration == "started" else ""
         text = f"{self.slice} {duration} {span_ns / 1e6:.3f} ms{late} in tick {self.tick}"
-        text += f": {self.cause}"
+        text += f": {self.cause}" + (f", {self.part}" if self.part else "")
         if self.missed:
             text += f", {self.missed} ticks missed"
         return text + (f", {self.consequence}" if self.consequence else "")
@@ -129,7 +134,7 @@ class Overruns:
         if stalled and not self._stalled:
             name, tick = self._machine.slice_names[0], self._machine.exchange.get(NEXT_TICK)
             kind, cause = KIND_NAMES[LONG_RUN], Cause.SLICE
-            self._call(OverrunReport(name, kind, tick, 0, silent_ns, 0, cause, "stalled"))
+            self._call(OverrunReport(name, kind, tick, 0, silent_ns, 0, cause, STALLED))
         self._stalled = stalled
 
     def _report(self, ended_before_ns: int) -> None:

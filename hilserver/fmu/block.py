@@ -1,0 +1,193 @@
+"""An FMU as an own block: declared from its description, started once for every robot."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.fmu.layout as at
+from hilserver.compiled.cache import hash_of
+from hilserver.fmu import calls, exchange
+from hilserver.fmu.description import Fmu, read_fmu
+from hilserver.fmu.library import Instance, Library
+from hilserver.fmu.process import Child
+from hilserver.fmu.wiring import Start, Wiring, signals, wire
+from hilserver.kernel.composition import Foreign, News, Setting
+from hilserver.plant.blocks import BlockDeclaration, BlockError
+
+SLOW_SHARE: Final = 0.5
+"""A call is slow from this share of a tick on."""
+
+
+@dataclass(frozen=True)
+class FmuModel:
+    """What a configuration makes of an FMU; `start` gives a robot its own.
+
+    Attributes
+    ----------
+    beside : bool
+        Whether it runs in a process of its own.
+    """
+
+    fmu: Fmu
+    wiring: Wiring
+    beside: bool
+
+    @property
+    def identity(self) -> bytes:
+        """What two runs must share for one to continue the other."""
+        start = sorted((v.name, repr(value)) for v, value in self.wiring.start)
+        shown = [v.name for v in self.wiring.outputs]
+        return repr((self.fmu.sha256, start, shown, self.beside)).encode()
+
+    @property
+    def not_replayable(self) -> str:
+        """Why a recording with it cannot be replayed; empty if it can."""
+        if self.fmu.stores_state:
+            return ""
+        return f"FMU '{self.fmu.path.name}' cannot store its state"
+
+    def start(self, name: str, setting: Setting) -> Foreign:
+        """Start it.
+
+        Raises
+        ------
+        BlockError
+            If it does not start; one sentence.
+        """
+        try:
+            if self.beside:
+                return Beside(self, name, setting)
+            return Here(self, name, setting)
+        except BlockError as error:
+            raise BlockError(f"FMU '{name}' ({self.fmu.path.name}) {error}.") from None
+
+
+def load_fmu_block(
+    reference: str,
+    base_dir: Path,
+    *,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    start: Mapping[str, Start],
+    process: bool,
+) -> tuple[BlockDeclaration, FmuModel]:
+    """Return the block that an FMU is, and what starts it; arguments as in the configuration.
+
+    Raises
+    ------
+    BlockError
+        One sentence: what is wrong with the FMU, or what it has not.
+    """
+    fmu = read_fmu(reference, base_dir)
+    wiring = wire(fmu, inputs, outputs, start)
+    if not process:
+        try:
+            Library(fmu)  # in a process of its own it is loaded there only
+        except BlockError as error:
+            raise BlockError(f"FMU {reference!r} {error}.") from None
+    given = {variable.name: value for variable, value in wiring.start}
+    declaration = BlockDeclaration(
+        name=fmu.identifier,
+        function=exchange.run_beside if process else calls.run_here,
+        inputs=wiring.input_names,
+        outputs=signals(wiring, outputs),
+        state={},
+        parameters={v.name: float(given.get(v.name, v.start)) for v in wiring.parameters},
+        source=fmu.path,
+        source_function=calls.run_here,
+    )
+    return declaration, FmuModel(fmu, wiring, process)
+
+
+@cache
+def _key() -> str:
+    return hash_of(sorted(Path(__file__).parent.glob("*.py")))
+
+
+class Here:
+    """An FMU that the step calls itself; attributes as for `Foreign`."""
+
+    step, keep, adopt = calls.run_here, calls.keep_here, calls.adopt_here
+
+    def __init__(self, model: FmuModel, name: str, setting: Setting) -> None:
+        slow_ns = round(setting.base_period_s * SLOW_SHARE * 1e9)
+        self._instance = Instance(model.fmu, model.wiring, name, slow_ns)
+        self.addresses, self.initial = self._instance.addresses, self._instance.initial
+        self.key, self._failures = _key(), Failures(name)
+
+    def look(self, a: NDArray[np.int64]) -> Sequence[News]:
+        """Return what happened since the last look."""
+        return self._failures.look(int(a[at.A_STATUS]), self._instance.message)
+
+    def close(self) -> None:
+        """End it."""
+        self._instance.close()
+
+
+class Beside:
+    """An FMU in a process of its own; attributes as for `Foreign`."""
+
+    step, keep, adopt = exchange.run_beside, exchange.keep_beside, exchange.adopt_beside
+
+    def __init__(self, model: FmuModel, name: str, setting: Setting) -> None:
+        self._child = Child(model.fmu, model.wiring, name, setting)
+        self.addresses, self.initial = self._child.addresses, self._child.initial
+        self.key, self._name, self._failures = _key(), name, Failures(name)
+        self._status, self._late, self._is_lost = at.OK, 0, False
+
+    def look(self, a: NDArray[np.int64]) -> Sequence[News]:
+        """Return what happened since the last look; start it again if it has ended."""
+        status, late = int(a[at.A_STATUS]), int(a[at.A_LATE])
+        if status == at.OK != self._status:
+            self._is_lost = False  # a state was restored: its process goes on from it
+        ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
+        self._is_lost |= ended is not None
+        self._status = status
+        news = [] if ended is None else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
+        if status != at.SILENT:  # how it ended is said already
+            news += self._failures.look(status, self._child.message)
+        if late > self._late and not news:
+            n = late - self._late
+            text = f"FMU '{self._name}' had no answer in {n} slices: its outputs hold"
+            news.append(News(text, is_fault=False))
+        self._late = late
+        return news
+
+    def close(self) -> None:
+        """End it."""
+        self._child.close()
+
+
+class Failures:
+    """Says once what an FMU failed of."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._told = name, 0
+
+    def look(self, status: int, message: str) -> Sequence[News]:
+        """Return the failure if it is a new one."""
+        if status == self._told:
+            return []
+        self._told = status
+        if status == 0:
+            return []
+        answer = at.STATUS.get(status, f"status {status}")
+        text = f"FMU '{self._name}' failed: {message or answer}"
+        return [News(text, is_fault=True)]
+
+
+def slow_call(a: NDArray[np.int64], tick: int) -> int:
+    """Return how long [ns] the call of an FMU took in a tick, 0 if it was not slow."""
+    calls_made = a[at.N_HEAD : at.ROWS].reshape(-1, 2)[: int(a[at.A_NOTED])]
+    found = calls_made[calls_made[:, 0] == tick, 1]
+    return int(found.max()) if found.size else 0
+
+
+def hangs_since(a: NDArray[np.int64]) -> int:
+    """Return the CLOCK_MONOTONIC [ns] at which a call began that has not come back; 0: none."""
+    return int(a[at.A_SINCE])

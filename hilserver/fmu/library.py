@@ -1,0 +1,255 @@
+"""The machine code of an FMU: loaded, its functions by name, an instance started and ended."""
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.fmu.layout as at
+from hilserver.compiled import kernel
+from hilserver.compiled.cache import c_function
+from hilserver.fmu import calls
+from hilserver.fmu.description import Fmu, Variable
+from hilserver.fmu.wiring import Wiring
+from hilserver.plant.blocks import BlockError
+
+_TIMES: Final = ("SetupExperiment", "EnterInitializationMode", "ExitInitializationMode")
+_NEEDED: Final[Mapping[int, Sequence[str]]] = {
+    2: ("Instantiate", *_TIMES, "DoStep", "Terminate", "FreeInstance"),
+    3: ("InstantiateCoSimulation", *_TIMES[1:], "DoStep", "Terminate", "FreeInstance"),
+}
+_OF_STATE: Final[Mapping[int, Mapping[int, str]]] = {
+    2: {
+        at.A_GET_STATE: "GetFMUstate",
+        at.A_SET_STATE: "SetFMUstate",
+        at.A_FREE_STATE: "FreeFMUstate",
+        at.A_STATE_SIZE: "SerializedFMUstateSize",
+        at.A_SERIALIZE: "SerializeFMUstate",
+        at.A_DESERIALIZE: "DeSerializeFMUstate",
+    },
+    3: {
+        at.A_GET_STATE: "GetFMUState",
+        at.A_SET_STATE: "SetFMUState",
+        at.A_FREE_STATE: "FreeFMUState",
+        at.A_STATE_SIZE: "SerializedFMUStateSize",
+        at.A_SERIALIZE: "SerializeFMUState",
+        at.A_DESERIALIZE: "DeserializeFMUState",
+    },
+}
+_C_TYPES: Final[Mapping[tuple[int, int], Any]] = {
+    (at.FLOAT, 8): ctypes.c_double, (at.FLOAT, 4): ctypes.c_float,
+    (at.SIGNED, 1): ctypes.c_int8, (at.SIGNED, 2): ctypes.c_int16,
+    (at.SIGNED, 4): ctypes.c_int32, (at.SIGNED, 8): ctypes.c_int64,
+    (at.UNSIGNED, 1): ctypes.c_uint8, (at.UNSIGNED, 2): ctypes.c_uint16,
+    (at.UNSIGNED, 4): ctypes.c_uint32, (at.UNSIGNED, 8): ctypes.c_uint64,
+    (at.BOOLEAN, 1): ctypes.c_bool, (at.BOOLEAN, 4): ctypes.c_int32,
+}  # fmt: skip
+MOST_STATE_BYTES: Final = 1 << 20
+"""A larger state would not fit between two ticks."""
+_OCTETS = numba.types.CPointer(numba.types.uint8)
+_LAST: Final = 8 * at.MESSAGE_WORDS - 1
+
+
+@kernel()
+def _take(status: int, text: Any, buffer: Any) -> None:
+    """Keep what an FMU says of an error: it may say it in the paced thread."""
+    if status <= at.WARNING:
+        return
+    i = 0
+    while i < _LAST and text[i] != 0:
+        buffer[i] = text[i]
+        i += 1
+    buffer[i] = 0
+
+
+@c_function(numba.void(_OCTETS, _OCTETS, numba.int32, _OCTETS, _OCTETS))
+def _log_2(environment: Any, _name: Any, status: int, _category: Any, text: Any) -> None:
+    _take(status, text, environment)
+
+
+@c_function(numba.void(_OCTETS, numba.int32, _OCTETS, _OCTETS))
+def _log_3(environment: Any, status: int, _category: Any, text: Any) -> None:
+    _take(status, text, environment)
+
+
+class Library:
+    """A loaded FMU.
+
+    Raises
+    ------
+    BlockError
+        If it cannot be loaded, or lacks a function.
+    """
+
+    def __init__(self, fmu: Fmu) -> None:
+        self._fmu = fmu
+        try:
+            self._symbols = ctypes.CDLL(str(fmu.library))
+        except OSError as error:
+            why = str(error).replace(str(fmu.folder), fmu.path.name)
+            raise BlockError(f"cannot be loaded: {why}; export it for this computer") from None
+        wanted = [*_NEEDED[fmu.version]]
+        if fmu.stores_state:
+            wanted += _OF_STATE[fmu.version].values()
+        for name in wanted:
+            self.function(name)
+
+    def function(self, name: str, result: Any = ctypes.c_int) -> Any:
+        """Return a function by its name without ``fmi2`` or ``fmi3``."""
+        full = f"fmi{self._fmu.version}{name}"
+        try:
+            found = getattr(self._symbols, full)
+        except AttributeError:
+            raise BlockError(f"lacks the function {full}; export it again") from None
+        found.restype = result
+        return found
+
+    def address(self, name: str) -> int:
+        """Return where a function is."""
+        return ctypes.cast(self.function(name), ctypes.c_void_p).value or 0
+
+
+class Instance:
+    """A started FMU, to be stepped by whoever has its addresses; must outlive them.
+
+    Attributes
+    ----------
+    addresses : ndarray of int64
+        `a` of the kernels, of this process.
+    initial : ndarray of float64
+        `x` of the kernels at time 0.
+    outputs : ndarray of float64
+        `y` at time 0.
+    """
+
+    def __init__(self, fmu: Fmu, wiring: Wiring, name: str, slow_ns: int) -> None:
+        self._fmu, self._library = fmu, Library(fmu)
+        self._message = np.zeros(at.MESSAGE_WORDS, dtype=np.int64)
+        self._callbacks: Any = None
+        self._instance = ctypes.c_void_p(self._instantiated(name.encode()))
+        if not self._instance:
+            raise BlockError(f"does not start: {self.message or 'it gives no reason'}")
+        for variable, value in wiring.start:
+            self._set_start(variable, value)
+        self._initialise()
+        self.addresses = self._addresses(wiring, slow_ns)
+        self.outputs = np.zeros(wiring.n_outputs)
+        n_before = len(wiring.inputs) + len(wiring.parameters)
+        self._check(calls.get_values(n_before, len(wiring.outputs), self.outputs, self.addresses))
+        self.initial = self._state()
+
+    @property
+    def message(self) -> str:
+        """What the FMU said of its last error."""
+        return text_of(self._message)
+
+    @property
+    def message_words(self) -> NDArray[np.int64]:
+        """The same as it lies in memory."""
+        return self._message
+
+    def close(self) -> None:
+        """End it."""
+        if self._instance:
+            self._library.function("Terminate")(self._instance)
+            self._library.function("FreeInstance", None)(self._instance)
+            self._instance = ctypes.c_void_p(None)
+
+    def _instantiated(self, name: bytes) -> int:
+        fmu, environment = self._fmu, ctypes.c_void_p(self._message.ctypes.data)
+        token, resources = fmu.token.encode(), fmu.folder / "resources"
+        if fmu.version == 2:
+            self._callbacks = (ctypes.c_void_p * 5)(
+                _log_2.address, _libc("calloc"), _libc("free"), None, environment
+            )
+            uri = resources.as_uri().encode()
+            instantiate = self._library.function("Instantiate", ctypes.c_void_p)
+            return int(instantiate(name, 1, token, uri, self._callbacks, 0, 0) or 0)
+        path, none, no = f"{resources}/".encode(), ctypes.c_void_p(None), ctypes.c_bool(False)
+        instantiate = self._library.function("InstantiateCoSimulation", ctypes.c_void_p)
+        log = ctypes.c_void_p(_log_3.address)
+        first = (name, token, path, no, no, no, no, none, ctypes.c_size_t(0))
+        return int(instantiate(*first, environment, log, none) or 0)
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        self._check(self._library.function(name)(self._instance, *arguments))
+
+    def _check(self, status: int) -> None:
+        if status > at.WARNING:
+            why = self.message or f"a function answered {at.STATUS.get(status, status)}"
+            raise BlockError(f"does not start: {why}")
+
+    def _set_start(self, variable: Variable, value: float | str | bool) -> None:
+        reference = ctypes.c_uint32(variable.reference)
+        if variable.type == "String":
+            data: Any = (ctypes.c_char_p * 1)(str(value).encode())
+        else:
+            data = (_C_TYPES[variable.kind, variable.bytes] * 1)(_as_start(variable, value))
+        one = ctypes.c_size_t(1)  # the second is an argument of 3.0 only
+        self._call(f"Set{variable.type}", ctypes.byref(reference), one, data, one)
+
+    def _initialise(self) -> None:
+        zero = ctypes.c_double(0.0)
+        no = ctypes.c_int(0) if self._fmu.version == 2 else ctypes.c_bool(False)
+        if self._fmu.version == 2:
+            self._call("SetupExperiment", no, zero, zero, no, zero)
+            self._call("EnterInitializationMode")
+        else:
+            self._call("EnterInitializationMode", no, zero, zero, no, zero)
+        self._call("ExitInitializationMode")
+
+    def _addresses(self, wiring: Wiring, slow_ns: int) -> NDArray[np.int64]:
+        rows = [
+            (v.reference, v.count, v.bytes, v.kind, self._library.address(f"{verb}{v.type}"))
+            for verb, variables in wiring.rows
+            for v in variables
+        ]
+        scratch = at.ROWS + at.VARIABLE_WORDS * len(rows)
+        known = scratch + max((row[1] for row in rows), default=0)
+        a = np.zeros(known + wiring.n_parameters, dtype=np.int64)
+        a[at.ROWS : scratch] = np.array(rows, dtype=np.int64).ravel()
+        a[at.A_SCRATCH], a[at.A_KNOWN], a[at.A_FRESH] = scratch, known, 1
+        a[at.A_INPUTS], a[at.A_OUTPUTS] = len(wiring.inputs), len(wiring.outputs)
+        a[at.A_PARAMETERS] = len(wiring.parameters)
+        a[at.A_INSTANCE], a[at.A_VERSION] = self._instance.value or 0, self._fmu.version
+        a[at.A_DO_STEP] = self._library.address("DoStep")
+        if self._fmu.stores_state:
+            for place, name in _OF_STATE[self._fmu.version].items():
+                a[place] = self._library.address(name)
+        a[at.A_SLOW] = slow_ns
+        return a
+
+    def _state(self) -> NDArray[np.float64]:
+        """Return `x` at the start; from now on a state may have twice the bytes of this one."""
+        if not self._fmu.stores_state:
+            return np.zeros(at.X_STATE)
+        a = self.addresses
+        a[at.A_CAPACITY] = MOST_STATE_BYTES
+        x = np.zeros(at.X_STATE + MOST_STATE_BYTES // 8)
+        status = calls.store(x, a)
+        if status == at.STATE_TOO_LARGE:
+            raise BlockError(f"has a state of more than {MOST_STATE_BYTES >> 20} MB")
+        self._check(status)
+        words = -(-2 * int(x[at.X_BYTES]) // 8)
+        a[at.A_CAPACITY] = 8 * words
+        return x[: at.X_STATE + words].copy()
+
+
+def text_of(words: NDArray[np.int64]) -> str:
+    """Return a message of an FMU as one line."""
+    raw = words.tobytes().partition(b"\0")[0]
+    return " ".join(raw.decode(errors="replace").split()).rstrip(".")
+
+
+def _libc(name: str) -> int:
+    return ctypes.cast(getattr(ctypes.CDLL(None), name), ctypes.c_void_p).value or 0
+
+
+def _as_start(variable: Variable, value: float | str | bool) -> float | int | bool:
+    number = float(value)
+    if variable.kind == at.FLOAT:
+        return number
+    return number != 0.0 if variable.kind == at.BOOLEAN else round(number)

@@ -1,0 +1,214 @@
+"""An FMU's process, from the plant's side: started, watched, started again, ended.
+
+It may end in any way at any time; the plant reads its answers from shared memory and never waits.
+"""
+
+import contextlib
+import mmap
+import os
+import pickle
+import select
+import signal
+import subprocess
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hilserver.fmu.layout as at
+from hilserver.fmu.description import Fmu
+from hilserver.fmu.library import text_of
+from hilserver.fmu.wiring import Wiring
+from hilserver.kernel.composition import Setting
+from hilserver.plant.blocks import BlockError
+from hilserver.program import children
+
+CHILD_START_S: Final = 60.0
+SILENCE_S, LEAST_SLICES = 0.1, 10
+"""Without an answer for so long, and so many slices, it counts as dead."""
+_STOP_S: Final = 0.2
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a child is to do; sent to its standard input.
+
+    Attributes
+    ----------
+    memory, bell, ready : int
+        File descriptors: shared words, what wakes it, where it says how it started.
+    """
+
+    fmu: Fmu
+    wiring: Wiring
+    name: str
+    dt_s: float
+    memory: int
+    bell: int
+    ready: int
+    parent: int
+    is_first: bool
+
+
+@dataclass(frozen=True)
+class Started:
+    """What a child says of its start.
+
+    Attributes
+    ----------
+    failure : str
+        Why it did not start; empty if it did.
+    n_words : int
+        Shared words.
+    """
+
+    failure: str
+    initial: NDArray[np.float64]
+    capacity: int
+    n_words: int
+
+
+class Child:
+    """The process; its memory and its bell outlive it.
+
+    Attributes
+    ----------
+    addresses : ndarray of int64
+        `a` of the kernels of `exchange`.
+    initial : ndarray of float64
+        `x` at time 0.
+
+    Raises
+    ------
+    BlockError
+        If it does not start.
+    """
+
+    def __init__(self, fmu: Fmu, wiring: Wiring, name: str, setting: Setting) -> None:
+        self._what = (fmu, wiring, name, setting.period_s)
+        self._stores = fmu.stores_state
+        self._memory = os.memfd_create(f"hilserver-fmu-{name}", os.MFD_CLOEXEC)
+        self._bell = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._ready: int | None = None
+        self._process = self._launch(is_first=True)
+        try:
+            started = self._wait()
+        except BaseException:
+            self.close()
+            raise
+        self._map = mmap.mmap(self._memory, 8 * started.n_words)
+        self._words = np.frombuffer(self._map, dtype=np.int64)
+        self.initial = started.initial
+        self.addresses = self._addresses(started, setting)
+
+    @property
+    def message(self) -> str:
+        """What the FMU said of its last error."""
+        return text_of(self._words[at.S_MESSAGE : at.N_SHARED])
+
+    def look(self, a: NDArray[np.int64], *, gives_up: bool) -> str | None:
+        """Return how it ended, once, and start it again; None while it runs.
+
+        Parameters
+        ----------
+        a : ndarray of int64
+            As the step has it.
+        gives_up : bool
+            The step waits no more: what does not answer is ended.
+        """
+        self._take_ready(a)
+        running, dead = self._process.poll() is None, bool(a[at.A_DEAD])
+        if dead or (running and not gives_up):
+            return None
+        how = "does not answer any more and was ended" if running else _how(self._process)
+        a[at.A_DEAD] = 1
+        self._end()
+        if self._stores and self._ready is None:
+            self._process = self._launch(is_first=False)
+        return how
+
+    def close(self) -> None:
+        """End it and give its memory back."""
+        self._end()
+        for descriptor in (self._memory, self._bell, self._ready):
+            if descriptor is not None:
+                with contextlib.suppress(OSError):
+                    os.close(descriptor)
+        self._ready = None
+
+    def _launch(self, *, is_first: bool) -> "subprocess.Popen[bytes]":
+        fmu, wiring, name, dt_s = self._what
+        self._ready, theirs = os.pipe()
+        order = Order(
+            fmu, wiring, name, dt_s, self._memory, self._bell, theirs, os.getpid(), is_first
+        )
+        try:
+            process = subprocess.Popen(  # noqa: S603 - of ours
+                children.python("-m", "hilserver.fmu.worker"),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(self._memory, self._bell, theirs),
+                start_new_session=True,
+            )
+        finally:
+            os.close(theirs)
+        if process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
+                pipe.write(pickle.dumps(order))
+        return process
+
+    def _wait(self) -> Started:
+        """Return what the first child says of its start."""
+        raw, ready = b"", self._ready
+        assert ready is not None
+        while select.select([ready], [], [], CHILD_START_S)[0]:
+            piece = os.read(ready, 1 << 16)
+            raw += piece
+            if not piece:
+                break
+        os.close(ready)
+        self._ready = None
+        if not raw:
+            self._process.poll() if self._process.returncode is not None else self._end()
+            raise BlockError(f"does not start: its process {_how(self._process)}")
+        started: Started = pickle.loads(raw)  # noqa: S301 - of our own child
+        if started.failure:
+            raise BlockError(started.failure)
+        return started
+
+    def _take_ready(self, a: NDArray[np.int64]) -> None:
+        """Note that the child that replaces another has started, or has not."""
+        if self._ready is None or not select.select([self._ready], [], [], 0)[0]:
+            return
+        has_started = bool(os.read(self._ready, 1 << 16))
+        os.close(self._ready)
+        self._ready = None
+        if has_started:
+            a[at.A_DEAD] = 0
+
+    def _addresses(self, started: Started, setting: Setting) -> NDArray[np.int64]:
+        a = np.zeros(at.ROWS, dtype=np.int64)
+        a[at.A_SHARED], a[at.A_SHARED_LENGTH] = self._words.ctypes.data, started.n_words
+        a[at.A_BELL], a[at.A_ONE], a[at.A_WAITS] = self._bell, 1, setting.waits
+        a[at.A_LIMIT] = max(LEAST_SLICES, round(SILENCE_S / setting.period_s))
+        a[at.A_CAPACITY] = started.capacity
+        return a
+
+    def _end(self) -> None:
+        process: Any = self._process
+        if process.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_STOP_S)
+
+
+def _how(process: "subprocess.Popen[bytes]") -> str:
+    """Say how a process has ended."""
+    code = process.returncode
+    if code is None or code >= 0:
+        return f"ended with exit code {code}"
+    with contextlib.suppress(ValueError):
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"was ended by signal {-code}"

@@ -1,0 +1,153 @@
+"""Which variables of an FMU are inputs, outputs and parameters of the block it becomes."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from hilserver.fmu.description import Fmu, Variable
+from hilserver.plant.blocks import MOST_PER_BLOCK, BlockError, Output
+
+Start = float | str | bool
+_TEXT: Final = -1
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Variables in the order in which their values stand in `u`, `p` and `y`.
+
+    Attributes
+    ----------
+    start : sequence of tuple
+        Variables that begin with another value than the FMU says.
+    """
+
+    inputs: Sequence[Variable]
+    parameters: Sequence[Variable]
+    outputs: Sequence[Variable]
+    start: Sequence[tuple[Variable, Start]]
+
+    @property
+    def n_inputs(self) -> int:
+        """Length of `u`."""
+        return sum(v.count for v in self.inputs)
+
+    @property
+    def n_parameters(self) -> int:
+        """Length of `p`."""
+        return sum(v.count for v in self.parameters)
+
+    @property
+    def n_outputs(self) -> int:
+        """Length of `y`."""
+        return sum(v.count for v in self.outputs)
+
+    @property
+    def rows(self) -> Sequence[tuple[str, Sequence[Variable]]]:
+        """How the variables are accessed: ``Set`` and ``Get``."""
+        return ("Set", self.inputs), ("Set", self.parameters), ("Get", self.outputs)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names in the order of `u`."""
+        return tuple(name for v in self.inputs for name in v.scalars)
+
+
+def wire(
+    fmu: Fmu, inputs: Mapping[str, str], outputs: Mapping[str, str], start: Mapping[str, Start]
+) -> Wiring:
+    """Find the variables that a configuration names.
+
+    Parameters
+    ----------
+    inputs : mapping of str
+        Variable: signal.
+    outputs : mapping of str
+        Variable, whatever it is to the FMU: end of the signal's name; empty: all outputs, under
+        their own names.
+    start : mapping
+        Variable: value.
+
+    Raises
+    ------
+    BlockError
+        If one is not there, or cannot be that.
+    """
+    taken = [_whole(fmu, name) for name in inputs]
+    for name, variable in zip(inputs, taken, strict=True):
+        if variable.causality != "input":
+            raise BlockError(f"'{name}' of {fmu.path.name} is no input but {variable.causality}")
+        missing = [n for n in variable.scalars if n not in inputs]
+        if missing:
+            raise BlockError(f"input '{missing[0]}' of {fmu.path.name} is not wired")
+    shown = [_whole(fmu, name) for name in outputs]
+    if not outputs:
+        shown = [v for v in fmu.variables.values() if v.causality == "output" and v.kind != _TEXT]
+    wiring = Wiring(
+        inputs=list(dict.fromkeys(taken)),
+        parameters=[v for v in fmu.variables.values() if _is_tunable(v)][:MOST_PER_BLOCK],
+        outputs=list(dict.fromkeys(shown)),
+        start=[(_startable(fmu, name, value), value) for name, value in start.items()],
+    )
+    if not wiring.n_outputs:
+        raise BlockError(f"{fmu.path.name} has no output that is a number: nothing is seen of it")
+    for what, n in (("inputs", wiring.n_inputs), ("outputs", wiring.n_outputs)):
+        if n > MOST_PER_BLOCK:
+            raise BlockError(
+                f"{fmu.path.name}: {n} {what} are too many, at most {MOST_PER_BLOCK} are possible;"
+                " name some of them"
+            )
+    return wiring
+
+
+def signals(wiring: Wiring, names: Mapping[str, str]) -> tuple[Output, ...]:
+    """Return the outputs as they appear in the signal table, in the order of `y`.
+
+    Raises
+    ------
+    BlockError
+        If two would have one name.
+    """
+    found = []
+    for variable in wiring.outputs:
+        for name in variable.scalars:
+            shown = names.get(name) or _plain(name)
+            low, high = variable.low, variable.high
+            if not low < high:
+                low, high = -1e9, 1e9
+            found.append(Output(shown, variable.unit, low, high, variable.description))
+    twice = [o.name for o in found if [x.name for x in found].count(o.name) > 1]
+    if twice:
+        raise BlockError(f"two outputs would be '{twice[0]}'; give them names in 'outputs'")
+    return tuple(found)
+
+
+def _plain(name: str) -> str:
+    """Return the end of a signal's name for a variable: lower case, digits and _."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "value"
+
+
+def _whole(fmu: Fmu, name: str) -> Variable:
+    """Return the variable of a name, or of an element of an array: ``u[2]``."""
+    variable = fmu.variables.get(name) or fmu.variable(name.partition("[")[0])
+    if variable.kind == _TEXT:
+        raise BlockError(f"'{name}' of {fmu.path.name} is text, which is no signal")
+    if name not in variable.scalars:
+        raise BlockError(f"{fmu.path.name} has '{variable.scalars[0]}', but no '{name}'")
+    return variable
+
+
+def _startable(fmu: Fmu, name: str, value: Start) -> Variable:
+    variable = fmu.variable(name)
+    if variable.causality not in ("parameter", "input") or variable.shape:
+        why = "an array" if variable.shape else variable.causality
+        raise BlockError(f"'{name}' of {fmu.path.name} takes no start value: it is {why}")
+    if isinstance(value, str) != (variable.kind == _TEXT):
+        kind = "text" if variable.kind == _TEXT else "a number"
+        raise BlockError(f"'{name}' of {fmu.path.name} takes {kind}, not {value!r}")
+    return variable
+
+
+def _is_tunable(variable: Variable) -> bool:
+    is_parameter = variable.causality == "parameter" and variable.variability == "tunable"
+    return is_parameter and not variable.shape and variable.kind != _TEXT

@@ -1,0 +1,59 @@
+"""The process of one FMU: `python -m hilserver.fmu.worker`, started by `process`."""
+
+import contextlib
+import mmap
+import os
+import pickle
+import select
+import sys
+from typing import Final
+
+import numpy as np
+
+import hilserver.fmu.layout as at
+from hilserver.fmu.exchange import answer
+from hilserver.fmu.library import Instance
+from hilserver.fmu.process import Order, Started
+from hilserver.plant.blocks import BlockError
+from hilserver.program.workers import end_with_parent
+
+_SELDOM_S: Final = 1.0
+"""So often it looks for an ask whose bell did not ring."""
+
+
+def main() -> int:
+    """Start the FMU, say so, answer until the parent is gone."""
+    order: Order = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our own parent
+    end_with_parent(order.parent)
+    ready = os.fdopen(order.ready, "wb")
+    try:
+        instance = Instance(order.fmu, order.wiring, order.name, 0)
+    except BlockError as error:
+        with ready:
+            pickle.dump(Started(str(error), np.zeros(0), 0, 0), ready)
+        return 1
+    x, a, wiring = instance.initial, instance.addresses, order.wiring
+    u, p, y = (np.zeros(n) for n in (wiring.n_inputs, wiring.n_parameters, wiring.n_outputs))
+    first = at.N_SHARED + u.size + p.size
+    store = x.size - at.X_BYTES
+    n_words = first + y.size + 4 * store
+    if order.is_first:
+        os.ftruncate(order.memory, 8 * n_words)
+    words = np.frombuffer(mmap.mmap(order.memory, 8 * n_words), dtype=np.int64)
+    words[at.S_CURRENT] = order.is_first
+    if order.is_first:
+        words[first : first + y.size] = instance.outputs.view(np.int64)
+        words[first + y.size :][:store] = x.view(np.int64)[at.X_BYTES :]
+    with ready:
+        pickle.dump(Started("", x, int(a[at.A_CAPACITY]), n_words), ready)
+    message = words[at.S_MESSAGE : at.N_SHARED]
+    while True:
+        select.select([order.bell], [], [], _SELDOM_S)
+        with contextlib.suppress(BlockingIOError):  # it did not ring
+            os.eventfd_read(order.bell)
+        while answer(words, u, y, x, p, a, order.dt_s):
+            message[:] = instance.message_words
+
+
+if __name__ == "__main__":
+    sys.exit(main())

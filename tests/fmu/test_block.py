@@ -1,0 +1,130 @@
+"""An FMU as an own block: it computes what it says, its state comes and goes, it fails in words."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hilserver.fmu.block import slow_call
+
+BOTH = pytest.mark.parametrize("version", [2, 3])
+PLACES = pytest.mark.parametrize("process", [False, True], ids=["here", "beside"])
+N = 300
+
+
+def lag(u, n, gain=2.0, lag_s=0.1, dt_s=0.001):
+    """What `model.c` computes, operation by operation."""
+    y, found = 0.0, []
+    for _ in range(n):
+        y += dt_s / (lag_s + dt_s) * (gain * u - y)
+        found.append(y)
+    return np.array(found)
+
+
+@BOTH
+@PLACES
+async def test_it_computes_to_the_bit_what_the_model_says(robot, version, process):
+    async with robot(f"lag{version}", process=process, start={"Gain": 3}) as r:
+        await r.run(N, fl=10.0)
+        expected = lag(10.0, N, gain=3.0)
+        if process:  # one slice behind, beginning with its first outputs
+            expected = np.concatenate([[0.0], expected[:-1]])
+        assert r.output("y", N).tolist() == expected.tolist()
+        assert r.output("steps") == -(N - process)
+        assert r.output("positive") == 1.0
+        assert r.table["motor.y"].unit == "N·m"
+        assert (r.table["motor.y"].low, r.table["motor.y"].high) == (-1000.0, 1000.0)
+
+
+@BOTH
+@PLACES
+async def test_a_snapshot_holds_its_state(robot, version, process):
+    async with robot(f"lag{version}", process=process) as r:
+        await r.run(N, fl=10.0)
+        await r.core.snapshots.save("middle")
+        await r.run(N, fl=-5.0)
+        first = r.output("y", N)
+        await r.core.snapshots.load("middle")
+        await r.run(N, fl=-5.0)
+        assert r.output("y", N).tolist() == first.tolist()
+        r.core.snapshots.reset()
+        await r.run(N, fl=10.0)
+        assert r.output("y") == lag(10.0, N - process)[-1]
+        assert r.fault == 0
+
+
+async def test_a_snapshot_of_one_robot_goes_on_in_another(robot):
+    async with robot("lag3") as r:
+        await r.run(N, fl=10.0)
+        await r.core.snapshots.save("middle")
+        await r.run(N)
+        first = r.output("y", N)
+    async with robot("lag3", process=False) as r:
+        await r.core.snapshots.load("middle")
+        await r.run(N)
+        assert r.output("y", N).tolist() == first.tolist()
+
+
+@BOTH
+async def test_one_that_cannot_store_its_state_says_so_and_goes_on(robot, version):
+    async with robot(f"stateless{version}") as r:
+        why = [f"FMU 'stateless{version}.fmu' cannot store its state"]
+        assert r.core.assembly.provenance["not_replayable"] == why
+        await r.run(N, fl=10.0)
+        r.core.snapshots.reset()
+        await r.run(N, fl=10.0)
+        assert r.output("y") == lag(10.0, 2 * N)[-1]
+        assert r.fault == 0
+
+
+@PLACES
+async def test_an_error_of_its_own_is_a_fault_in_its_own_words(robot, process):
+    start = {"mischief": 5, "atStep": 100}
+    async with robot("lag3", process=process, start=start) as r:
+        await r.run(99, fl=10.0)
+        assert (r.fault, r.status("y")) == (0, 0)
+        await r.run(2 + process)
+        assert r.fault == 17
+        assert math.isnan(r.output("y"))
+        assert r.status("y") >> 31 == 1
+        (model,) = r.core.foreign.values()
+        a = r.image.region("motor.a")[1]
+        (news,) = model.look(a)
+        assert news == ("FMU 'motor' failed: the bearing is hot", True)
+        assert model.look(a) == []
+        r.image.control.fault = 0
+        await r.run(10)
+        assert r.fault == 0, "the outputs stay Bad, the robot may drive on"
+        r.core.snapshots.reset()
+        await r.run(50, fl=10.0)
+        assert r.output("y") == lag(10.0, 50 - process)[-1]
+
+
+async def test_a_slow_call_is_noted_with_its_tick(robot):
+    async with robot("lag3", start={"mischief": 1, "atStep": 20}) as r:
+        await r.run(21, fl=1.0)
+        a = r.image.region("motor.a")[1]
+        assert slow_call(a, 18) == 0
+        assert 5_000_000 <= slow_call(a, 19) < 1_000_000_000
+        assert slow_call(a, 20) >= 5_000_000
+
+
+async def test_arrays_and_small_numbers(robot):
+    inputs = {"v[1]": "sim.tick", "v[2]": "wheel.fl.setpoint_rpm", "small": "sim.tick"}
+    shown = {"sum": "total", "small": "small"}
+    async with robot("lag3", inputs=inputs, outputs=shown) as r:
+        await r.run(5, fl=7.0)
+        await r.run(1)
+        assert r.output("total") == 4.0 + 10.0 * 7.0
+        assert r.output("small") == 4.0
+
+
+async def test_restored_at_its_start_it_shows_its_first_outputs(robot):
+    """Its sum is there before the first step, of inputs that nobody has wired yet."""
+    inputs = {"v[1]": "wheel.fl.setpoint_rpm", "v[2]": "wheel.fl.setpoint_rpm"}
+    async with robot("lag3", inputs=inputs, process=True) as r:
+        await r.run(3, fl=2.0)
+        first = r.output("sum", 3).tolist()
+        r.core.snapshots.reset()
+        await r.run(3, fl=2.0)
+        assert r.output("sum", 3).tolist() == first == [33.0, 22.0, 22.0]
