@@ -15,7 +15,7 @@ from hilserver.commands.options import add_config, add_patch
 from hilserver.commands.patching import assembled, patch_of
 from hilserver.core.snapshot import read_snapshot
 from hilserver.daemon.assembly import Assembly
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, LogError, UserError
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, ConfigError, FailedError, LogError, UserError
 from hilserver.logs import Log, State, open_writer, read_log
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix, reason
@@ -128,11 +128,22 @@ class _Replay:
             raise LogError(
                 f"{log.path}: is not replayable: {why}; replay its set-points with --as-inputs"
             )
+        self._check_patch()
         identity = (log.run or {}).get("identity", {})
         start = None if self._args.start is None else self._snapshot(engine)
         for state in (start,) if start is not None else log.states:
             engine.check(str(log.path), identity, state.words)
         return plan_exact(log, engine.table, engine.image.layout, assembly.base_period_ns, start)
+
+    def _check_patch(self) -> None:
+        """Refuse another patch: the states of a recording bring the parameters of its run."""
+        recorded = (self._log.run or {}).get("patch") or {}
+        named = self._assembly.patch
+        if self._args.patch is not None and named and named.sha256 != recorded.get("sha256"):
+            raise ConfigError(
+                f"{self._log.path}: was recorded with {'another' if recorded else 'no'} patch;"
+                " leave --patch out, or replay its set-points with --as-inputs"
+            )
 
     def _snapshot(self, engine: Engine) -> State:
         path = self._args.start

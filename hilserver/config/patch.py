@@ -1,11 +1,13 @@
 """`model_patch.yaml`: terms that a diagnosis has found, and where they were fitted.
 
-A patch is laid over the configuration for one run. Nothing of it is written into config.yaml: a run
-without it gives the old outputs, bit for bit.
+Schema 2 adds parameters of any kind: what somebody has tuned and saved. A patch is a set of
+parameters, laid over the configuration for one run. Nothing of it is written into config.yaml: a
+run without it gives the old outputs, bit for bit.
 """
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,17 +19,20 @@ from hilserver.config.loading import LIVE_BYTES, load, place
 from hilserver.config.plant import PlantConfig
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError
+from hilserver.parameters import PLANT, check, named
+from hilserver.parameters.table import BLOCK, TERM
 from hilserver.plant.errors import PlantError
 from hilserver.plant.terms import TERMS, complete, main_part
 
 SCHEMA: Final = "hilserver.model_patch/1"
+SCHEMA_2: Final = "hilserver.model_patch/2"
 Interval = tuple[float, float]
 
 
 class MadeFrom(Section):
     """Where a patch comes from."""
 
-    findings_sha256: str = Field(description="hash of the findings.json next to it")
+    findings_sha256: str = Field("", description="hash of the findings.json next to it, if any")
     config_sha256: str = Field(description="hash of the configuration that was diagnosed")
     version: str = Field(description="version of hilserver that made it")
 
@@ -58,12 +63,24 @@ class PatchTerm(Section):
     fitted_in: FittedIn = Field(default_factory=FittedIn, description="where it was fitted")
 
 
+class PatchParameter(Section):
+    """One parameter of schema 2."""
+
+    value: float | None = Field(description="value of the parameter, in its unit; null as there")
+    unit: str = Field(description="symbol of the unit, as in the table of parameters")
+
+
 class ModelPatch(Section):
     """The file."""
 
-    schema_: Literal["hilserver.model_patch/1"] = Field(alias="schema", description="this format")
+    schema_: Literal["hilserver.model_patch/1", "hilserver.model_patch/2"] = Field(
+        alias="schema", description="this format"
+    )
     made_from: MadeFrom
-    terms: dict[str, PatchTerm] = Field(description="terms by name, as in plant.terms")
+    terms: dict[str, PatchTerm] = Field({}, description="terms by name, as in plant.terms")
+    parameters: dict[str, PatchParameter] = Field(
+        {}, description="schema 2: parameters by name, as in docs/reference/parameters.md"
+    )
     groups: dict[str, dict[str, PatchTerm]] | None = Field(
         None, description="more terms by group of logs (floor, load); a run takes one group"
     )
@@ -83,6 +100,28 @@ class ModelPatch(Section):
                 if term.unit != unit:
                     text = f"terms.{name}.unit: the term has the unit {unit!r}"
                     raise ValueError(self._placed(text, group))
+        return self
+
+    @model_validator(mode="after")
+    def _known_parameters(self) -> Self:
+        if self.schema_ == SCHEMA and self.parameters:
+            raise ValueError(f"parameters: write schema: {SCHEMA_2}, which has them")
+        if self.schema_ == SCHEMA_2 and (self.terms or self.groups):
+            raise ValueError(f"schema: {SCHEMA_2} has parameters in place of terms and groups")
+        if self.schema_ == SCHEMA and "terms" not in self.model_fields_set:
+            raise ValueError("terms: is missing")
+        for name, given in self.parameters.items():
+            if name.startswith(BLOCK):
+                continue
+            try:
+                parameter = PLANT[named(name, PLANT)]
+                check(parameter, given.value)
+            except PlantError as error:
+                text = str(error).removeprefix(f"{name}: ")
+                raise ValueError(f"parameters.{name}: {text}") from None
+            if given.unit != parameter.unit:
+                text = f"the parameter has the unit {parameter.unit!r}"
+                raise ValueError(f"parameters.{name}.unit: {text}")
         return self
 
     def _placed(self, text: str, group: str | None) -> str:
@@ -130,10 +169,23 @@ class Patch:
 
     @property
     def _content(self) -> dict[str, Any]:
-        return self.model.model_dump(mode="json", by_alias=True, exclude={"groups"})
+        without = {"groups"} if self.model.parameters else {"groups", "parameters"}
+        return self.model.model_dump(mode="json", by_alias=True, exclude=without)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """What it sets, by the full names of the parameters; NaN is null."""
+        terms = {f"{TERM}{main_part(n)}": term.value for n, term in self.model.terms.items()}
+        return terms | {n: _number(p.value) for n, p in self.model.parameters.items()}
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """What schema 2 adds to the terms, but for own blocks."""
+        own = self.model.parameters
+        return {named(n, PLANT): v for n, v in self.values.items() if n in own and n in PLANT}
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
-        """Return the plant with the terms of the patch.
+        """Return the plant with the terms of the patch; those of `parameters` are not among them.
 
         Raises
         ------
@@ -153,14 +205,18 @@ class Patch:
         kept = {n: v for n, v in plant.terms.items() if main_part(n) not in added}
         return plant.model_copy(update={"terms": {**kept, **added}})
 
-    def term_at(self, key: str) -> str | None:
-        """Return the term of the patch that a key of the configuration names, if it is one."""
-        name = key.removeprefix("plant.terms.")
-        return next((n for n in self.model.terms if name in (n, main_part(n))), None)
+    def entry_at(self, key: str) -> str | None:
+        """Return the entry of the patch that a key of the configuration names, if it is one."""
+        name = key.removeprefix("plant.terms.").removeprefix(TERM)
+        own = next((n for n in self.model.terms if name in (n, main_part(n))), None)
+        if own is not None:
+            return own
+        return next((n for n in self.model.parameters if n in (key, f"{TERM}{name}")), None)
 
-    def refusal(self, term: str, message: str) -> ConfigError:
-        """Return the error for a complaint about one term: file, line, key."""
-        where = ("groups", self.group or "", term) if term in self.of_group else ("terms", term)
+    def refusal(self, entry: str, message: str) -> ConfigError:
+        """Return the error for a complaint about one entry: file, line, key."""
+        section = "parameters" if entry in self.model.parameters else "terms"
+        where = ("groups", self.group or "", entry) if entry in self.of_group else (section, entry)
         return ConfigError(place(self.path, where) + message)
 
     def notice(self, config_sha256: str) -> str | None:
@@ -172,6 +228,10 @@ class Patch:
             f" ({self.model.made_from.config_sha256[:12]}, this one is {config_sha256[:12]});"
             " its terms may not fit"
         )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def load_patch(path: Path, group: str | None = None) -> Patch:

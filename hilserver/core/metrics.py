@@ -43,6 +43,16 @@ STATE_METRICS: Final[tuple[Metric[State], ...]] = (
     ),
 )
 
+PARAMETER_METRICS: Final[tuple[Metric[int], ...]] = (
+    Metric(
+        "hil_parameters_changed",
+        Kind.GAUGE,
+        "Parameters that differ from the configuration.",
+        (),
+        lambda now: [((), float(now))],
+    ),
+)
+
 INPUT_METRICS: Final[tuple[Metric[Inputs], ...]] = (
     Metric(
         "hil_input_age_seconds",

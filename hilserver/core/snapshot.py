@@ -1,7 +1,8 @@
 """Snapshots: the whole state in a file, and back, to the bit.
 
-A snapshot holds every signal and every state of plant, sensors and own blocks. It carries version,
-kernel hash, signal names and parameters of the run; a restore where any of them differs is refused.
+A snapshot holds every signal, every state of plant, sensors and own blocks, and the parameters in
+force. It carries version, kernel hash, signal names and configuration of the run; a restore where
+any of them differs is refused.
 """
 
 import asyncio
@@ -11,7 +12,7 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
 from hilserver.image.layout import (
     REQUEST_LOAD,
-    REQUEST_PARAMETERS,
     REQUEST_RESTART,
     REQUEST_SAVE,
 )
@@ -61,19 +61,24 @@ class SnapshotStore:
         `parameters`, and version, kernels and signals of this run.
     initial : ndarray of int64
         The state before the first tick.
+    is_restoring : bool
+        Whether a state is on its way into the plant.
+    restored : list of callable
+        Called after a state was restored.
     """
 
     def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
         self._image = image
         self._folder = folder
         layout = json.dumps(image.description["signals"], sort_keys=True).encode()
-        self._program = {
+        self.identity: dict[str, Any] = {
             "version": __version__,
             "kernels": kernel_hash(),
             "signals": hashlib.sha256(layout).hexdigest(),
-        }
-        self.identity: dict[str, Any] = self._program | parameters
+        } | parameters
         self.initial = self._image.live.copy()
+        self.is_restoring = False
+        self.restored: list[Callable[[], None]] = []
         self._lock = asyncio.Lock()
 
     def reset(self) -> None:
@@ -157,30 +162,14 @@ class SnapshotStore:
         if (what := unfit(state, layout.regions, layout.n_slots)) is not None:
             raise ControlRefused(f"the state is damaged ({what}); take another file")
         async with self._lock:
-            self._image.shadow[:] = state
-            await self._serve(REQUEST_RESTART if ends_leases else REQUEST_LOAD, tick)
-
-    async def exchange(
-        self, numbers: Mapping[str, NDArray[np.float64]], parameters: Mapping[str, Any]
-    ) -> int:
-        """Go on with other parameters of the plant from one tick on; return that tick.
-
-        Parameters
-        ----------
-        numbers : mapping of ndarray
-            Every region of the image that belongs to the parameters, by name.
-        parameters : mapping
-            As at the start: what snapshots have to agree in from now on.
-        """
-        async with self._lock:
-            for name, values in numbers.items():
-                region = self._image.layout.regions[name]
-                first = region.base - self._image.control.live_base
-                self._image.shadow[first : first + region.length] = values.view(np.int64)
-                self.initial[first : first + region.length] = values.view(np.int64)
-            await self._serve(REQUEST_PARAMETERS, 0)
-            self.identity = self._program | dict(parameters)
-            return self._image.control.request_tick
+            self.is_restoring = True
+            try:
+                self._image.shadow[:] = state
+                await self._serve(REQUEST_RESTART if ends_leases else REQUEST_LOAD, tick)
+                for follow in self.restored:
+                    follow()
+            finally:
+                self.is_restoring = False
 
     def differs_in(self, identity: Mapping[str, Any]) -> str | None:
         """Return the first key in which another run's identity differs, None if none does."""

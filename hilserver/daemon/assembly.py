@@ -29,6 +29,8 @@ from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
 from hilserver.kernel.composition import ForeignModel
 from hilserver.kernel.fitted import fitted_limits
+from hilserver.parameters import PLANT, geometric_gain, read, table_of, with_values
+from hilserver.parameters.table import BLOCK
 from hilserver.plant.blocks import BlockDeclaration, load_block
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import initial_state, pack
@@ -55,6 +57,8 @@ class Assembly:
         Compiled ones first, in the order in which they run in a tick.
     patch : Patch or None
         Laid over the plant of `config`, which stays as it was read.
+    configured : RobotParameters
+        The plant of `config` alone.
     """
 
     config: Config
@@ -65,6 +69,7 @@ class Assembly:
     base_period_ns: int
     slices: Sequence[Slice]
     composition: Composition
+    configured: RobotParameters
     patch: Patch | None = None
 
     @property
@@ -98,7 +103,7 @@ class Assembly:
     def identity(self) -> dict[str, str]:
         """What two runs must share for one to continue the other."""
         c = self.composition
-        digest = hashlib.sha256(c.parameters.tobytes() + c.hall.tobytes())
+        digest = hashlib.sha256(pack(self.configured).numbers.tobytes() + c.hall.tobytes())
         if c.body is not None:
             digest.update(c.body.identity)
         for block in c.blocks:
@@ -111,24 +116,7 @@ class Assembly:
             "parameters": digest.hexdigest(),
             "base_period_ns": str(self.base_period_ns),
             "slices": repr(periods),
-        } | ({} if self.patch is None else {"patch": self.patch.sha256})
-
-    def patched(self, patch: Patch | None) -> "Assembly":
-        """Return the same with another patch, or none, over the plant.
-
-        Raises
-        ------
-        ConfigError
-            If the patch does not fit the configuration.
-        """
-        robot = _Builder(self.config, self.path, patch).robot(self._periods_s)
-        fitted = fitted_limits(None if patch is None else patch.model)
-        composition = replace(self.composition, parameters=pack(robot), fitted=fitted)
-        return replace(self, robot=robot, composition=composition, patch=patch)
-
-    @property
-    def _periods_s(self) -> dict[str, float]:
-        return {s.name: s.period_ticks * self.base_period_ns * 1e-9 for s in self.slices}
+        }
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -142,6 +130,7 @@ class Assembly:
             "patch": None if self.patch is None else self.patch.provenance,
             "seed": self.config.plant.seed,
             "base_period_ns": self.base_period_ns,
+            "parameters": list(self.composition.settings),
         } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
 
     @property
@@ -201,7 +190,9 @@ class _Builder:
         slices = self._slices(base_ns)
         periods_s = {s.name: s.period_ticks * base_ns * 1e-9 for s in slices}
         parts = self._parts(slices)
-        robot = self.robot(periods_s)
+        configured = robot = self.robot(periods_s)
+        if self._patch is not None:
+            configured = _Builder(config, self._path, None).robot(periods_s)
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
         outputs = [output for block in blocks for output in _outputs(block)]
         body = self._body(robot, periods_s)
@@ -220,9 +211,19 @@ class _Builder:
             hall=robot.hall,
             fitted=fitted_limits(None if self._patch is None else self._patch.model),
             body=body,
+            settings=_settings(config, robot, blocks),
         )
         return Assembly(
-            config, config, self._path, robot, table, base_ns, slices, composition, self._patch
+            config,
+            config,
+            self._path,
+            robot,
+            table,
+            base_ns,
+            slices,
+            composition,
+            configured,
+            self._patch,
         )
 
     def _check_owner(self) -> None:
@@ -252,13 +253,18 @@ class _Builder:
         """Return the plant of the configuration, with the patch over it."""
         config = self._config
         plant = config.plant if self._patch is None else self._patch.applied(config.plant)
+        own = {} if self._patch is None else self._patch.parameters
         try:
             robot = to_parameters(plant, config.kinematics, config.sensors, periods_s, self._folder)
-            return replace(robot, body_wheels=config.mechatronic.turns_wheels)
+            robot = replace(robot, body_wheels=config.mechatronic.turns_wheels)
+            if own:
+                robot = with_values(robot, own, geometric_gain(robot))
+                pack(robot)  # refuses what does not fit the robot
+            return robot
         except PlantError as error:
             key, _, rest = str(error).partition(": ")
-            if self._patch is not None and (term := self._patch.term_at(key)) is not None:
-                raise self._patch.refusal(term, rest) from None
+            if self._patch is not None and (entry := self._patch.entry_at(key)) is not None:
+                raise self._patch.refusal(entry, rest) from None
             raise self._fail(key.split("."), rest) from None
 
     def _body(self, robot: RobotParameters, periods_s: Mapping[str, float]) -> Engine | None:
@@ -371,6 +377,21 @@ class _Builder:
 
 def _ranges(robot: RobotParameters) -> Ranges:
     return Ranges(*robot.ranges)
+
+
+def _settings(
+    config: Config, robot: RobotParameters, blocks: Sequence[BlockUse]
+) -> dict[str, float]:
+    """Return the value of every parameter; what the body is made of is the configuration's."""
+    values = read(robot)
+    body = config.mechatronic.model_dump()
+    for name in PLANT.keys() - values.keys():
+        inner = body["tyre"] if name.startswith("mechatronic.tyre.") else body
+        values[name] = inner[name.rpartition(".")[2]]
+    for block in blocks:
+        own = zip(block.declaration.parameters, block.values, strict=True)
+        values |= {f"{BLOCK}{block.name}.{key}": value for key, value in own}
+    return {name: values[name] for name in table_of((b.name, b.declaration) for b in blocks)}
 
 
 def _outputs(block: BlockUse) -> list[BlockOutput]:

@@ -20,6 +20,7 @@ from hilserver.config.timing import LimitsConfig
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
 from hilserver.core.leases import TELEOP, Leases
+from hilserver.core.parameters import LiveParameters, Start
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.models import end_models, with_models
@@ -43,6 +44,8 @@ from hilserver.signals import SignalTable
 LINEAR_BINS = 10_000
 VIRTUAL_RING = 2048
 """Frames that are read between two batches of virtual time."""
+PUBLISHED_AHEAD = 2
+"""Publish slices by which a scheduled change of the parameters is packed ahead of its tick."""
 OTHER_LEASES = 3
 """Of those that are no links: see `leases_of`."""
 UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
@@ -129,6 +132,7 @@ class Core:
     events: EventBus
     gate: InputGate
     snapshots: SnapshotStore
+    parameters: LiveParameters
     lines: Mapping[str, Line]
     faults: Faults
 
@@ -215,6 +219,9 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     folder = assembly.folder / config.snapshots.folder
     snapshots = SnapshotStore(image, folder, dict(assembly.identity))
     image.tell(identity=snapshots.identity)
+    start = Start(assembly.robot, assembly.configured, assembly.composition)
+    publish = next(s.period_ticks for s in assembly.slices if s.name == "publish")
+    parameters = LiveParameters(start, image, snapshots, events, PUBLISHED_AHEAD * publish)
     lines = {o.name: Line(o.name) for o in config.drivers if o.is_enabled and o.has_faults}
     faults = Faults(
         table,
@@ -224,7 +231,9 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
         tick=lambda: scheduler.tick,
         lines=lines,
     )
-    return Core(assembly, image, step, scheduler, events, gate, snapshots, lines, faults)
+    return Core(
+        assembly, image, step, scheduler, events, gate, snapshots, parameters, lines, faults
+    )
 
 
 def leases_of(config: Config, image: ProcessImage, period_ns: int) -> Leases:

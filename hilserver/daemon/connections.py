@@ -144,6 +144,7 @@ def make_metrics(
     return Metrics(
         Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)),
         Source(core_metrics.STATE_METRICS, lambda: control.state),
+        Source(core_metrics.PARAMETER_METRICS, lambda: len(core.parameters.differing)),
         Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
         Source(peer_metrics.METRICS, peers),
         Source(shield_metrics.METRICS, lambda: [p for p in peers() if isinstance(p, ShieldStatus)]),

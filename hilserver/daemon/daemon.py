@@ -109,7 +109,9 @@ class Daemon:
         )
         self.control.on_reset.append(self._restart_faults)
         self._watch_communication(speed=1.0)
-        self.stage = Stage(self.table, self.image, self.gate, self.faults, period_ns)
+        self.stage = Stage(
+            self.table, self.image, self.gate, self.faults, core.parameters, period_ns
+        )
         if self._play is not None:
             self.stage.check(self._play)
         self.supervision = Supervision(core, self.control)
@@ -260,7 +262,8 @@ class Daemon:
 
     # --- communication slices ---------------------------------------------------------------------
 
-    def _publish(self, _tick: int, _planned_ns: int) -> None:
+    def _publish(self, tick: int, _planned_ns: int) -> None:
+        self.core.parameters.look_ahead(tick)
         self.outputs.publish(self.control, self.parts)
 
     def _supervise(self, _tick: int, _planned_ns: int) -> None:
@@ -293,6 +296,7 @@ class Daemon:
     def _restart_faults(self) -> None:
         """After a reset: no fault, no force, and the scenario from its beginning."""
         self.faults.reset()
+        self.core.parameters.schedule()
         if self._play is not None:
             self.stage.play(self._play.scenario)
 

@@ -91,6 +91,7 @@ class Scenarios:
         if playing is None:
             raise ControlRefused("no scenario is playing")
         self._faults.reset()
+        self._stage.stop()
         if self._gate.owner == "scenario":
             self._gate.take(playing.owner)
 

@@ -93,6 +93,7 @@ def _build(config: str) -> tuple[str, ...]:
 METRICS: Final[tuple[Metric[Any], ...]] = (
     *scheduler.METRICS,
     *core.STATE_METRICS,
+    *core.PARAMETER_METRICS,
     *core.INPUT_METRICS,
     *peer_metrics.METRICS,
     *shield_metrics.METRICS,

@@ -1,41 +1,45 @@
-"""Model patches that are loaded and removed while the robot runs, each from one tick on."""
+"""Model patches: sets of parameters in files, laid over the plant and saved while it runs."""
 
 import asyncio
+import os
+from math import isnan
 from pathlib import Path
+from typing import Final
 
-import numpy as np
+import yaml
 
-from hilserver.config.patch import Patch, load_patch
+from hilserver import __version__
+from hilserver.config.patch import SCHEMA_2, Patch, load_patch
 from hilserver.core.events import Event, EventKind
-from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Core
 from hilserver.errors import ControlRefused
+from hilserver.kernel.fitted import fitted_limits
+from hilserver.parameters import check, named
+from hilserver.plant.errors import PlantError
+
+MOST_FILES: Final = 100
+"""Patches in the folder: whoever may save one must not fill the disk."""
 
 
 class Patches:
-    """Lays patches of one folder over the plant of a running core.
-
-    Snapshots and recordings say which patch was at work: a recording goes on in a new segment with
-    the state, parameters included, that the patch met.
-    """
+    """Lays patches of one folder over the plant of a running core, and saves what was tuned."""
 
     def __init__(self, folder: Path, core: Core) -> None:
         self._folder, self._core = folder, core
-        self._assembly = core.assembly
-        self._edition = 0.0
+        self._patch = core.assembly.patch
         self._lock = asyncio.Lock()
 
     @property
     def loaded(self) -> str | None:
         """Name of the file whose patch is at work; None without one."""
-        patch = self._assembly.patch
+        patch = self._patch
         return None if patch is None or patch.path is None else patch.path.name
 
     @property
     def notice(self) -> str | None:
         """What the page says beside the name: the patch may not fit this configuration."""
-        patch = self._assembly.patch
-        return None if patch is None else patch.notice(self._assembly.config.sha256)
+        patch = self._patch
+        return None if patch is None else patch.notice(self._core.assembly.config.sha256)
 
     async def load(self, name: str) -> None:
         """Lay a patch over the plant, in place of the one before.
@@ -53,36 +57,98 @@ class Patches:
         patch = await asyncio.to_thread(load_patch, path)
         tick = await self._lay(patch)
         self._tell(200, f"model patch '{name}' is loaded from tick {tick} on")
-        notice = patch.notice(self._assembly.config.sha256)
+        notice = patch.notice(self._core.assembly.config.sha256)
         if notice is not None:
             self._tell(400, notice)
 
     async def remove(self) -> None:
-        """Go on with the plant of the configuration.
+        """Go on with what the configuration has for the parameters of the patch.
 
         Raises
         ------
         ControlRefused
             If no patch is loaded.
         """
-        if self._assembly.patch is None:
+        if self._patch is None:
             raise ControlRefused("no patch is loaded")
         tick = await self._lay(None)
         self._tell(200, f"the model patch is removed from tick {tick} on")
 
     async def _lay(self, patch: Patch | None) -> int:
+        parameters = self._core.parameters
         async with self._lock:
-            new: Assembly = await asyncio.to_thread(self._assembly.patched, patch)
-            numbers = {
-                "p": new.composition.parameters.numbers,
-                "fitted": new.composition.fitted,
-                "edition": np.array([self._edition + 1.0]),
-            }
-            snapshots, image = self._core.snapshots, self._core.image
-            tick = await snapshots.exchange(numbers, new.identity)
-            self._assembly, self._edition = new, self._edition + 1.0
-            image.tell(patch=new.provenance["patch"], identity=snapshots.identity)
-            return tick
+            configured = parameters.configured
+            values = {} if self._patch is None else {n: configured[n] for n in self._patch.values}
+            values |= {} if patch is None else self._checked(patch)
+            fitted = fitted_limits(None if patch is None else patch.model)
+            try:
+                number = parameters.apply(values, fitted=fitted)
+            except ControlRefused as error:
+                key, _, rest = str(error).partition(": ")
+                if patch is not None and (entry := patch.entry_at(key)) is not None:
+                    raise patch.refusal(entry, rest) from None
+                raise
+            self._patch = patch
+            return await parameters.taken(number)
+
+    def _checked(self, patch: Patch) -> dict[str, float]:
+        table, values = self._core.parameters.table, {}
+        patch.applied(self._core.assembly.config.plant)
+        for name, value in patch.values.items():
+            try:
+                full = named(name, table)
+                values[full] = check(table[full], value)
+            except PlantError as error:
+                key, _, rest = str(error).partition(": ")
+                raise patch.refusal(patch.entry_at(key) or name, rest) from None
+        return values
+
+    async def save(self, name: str) -> None:
+        """Write the parameters that differ from the configuration as a patch.
+
+        Raises
+        ------
+        ControlRefused
+            If none differs, the file exists, or it cannot be written.
+        """
+        path = self._folder / f"{name.removesuffix('.yaml')}.yaml"
+        parameters = self._core.parameters
+        values = parameters.differing
+        if not values:
+            raise ControlRefused("no parameter differs from the configuration")
+        text = yaml.safe_dump(
+            {
+                "schema": SCHEMA_2,
+                "made_from": {
+                    "config_sha256": self._core.assembly.config.sha256,
+                    "version": __version__,
+                },
+                "parameters": {
+                    n: {"value": None if isnan(v) else v, "unit": parameters.table[n].unit}
+                    for n, v in values.items()
+                },
+            },
+            sort_keys=False,
+            allow_unicode=True,
+        )
+        await asyncio.to_thread(_write, path, text)
+        self._tell(200, f"{len(values)} parameters are saved as patch '{path.name}'")
 
     def _tell(self, severity: int, text: str) -> None:
         self._core.events.publish(Event(EventKind.STATE, severity, "daemon", text))
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    n_files = sum(1 for _ in path.parent.glob("*.yaml"))
+    if n_files >= MOST_FILES:
+        raise ControlRefused(f"there are {n_files} patches in {path.parent}; remove some first")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except FileExistsError:
+        raise ControlRefused(f"'{path.name}' exists; choose another name") from None
+    except OSError as error:
+        raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None

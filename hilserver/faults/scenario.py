@@ -7,25 +7,29 @@
     steps:
       - {at_s: 0.0, write: {control.mode: 1, twist.linear_m_s: 0.3}}
       - {at_s: 2.0, write: {twist.angular_rad_s: 0.5}}
+      - {at_s: 3.0, set: {terms.rotation_gain: -0.3}}
     faults:
       - {fault: bias, signal: imu.gyro_z_rad_s, offset: 0.2, from_s: 3.0, until_s: 5.0}
 
 Times count from the start of the simulation; everything acts at the start of its tick.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
-from pydantic import Field
+from pydantic import ConfigDict, Field, model_validator
 
 from hilserver.config.loading import LIVE_BYTES, load, place
 from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.core.parameters import LiveParameters
 from hilserver.errors import ConfigError
 from hilserver.faults.book import Faults
 from hilserver.faults.model import Fault, Seconds
 from hilserver.image import ProcessImage, Row
+from hilserver.plant.errors import PlantError
 from hilserver.signals import SignalTable
 
 MAX_STEPS = 4000
@@ -36,8 +40,19 @@ class Step(Section):
 
     at_s: Seconds = Field(description="this long after the start [s]")
     write: dict[str, bool | float | list[float]] = Field(
-        description="signal: value", min_length=1, max_length=100
+        {}, description="signal: value", max_length=100
     )
+    set_: dict[str, float | None] = Field(
+        {}, alias="set", description="parameter: value; null as in config.yaml", max_length=100
+    )
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    @model_validator(mode="after")
+    def _does_something(self) -> Self:
+        if not self.write and not self.set_:
+            raise ValueError("a step needs 'write' or 'set'")
+        return self
 
 
 class Scenario(Section):
@@ -90,12 +105,14 @@ class Stage:
         image: ProcessImage,
         gate: InputGate,
         faults: Faults,
+        parameters: LiveParameters,
         base_period_ns: int,
     ) -> None:
         self._table = table
         self._image = image
         self._gate = gate
         self._faults = faults
+        self._parameters = parameters
         self._period_s = base_period_ns * 1e-9
 
     def check(self, play: Play) -> None:
@@ -118,6 +135,22 @@ class Stage:
                 if complaint:
                     where = place(path, ("steps", index, "write", name))
                     raise ConfigError(f"{where}{complaint}")
+        self._check_parameters(scenario, path)
+
+    def _check_parameters(self, scenario: Scenario, path: Path | None) -> None:
+        """Refuse what would not fit, were nothing else changed meanwhile."""
+        values: dict[str, float] = {}
+        for index, step in enumerate(scenario.steps):
+            for name, value in step.set_.items():
+                try:
+                    values |= self._parameters.checked({name: value})
+                except PlantError as error:
+                    where = place(path, ("steps", index, "set", name))
+                    raise ConfigError(f"{where}{error}") from None
+            try:
+                self._parameters.try_out(values)
+            except PlantError as error:
+                raise ConfigError(f"{place(path, ('steps', index, 'set'))}{error}") from None
 
     def play(self, scenario: Scenario, start_tick: int = 0) -> None:
         """Hand a checked scenario to the plant; its times count from `start_tick`.
@@ -132,8 +165,21 @@ class Stage:
             self._gate.take("scenario")
         if not self._image.push_timed(rows):
             raise ConfigError(f"{len(rows)} timed values are too many for the input queue")
+        self._parameters.schedule(
+            sorted(self._sets(scenario, start_tick), key=itemgetter(0)), start_tick
+        )
         if scenario.faults:
             self._faults.inject(*scenario.seeded_faults, start_tick=start_tick)
+
+    def stop(self) -> None:
+        """Let no parameter change any more by a scenario."""
+        self._parameters.schedule()
+
+    def _sets(self, scenario: Scenario, start_tick: int) -> Iterator[tuple[int, dict[str, float]]]:
+        for step in scenario.steps:
+            if step.set_:
+                tick = start_tick + round(step.at_s / self._period_s)
+                yield tick, self._parameters.checked(step.set_)
 
     def _rows(self, scenario: Scenario, start_tick: int) -> list[Row]:
         rows: list[Row] = []

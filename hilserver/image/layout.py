@@ -19,7 +19,6 @@ JSON_WORDS = 32768
 
 REQUEST_SAVE = 1
 REQUEST_LOAD = 2
-REQUEST_PARAMETERS = 3
 REQUEST_RESTART = 4
 
 ROW_WORDS = 4  # tick, slot, value, status
@@ -48,6 +47,11 @@ class Layout:
     def stride(self) -> int:
         """Words of one published frame."""
         return FRAME_HEADER_WORDS + 2 * self.n_slots
+
+
+def padded(length: int) -> int:
+    """Return the words that a region takes: each begins at a cache line."""
+    return length + (-length) % 8
 
 
 def make_layout(
@@ -80,7 +84,7 @@ def make_layout(
     def place(name: str, length: int) -> None:
         nonlocal position
         regions[name] = Region(position, length)
-        position += length + (-length) % 8
+        position += padded(length)
 
     place("frame", n_slots)
     place("status", n_slots)

@@ -1,7 +1,6 @@
 """Snapshot and restore of everything that lives, in one copy between two ticks.
 
 The daemon fills or reads the shadow copy and posts a request; the plant's next latch serves it.
-Other parameters are taken over in the same way, and the state that they meet is saved with them.
 A restart ends every lease besides: nobody drives on by what was commanded before.
 The live regions lie in one piece, so that a request costs one copy of some ten kilobytes.
 """
@@ -11,7 +10,7 @@ from typing import Any
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.image import word
-from hilserver.image.layout import REQUEST_LOAD, REQUEST_PARAMETERS, REQUEST_RESTART
+from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
 
 
 @kernel("int64(int64, int64, int64[::1])")
@@ -47,10 +46,6 @@ def serve(number: int, tick: int, words: Any) -> int:
             words[live + i] = words[shadow + i]
         tick = words[word.REQUEST_TICK]
     else:
-        if words[word.REQUEST_KIND] == REQUEST_PARAMETERS:
-            first = words[word.PARAMETERS_BASE] - live
-            for i in range(first, first + words[word.PARAMETERS_LENGTH]):
-                words[live + i] = words[shadow + i]
         for i in range(words[word.LIVE_LENGTH]):
             words[shadow + i] = words[live + i]
         words[word.REQUEST_TICK] = tick

@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from hilserver.compiled.cache import cache_dir, hash_of
-from hilserver.image import ProcessImage
+from hilserver.image import ProcessImage, changes
 from hilserver.kernel.composition import BlockUse, Composition
 from hilserver.kernel.source import step_source
 from hilserver.plant import layout as robot
@@ -49,25 +49,23 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     image.control.modifiers = regions["modifiers"].base
     image.control.mail_base = regions["modifier_mail"].base
     image.control.setpoint_slots = robot.U_MODE
-    first, last = regions["p"], regions["edition"]
-    image.control.parameters_base = first.base
-    image.control.parameters_length = last.base + last.length - first.base
+    first, packed = regions["p"].base, composition.packed()
+    image.control.parameters_base = first
+    image.control.parameters_length = packed.size
+    image.control.changes_base = regions[changes.REGION].base
+    image.values[first : first + packed.size] = packed
 
     def put(name: str, numbers: Any) -> None:
         region = regions[name]
         image.values[region.base : region.base + region.length] = numbers
 
-    put("p", composition.parameters.numbers)
     put("x", composition.state)
     put("hall", composition.hall.ravel())
-    put("fitted", composition.fitted)
     if composition.body is not None:
         put("body", composition.body.initial)
         put("body_p", composition.body.parameters)
         put("body_a", composition.body.addresses.view(np.float64))
     for block in composition.blocks:
-        values = {**block.declaration.parameters, **block.parameters}
-        put(f"{block.name}.p", [values[name] for name in block.declaration.parameters])
         if block.foreign is None:
             put(f"{block.name}.x", list(block.declaration.state.values()))
         else:

@@ -2,20 +2,19 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.body.engine import Engine
+from hilserver.image import changes
+from hilserver.image.layout import padded
 from hilserver.kernel.fitted import N_LIMITS, fitted_limits
 from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
 from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
 from hilserver.signals import SignalTable
-
-PARAMETERS: Final = {"p": robot.Parameters.n_words, "fitted": N_LIMITS, "edition": 1}
-"""Regions that a patch replaces, in one piece."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +134,12 @@ class BlockUse:
             f"{self.name}.x": len(d.state) if self.foreign is None else self.foreign.initial.size,
         }
 
+    @property
+    def values(self) -> list[float]:
+        """Its parameters in the order of the declaration."""
+        given = {**self.declaration.parameters, **self.parameters}
+        return [given[name] for name in self.declaration.parameters]
+
 
 @dataclass(frozen=True)
 class Composition:
@@ -150,6 +155,8 @@ class Composition:
         Line segments for the range finders, as `tof_step` takes them, flattened.
     fitted : ndarray of float64
         Ranges in which the terms of a patch were fitted, see `fitted_limits`.
+    settings : mapping of float
+        Value of every parameter by its name, see `hilserver.parameters`; NaN is null.
     body : Engine or None
         The mechatronic model; its addresses must live as long as the step.
     """
@@ -164,6 +171,30 @@ class Composition:
     hall: NDArray[np.float64]
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
     body: Engine | None = None
+    settings: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def parameter_regions(self) -> dict[str, int]:
+        """Regions that a change of the parameters replaces, in one piece, with their lengths."""
+        own = {"p": robot.Parameters.n_words, "fitted": N_LIMITS, "edition": 1}
+        own["parameters"] = len(self.settings)
+        return own | {f"{b.name}.p": len(b.declaration.parameters) for b in self.blocks}
+
+    def packed(self, edition: int = 0) -> NDArray[np.float64]:
+        """Return that piece: all numbers that the step reads of the parameters."""
+        numbers: dict[str, Any] = {
+            "p": self.parameters.numbers,
+            "fitted": self.fitted,
+            "edition": edition,
+            "parameters": list(self.settings.values()),
+        }
+        numbers |= {f"{block.name}.p": block.values for block in self.blocks}
+        piece = np.zeros(sum(map(padded, self.parameter_regions.values())))
+        begin = 0
+        for name, length in self.parameter_regions.items():
+            piece[begin : begin + length] = numbers[name]
+            begin += padded(length)
+        return piece
 
     @property
     def live_regions(self) -> dict[str, int]:
@@ -171,7 +202,7 @@ class Composition:
 
         The parameters are among them: a recording in which a patch was loaded can be replayed.
         """
-        regions = {"x": robot.N_X, **PARAMETERS} | REGIONS_LIVE
+        regions = {"x": robot.N_X, **self.parameter_regions} | REGIONS_LIVE
         if self.body is not None:
             regions["body"] = self.body.initial.size
         for block in self.blocks:
@@ -182,10 +213,11 @@ class Composition:
     def fixed_regions(self) -> dict[str, int]:
         """Regions of the arena that a run does not change."""
         regions = {"hall": self.hall.size} | REGIONS_FIXED
+        packed = sum(map(padded, self.parameter_regions.values()))
+        regions[changes.REGION] = changes.words_needed(packed)
         if self.body is not None:
             regions |= {"body_p": self.body.parameters.size, "body_a": self.body.addresses.size}
         for block in self.blocks:
-            regions[f"{block.name}.p"] = len(block.declaration.parameters)
             if block.foreign is not None:
                 regions[f"{block.name}.a"] = block.foreign.addresses.size
         return regions

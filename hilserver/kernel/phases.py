@@ -11,6 +11,7 @@ from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame
 from hilserver.image.status import GOOD, UNCERTAIN
+from hilserver.kernel.changes import drop_changes, take_changes
 from hilserver.kernel.modifier_layout import H_TIMEOUT_DEAD
 from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
 from hilserver.kernel.places import Places
@@ -91,6 +92,7 @@ def _drive_on(now_ns: int, values: Any, words: Any) -> None:
     """Go on from a state that was restored: by what it commands, or at zero."""
     kind = words[word.REQUEST_KIND]
     if kind in (REQUEST_LOAD, REQUEST_RESTART):
+        drop_changes(words[word.REQUEST_TICK], words)
         adopt_outcome(now_ns, values, words)
     if kind == REQUEST_RESTART:
         end_leases(values, words)
@@ -124,10 +126,12 @@ def task(request: int, words: Any) -> int:
 
 @kernel()
 def latch(request: int, tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> int:
-    """Serve a snapshot request, take the inputs of this tick, return the tick to execute.
+    """Take parameters, serve a snapshot request, latch the inputs; return the tick to execute.
 
     The daemon's state is an input like others, so that a replay shows it at the same ticks.
     """
+    if load_acquire(words, word.CHANGES_HEAD) != words[word.CHANGES_TAIL]:
+        take_changes(tick, at, values, words)  # before a state that is loaded brings its own
     served = words[word.REQUEST_DONE]
     tick = serve(request, tick, words)
     restore_true_values(tick, values, words)

@@ -7,6 +7,7 @@ import numpy as np
 
 from hilserver.errors import LogError
 from hilserver.logs import bag_topics as topics
+from hilserver.logs import changes as sparse
 from hilserver.logs.bag_messages import Bag, read_messages
 from hilserver.logs.log import Log, State
 from hilserver.logs.mcap_reader import Contents, to_log
@@ -21,7 +22,7 @@ def is_own_bag(path: Path) -> bool:
 
 def read_own_bag(path: Path) -> Log:
     """Read a bag of ours, a folder or its file; see `reading.read_log`."""
-    bags = read_messages(path, {topics.FRAMES, topics.RUN, topics.STATES})
+    bags = read_messages(path, {topics.FRAMES, topics.RUN, topics.STATES, topics.CHANGES})
     types = Types()
     types.add(topics.STATE_TYPE, topics.STATE_TEXT)
     runs, frames = _all(bags, topics.RUN), _all(bags, topics.FRAMES)
@@ -41,6 +42,8 @@ def read_own_bag(path: Path) -> Log:
         state = types.decode(data, topics.STATE_TYPE)
         words = np.array(state.words, dtype=np.int64)
         contents.states.append(State(int(state.segment), int(state.tick), words))
+    for data in _all(bags, topics.CHANGES):
+        contents.changes.append(sparse.from_text(types.decode(data, topics.RUN_TYPE).data))
     notices = [notice for bag in bags for notice in bag.notices]
     return to_log(path, contents, notices)
 

@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hilserver.logs.changes import TOPIC as CHANGES
 from hilserver.logs.mcap_writer import TOPIC as FRAMES
 from hilserver.logs.message import SCHEMA_NAME
 from hilserver.ros import outgoing
@@ -11,7 +12,7 @@ from hilserver.ros.flavours import EXTRAS, FLAVOURS, Published
 from hilserver.ros.robot import Odometer, Robot, Shape
 from hilserver.ros.types import Types
 
-__all__ = ["FRAMES", "FRAME_TYPE", "RUN", "RUN_TYPE", "STATES", "STATE_TYPE"]
+__all__ = ["CHANGES", "FRAMES", "FRAME_TYPE", "RUN", "RUN_TYPE", "STATES", "STATE_TYPE"]
 
 FRAME_TYPE: Final = SCHEMA_NAME
 RUN, RUN_TYPE = "/hilserver/run", "std_msgs/msg/String"

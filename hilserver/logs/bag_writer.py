@@ -13,6 +13,7 @@ import numpy as np
 
 from hilserver.errors import FailedError
 from hilserver.logs import bag_topics as topics
+from hilserver.logs import changes as sparse
 from hilserver.logs.log import State
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
 from hilserver.logs.writer import Segmented
@@ -65,6 +66,7 @@ class BagWriter:
             for name, kind in (
                 (topics.FRAMES, topics.FRAME_TYPE),
                 (topics.RUN, topics.RUN_TYPE),
+                (topics.CHANGES, topics.RUN_TYPE),
                 (topics.STATES, topics.STATE_TYPE),
                 *((topics.absolute(p.topic), p.type) for p in self._eduart.topics),
             )
@@ -95,6 +97,9 @@ class BagWriter:
             self._append(topics.FRAMES, stamp_ns, row.tobytes())
             for topic, message in self._eduart.messages(tick, stamp_ns, row["values"]):
                 self._append(topics.absolute(topic), stamp_ns, self._types.encode(message))
+        for change in batch.changes:
+            text = self._types.make(topics.RUN_TYPE, data=sparse.as_text(change))
+            self._add(topics.CHANGES, self._types.encode(text))
 
     def _append(self, topic: str, stamp_ns: int, data: bytes) -> None:
         self._newest_ns = max(self._newest_ns or 0, stamp_ns)

@@ -10,9 +10,10 @@ from typing import Any, TextIO, cast
 import numpy as np
 
 from hilserver.errors import LogError, meant
+from hilserver.logs import changes as sparse
 from hilserver.logs.csv_fast import parse_clean
-from hilserver.logs.csv_writer import meta_path
-from hilserver.logs.log import Log, State
+from hilserver.logs.csv_writer import changes_path, meta_path
+from hilserver.logs.log import Change, Log, State
 from hilserver.logs.provenance import unpack_meta
 from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
 
@@ -32,6 +33,7 @@ def read_csv(path: Path, known: Container[str] | None = None) -> Log:
         columns={n: table.column(n) for n in table.names if n not in (TIME, SEGMENT, BLOCK)},
         run=run,
         states=states,
+        changes=_read_changes(path),
         notices=table.notices,
     )
 
@@ -239,4 +241,18 @@ def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
     except (ValueError, OSError):
         raise LogError(
             f"{beside}: is damaged; remove it to read {path.name} as a log of others"
+        ) from None
+
+
+def _read_changes(path: Path) -> list[Change]:
+    """Return what stands in the file beside the log in which parameters changed."""
+    beside = changes_path(path)
+    if not beside.exists():
+        return []
+    try:
+        lines = beside.read_text(encoding="utf-8").splitlines(keepends=True)
+        return [sparse.from_text(line) for line in lines if line.endswith("\n")]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise LogError(
+            f"{beside}: is damaged; replay {path.name} without it with --as-inputs"
         ) from None

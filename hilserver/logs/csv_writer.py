@@ -2,7 +2,8 @@
 
 ``run.csv`` has a header row, ``t_s``, ``segment`` and the signals; every number is written so that
 reading it gives the same bits; ``nan`` where a status code is bad. ``run.csv.meta.json`` says where
-the log comes from and holds the states to replay from.
+the log comes from and holds the states to replay from. Where parameters changed,
+``run.csv.parameters.jsonl`` says to what.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hilserver.logs import changes as sparse
 from hilserver.logs.log import State
 from hilserver.logs.provenance import pack_meta
 from hilserver.logs.writer import Segmented, WholeFile
@@ -24,6 +26,11 @@ def meta_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.meta.json")
 
 
+def changes_path(path: Path) -> Path:
+    """Return the file beside a CSV log in which parameters changed: a line of JSON for each."""
+    return path.with_name(f"{path.name}.parameters.jsonl")
+
+
 class CsvWriter:
     """Writes one CSV log; see `LogWriter`."""
 
@@ -32,6 +39,7 @@ class CsvWriter:
         self._period_s = int(run["base_period_ns"]) * 1e-9
         self._states: list[State] = []
         self._write_meta()
+        changes_path(path).unlink(missing_ok=True)
         self._file = WholeFile(path)
         names = [run["signals"][slot]["name"] for slot in slots]
         self._file.append((",".join(["t_s", "segment", *names]) + "\n").encode())
@@ -50,6 +58,9 @@ class CsvWriter:
         rows = zip(times, batch.segments.tolist(), values.tolist(), strict=True)
         lines = [f"{t!r},{segment},{','.join(map(repr, row))}\n" for t, segment, row in rows]
         self._file.append("".join(lines).encode())
+        if batch.changes:
+            with changes_path(self._path).open("a", encoding="utf-8") as file:
+                file.writelines(f"{sparse.as_text(change)}\n" for change in batch.changes)
 
     def add_state(self, state: State) -> None:
         """Append a state to replay from."""

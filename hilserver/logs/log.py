@@ -28,6 +28,29 @@ class State:
     words: NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Parameters that changed in a recording, from a tick on.
+
+    Attributes
+    ----------
+    segment, tick : int
+        The first tick with them.
+    number : int
+        What ``internal.edition`` shows from then on.
+    values : mapping of float
+        Every parameter by name; NaN is null.
+    packed : ndarray of float64, shape (n,)
+        What the plant went on with.
+    """
+
+    segment: int
+    tick: int
+    number: int
+    values: Mapping[str, float]
+    packed: NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class Log:
     """A table with a time column and any subset of the signals.
@@ -47,6 +70,7 @@ class Log:
     run : mapping or None
         Version, configuration, kernels ... of the run; None for a log that is not ours.
     states : sequence of State
+    changes : sequence of Change
     notices : sequence of str
         What a reader should know: rows dropped, frames lost.
     """
@@ -59,6 +83,7 @@ class Log:
     status: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     run: Mapping[str, Any] | None = None
     states: Sequence[State] = ()
+    changes: Sequence[Change] = ()
     notices: Sequence[str] = ()
 
     def __len__(self) -> int:

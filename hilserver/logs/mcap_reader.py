@@ -20,8 +20,10 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError
-from hilserver.logs.log import Log, State
+from hilserver.logs import changes as sparse
+from hilserver.logs.log import Change, Log, State
 from hilserver.logs.mcap_writer import (
+    CHANGES,
     CONFIG_ATTACHMENT,
     METADATA,
     STATE_ATTACHMENT,
@@ -33,6 +35,8 @@ from hilserver.logs.table import BLOCK, TIME
 from hilserver.logs.unpacking import PIECE_BYTES, Budget
 
 BAD = 0x8000_0000
+_MESSAGE_HEAD = 9 + 22
+"""Bytes of a record before the data of its message."""
 _TEXTS = (
     "schema",
     "version",
@@ -58,6 +62,7 @@ class Contents:
     run: dict[str, Any] = field(default_factory=dict)
     configuration: str | None = None
     states: list[State] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
     ended: bool = False
 
     def take(self, record: rec.McapRecord, budget: Budget) -> None:
@@ -65,7 +70,7 @@ class Contents:
         if isinstance(record, rec.Channel) and record.topic == TOPIC:
             self.names = list(json.loads(record.metadata["signals"]))
         elif isinstance(record, rec.Chunk) and self.names:
-            self.tables.append(_messages(budget.unpack(record), len(self.names)))
+            self._take_chunk(budget.unpack(record))
         elif isinstance(record, rec.Metadata) and record.name == METADATA:
             self.run = {
                 key: text if key in _TEXTS else json.loads(text)
@@ -77,6 +82,12 @@ class Contents:
             _, segment, tick = record.name.split("-")
             words = np.frombuffer(record.data, dtype="<i8").astype(np.int64)
             self.states.append(State(int(segment), int(tick), words))
+
+    def _take_chunk(self, data: bytes) -> None:
+        if data[9:11] == CHANGES.to_bytes(2, "little"):
+            self.changes.append(sparse.from_text(data[_MESSAGE_HEAD:]))
+        else:
+            self.tables.append(_messages(data, len(self.names)))
 
 
 def _messages(data: bytes, n_signals: int) -> NDArray[np.void]:
@@ -100,7 +111,15 @@ def read_mcap(path: Path) -> Log:
             try:
                 if opcode in _READ:
                     contents.take(_READ[Opcode(opcode)](ReadDataStream(BytesIO(body))), budget)
-            except (ValueError, KeyError, struct.error, zstandard.ZstdError, EndOfFile, zlib.error):
+            except (
+                ValueError,
+                KeyError,
+                TypeError,
+                struct.error,
+                zstandard.ZstdError,
+                EndOfFile,
+                zlib.error,
+            ):
                 raise LogError(
                     f"{path}: the record at byte {offset} is damaged; cut the file off there, what"
                     " stands before it can be read"
@@ -168,5 +187,6 @@ def to_log(path: Path, contents: Contents, notices: Sequence[str] = ()) -> Log:
         status=dict(zip(contents.names, status, strict=True)),
         run=run,
         states=contents.states,
+        changes=contents.changes,
         notices=notices,
     )

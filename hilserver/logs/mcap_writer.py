@@ -22,15 +22,18 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from hilserver import __version__
-from hilserver.logs.log import State
+from hilserver.logs import changes as sparse
+from hilserver.logs.log import Change, State
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout, payload_dtype
 from hilserver.logs.writer import Segmented, WholeFile
 
 TOPIC = "/hilserver/frame"
+CHANGES_SCHEMA = "hilserver.Parameters"
 METADATA = "hilserver"
 CONFIG_ATTACHMENT = "config.yaml"
 STATE_ATTACHMENT = "state"
-CHANNEL = 1
+CHANNEL, CHANGES = 1, 2
+"""Numbers of the channels; that of the parameters stands in a file that has changes."""
 CHUNK_BYTES = 1 << 20
 CHUNKS_FOR_INDEX = 5
 USUAL_COMPRESSION = 8
@@ -57,6 +60,7 @@ class McapWriter:
         self._utc_ns = utc_minus_monotonic_ns
         self._pending: list[NDArray[np.void]] = []
         self._pending_bytes = 0
+        self._changed: list[tuple[int, Change]] = []
         self._schema = rec.Schema(
             id=1, data=layout.schema.encode(), encoding="ros2msg", name=SCHEMA_NAME
         )
@@ -68,7 +72,7 @@ class McapWriter:
             schema_id=1,
             metadata={"signals": json.dumps({name: units[name] for name in layout.names})},
         )
-        self._summary = _Summary()
+        self._summary = _Summary([self._schema], [self._channel])
         self._file = WholeFile(path)
         self._append(rec.Header("", f"hilserver {__version__}"), magic=True)
         self._append(self._schema)
@@ -99,6 +103,7 @@ class McapWriter:
         payload["status"] = frames.status[:, self._slots]
         self._pending.append(table)
         self._pending_bytes += table.nbytes
+        self._changed += [(int(frames.planned_ns[0]) + self._utc_ns, c) for c in batch.changes]
         if self._pending_bytes >= CHUNK_BYTES:
             self.flush()
 
@@ -132,12 +137,32 @@ class McapWriter:
         return len(data)
 
     def flush(self) -> None:
-        """Write what is pending as one chunk."""
-        if not self._pending:
-            return
-        table = np.concatenate(self._pending)
-        self._pending, self._pending_bytes = [], 0
-        self._summary.add(self._file, table)
+        """Write what is pending, frames and changes as a chunk each."""
+        if self._pending:
+            table = np.concatenate(self._pending)
+            self._pending, self._pending_bytes = [], 0
+            times = table["log_time"].tolist()
+            self._summary.add(self._file, CHANNEL, times, table.tobytes(), table.dtype.itemsize)
+        if self._changed:
+            changed, self._changed = self._changed, []
+            self._write_changes(changed)
+
+    def _write_changes(self, changed: list[tuple[int, Change]]) -> None:
+        if len(self._summary.channels) == 1:
+            schema = json.dumps(sparse.SCHEMA).encode()
+            own: tuple[rec.Schema, rec.Channel] = (
+                rec.Schema(data=schema, encoding="jsonschema", id=CHANGES, name=CHANGES_SCHEMA),
+                rec.Channel(CHANGES, sparse.TOPIC, "json", {}, CHANGES),
+            )
+            self._summary.schemas.append(own[0])
+            self._summary.channels.append(own[1])
+            for record in own:
+                self._append(record)
+        for stamp_ns, change in changed:
+            text = sparse.as_text(change).encode()
+            number = change.number & 0xFFFF_FFFF
+            message = _encode(rec.Message(CHANGES, stamp_ns, text, stamp_ns, number))
+            self._summary.add(self._file, CHANGES, [stamp_ns], message, len(message))
 
     def sync(self) -> None:
         """Hand everything to the disk."""
@@ -152,7 +177,7 @@ class McapWriter:
         try:
             self.flush()
             for left in reversed(range(CHUNKS_FOR_INDEX + 1)):
-                index = self._summary.encode(self._file.size, self._schema, self._channel)
+                index = self._summary.encode(self._file.size)
                 try:
                     self._file.append(index)
                     return
@@ -167,20 +192,22 @@ class McapWriter:
 class _Summary:
     """The index at the end of the file, collected chunk by chunk."""
 
-    def __init__(self) -> None:
+    def __init__(self, schemas: list[rec.Schema], channels: list[rec.Channel]) -> None:
+        self.schemas, self.channels = schemas, channels
         self.chunks: list[rec.ChunkIndex] = []
         self.metadata: list[rec.MetadataIndex] = []
         self.attachments: list[rec.AttachmentIndex] = []
-        self._n_messages: list[int] = []
+        self._n_messages: list[tuple[int, int]] = []
         self._compressor = zstandard.ZstdCompressor(level=1)
 
-    def add(self, file: WholeFile, table: NDArray[np.void]) -> None:
-        """Write a chunk with its message index and remember where it is."""
-        data = table.tobytes()
-        start_ns, end_ns = int(table["log_time"].min()), int(table["log_time"].max())
+    def add(
+        self, file: WholeFile, channel: int, times_ns: Sequence[int], data: bytes, each: int
+    ) -> None:
+        """Write messages of `each` bytes as a chunk with its index and remember where it is."""
+        start_ns, end_ns = min(times_ns), max(times_ns)
         packed = self._compressor.compress(data)
         chunk = _encode(rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data)))
-        index = _message_index(table)
+        index = _message_index(channel, times_ns, each)
         offset = file.size
         file.append(chunk + index)
         self.chunks.append(
@@ -191,12 +218,12 @@ class _Summary:
                 compressed_size=len(packed),
                 message_end_time=end_ns,
                 message_index_length=len(index),
-                message_index_offsets={CHANNEL: offset + len(chunk)},
+                message_index_offsets={channel: offset + len(chunk)},
                 message_start_time=start_ns,
                 uncompressed_size=len(data),
             )
         )
-        self._n_messages.append(len(table))
+        self._n_messages.append((channel, len(times_ns)))
 
     def drop_last(self) -> int:
         """Forget the last chunk and what stands behind it; return where it begins."""
@@ -206,23 +233,27 @@ class _Summary:
         self.attachments = [a for a in self.attachments if a.offset < start]
         return start
 
-    def encode(self, position: int, schema: rec.Schema, channel: rec.Channel) -> bytes:
+    def encode(self, position: int) -> bytes:
         """Return everything from the end of the data to the end of the file."""
+        counts = {
+            channel.id: sum(n for number, n in self._n_messages if number == channel.id)
+            for channel in self.channels
+        }
         statistics = rec.Statistics(
             attachment_count=len(self.attachments),
-            channel_count=1,
-            channel_message_counts={CHANNEL: sum(self._n_messages)},
+            channel_count=len(self.channels),
+            channel_message_counts=counts,
             chunk_count=len(self.chunks),
-            message_count=sum(self._n_messages),
+            message_count=sum(counts.values()),
             message_end_time=max((c.message_end_time for c in self.chunks), default=0),
             message_start_time=min((c.message_start_time for c in self.chunks), default=0),
             metadata_count=len(self.metadata),
-            schema_count=1,
+            schema_count=len(self.schemas),
         )
         data_end = _encode(rec.DataEnd(0))
         groups: list[tuple[Opcode, Sequence[rec.McapRecord]]] = [
-            (Opcode.SCHEMA, [schema]),
-            (Opcode.CHANNEL, [channel]),
+            (Opcode.SCHEMA, self.schemas),
+            (Opcode.CHANNEL, self.channels),
             (Opcode.STATISTICS, [statistics]),
             (Opcode.CHUNK_INDEX, self.chunks),
             (Opcode.ATTACHMENT_INDEX, self.attachments),
@@ -247,10 +278,10 @@ def _encode(record: rec.McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def _message_index(table: NDArray[np.void]) -> bytes:
-    entries = np.empty((len(table), 2), dtype="<u8")
-    entries[:, 0] = table["log_time"]
-    entries[:, 1] = np.arange(len(table)) * table.dtype.itemsize
+def _message_index(channel: int, times_ns: Sequence[int], each: int) -> bytes:
+    entries = np.empty((len(times_ns), 2), dtype="<u8")
+    entries[:, 0] = times_ns
+    entries[:, 1] = np.arange(len(times_ns)) * each
     data = entries.tobytes()
-    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), CHANNEL, len(data))
+    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data))
     return head + data

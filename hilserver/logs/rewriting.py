@@ -1,6 +1,7 @@
 """A log into another format, without loss of a bit."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,13 +42,14 @@ def run_of(log: Log) -> dict[str, Any]:
 def rewrite(log: Log, writer: LogWriter) -> None:
     """Write all of a log; the caller opened the writer with `run_of` and every slot."""
     states = sorted(log.states, key=lambda state: (state.segment, state.tick))
+    changes = sorted(log.changes, key=lambda change: (change.segment, change.tick))
     for batch in _batches(log):
-        while states and (states[0].segment, states[0].tick) <= (
-            int(batch.segments[-1]),
-            int(batch.frames.ticks[-1]),
-        ):
+        end = int(batch.segments[-1]), int(batch.frames.ticks[-1])
+        while states and (states[0].segment, states[0].tick) <= end:
             writer.add_state(states.pop(0))
-        writer.write(batch)
+        held = [change for change in changes if (change.segment, change.tick) <= end]
+        changes = changes[len(held) :]
+        writer.write(replace(batch, changes=held))
     for state in states:
         writer.add_state(state)
 

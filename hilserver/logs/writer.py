@@ -1,7 +1,7 @@
 """What every writer of recordings is, and the file that all of them write to."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.image import FrameBatch
-from hilserver.logs.log import State
+from hilserver.logs.log import Change, State
 
 
 @dataclass(frozen=True, slots=True)
 class Segmented:
-    """Frames with the segment each belongs to; what writers take."""
+    """Frames with the segment each belongs to, and the changes in them; what writers take."""
 
     frames: FrameBatch
     segments: NDArray[np.int64]
+    changes: Sequence[Change] = ()
 
 
 class LogWriter(Protocol):
@@ -29,7 +30,7 @@ class LogWriter(Protocol):
         """Size of the file so far."""
 
     def write(self, batch: Segmented) -> None:
-        """Append frames."""
+        """Append frames and changes."""
 
     def add_state(self, state: State) -> None:
         """Append a state to replay from."""

@@ -131,7 +131,7 @@ def _pack_controller(p: Parameters, robot: RobotParameters, term: _Values) -> No
     quantum, filter_s = term("encoder_quantization"), term("encoder_filter")
     p.k_p = c.k_p * (1.0 + term("controller_gains.p"))
     p.k_i_step = period_s * (c.k_i * (1.0 + term("controller_gains.i")))
-    p.anti_windup_step = period_s * inverse_tracking
+    p.anti_windup_step = min(period_s * inverse_tracking, 1.0)  # beyond, it would overshoot
     p.limit = c.limit_pct * (term("saturation_limit") / 100.0)
     p.control_ticks = period_s / robot.period_s
     p.derivative_keep, p.derivative_gain = keep, gain

@@ -27,8 +27,8 @@ class Process:
     """Motor, gear and wheel (5.23): two first-order lags in cascade, gain in rpm per % duty."""
 
     gain: float = quantity(1.11, "speed per duty", unit="rpm/%", gt=0, le=1e4)
-    t1_s: float = quantity(0.069, "slow time constant", gt=0, le=100)
-    t2_s: float = quantity(0.0023, "fast time constant", jumps="imu", gt=0, le=100)
+    t1_s: float = quantity(0.069, "slow time constant", ge=1e-9, le=100)
+    t2_s: float = quantity(0.0023, "fast time constant", jumps="imu", ge=1e-9, le=100)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class Battery:
 
     enabled: bool = True
     period_s: float = quantity(0.01, "period of its slice", jumps="fixed", gt=0)
-    capacity_ah: float = quantity(3.0, "charge of the full pack", gt=0, le=1000)
+    capacity_ah: float = quantity(3.0, "charge of the full pack", ge=1e-3, le=1000)
     initial_charge: float = quantity(0.9, "1 full, 0 empty; from the next Reset on", ge=0, le=1)
     resistance_ohm: float = quantity(0.15, "internal resistance", jumps="battery", ge=0, le=10)
     idle_current_a: float = quantity(
@@ -81,7 +81,7 @@ class Navigation:
         20.0,
         "sampling rate; its period must be a multiple of the slice",
         jumps="nav",
-        gt=0,
+        ge=1e-3,
         le=10_000,
     )
     lever_arm_x_m: float = quantity(

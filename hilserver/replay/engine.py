@@ -1,5 +1,6 @@
 """The plant alone, in virtual time, fed with rows."""
 
+from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from typing import Any, Self
 
@@ -10,6 +11,8 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.builder import Pace, build
 from hilserver.errors import ConfigError, LogError
 from hilserver.image import read_frames
+from hilserver.image.changes import Changes
+from hilserver.logs.log import Change
 from hilserver.logs.writer import Segmented
 from hilserver.replay.plan import Stretch
 from hilserver.signals import State
@@ -18,7 +21,7 @@ QUEUE_ROWS = 1 << 17
 RING_FRAMES = 1 << 11
 BATCH_TICKS = 1 << 10
 IN_ROWS = -1
-_OF_THE_CONFIGURATION = ("parameters", "base_period_ns", "slices", "patch")
+_OF_THE_CONFIGURATION = ("parameters", "base_period_ns", "slices")
 
 
 class Engine:
@@ -27,6 +30,7 @@ class Engine:
     def __init__(self, assembly: Assembly) -> None:
         self._core = build(assembly, Pace(ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS))
         self.assembly, self.table, self.image = assembly, assembly.table, self._core.image
+        self._changes = Changes(self.image)
         self._store, self._fresh = self._core.snapshots, self._core.snapshots.initial
 
     async def __aenter__(self) -> Self:
@@ -68,14 +72,29 @@ class Engine:
         """Say whether the daemon's state comes in the rows, or is ``running`` throughout."""
         self.image.control.state = IN_ROWS if in_rows else State.RUNNING
 
+    def _post(self, changes: deque[Change], until: int) -> list[Change]:
+        """Hand over the changes before the tick `until`, as many as there is room for."""
+        posted: list[Change] = []
+        while changes and changes[0].tick < until and self._changes.room:
+            change = changes.popleft()
+            if change.packed.size != self._changes.length:
+                raise LogError(f"the change in tick {change.tick} is of another configuration")
+            self._changes.post(change.number, change.packed, change.tick)
+            posted.append(change)
+        return posted
+
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
         """Run through a stretch; give its frames."""
         state = self._fresh if stretch.state is None else stretch.state
         await self._store.restore(state, stretch.first_tick)
         rows, period_ns = stretch.rows, self.assembly.base_period_ns
+        changes = deque(stretch.changes)
         number, done = self.image.head, 0
         while done < stretch.n_ticks:
             n = min(BATCH_TICKS, stretch.n_ticks - done)
+            posted = self._post(changes, stretch.first_tick + done + n)
+            if changes:
+                n = min(n, changes[0].tick - stretch.first_tick - done)
             end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + n))
             if end > QUEUE_ROWS:
                 n, end = 1, int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1))
@@ -85,5 +104,5 @@ class Engine:
             await self._core.scheduler.advance(n)
             frames = read_frames(self.image, number, n)
             frames.words[:, 1] = frames.ticks * period_ns  # simulated, not planned, time
-            yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64))
+            yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64), posted)
             number, done = number + n, done + n

@@ -10,6 +10,7 @@ from hilserver.errors import LogError
 from hilserver.image.layout import Layout
 from hilserver.image.status import GOOD
 from hilserver.logs import Log, State
+from hilserver.logs.log import Change
 from hilserver.measured.channels import MODE, OF_MODE, TWIST
 from hilserver.signals import Direction, SignalTable
 
@@ -25,6 +26,8 @@ class Stretch:
     ----------
     state : ndarray of int64 or None
         The state to begin with; None: that of a fresh start.
+    changes : sequence of Change
+        Of the parameters, in the order of their ticks.
     rows : ndarray of float64, shape (n, 4)
         Tick, slot, value, status; ticks rise.
     """
@@ -34,6 +37,7 @@ class Stretch:
     n_ticks: int
     rows: NDArray[np.float64]
     state: NDArray[np.int64] | None = None
+    changes: Sequence[Change] = ()
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,8 @@ def plan_exact(
         rows = _changes(
             ticks[part], slots, values[part], status[part], _frame_of(state.words, layout)
         )
-        stretches.append(Stretch(segment, state.tick, last + 1 - begin, rows, state.words))
+        changes = _changes_in(log, segment, state.tick, int(ticks[last]))
+        stretches.append(Stretch(segment, state.tick, last + 1 - begin, rows, state.words, changes))
         if start is not None:
             break
     if not stretches:
@@ -127,6 +132,11 @@ def _state_in(log: Log, segment: int, low: int, high: int, start: State | None) 
         return start if low <= start.tick <= high else None
     fitting = [s for s in log.states if s.segment == segment and low <= s.tick <= high]
     return min(fitting, key=lambda s: s.tick, default=None)
+
+
+def _changes_in(log: Log, segment: int, low: int, high: int) -> list[Change]:
+    fitting = [c for c in log.changes if c.segment == segment and low <= c.tick <= high]
+    return sorted(fitting, key=lambda change: change.tick)
 
 
 def _no_state(log: Log, ticks: NDArray[np.int64], start: State | None) -> LogError:

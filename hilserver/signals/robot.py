@@ -240,7 +240,7 @@ def robot_table(
     text = f"State of the daemon: {', '.join(f'{state} {state.word}' for state in State)}"
     b.add("sim.state", "1", out, 0, last, text, type_=ValueType.BYTE, labels=words)
     b.add("internal.state", "1", Direction.IN, 0, last, "What sim.state shows", hidden=True)
-    text = "Counter of patches loaded and removed"
+    text = "Number of the last change of the parameters"
     b.add("internal.edition", "1", out, 0, 2**53, text, hidden=True)
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")

@@ -10,8 +10,10 @@ from typing import Literal, Self
 
 from hilserver.core.inputs import Refusal
 from hilserver.daemon.daemon import Daemon
+from hilserver.errors import ControlRefused
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.image import Frame
+from hilserver.plant.errors import PlantError
 from hilserver.signals import Signal
 from hilserver.testing.journal import Journal
 from hilserver.testing.tap import Capture, Tap
@@ -136,6 +138,23 @@ class Hil:
         if refused:
             raise HilError("; ".join(self._why(n, values[n], r) for n, r in refused.items()))
         self.journal.wrote(tick * self._period_s, values)
+
+    async def set_parameter(self, name: str, value: float | None) -> int:
+        """Change a parameter, named as in config.yaml; return the tick from which on it acts.
+
+        Raises
+        ------
+        HilError
+            If it is refused.
+        """
+        tick, parameters = self.tick, self.daemon.core.parameters
+        try:
+            number = parameters.apply(parameters.checked({name: value}))
+            taken = await parameters.taken(number)
+        except (PlantError, ControlRefused) as error:
+            raise HilError(str(error)) from None
+        self.journal.wrote(tick * self._period_s, {name: value}, key="set")
+        return taken
 
     def _why(self, name: str, value: object, reason: Refusal) -> str:
         return f"{name} = {value!r} was refused: {reason.value.replace('_', ' ')}"

@@ -15,12 +15,12 @@ class Journal:
         self._steps: list[dict[str, Any]] = []
         self._faults: list[dict[str, Any]] = []
 
-    def wrote(self, at_s: float, values: Mapping[str, Any]) -> None:
-        """Note values that the tick at `at_s` latches."""
+    def wrote(self, at_s: float, values: Mapping[str, Any], key: str = "write") -> None:
+        """Note values that the tick at `at_s` latches, signals or parameters (``set``)."""
         if len(self._steps) >= MAX_STEPS:
             self.left_out += 1
             return
-        self._steps.append({"at_s": round(at_s, 9), "write": dict(values)})
+        self._steps.append({"at_s": round(at_s, 9), key: dict(values)})
 
     def injected(self, at_s: float, fault: Fault) -> None:
         """Note a fault; its times counted from `at_s`."""

@@ -8,7 +8,7 @@ import yaml
 
 from hilserver.config.root import Config
 from hilserver.core.snapshot import SnapshotStore
-from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.daemon.builder import build
 from hilserver.daemon.patches import Patches
 from hilserver.errors import ConfigError, ControlRefused
@@ -16,7 +16,6 @@ from hilserver.image import Row
 from hilserver.image.status import UNCERTAIN
 from hilserver.io.recorder.recorder import Recorder, Settings
 from hilserver.logs import read_log
-from hilserver.plant.layout import Parameters
 from tests.replay.test_recordings import replay
 
 CONFIG = Config.model_validate({"scheduler": {"backend": "virtual"}})
@@ -84,7 +83,7 @@ async def test_it_acts_from_its_tick_on_and_leaves_nothing_behind(run):
     ]
 
 
-async def test_a_recording_goes_on_in_a_segment_and_comes_again_to_the_bit(run, folder):
+async def test_a_recording_goes_on_in_its_segment_and_comes_again_to_the_bit(run, folder):
     await run.turn_rate()
     await run.patches.load("turn.yaml")
     await run.turn_rate()
@@ -93,13 +92,15 @@ async def test_a_recording_goes_on_in_a_segment_and_comes_again_to_the_bit(run, 
     run.recorder._supervise(0.0)
     run.recorder.close()
     log = read_log(folder / "run.mcap")
-    assert np.array_equal(log.segment, np.repeat([0, 1, 2], 500))
+    assert not log.segment.any()
     assert np.array_equal(log.ticks(1_000_000), np.arange(1500)), "no tick is missing"
-    assert [(state.segment, state.tick) for state in log.states] == [(0, 0), (1, 500), (2, 1000)]
-    assert log.run["patch"]["content"]["terms"]["rotation_gain"]["value"] == GAIN
+    assert [(state.segment, state.tick) for state in log.states] == [(0, 0)]
+    assert [(c.tick, c.number) for c in log.changes] == [(500, 1), (1000, 2)]
+    assert log.changes[0].values["terms.rotation_gain"] == GAIN
     words = ("run.mcap", "-o", "again.mcap", "--check")
     said = await asyncio.to_thread(replay, *words, cwd=folder)
     assert "outputs of 1500 ticks are equal, bit for bit" in said
+    assert [c.tick for c in read_log(folder / "again.mcap").changes] == [500, 1000]
 
 
 async def test_where_it_was_not_fitted_outputs_are_uncertain_and_the_user_is_told(run):
@@ -111,24 +112,44 @@ async def test_where_it_was_not_fitted_outputs_are_uncertain_and_the_user_is_tol
     run.recorder.close()
 
 
-async def test_snapshots_of_another_patch_are_refused_and_a_reset_keeps_it(run):
+async def test_a_snapshot_brings_its_patch_and_a_reset_keeps_the_one_at_work(run):
     store: SnapshotStore = run.core.snapshots
+    p, _ = run.core.image.region("p")
+    plain = p.copy()
     await store.save("before")
     await run.patches.load("turn.yaml")
-    with pytest.raises(ControlRefused, match="was made with parameters"):
-        await store.load("before")
-    await store.save("with")
+    patched = p.copy()
+    assert not np.array_equal(patched, plain)
     await run.turn_rate()
     store.reset()
     await run.core.scheduler.advance(1)
-    p = Parameters.of(run.core.image.region("p")[0])
-    assert p.yaw_gain == run.patches._assembly.composition.parameters.yaw_gain
-    await store.load("with")
-    await run.patches.remove()
-    with pytest.raises(ControlRefused, match="was made with parameters"):
-        await store.load("with")
+    assert np.array_equal(p, patched)
     await store.load("before")
+    assert np.array_equal(p, plain)
+    assert run.core.parameters.differing == {}
     run.recorder.close()
+
+
+async def test_what_was_tuned_is_saved_as_a_patch_that_brings_it_back(run, folder):
+    tuned = {"plant.controller.k_p": 15.0, "terms.rotation_gain": 0.1, "plant.wheelbase_m": 0.3}
+    with pytest.raises(ControlRefused, match="no parameter differs"):
+        await run.patches.save("tuned")
+    assert run.core.parameters.write("test", tuned) == {}
+    await run.patches.save("tuned")
+    with pytest.raises(ControlRefused, match=r"'tuned\.yaml' exists"):
+        await run.patches.save("tuned")
+    run.core.parameters.reset()
+    assert run.core.parameters.differing == {}
+    await run.patches.load("tuned.yaml")
+    assert run.core.parameters.differing == tuned
+    await run.patches.load("turn.yaml")
+    assert run.core.parameters.differing == {"terms.rotation_gain": GAIN}
+    await run.patches.remove()
+    assert run.core.parameters.differing == {}
+    run.recorder.close()
+    patched = assemble(None, folder / "tuned.yaml")
+    assert {n: patched.composition.settings[n] for n in tuned} == tuned
+    assert patched.identity == assemble(None).identity
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,55 @@ async def test_everything_happens_at_its_tick_and_again_after_a_reset(scenario):
         assert all(np.array_equal(again[name].values, first[name]) for name in first)
 
 
+SETS = """\
+steps:
+  - {at_s: 0.0, write: {control.mode: 1, twist.angular_rad_s: 0.5}}
+  - {at_s: 0.050, set: {terms.rotation_gain: -0.3, plant.controller.k_p: 15}}
+  - {at_s: 0.800, set: {terms.rotation_gain: 0}}
+"""
+
+
+async def test_parameters_change_at_their_tick_whatever_else_changes(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(SETS)
+    async with open_hil(None, "virtual", scenario=path) as hil:
+        parameters, edition = hil.daemon.core.parameters, hil.daemon.table.slot("internal.edition")
+
+        async def first_tick(change):
+            while True:
+                await hil.step(1)
+                frame = hil.daemon.image.latest()
+                if frame.values[edition] >= change:
+                    return frame.tick
+
+        assert await first_tick(1) == 50
+        assert parameters.differing == {"terms.rotation_gain": -0.3, "plant.controller.k_p": 15.0}
+        assert await hil.set_parameter("plant.max_rpm", 70.0) == 51
+        assert await first_tick(3) == 800
+        assert parameters.differing == {"plant.max_rpm": 70.0, "plant.controller.k_p": 15.0}
+        hil.daemon.control.reset()
+        await hil.step(60)
+        assert parameters.differing["terms.rotation_gain"] == -0.3, "a Reset plays it again"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        (("rotation_gain: -0.3", "rotation: -0.3"), ":3: steps[1].set.terms.rotation: "),
+        (("-0.3", "-30"), ":3: steps[1].set.terms.rotation_gain: terms.rotation_gain: -30 is"),
+        (("k_p: 15", "k_p: 1.0e+6"), ":3: steps[1].set: plant.slice: slice 'plant' has 1 ms, but"),
+        (("set: {terms.rotation_gain: 0}", ""), ":4: steps[2]: a step needs 'write' or 'set'"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused_before_the_start(tmp_path, capsys, wrong, sentence):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(SETS.replace(*wrong))
+    config = tmp_path / "config.yaml"
+    config.write_text("opcua: {enabled: false}\nmetrics: {enabled: false}\nimage: {name: auto}\n")
+    assert main(["run", "-c", str(config), "--scenario", str(path), "--duration", "1"]) == 78
+    assert sentence in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [

@@ -53,6 +53,7 @@ class FakeDaemon:
         self.shields = [ShieldStatus("shield")]
         self.input_ages_s: dict[str, float] = {}
         self.rejected: Counter[tuple[str, str]] = Counter()
+        self.differing = 2
         self.end_to_end = Histogram125()
         self.gc_pause = Histogram125()
         self.model_gap: dict[str, float] = {}
@@ -67,6 +68,7 @@ class FakeDaemon:
         return [
             Source(scheduler.METRICS, self.pace),
             Source(core.STATE_METRICS, lambda: self.state),
+            Source(core.PARAMETER_METRICS, lambda: self.differing),
             Source(core.INPUT_METRICS, lambda: core.Inputs(self.input_ages_s, self.rejected)),
             Source(peer_metrics.METRICS, lambda: self.peers),
             Source(shield_metrics.METRICS, lambda: self.shields),

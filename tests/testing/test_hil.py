@@ -123,3 +123,18 @@ async def test_a_capture_is_judged_by_the_requirements_of_a_sweep(hil):
         trace.assert_meets(rises, calm)
     with pytest.raises(AssertionError, match=r"'pose\.x_m' was not captured"):
         trace.margins({"name": "r", "signal": "pose.x_m", "below": 1.0})
+
+
+async def test_a_parameter_is_set_from_a_tick_on_or_refused_in_a_sentence(hil):
+    await hil.step(5)
+    assert await hil.set_parameter("terms.rotation_gain", -0.3) == hil.tick
+    assert hil.daemon.core.parameters.differing == {"terms.rotation_gain": -0.3}
+    assert await hil.set_parameter("plant.wheelbase_m", None) == hil.tick
+    for name, value, text in (
+        ("plant.controller.k_p", 1e6, "unstable"),
+        ("plant.controller.kp", 1.0, "did you mean 'plant.controller.k_p'"),
+        ("plant.wheel_radius_m", -1.0, "is outside"),
+        ("mechatronic.mass_kg", 4.0, "needs a restart"),
+    ):
+        with pytest.raises(HilError, match=text):
+            await hil.set_parameter(name, value)

@@ -12,7 +12,7 @@ from typing import Any
 from hilserver.errors import FailedError
 from hilserver.logs import LogWriter, open_writer
 from hilserver.logs.bag_writer import Storage
-from hilserver.logs.csv_writer import meta_path
+from hilserver.logs.csv_writer import changes_path, meta_path
 from hilserver.logs.writing import reason
 
 
@@ -113,6 +113,7 @@ class FileSeries:
         if self._rotate_bytes is None or self._keep is None:
             return
         for number in self._numbers()[: -self._keep]:
-            for path in (self._file(number), meta_path(self._file(number))):
+            file = self._file(number)
+            for path in (file, meta_path(file), changes_path(file)):
                 with contextlib.suppress(OSError):
                     path.unlink()

@@ -7,14 +7,16 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilserver.errors import FailedError
 from hilserver.image import FrameBatch, ImageReader, read_frames
+from hilserver.image.changes import Changes
 from hilserver.image.layout import REQUEST_SAVE
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ShadowReader, ask_for_state, live_state, take_request
 from hilserver.io.recorder.marks import Mark
-from hilserver.logs.log import State
+from hilserver.logs.log import Change, State
 from hilserver.logs.writer import Segmented
 
 BATCH_FRAMES = 256
@@ -57,7 +59,8 @@ class Source:
         self._next = max(0, self._reader.head)
         self._last_tick: int | None = None
         self._segment = 0
-        self._edition: float | None = None
+        self._changes = Changes(self._reader)
+        self._edition = self._reader.region("edition")[0][0] if not self._reader.head else None
         self._edition_slot = _slot_of("internal.edition", self.description)
         self._start_without_state: tuple[int, int] | None = None
         self._gap = False
@@ -130,7 +133,7 @@ class Source:
     def _segmented(self, batch: FrameBatch, *, after_gap: bool) -> Segmented:
         """Begin a new segment where ticks do not follow although no frame is missing.
 
-        One begins where the plant's parameters change, too.
+        One begins, too, where parameters are others without a change: a state was restored.
         """
         ticks = batch.ticks
         before = ticks[0] - 1 if self._last_tick is None else self._last_tick
@@ -139,14 +142,29 @@ class Source:
             jumps[0] = False
         editions = batch.values[:, self._edition_slot]
         last_edition = editions[0] if self._edition is None else self._edition
-        jumps |= np.diff(editions, prepend=last_edition) != 0
+        changed = np.flatnonzero(np.diff(editions, prepend=last_edition) != 0).tolist()
+        found = {at: self._changes.find(int(editions[at]), int(ticks[at])) for at in changed}
+        jumps[[at for at, packed in found.items() if packed is None]] = True
         segments = self._segment + np.cumsum(jumps)
+        changes = [
+            Change(
+                int(segments[at]), int(ticks[at]), int(editions[at]), self._named(packed), packed
+            )
+            for at, packed in found.items()
+            if packed is not None
+        ]
         if jumps.any():
             last = int(np.flatnonzero(jumps)[-1])
             self._start_without_state = (int(segments[last]), int(ticks[last]))
         self._segment, self._last_tick = int(segments[-1]), int(ticks[-1])
         self._edition = float(editions[-1])
-        return Segmented(batch, segments)
+        return Segmented(batch, segments, changes)
+
+    def _named(self, packed: NDArray[np.float64]) -> dict[str, float]:
+        """Return the values of a change by name."""
+        regions, names = self.description["regions"], self.description["run"]["parameters"]
+        first = regions["parameters"][0] - regions["p"][0]
+        return dict(zip(names, packed[first : first + len(names)].tolist(), strict=True))
 
     def state(self) -> State | None:
         """Return the newest state that somebody had saved or restored, None if none is new."""

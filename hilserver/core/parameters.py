@@ -1,0 +1,312 @@
+"""The parameters of a running robot: every door that changes one comes through here.
+
+A change is checked and packed here, once, and handed to the step, which takes it as a whole at one
+tick. What does not fit is refused with a sentence, and nothing changes.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from math import isnan
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.snapshot import SnapshotStore
+from hilserver.errors import ControlRefused
+from hilserver.image import ProcessImage
+from hilserver.image.changes import NOW, Changes
+from hilserver.kernel import BlockUse, Composition
+from hilserver.parameters import (
+    Parameter,
+    check,
+    geometric_gain,
+    named,
+    read,
+    table_of,
+    with_values,
+)
+from hilserver.parameters.table import BLOCK
+from hilserver.plant.errors import PlantError
+from hilserver.plant.packing import initial_state, pack
+from hilserver.plant.parameters import RobotParameters
+
+_TAKEN_WITHIN_S: Final = 2.0
+_FULL: Final = "the plant has not taken the last changes yet; ask again"
+_OF_THE_BODY: Final = ("plant.wheel_radius_m", "plant.wheelbase_m", "plant.track_m")
+_OF_THE_DRIVES: Final = (
+    "plant.process.gain",
+    "plant.process.t1_s",
+    "plant.process.t2_s",
+    "terms.process_gain",
+    "terms.time_constant",
+)
+"""What the mechatronic model is built of, and what it is built of where torque drives it."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a run begins with.
+
+    Attributes
+    ----------
+    robot : RobotParameters
+        The plant of the first tick.
+    configured : RobotParameters
+        That of the configuration alone, without a patch.
+    composition : Composition
+        Own blocks, and what is packed beside them.
+    """
+
+    robot: RobotParameters
+    configured: RobotParameters
+    composition: Composition
+
+    @property
+    def table(self) -> dict[str, Parameter]:
+        """Every parameter of this robot; what its body is made of needs a restart."""
+        composition = self.composition
+        table = table_of((block.name, block.declaration) for block in composition.blocks)
+        if composition.body is None:
+            return table
+        built_in = _OF_THE_BODY + (_OF_THE_DRIVES if self.robot.body_wheels else ())
+        return table | {n: replace(table[n], when="restart", jumps="") for n in built_in}
+
+    @property
+    def values(self) -> dict[str, float]:
+        """What the configuration gives every parameter."""
+        own = {n: v for n, v in self.composition.settings.items() if n.startswith(BLOCK)}
+        return {**self.composition.settings, **read(self.configured), **own}
+
+
+class LiveParameters:
+    """What is in force, or on its way into the step; belongs to the event loop's thread.
+
+    Parameters
+    ----------
+    ahead_ticks : int
+        How far ahead of its tick a scheduled change is packed.
+
+    Attributes
+    ----------
+    table : mapping of Parameter
+        By name.
+    values : mapping of float
+        By name; NaN is null.
+    configured : mapping of float
+        The same of the configuration.
+    """
+
+    def __init__(
+        self,
+        start: Start,
+        image: ProcessImage,
+        snapshots: SnapshotStore,
+        events: EventBus,
+        ahead_ticks: int,
+    ) -> None:
+        self.table, self.configured = start.table, start.values
+        self.values: Mapping[str, float] = dict(start.composition.settings)
+        self._robot, self._composition = start.robot, start.composition
+        self._geometric = geometric_gain(start.configured)
+        self._image, self._snapshots, self._events = image, snapshots, events
+        self._changes, self._number = Changes(image), 0
+        self._timed: deque[tuple[int, Mapping[str, float]]] = deque()
+        self._ahead = ahead_ticks
+        snapshots.restored.append(self.follow)
+
+    # --- changes ----------------------------------------------------------------------------------
+
+    def write(self, source: str, values: Mapping[str, object]) -> dict[str, str]:
+        """Check values and hand those that are sound, all together, to the next tick.
+
+        Returns
+        -------
+        dict of str
+            Why not, by name; empty when all are in force from the next tick on.
+        """
+        sound: dict[str, float] = {}
+        refused: dict[str, str] = {}
+        for name, value in values.items():
+            try:
+                sound |= self.checked({name: value})
+            except PlantError as error:
+                refused[name] = str(error)
+        if sound:
+            try:
+                self.apply(sound)
+            except ControlRefused as error:
+                refused = {name: refused.get(name, str(error)) for name in values}
+        for name, why in refused.items():
+            text = f"{source}: parameters.{name} = {values[name]!r:.60} refused: {why}"
+            self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
+        return refused
+
+    def checked(self, values: Mapping[str, object]) -> dict[str, float]:
+        """Return values by their full names, each checked by itself.
+
+        Raises
+        ------
+        PlantError
+            If there is no such parameter, or it cannot have the value.
+        """
+        full = {named(name, self.table): value for name, value in values.items()}
+        return {name: check(self.table[name], value) for name, value in full.items()}
+
+    def try_out(self, values: Mapping[str, float]) -> tuple[RobotParameters, Composition]:
+        """Return what would run with these values, each checked by itself; nothing changes.
+
+        Raises
+        ------
+        PlantError
+            If they do not fit the others.
+        """
+        own = {n: v for n, v in values.items() if n.startswith(BLOCK)}
+        plant = {n: v for n, v in values.items() if n not in own}
+        robot = with_values(self._robot, plant, self._geometric) if plant else self._robot
+        composition = replace(
+            self._composition,
+            parameters=pack(robot),
+            blocks=[_with_own(block, own) for block in self._composition.blocks],
+            settings={**self.values, **values},
+        )
+        return robot, composition
+
+    def apply(
+        self,
+        values: Mapping[str, float],
+        *,
+        fitted: NDArray[np.float64] | None = None,
+        due: int = NOW,
+    ) -> int:
+        """Hand checked values, by their full names, to the plant; return the change's number.
+
+        Parameters
+        ----------
+        fitted : ndarray of float64, optional
+            Ranges of a patch, see `kernel.fitted`.
+
+        Raises
+        ------
+        ControlRefused
+            If they do not fit the others, or the plant does not take more.
+        """
+        if self._snapshots.is_restoring:
+            raise ControlRefused("a snapshot is being loaded; ask again")
+        try:
+            robot, composition = self.try_out(values)
+        except PlantError as error:
+            raise ControlRefused(str(error)) from None
+        if fitted is not None:
+            composition = replace(composition, fitted=fitted)
+        number = max(self._number, self._edition) + 1
+        packed = composition.packed(number)
+        if not self._changes.post(number, packed, due):
+            raise ControlRefused(_FULL)
+        self._robot, self._composition, self._number = robot, composition, number
+        self.values = composition.settings
+        self._keep_for_reset(packed)
+        return number
+
+    def reset(self) -> int:
+        """Go back to the values of the configuration.
+
+        Raises
+        ------
+        ControlRefused
+            If the plant does not take more.
+        """
+        return self.apply({n: self.configured[n] for n in self.differing})
+
+    async def taken(self, number: int) -> int:
+        """Wait for a change to act; return its first tick.
+
+        Raises
+        ------
+        ControlRefused
+            If the plant does not answer.
+        """
+        deadline = asyncio.get_running_loop().time() + _TAKEN_WITHIN_S
+        while (tick := self._changes.tick_of(number)) is None:
+            if asyncio.get_running_loop().time() > deadline:
+                raise ControlRefused(f"the plant did not answer within {_TAKEN_WITHIN_S:g} s")
+            await asyncio.sleep(0.001)
+        return tick
+
+    @property
+    def differing(self) -> dict[str, float]:
+        """Parameters that differ from the configuration, with what they have."""
+        return {n: v for n, v in self.values.items() if not _same(v, self.configured[n])}
+
+    # --- at a time --------------------------------------------------------------------------------
+
+    def schedule(
+        self, changes: Iterable[tuple[int, Mapping[str, float]]] = (), tick: int = 0
+    ) -> None:
+        """Let checked values act at their ticks, which rise, in place of what was scheduled.
+
+        Parameters
+        ----------
+        tick : int
+            The first tick that may still come.
+        """
+        self._timed = deque(changes)
+        self.look_ahead(tick)
+
+    def look_ahead(self, tick: int) -> None:
+        """Hand over what is scheduled for the next ticks; called by the publish slice.
+
+        Only so much ahead: what another door changes meanwhile is packed with it, and not undone.
+        """
+        while self._timed and self._timed[0][0] < tick + self._ahead and self._changes.room:
+            due, values = self._timed.popleft()
+            try:
+                self.apply(values, due=due)
+            except ControlRefused as error:
+                text = f"scenario: parameters in tick {due} refused: {error}"
+                self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, "scenario", text))
+
+    # --- states that come and go ------------------------------------------------------------------
+
+    @property
+    def _edition(self) -> int:
+        return int(self._image.region("edition")[0][0])
+
+    def follow(self) -> None:
+        """Take over the values of a state that was restored."""
+        numbers = self._image.region("parameters")[0].tolist()
+        held = dict(zip(self.values, numbers, strict=True))
+        changed = {n: v for n, v in held.items() if not _same(v, self.values[n])}
+        fitted = self._image.region("fitted")[0].copy()
+        try:
+            robot, composition = self.try_out(changed)
+            composition = replace(composition, fitted=fitted)
+        except PlantError as error:
+            text = f"the state that was loaded has parameters that do not fit: {error}"
+            self._events.publish(Event(EventKind.STATE, 500, "parameters", text))
+            return
+        self._robot, self._composition, self.values = robot, composition, held
+        self._keep_for_reset(composition.packed(self._edition))
+
+    def _keep_for_reset(self, packed: NDArray[np.float64]) -> None:
+        """Let a Reset go back to the start with the parameters of now."""
+        live = self._image.control.live_base
+        first = self._image.control.parameters_base - live
+        initial = self._snapshots.initial
+        initial[first : first + packed.size] = packed.view(np.int64)
+        region = self._image.layout.regions["x"]
+        first, state = region.base - live, initial_state(self._robot)
+        initial[first : first + region.length] = state.view(np.int64)
+
+
+def _with_own(block: BlockUse, values: Mapping[str, float]) -> BlockUse:
+    own = f"{BLOCK}{block.name}."
+    mine = {n.removeprefix(own): v for n, v in values.items() if n.startswith(own)}
+    return replace(block, parameters={**block.parameters, **mine}) if mine else block
+
+
+def _same(a: float, b: float) -> bool:
+    return a == b or (isnan(a) and isnan(b))
