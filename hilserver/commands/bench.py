@@ -17,6 +17,7 @@ from hilserver.errors import EXIT_DONE, FailedError
 
 EXAMPLE = "hilserver bench plant --json plant.json"
 BENCHES = {
+    "start": "to the first tick and in memory, against the import of the libraries",
     "plant": "one step of four wheels and pose against the same recurrence in C",
     "jitter": "wake latency under OPC UA load against cyclictest",
     "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",

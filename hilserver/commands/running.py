@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import contextlib
 import dataclasses
+import gc
 import socket
 import sys
 from collections.abc import AsyncIterator, Iterator
@@ -103,6 +104,7 @@ class Run:
 
     async def _run(self, starting: Daemon) -> int:
         async with starting as daemon:
+            gc.enable()
             self._end_when_asked(daemon)
             watchdog = _make_watchdog(daemon)
             self._announcer.running(daemon)

@@ -3,6 +3,13 @@
 The lowest room of the house.
 """
 
-from hilserver.compiled.cache import cache_dir, kernel, kernel_hash
+from typing import TYPE_CHECKING
+
+from hilserver.lazily import lazily
+
+if TYPE_CHECKING:
+    from hilserver.compiled.cache import cache_dir, kernel, kernel_hash
+else:
+    __getattr__ = lazily(__name__, cache=("cache_dir", "kernel", "kernel_hash"))
 
 __all__ = ["cache_dir", "kernel", "kernel_hash"]

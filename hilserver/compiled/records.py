@@ -22,9 +22,9 @@ gets it as one pointer, where an array is seven numbers.
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 
 import numpy as np
-from numba.core import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
+
+from hilserver.lazily import lazily
 
 
 def _number(hint: Any) -> np.dtype[Any]:
@@ -122,16 +122,9 @@ class Record(_Void):
         return self.of, (self.numbers.copy(),)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def record_at(typing_context: Any, array: Any, place: Any, layout: Any) -> Any:
-    """Return the record of `layout` whose first word is ``array[place]``; not checked.
+if TYPE_CHECKING:
+    from hilserver.compiled.record_at import record_at
+else:
+    __getattr__ = lazily("hilserver.compiled", record_at=("record_at",))
 
-    It keeps no array alive: one that a kernel makes for itself must be used after its record.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        words = context.make_array(signature.args[0])(context, builder, args[0])
-        address = builder.gep(words.data, [args[1]])
-        return builder.bitcast(address, context.get_value_type(signature.return_type))
-
-    return layout.dtype(array, types.intp, layout), generate
+__all__ = ["Record", "record_at"]

@@ -202,7 +202,6 @@ def _image(assembly: Assembly, pace: Pace) -> ProcessImage:
 
 def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     config, table = assembly.config, assembly.table
-    image.warm_up()
     step = compose(assembly.composition, image)
     limit_silence(image, pace.command_limit_ticks)
     scheduler = _scheduler(assembly, pace, image, step)

@@ -5,9 +5,17 @@ anybody: the plant writes complete frames into a ring, readers take the last com
 push rows into queues that the plant drains at the next tick.
 """
 
+from typing import TYPE_CHECKING
+
 from hilserver.image.batch import FrameBatch, read_frames, to_batch
-from hilserver.image.process_image import Frame, ImageReader, ProcessImage, Row
+from hilserver.image.reader import Frame, ImageReader
 from hilserver.image.stop import press_stop
+from hilserver.lazily import lazily
+
+if TYPE_CHECKING:
+    from hilserver.image.process_image import ProcessImage, Row
+else:
+    __getattr__ = lazily(__name__, process_image=("ProcessImage", "Row"))
 
 __all__ = [
     "Frame",

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.image.process_image import Frame, ImageReader
-from hilserver.image.ring import copy_frames
+from hilserver.image.reader import Frame, ImageReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +65,6 @@ def to_batch(frames: Sequence[Frame]) -> FrameBatch:
 
 def read_frames(reader: ImageReader, first: int, limit: int) -> FrameBatch:
     """Copy up to `limit` frames from `first` on; fewer when the ring has no more, maybe none."""
-    n = max(0, min(limit, reader.head - first))
-    values = np.empty((n, reader.n_slots))
-    words = np.empty((n, reader.n_slots + 3), dtype=np.int64)
-    n = int(copy_frames(first, reader.values, reader.words, values, words)) if n else 0
-    return FrameBatch(first, words[:n], values[:n])
+    rows, n_slots = reader.rows(first, limit), reader.n_slots
+    values = rows[:, 4 : 4 + n_slots].copy().view(np.float64)
+    return FrameBatch(first, np.delete(rows[:, 1:], np.s_[3 : 3 + n_slots], axis=1), values)

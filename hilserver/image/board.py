@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.image.process_image import ImageReader, ProcessImage
+from hilserver.image.reader import ImageReader
 
 REGION = "board"
 WORDS = 32_768
@@ -21,7 +21,7 @@ _HEAD_WORDS = 3  # number of the text, bytes, check sum
 class Board:
     """The daemon's side: shows a new text."""
 
-    def __init__(self, image: ProcessImage) -> None:
+    def __init__(self, image: ImageReader) -> None:
         _, self._words = image.region(REGION)
         self._bytes = self._words[_HEAD_WORDS:].view(np.uint8)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import store_release
 from hilserver.image import word
-from hilserver.image.process_image import ImageReader
+from hilserver.image.reader import ImageReader
 
 REGION: Final = "parameter_mail"
 ROWS: Final = 64  # a power of two

@@ -23,6 +23,7 @@ REQUEST_RESTART = 4
 
 ROW_WORDS = 4  # tick, slot, value, status
 FRAME_HEADER_WORDS = 4  # sequence, tick, planned_ns, rows of `now` latched so far
+READ_TRIES = 8  # of the newest frame, while the writer comes round
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,17 @@
-"""The process image as Python sees it: make it, read frames, push rows."""
+"""The process image as the daemon has it: make it, push rows."""
 
-import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.errors import FailedError
 from hilserver.image import layout as lay
 from hilserver.image import word
-from hilserver.image.control_words import ControlWords
 from hilserver.image.queues import push_rows
-from hilserver.image.ring import copy_frame, copy_latest
-from hilserver.image.shared_file import OwnMemory, SharedFile, map_read_only
+from hilserver.image.reader import ImageReader
+from hilserver.image.shared_file import OwnMemory, SharedFile
 from hilserver.image.status import GOOD
 from hilserver.signals import SignalTable
 
@@ -27,120 +23,6 @@ class Row(NamedTuple):
     value: float
     status: int = GOOD
     tick: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """All signals of one tick.
-
-    Attributes
-    ----------
-    number : int
-        How many frames were published before this one.
-    tick : int
-        The tick that made the values.
-    planned_ns : int
-        Planned start of that tick, CLOCK_MONOTONIC.
-    latched_rows : int
-        Input rows latched up to this frame, see `ProcessImage.pushed_rows`.
-    values : ndarray of float64, shape (n_slots,)
-    status : ndarray of int64, shape (n_slots,)
-        OPC UA status codes.
-    """
-
-    number: int
-    tick: int
-    planned_ns: int
-    latched_rows: int
-    values: NDArray[np.float64]
-    status: NDArray[np.int64]
-
-
-class ImageReader:
-    """Reads frames of an arena, in the daemon or, through `attach`, in any other process.
-
-    Attributes
-    ----------
-    values, words : ndarray of float64 and of int64
-        The whole arena, seen as either.
-    control : ControlWords
-        Its first words, by name.
-    """
-
-    def __init__(self, buffer: Any) -> None:
-        self.values: NDArray[np.float64] = np.frombuffer(buffer, dtype=np.float64)
-        self.words: NDArray[np.int64] = np.frombuffer(buffer, dtype=np.int64)
-        self.control = ControlWords(self.words)
-        self.n_slots = self.control.n_slots
-
-    @classmethod
-    def attach(cls, name: str) -> "ImageReader":
-        """Open the image of a running daemon for reading.
-
-        Raises
-        ------
-        FailedError
-            If there is none, or it has another version.
-        """
-        buffer = map_read_only(name)
-        words = np.frombuffer(buffer, dtype=np.int64, count=2)
-        if words[word.MAGIC] != lay.MAGIC or words[word.VERSION] != lay.VERSION:
-            raise FailedError(f"the process image '{name}' was made by another hilserver version")
-        return cls(buffer)
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """Signals and regions as the header names them."""
-        start, n_bytes = lay.N_CONTROL_WORDS * 8, self.control.json_bytes
-        text = self.words.view(np.uint8)[start : start + n_bytes].tobytes()
-        description: dict[str, Any] = json.loads(text)
-        return description
-
-    @property
-    def head(self) -> int:
-        """Number of frames published so far."""
-        return self.control.ring_head
-
-    @property
-    def live(self) -> NDArray[np.int64]:
-        """What a snapshot holds, in one piece; the plant's own while it runs."""
-        return self._state_at(self.control.live_base)
-
-    @property
-    def shadow(self) -> NDArray[np.int64]:
-        """The copy of `live` that the plant saves to, or loads, between two ticks."""
-        return self._state_at(self.control.shadow_base)
-
-    def _state_at(self, base: int) -> NDArray[np.int64]:
-        return self.words[base : base + self.control.live_length]
-
-    def latest(self) -> Frame | None:
-        """Return a copy of the newest frame, None before the first."""
-        values, words = self._scratch()
-        number = copy_latest(self.values, self.words, values, words)
-        return None if number < 0 else self._frame(number, values, words)
-
-    def frame(self, number: int) -> Frame | None:
-        """Return frame `number` while it is in the ring, else None."""
-        values, words = self._scratch()
-        if not 0 <= number < self.head:
-            return None
-        if copy_frame(number, self.values, self.words, values, words) != 0:
-            return None
-        return self._frame(number, values, words)
-
-    def region(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return a region of the arena as float64 and as int64."""
-        base, length = self.description["regions"][name]
-        return self.values[base : base + length], self.words[base : base + length]
-
-    def _scratch(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        return np.empty(self.n_slots), np.empty(self.n_slots + 3, dtype=np.int64)
-
-    @staticmethod
-    def _frame(number: int, values: NDArray[np.float64], words: NDArray[np.int64]) -> Frame:
-        tick, planned_ns, latched = words[:3].tolist()
-        return Frame(number, tick, planned_ns, latched, values, words[3:])
 
 
 class ProcessImage(ImageReader):
@@ -238,11 +120,6 @@ class ProcessImage(ImageReader):
         """Status codes of the working frame; the plant's own while it runs."""
         region = self.layout.regions["status"]
         return self.words[region.base : region.base + region.length]
-
-    def warm_up(self) -> None:
-        """Compile (or load) what readers call, before the first tick needs it."""
-        self.latest()
-        copy_frame(0, self.values, self.words, *self._scratch())
 
     @property
     def pushed_rows(self) -> int:

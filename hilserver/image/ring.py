@@ -2,7 +2,8 @@
 
 Each frame starts with its sequence word: odd while it is being written, even when it is complete
 (``2 * number + 2`` for frame ``number``). A reader takes the newest complete frame, copies it and
-looks at the sequence word again: had the writer come round meanwhile, the copy is dropped.
+looks at the sequence word again: had the writer come round meanwhile, the copy is dropped. The
+readers here are for kernels; `reader` is for everybody else.
 """
 
 from typing import Any
@@ -10,9 +11,7 @@ from typing import Any
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import fence, load_acquire, store_release
 from hilserver.image import word
-from hilserver.image.layout import FRAME_HEADER_WORDS
-
-READ_TRIES = 8
+from hilserver.image.layout import FRAME_HEADER_WORDS, READ_TRIES
 
 
 @kernel()
@@ -66,22 +65,6 @@ def copy_frame(number: int, values: Any, words: Any, out_values: Any, out_words:
         out_words[3 + slot] = words[data + n_slots + slot]
     fence()
     return 0 if load_acquire(words, base) == 2 * number + 2 else -1
-
-
-@kernel()
-def copy_frames(first: int, values: Any, words: Any, out_values: Any, out_words: Any) -> int:
-    """Copy frames from `first` on until one is not there (yet, or any more); return how many.
-
-    Parameters
-    ----------
-    out_values : ndarray of float64, shape (n, n_slots)
-    out_words : ndarray of int64, shape (n, 3 + n_slots)
-        Like those of `copy_frame`, a frame each row.
-    """
-    for row in range(out_values.shape[0]):
-        if copy_frame(first + row, values, words, out_values[row], out_words[row]) != 0:
-            return row
-    return int(out_values.shape[0])
 
 
 @kernel()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.image.process_image import ImageReader
+from hilserver.image.reader import ImageReader
 from hilserver.image.shared_file import path_of
 
 

@@ -9,11 +9,12 @@ import pytest
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
-from hilserver.image import ImageReader, ProcessImage, word
+from hilserver.image import ImageReader, ProcessImage, read_frames, word
 from hilserver.image import layout as lay
 from hilserver.image.ring import copy_latest, publish_frame
 from hilserver.image.shared_file import path_of
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
+from tests.fakes import make_image
 
 N_DOUBLES = 64
 N_FRAMES = 1_000_000
@@ -113,6 +114,47 @@ def test_million_frames_between_two_processes(image, copy, locked):
         assert torn == 0
     else:
         assert torn > 0, "the test would not notice a missing lock"
+
+
+def test_readers_without_a_compiler_see_no_half_frame_either(image):
+    """Through the arrays of NumPy, as page and recorder read: one frame, and many."""
+    write_frames(0, image.values, image.words)
+    spawn = multiprocessing.get_context("spawn")
+    ready, go = spawn.Event(), spawn.Event()
+    writer = spawn.Process(target=write_in_process, args=(image.name, ready, go))
+    writer.start()
+    assert ready.wait(120)
+    go.set()
+    seen = 0
+    while image.head < N_FRAMES:
+        frame, batch = image.latest(), read_frames(image, image.head - 1, 1)
+        for tick, values in ([] if frame is None else [(frame.tick, frame.values)]) + list(
+            zip(batch.ticks.tolist(), batch.values, strict=True)
+        ):
+            assert (values == tick).all()
+            seen += 1
+    writer.join(120)
+    assert seen > 0
+
+
+def test_a_batch_ends_where_the_ring_does():
+    ring = make_image(ring_length=4)
+    n = ring.n_slots
+    for tick in range(6):
+        ring.frame_values[:] = tick
+        ring.frame_status[:] = 10 * tick
+        publish_frame(tick, 100 + tick, ring.values, ring.words)
+    assert len(read_frames(ring, 1, 9)) == 0  # overwritten
+    batch = read_frames(ring, 3, 9)
+    assert (batch.first, batch.ticks.tolist(), batch.planned_ns.tolist()) == (
+        3, [3, 4, 5], [103, 104, 105],
+    )  # fmt: skip
+    assert batch.values.tolist() == [[float(tick)] * n for tick in (3, 4, 5)]
+    assert batch.status.tolist() == [[10 * tick] * n for tick in (3, 4, 5)]
+    assert len(read_frames(ring, 6, 9)) == 0  # not there yet
+    assert ring.frame(3).values.tolist() == [3.0] * n
+    assert ring.frame(1) is None
+    ring.close()
 
 
 def test_reader_in_another_process_finds_names_and_values(image):

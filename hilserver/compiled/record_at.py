@@ -1,0 +1,21 @@
+"""A record within a kernel; `records` says what one is."""
+
+from typing import Any
+
+from numba.core import types
+from numba.extending import intrinsic
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def record_at(typing_context: Any, array: Any, place: Any, layout: Any) -> Any:
+    """Return the record of `layout` whose first word is ``array[place]``; not checked.
+
+    It keeps no array alive: one that a kernel makes for itself must be used after its record.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        words = context.make_array(signature.args[0])(context, builder, args[0])
+        address = builder.gep(words.data, [args[1]])
+        return builder.bitcast(address, context.get_value_type(signature.return_type))
+
+    return layout.dtype(array, types.intp, layout), generate

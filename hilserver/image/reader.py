@@ -1,0 +1,168 @@
+"""The process image as everybody else sees it: frames, read without a compiler.
+
+A process that only watches (page, recorder, teleop) shall not carry numba, which takes 70 MB and
+most of a second. What `ring` does with atomic instructions stands here with `fence`.
+"""
+
+import json
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import FailedError
+from hilserver.image import layout as lay
+from hilserver.image import word
+from hilserver.image.control_words import ControlWords
+from hilserver.image.shared_file import map_read_only
+
+
+def fence() -> None:
+    """Order all loads before it against all after it, on ARM, too.
+
+    Nothing before a release is moved behind it, nothing after an acquisition before it, and an
+    acquisition never before the release of the same lock. The interpreter's own code is opaque to
+    the compiler.
+    """
+    lock = Lock()
+    lock.acquire()
+    lock.release()
+    lock.acquire()
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """All signals of one tick.
+
+    Attributes
+    ----------
+    number : int
+        How many frames were published before this one.
+    tick : int
+        The tick that made the values.
+    planned_ns : int
+        Planned start of that tick, CLOCK_MONOTONIC.
+    latched_rows : int
+        Input rows latched up to this frame, see `ProcessImage.pushed_rows`.
+    values : ndarray of float64, shape (n_slots,)
+    status : ndarray of int64, shape (n_slots,)
+        OPC UA status codes.
+    """
+
+    number: int
+    tick: int
+    planned_ns: int
+    latched_rows: int
+    values: NDArray[np.float64]
+    status: NDArray[np.int64]
+
+
+class ImageReader:
+    """Reads frames of an arena, in the daemon or, through `attach`, in any other process.
+
+    Attributes
+    ----------
+    values, words : ndarray of float64 and of int64
+        The whole arena, seen as either.
+    control : ControlWords
+        Its first words, by name.
+    """
+
+    def __init__(self, buffer: Any) -> None:
+        self.values: NDArray[np.float64] = np.frombuffer(buffer, dtype=np.float64)
+        self.words: NDArray[np.int64] = np.frombuffer(buffer, dtype=np.int64)
+        self.control = ControlWords(self.words)
+        self.n_slots = self.control.n_slots
+        base, length = self.words[[word.RING_BASE, word.RING_LENGTH]].tolist()
+        ring = self.words[base : base + length * (lay.FRAME_HEADER_WORDS + 2 * self.n_slots)]
+        self._ring = ring.reshape(length, -1)
+
+    @classmethod
+    def attach(cls, name: str) -> "ImageReader":
+        """Open the image of a running daemon for reading.
+
+        Raises
+        ------
+        FailedError
+            If there is none, or it has another version.
+        """
+        buffer = map_read_only(name)
+        words = np.frombuffer(buffer, dtype=np.int64, count=2)
+        if words[word.MAGIC] != lay.MAGIC or words[word.VERSION] != lay.VERSION:
+            raise FailedError(f"the process image '{name}' was made by another hilserver version")
+        return cls(buffer)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Signals and regions as the header names them."""
+        start, n_bytes = lay.N_CONTROL_WORDS * 8, self.control.json_bytes
+        text = self.words.view(np.uint8)[start : start + n_bytes].tobytes()
+        description: dict[str, Any] = json.loads(text)
+        return description
+
+    @property
+    def head(self) -> int:
+        """Number of frames published so far."""
+        return self.control.ring_head
+
+    @property
+    def live(self) -> NDArray[np.int64]:
+        """What a snapshot holds, in one piece; the plant's own while it runs."""
+        return self._state_at(self.control.live_base)
+
+    @property
+    def shadow(self) -> NDArray[np.int64]:
+        """The copy of `live` that the plant saves to, or loads, between two ticks."""
+        return self._state_at(self.control.shadow_base)
+
+    def _state_at(self, base: int) -> NDArray[np.int64]:
+        return self.words[base : base + self.control.live_length]
+
+    def latest(self) -> Frame | None:
+        """Return a copy of the newest frame, None before the first."""
+        for _ in range(lay.READ_TRIES):
+            number = self.head - 1
+            frame = self.frame(number)
+            if frame is not None or number < 0:
+                return frame
+        return None  # the writer went round the whole ring in each try
+
+    def frame(self, number: int) -> Frame | None:
+        """Return frame `number` while it is in the ring, else None."""
+        if not 0 <= number < self.head:
+            return None
+        row, n, complete = self._ring[number & (len(self._ring) - 1)], self.n_slots, 2 * number + 2
+        if row[0] != complete:
+            return None
+        fence()
+        words = row.copy()
+        fence()
+        if row[0] != complete:
+            return None
+        tick, planned_ns, latched = words[1:4].tolist()
+        values, status = words[4 : 4 + n].view(np.float64), words[4 + n :]
+        return Frame(number, tick, planned_ns, latched, values, status)
+
+    def rows(self, first: int, most: int) -> NDArray[np.int64]:
+        """Copy frames from `first` on until one is not there (yet, or any more).
+
+        Returns
+        -------
+        ndarray of int64, shape (n, 4 + 2 * n_slots)
+            Sequence, tick, planned start [ns], rows latched so far, values, and status codes.
+        """
+        numbers = np.arange(first, min(first + most, self.head)) if first >= 0 else np.arange(0)
+        places, complete = numbers & (len(self._ring) - 1), 2 * numbers + 2
+        begun = self._ring[places, 0]
+        fence()
+        rows: NDArray[np.int64] = self._ring[places]
+        fence()
+        whole = (begun == complete) & (self._ring[places, 0] == complete)
+        return rows if whole.all() else rows[: np.argmin(whole)]
+
+    def region(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return a region of the arena as float64 and as int64."""
+        base, length = self.description["regions"][name]
+        return self.values[base : base + length], self.words[base : base + length]
