@@ -8,12 +8,12 @@ from hilserver.core.inputs import InputGate
 from hilserver.image import Frame
 from hilserver.image.status import GOOD
 from hilserver.io.peer_status import PeerStatus
+from hilserver.io.world import Figure
 from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler
 from hilserver.scheduler.metrics import slices_by_name
 from hilserver.signals import MEASURED, SignalTable
 
-Figure = float | str | bool | int | None
 Table = dict[str, dict[str, Figure]]
 
 

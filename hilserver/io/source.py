@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from enum import StrEnum
 from typing import NamedTuple, Protocol
 
+from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import Refusal
 from hilserver.core.staleness import Staleness, Transition
@@ -48,14 +49,10 @@ class Source:
 
     Parameters
     ----------
-    name : str
-        At the gate: ``peer:iot2050``.
+    driver : Driver
+        Who drives over it: name at the gate, silence after which it is stale, what follows then.
     label : str
         In messages.
-    limit_ms : float
-        Silence after which it is stale.
-    on_stale : str
-        What the step then does with its command; messages say so.
     fresh : callable
         Says that values come in again.
     commanding : collection of str
@@ -64,22 +61,20 @@ class Source:
 
     def __init__(
         self,
-        name: str,
+        driver: Driver,
         label: str,
         status: PeerStatus,
         gate: Gate,
         publish: Callable[[Event], None],
         *,
-        limit_ms: float,
-        on_stale: str,
         fresh: Callable[[], str],
         commanding: Collection[str] = (),
     ) -> None:
-        self.name, self.status = name, status
+        self.name, self.status = driver.source, status
         self.faults = FaultBook(status, publish)
-        self.staleness = Staleness(round(limit_ms * 1e6), commanding)
+        self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
         self._label, self._gate, self._publish = label, gate, publish
-        self._on_stale, self._fresh = on_stale, fresh
+        self._on_stale, self._fresh = driver.on_stale, fresh
 
     def write(
         self, values: Mapping[str, object], now_ns: int, *, of: str = "", renews: bool = True

@@ -17,7 +17,9 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.ros.robot import Shape
 from hilserver.signals import SignalTable
 
-Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
+Figure = float | str | bool | int | None
+Table = Mapping[str, Mapping[str, Figure]]
+Provider = Callable[[], Table]
 
 
 @dataclass(frozen=True)
@@ -61,5 +63,5 @@ class World:
     period_ns: int
     description: Callable[[str], str]
     read_output: Callable[[str], tuple[Any, int, int]]
-    tables: Mapping[str, Callable[[], Table]]
+    tables: Mapping[str, Provider]
     files: Any

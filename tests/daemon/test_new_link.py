@@ -48,14 +48,11 @@ class UdpLink(Part, asyncio.DatagramProtocol):
     section = label = "udp"
 
     def __init__(self, world):
-        config, self._events = world.config.udp, world.events
+        config = world.config.udp
         self.status = PeerStatus("udp", f"port {config.port}")
-        self._port, name = config.port, config.driver.source
-        self._source = Source(
-            name, "UDP", self.status, world.gate, world.events.publish,
-            limit_ms=config.stale_after_ms, on_stale=config.on_stale,
-            fresh=lambda: "UDP: datagrams come in",
-        )  # fmt: skip
+        self._port, publish = config.port, world.events.publish
+        fresh = lambda: "UDP: datagrams come in"  # noqa: E731
+        self._source = Source(config.driver, "UDP", self.status, world.gate, publish, fresh=fresh)
 
     @property
     def address(self):

@@ -104,13 +104,11 @@ class PeerLink(Part):
         self._clock = clock
         commanding = [name for name in config.inputs if not name.startswith(MEASURED)]
         self._source = Source(
-            config.driver.source,
+            config.driver,
             f"peer {config.name}",
             self.status,
             gate,
             events.publish,
-            limit_ms=config.stale_after_ms,
-            on_stale=config.on_stale,
             fresh=lambda: f"peer {config.name} delivers fresh values",
             commanding=commanding,
         )

@@ -6,7 +6,6 @@ variable ``slices.plant.overruns``. A figure that is None has no value yet
 """
 
 import time
-from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,12 +13,9 @@ from asyncua import ua
 
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
+from hilserver.io.world import Figure, Provider, Table
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.logs import log
-
-Figure = float | str | bool | int | None
-Table = Mapping[str, Mapping[str, Figure]]
-Provider = Callable[[], Table]
 
 _MAX_VARIABLES = 2000
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)

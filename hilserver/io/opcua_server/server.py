@@ -10,13 +10,13 @@ from hilserver.image import Frame
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.application import RobotApplication
-from hilserver.io.opcua_server.diagnostics import Diagnostics, Figure
+from hilserver.io.opcua_server.diagnostics import Diagnostics
 from hilserver.io.opcua_server.method_table import METHODS, Parts
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
 from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.io.part import Part
-from hilserver.io.world import World
+from hilserver.io.world import Figure, World
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.logs import log
 from hilserver.opcua.server import HardenedServer

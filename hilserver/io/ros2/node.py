@@ -70,13 +70,11 @@ class Ros2Node(Part):
         self._names = [signal.name for signal in world.table.scalars]
         self.status = PeerStatus(NAME, f"{config.flavour} on {config.interface}", mode="dds")
         self._source = Source(
-            NAME,
+            config.driver._replace(on_stale=self._action),
             "ROS 2",
             self.status,
             world.gate,
             world.events.publish,
-            limit_ms=config.stale_after_ms,
-            on_stale=self._action,
             fresh=lambda: "ROS 2: the host sends fresh commands",
         )
         self._line = line

@@ -57,13 +57,11 @@ class ShieldLink(Part):
         self._serve = serve
         self.status = status = ShieldStatus(NAME)
         self._source = Source(
-            NAME,
+            config.driver,
             "shield",
             status,
             world.gate,
             world.events.publish,
-            limit_ms=config.stale_after_ms,
-            on_stale=config.on_stale,
             fresh=lambda: f"shield: a host sends on {self.address}",
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)

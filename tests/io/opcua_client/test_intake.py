@@ -24,13 +24,11 @@ class Bench:
         self.gate, self.events = RecordingGate(), EventBus()
         commanding = [n for n in config.inputs if n.partition(".")[0] != "measured"]
         source = Source(
-            "peer:iot2050",
+            config.driver,
             "peer iot2050",
             self.status,
             self.gate,
             self.events.publish,
-            limit_ms=300,
-            on_stale="ramp",
             fresh=lambda: "fresh",
             commanding=commanding,
         )

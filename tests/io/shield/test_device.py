@@ -19,13 +19,11 @@ class Bench:
         self.values, self.gains, self.refused = {}, [], {}
         self.told = []
         source = Source(
-            "shield",
+            ShieldConfig().driver,
             "shield",
             self.status,
             self,
             self.told.append,
-            limit_ms=1000,
-            on_stale="device",
             fresh=lambda: "fresh",
         )
         self.device = Device(
