@@ -15,11 +15,19 @@ from typing import Any, Final
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-import hilserver.plant.layout as at
 from hilserver.bench.report import Result
 from hilserver.compiled import kernel
+from hilserver.plant.layout import (
+    INPUTS,
+    OUTPUTS,
+    PARAMETERS,
+    STATE,
+    STATUS,
+    Inputs,
+    Outputs,
+    Status,
+)
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.reference.library import FLAGS, ReferencePlant, build
@@ -29,9 +37,8 @@ from hilserver.plant.robot import robot_step
 BLOCKS: Final = 21
 TICKS_PER_BLOCK: Final = 200_000
 
-_ROW = numba.float64[::1]
-_P = numba.from_dtype(at.PARAMETERS)
-_STEP = numba.types.FunctionType(numba.void(_P, _ROW, _ROW, _ROW, numba.int64[::1]))
+_P, _X, _U, _Y, _Q = map(numba.from_dtype, (PARAMETERS, STATE, INPUTS, OUTPUTS, STATUS))
+_STEP = numba.types.FunctionType(numba.void(_P, _X, _U, _Y, _Q))
 
 
 @kernel()
@@ -40,7 +47,7 @@ def _direct(p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
         robot_step(p, x, u, y, q)
 
 
-@kernel(numba.void(_STEP, _P, _ROW, _ROW, _ROW, numba.int64[::1], numba.int64))
+@kernel(numba.void(_STEP, _P, _X, _U, _Y, _Q, numba.int64))
 def _through_pointer(step: Any, p: Any, x: Any, u: Any, y: Any, q: Any, ticks: int) -> None:
     for _ in range(ticks):
         step(p, x, u, y, q)
@@ -60,11 +67,11 @@ class _Numba:
         _through_pointer(robot_step, self.p, self.x, self.u, self.y, self.q, ticks)
 
 
-def _inputs() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    u = np.zeros(at.N_U)
-    u[at.U_ENABLE] = 1.0
-    u[at.U_SETPOINT : at.U_SETPOINT + 4] = (60.0, 60.0, -40.0, -40.0)
-    return u, np.zeros(at.N_Y), np.zeros(at.N_Y, dtype=np.int64)
+def _inputs() -> tuple[Inputs, Outputs, Status]:
+    u = Inputs.zeros()
+    u.enable = 1.0
+    u.setpoint[:] = 60.0, 60.0, -40.0, -40.0
+    return u, Outputs.zeros(), Status.zeros()
 
 
 def _block_ns(run: Callable[[int], None], ticks: int) -> float:
@@ -94,7 +101,7 @@ def run(args: argparse.Namespace) -> list[Result]:
         library = build(Path(folder))
         c = ReferencePlant(library, RobotParameters(), battery_v=19.2, extended=False)
         programs: dict[str, Callable[[int], None]] = {
-            "c": lambda n: c.run(u, y, q, n),
+            "c": lambda n: c.run(u.numbers, y.numbers, q.numbers.view(np.int64), n),
             "direct": base.direct,
             "pointer": base.pointer,
             "all_terms": extended.direct,

@@ -12,14 +12,12 @@ from hilserver.plant.layout import (
     BAD_OUT_OF_SERVICE,
     COMMAND_SAFE,
     GOOD,
-    U_COMMAND,
-    U_POSE,
-    U_POSE_REQUEST,
     UNCERTAIN,
-    X_MOTOR,
-    X_SPEED,
-    Y_POSE,
-    Y_TOF,
+    Inputs,
+    Outputs,
+    Parameters,
+    State,
+    Status,
 )
 from hilserver.plant.pose import wrap
 from hilserver.plant.tof import FARTHEST_M, NEAREST_M, seen_by, show_ranges
@@ -58,7 +56,7 @@ def _show_wheels(b: Any, out: Any) -> None:
 
 
 @part
-def _show_ranges(b: Any, plant: Any, hall: Any, out: Any, status: Any) -> None:
+def _show_ranges(b: Any, plant: Parameters, hall: Any, out: Any, status: Any) -> None:
     x, y, yaw = b[at.B_QPOS], b[at.B_QPOS + 1], out[at.M_ANGLES + 2]
     for k in range(4):
         distance = seen_by(plant, hall, k, x, y, yaw)
@@ -72,10 +70,10 @@ def run_slice(
     p: Any,
     b: Any,
     a: Any,
-    plant: Any,
-    x: Any,
-    u: Any,
-    y: Any,
+    plant: Parameters,
+    x: State,
+    u: Inputs,
+    y: Outputs,
     hall: Any,
     out: Any,
     status: Any,
@@ -86,29 +84,28 @@ def run_slice(
     ----------
     p, b, a : ndarray
         Of the body, see `hilserver.body.layout`.
-    plant : Parameters
-    x, u, y, hall : ndarray
+    plant, x, u, y, hall
         The planar plant's parameters, state, inputs and outputs, after its step of this tick.
     out : ndarray of float64, shape (N_M,)
         Outputs ``mech.*`` in the working frame.
     status : ndarray of int64, shape (N_M,)
         Their OPC UA status codes.
     """
-    if u[U_POSE_REQUEST] != b[at.B_POSE_REQUEST]:
-        b[at.B_POSE_REQUEST] = u[U_POSE_REQUEST]
-        place_body(p, b, u[U_POSE], u[U_POSE + 1], u[U_POSE + 2])
-    good = UNCERTAIN if u[U_COMMAND] == COMMAND_SAFE else GOOD
+    if u.pose_request != b[at.B_POSE_REQUEST]:
+        b[at.B_POSE_REQUEST] = u.pose_request
+        place_body(p, b, u.pose[0], u.pose[1], u.pose[2])
+    good = UNCERTAIN if u.command == COMMAND_SAFE else GOOD
     if b[at.B_FAILED] != 0.0:
         good = BAD_OUT_OF_SERVICE
     for i in range(at.N_M):
         status[i] = good
-    _show_motion(b, y[Y_POSE : Y_POSE + 3], out)
+    _show_motion(b, y.pose, out)
     _show_wheels(b, out)
     _show_ranges(b, plant, hall, out, status)
     if b[at.B_FAILED] != 0.0:
         return BODY
     for i in range(4):
-        rpm_or_duty = x[X_MOTOR + i] if p[at.P_TORQUE] != 0.0 else x[X_SPEED + i] * RAD_S_PER_RPM
+        rpm_or_duty = x.motor[i] if p[at.P_TORQUE] != 0.0 else x.speed[i] * RAD_S_PER_RPM
         b[at.B_ASKED + i] = MIRROR[i] * rpm_or_duty
     b[at.B_WAIT] = p[at.P_TICKS]
     if not advance(p, b, a):
@@ -131,17 +128,17 @@ def stand_still(b: Any) -> None:
 
 
 @part
-def hand_over_wheels(b: Any, x: Any) -> None:
+def hand_over_wheels(b: Any, x: State) -> None:
     """Before the plant's tick: let the wheels turn as the body computed a slice ago."""
     if b[at.B_WAIT] > 0.0:
         b[at.B_WAIT] -= 1.0
         if b[at.B_WAIT] == 0.0:
             for i in range(4):
-                x[X_SPEED + i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_S_PER_RPM
+                x.speed[i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_S_PER_RPM
 
 
 @part
-def body_imu(b: Any, p: Any, x: Any, y: Any, q: Any) -> None:
+def body_imu(b: Any, p: Parameters, x: State, y: Outputs, q: Status) -> None:
     """Show what the inertial unit measures in the body, with its noise and errors."""
     ahead, _, _ = body_axes(b, at.B_QPOS + 3)
     yaw = math.atan2(ahead[1], ahead[0])
@@ -149,11 +146,11 @@ def body_imu(b: Any, p: Any, x: Any, y: Any, q: Any) -> None:
 
 
 @part
-def body_ranges(b: Any, p: Any, y: Any, q: Any, hall: Any) -> None:
+def body_ranges(b: Any, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
     """Show the ranges from where the body is."""
     if p.tof_enabled == 0.0:
         for k in range(4):
-            q[Y_TOF + k] = BAD_OUT_OF_SERVICE
+            q.tof[k] = BAD_OUT_OF_SERVICE
         return
     ahead, _, _ = body_axes(b, at.B_QPOS + 3)
     yaw = math.atan2(ahead[1], ahead[0])

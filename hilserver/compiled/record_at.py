@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 
@@ -19,3 +19,15 @@ def record_at(typing_context: Any, array: Any, place: Any, layout: Any) -> Any:
         return builder.bitcast(address, context.get_value_type(signature.return_type))
 
     return layout.dtype(array, types.intp, layout), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def assign(typing_context: Any, target: Any, source: Any) -> Any:
+    """Copy all numbers of a record to another one of the same layout."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        n_bytes = context.get_constant(types.intp, signature.args[0].size)
+        cgutils.raw_memcpy(builder, args[0], args[1], n_bytes, 1)
+        return context.get_dummy_value()
+
+    return (types.void(target, source), generate) if target == source else None

@@ -123,8 +123,8 @@ class Record(_Void):
 
 
 if TYPE_CHECKING:
-    from hilserver.compiled.record_at import record_at
+    from hilserver.compiled.record_at import assign, record_at
 else:
-    __getattr__ = lazily("hilserver.compiled", record_at=("record_at",))
+    __getattr__ = lazily("hilserver.compiled", record_at=("assign", "record_at"))
 
-__all__ = ["Record", "record_at"]
+__all__ = ["Record", "assign", "record_at"]

@@ -20,7 +20,7 @@ from hilserver.image.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
-from hilserver.plant.layout import U_ENABLE, U_MODE
+from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.signals.numbers import is_finite_number
 
@@ -177,13 +177,13 @@ class InputGate:
                 continue
             refused[name] = Refusal.NOT_IN_CONTROL
             if kind in OFFERING:
-                offered += [row for row in found if row.slot <= U_ENABLE]
+                offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
 
     def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
         """Return what ends the commands of another source of the same kind; two never mix."""
         kind = kind_of(source)
-        is_driving = kind == self.owner and any(row.slot < U_MODE for row in rows)
+        is_driving = kind == self.owner and any(row.slot < N_SETPOINTS for row in rows)
         if kind in OFFERING or not is_driving:
             return []
         before, self._speaker = self._speaker, source
@@ -332,7 +332,7 @@ class InputGate:
     def end(self) -> None:
         """End every lease: nothing is commanded until a source does so anew."""
         self._image.push([self.leases.end()])
-        for slot in range(U_MODE):
+        for slot in range(N_SETPOINTS):
             self._newest.pop(slot, None)
 
     def age_s(self, source: str) -> float | None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from hilserver.image import ProcessImage, Row, leases
 from hilserver.image.status import GOOD
-from hilserver.plant.layout import U_ENABLE, U_MODE
+from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import SOURCES
 
 NOBODY, TELEOP = "nobody", "opcua:teleop"
@@ -47,11 +47,11 @@ class Leases:
         self._words = image.words[self._base :]
         self._entries: dict[str, int] = {}
         self._known: dict[str, int] = {}
-        image.control.setpoint_slots = U_MODE
+        image.control.setpoint_slots = N_SETPOINTS
         image.control.leases = self._base
         self._words[leases.RAMP] = image.control.safe_ramp = ramp_ticks
         for kind in range(leases.KINDS):
-            image.values[self._base + leases.VALUES + kind * leases.ROW + U_ENABLE] = 1.0
+            image.values[self._base + leases.VALUES + kind * leases.ROW + N_COMMANDS - 1] = 1.0
 
     def add(self, source: str, limit_ms: float | None, action: str) -> None:
         """Give `source` a lease; what it commands lapses after `limit_ms`, None: never."""
@@ -78,7 +78,7 @@ class Leases:
 
     def place(self, kind: str, slot: int) -> int:
         """Return where a value of this kind of source for `slot` is to be pushed."""
-        if slot > U_ENABLE:
+        if slot >= N_COMMANDS:
             return slot
         return self._slot(leases.VALUES + self._number(kind) * leases.ROW + slot)
 

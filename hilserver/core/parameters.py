@@ -299,7 +299,7 @@ class LiveParameters:
         initial[first : first + packed.size] = packed.view(np.int64)
         region = self._image.layout.regions["x"]
         first, state = region.base - live, initial_state(self._robot)
-        initial[first : first + region.length] = state.view(np.int64)
+        initial[first : first + region.length] = state.numbers.view(np.int64)
 
 
 def _with_own(block: BlockUse, values: Mapping[str, float]) -> BlockUse:

@@ -12,14 +12,14 @@ from hilserver.core.leases import OFFERING
 from hilserver.daemon.builder import Core
 from hilserver.fmu.block import hangs_since, slow_call
 from hilserver.monitoring.logging_setup import log_overrun
-from hilserver.plant.layout import X_SCALED, X_TWIST_REDUCED
+from hilserver.plant.layout import State
 from hilserver.scheduler import OverrunReport
 from hilserver.scheduler.causes import Cause
 from hilserver.scheduler.overruns import STALLED
 
 NOTICES = {
-    X_TWIST_REDUCED: "the twist has two parts: only the larger one is driven (exclusive_twist)",
-    X_SCALED: "the twist asks for more than max_rpm: all wheels are scaled down together",
+    "twist_reduced": "the twist has two parts: only the larger one is driven (exclusive_twist)",
+    "scaled": "the twist asks for more than max_rpm: all wheels are scaled down together",
 }
 """Places in the plant's state that say how a command is changed, and what to tell then."""
 
@@ -37,8 +37,8 @@ class Supervision:
         config = core.assembly.config
         self.first_ticks_met = False
         self._period_ms = core.assembly.base_period_ns * 1e-6
-        self._plant_state, _ = core.image.region("x")
-        self._noticed: set[int] = set()
+        self._plant_state = State.of(core.image.region("x")[0])
+        self._noticed: set[str] = set()
         self._plant_slice = config.plant.slice
         self._gate, self._events = core.gate, core.events
         self._scheduler = core.scheduler
@@ -62,11 +62,11 @@ class Supervision:
 
     def _watch_command(self) -> None:
         """Tell, once each time it begins, that the robot drives something else than commanded."""
-        for place, text in NOTICES.items():
-            if not self._plant_state[place]:
-                self._noticed.discard(place)
-            elif place not in self._noticed:
-                self._noticed.add(place)
+        for name, text in NOTICES.items():
+            if not self._plant_state[name]:
+                self._noticed.discard(name)
+            elif name not in self._noticed:
+                self._noticed.add(name)
                 self._events.publish(Event(EventKind.STATE, 300, "plant", text))
 
     def _watch_first_ticks(self) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import hilserver.kernel.modifier_layout as at
 from hilserver.image.layout import Region
-from hilserver.plant import layout as robot
+from hilserver.plant.layout import RING, State
 
 _ANY = 2**63
 _ENTRY: Mapping[str, tuple[int, int, int]] = {
@@ -20,8 +20,6 @@ _ENTRY: Mapping[str, tuple[int, int, int]] = {
     "ring": (at.E_RING, -1, at.MAX_RINGS - 1),
 }
 """Least and largest value of what an entry of the faults holds."""
-_HEADS = (robot.X_SETPOINT_HEAD, robot.X_IMU_HEAD, robot.X_NAV_HEAD)
-_COUNTS = (robot.X_IMU_COUNT, robot.X_NAV_COUNT)
 
 
 def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int) -> str | None:
@@ -40,10 +38,10 @@ def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int)
         return state[regions[name].base - base :][: regions[name].length]
 
     if "x" in regions:
-        x = part("x").view(np.float64)
-        if not all(0 <= x[place] < robot.RING for place in _HEADS):
+        x = State.of(part("x"))
+        if not all(0 <= head < RING for head in (x.setpoint_head, x.imu_head, x.nav_head)):
             return "place in a ring of samples"
-        if not all(0 <= x[place] <= robot.RING for place in _COUNTS):
+        if not all(0 <= count <= RING for count in (x.imu_count, x.nav_count)):
             return "number of samples"
     return _unfit_faults(part("modifiers"), n_slots) if "modifiers" in regions else None
 

@@ -5,10 +5,8 @@ from typing import Any
 from hilserver.body.layout import N_A, N_M
 from hilserver.body.layout import N_P as N_BODY_P
 from hilserver.body.slice import body_imu, body_ranges, hand_over_wheels, run_slice
-from hilserver.compiled.records import record_at
-from hilserver.kernel.places import BodyPlaces, Places
+from hilserver.kernel.places import BodyPlaces, Places, p, q, u, x, y
 from hilserver.plant.kernels import inlined
-from hilserver.plant.layout import N_U, N_X, N_Y, PARAMETERS
 
 
 @inlined
@@ -19,10 +17,10 @@ def body(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> int:
             values[body_at.p : body_at.p + N_BODY_P],
             values[body_at.b : body_at.b_end],
             words[body_at.a : body_at.a + N_A],
-            record_at(values, at.p, PARAMETERS),
-            values[at.x : at.x + N_X],
-            values[at.u : at.u + N_U],
-            values[at.y : at.y + N_Y],
+            p(at, values),
+            x(at, values),
+            u(at, values),
+            y(at, values),
             values[at.hall : at.hall_end],
             values[body_at.out : body_at.out + N_M],
             words[body_at.status : body_at.status + N_M],
@@ -33,7 +31,7 @@ def body(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> int:
 @inlined
 def body_wheels(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:  # noqa: ARG001
     """Hand the wheels' speeds to the plant; runs before it."""
-    hand_over_wheels(values[body_at.b : body_at.b_end], values[at.x : at.x + N_X])
+    hand_over_wheels(values[body_at.b : body_at.b_end], x(at, values))
 
 
 @inlined
@@ -41,10 +39,10 @@ def imu(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
     """Show what the inertial unit measures in the body."""
     body_imu(
         values[body_at.b : body_at.b_end],
-        record_at(values, at.p, PARAMETERS),
-        values[at.x : at.x + N_X],
-        values[at.y : at.y + N_Y],
-        words[at.q : at.q + N_Y],
+        p(at, values),
+        x(at, values),
+        y(at, values),
+        q(at, words),
     )
 
 
@@ -53,8 +51,8 @@ def tof(at: Places, body_at: BodyPlaces, values: Any, words: Any) -> None:
     """Show the four distances to the walls from where the body is."""
     body_ranges(
         values[body_at.b : body_at.b_end],
-        record_at(values, at.p, PARAMETERS),
-        values[at.y : at.y + N_Y],
-        words[at.q : at.q + N_Y],
+        p(at, values),
+        y(at, values),
+        q(at, words),
         values[at.hall : at.hall_end],
     )

@@ -48,7 +48,7 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     regions = image.layout.regions
     image.control.modifiers = regions["modifiers"].base
     image.control.mail_base = regions["modifier_mail"].base
-    image.control.setpoint_slots = robot.U_MODE
+    image.control.setpoint_slots = robot.N_SETPOINTS
     first, packed = regions["p"].base, composition.packed()
     image.control.parameters_base = first
     image.control.parameters_length = packed.size
@@ -59,7 +59,7 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
         region = regions[name]
         image.values[region.base : region.base + region.length] = numbers
 
-    put("x", composition.state)
+    put("x", composition.state.numbers)
     put("hall", composition.hall.ravel())
     if composition.body is not None:
         put("body", composition.body.initial)

@@ -6,15 +6,14 @@ from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.records import record_at
 from hilserver.image import changes, word
-from hilserver.kernel.places import Places
+from hilserver.kernel.places import Places, p, x
 from hilserver.plant.carry_over import carry_over
-from hilserver.plant.layout import N_X, PARAMETERS
+from hilserver.plant.layout import PARAMETERS
 
 
 @kernel()
 def _take(row: int, at: Places, values: Any, words: Any) -> None:
-    old, new = record_at(values, at.p, PARAMETERS), record_at(values, row, PARAMETERS)
-    carry_over(old, new, values[at.x : at.x + N_X])
+    carry_over(p(at, values), record_at(values, row, PARAMETERS), x(at, values))
     first = words[word.PARAMETERS_BASE]
     for i in range(words[word.PARAMETERS_LENGTH]):
         words[first + i] = words[row + i]

@@ -167,7 +167,7 @@ class Composition:
     parts: Sequence[Part]
     blocks: Sequence[BlockUse]
     parameters: robot.Parameters
-    state: NDArray[np.float64]
+    state: robot.State
     hall: NDArray[np.float64]
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
     body: Engine | None = None
@@ -202,7 +202,7 @@ class Composition:
 
         The parameters are among them: a recording in which a patch was loaded can be replayed.
         """
-        regions = {"x": robot.N_X, **self.parameter_regions} | REGIONS_LIVE
+        regions = {"x": robot.State.n_words, **self.parameter_regions} | REGIONS_LIVE
         if self.body is not None:
             regions["body"] = self.body.initial.size
         for block in self.blocks:

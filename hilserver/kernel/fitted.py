@@ -4,17 +4,18 @@ The ranges are parameters of the plant like others: a patch brings them with its
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
+from hilserver.compiled.records import record_at
 from hilserver.config.patch import Interval, ModelPatch
 from hilserver.image import word
 from hilserver.image.status import GOOD, UNCERTAIN
-from hilserver.plant import layout as robot
+from hilserver.plant.layout import N_WHEELS, OUTPUTS, Inputs, Outputs
 from hilserver.plant.terms import TERMS, main_part
 
 BLOCKS: Final = ("drive", "kinematics", "navigation", "inertial")
@@ -23,26 +24,27 @@ N_LIMITS: Final = 1 + len(BLOCKS) * N_ROW  # the first says whether there is a p
 MARGIN: Final = 0.02
 """Share of a range by which it may be left: the plant's ripple is no other condition."""
 
-_NAVIGATION: Final = range(robot.Y_NAV, robot.Y_NAV + 3)
-_MOTION: Final = [
-    *range(robot.Y_POSE, robot.Y_BATTERY),
-    *range(robot.Y_TOF, robot.Y_TOF + 4),
-    *_NAVIGATION,
-]
-_AFFECTED: Final[Mapping[str, list[int]]] = {
-    "drive": [*range(robot.Y_POSE), *_MOTION],
+_INERTIAL: Final = ("gyro", "heading", "accel_x", "accel_y")
+_MOTION: Final = ("pose", "linear", "lateral", "angular", *_INERTIAL, "tof", "nav")
+_AFFECTED: Final[Mapping[str, Sequence[str]]] = {
+    "drive": ("speed", "duty", "angle", *_MOTION),
     "kinematics": _MOTION,
-    "navigation": list(_NAVIGATION),
-    "inertial": list(range(robot.Y_IMU, robot.Y_BATTERY)),
+    "navigation": ("nav",),
+    "inertial": _INERTIAL,
 }
-AFFECTED: Final = np.array(
-    [[slot in _AFFECTED[block] for slot in range(robot.N_Y)] for block in BLOCKS]
-)
+
+
+def _affected() -> NDArray[np.bool_]:
+    table = np.zeros((len(BLOCKS), Outputs.n_words), dtype=np.bool_)
+    for row, block in zip(table, BLOCKS, strict=True):
+        for name in _AFFECTED[block]:
+            row[Outputs.where(name)] = True
+    return table
+
+
+AFFECTED: Final = _affected()
 """Outputs that a term of each block changes."""
-N_WHEELS: Final = robot.N_WHEELS
-VELOCITY: Final = robot.Y_VELOCITY
-N_OUTPUTS: Final = robot.N_Y
-FIRST_OUTPUT: Final = robot.N_U
+FIRST_OUTPUT: Final = Inputs.n_words
 
 
 def fitted_limits(patch: ModelPatch | None = None) -> NDArray[np.float64]:
@@ -75,13 +77,15 @@ def _widened(interval: Interval | None) -> Interval:
 
 @kernel()
 def _is_outside(row: int, outputs: int, values: Any) -> bool:
-    v, om = values[outputs + VELOCITY], values[outputs + VELOCITY + 2]
-    if not (values[row] <= v <= values[row + 1] and values[row + 2] <= om <= values[row + 3]):
+    y = record_at(values, outputs, OUTPUTS)
+    if not values[row] <= y.linear <= values[row + 1]:
         return True
+    if not values[row + 2] <= y.angular <= values[row + 3]:
+        return True
+    outside = False
     for i in range(N_WHEELS):
-        if not values[row + 4] <= values[outputs + i] <= values[row + 5]:
-            return True
-    return False
+        outside |= not values[row + 4] <= y.speed[i] <= values[row + 5]
+    return outside
 
 
 @kernel()
@@ -99,6 +103,6 @@ def flag_unfitted(limits: int, values: Any, words: Any) -> None:
     status = words[word.STATUS_BASE] + FIRST_OUTPUT
     for block in range(AFFECTED.shape[0]):
         if _is_outside(limits + 1 + block * N_ROW, outputs, values):
-            for i in range(N_OUTPUTS):
+            for i in range(AFFECTED.shape[1]):
                 if AFFECTED[block, i] and words[status + i] == GOOD:
                     words[status + i] = UNCERTAIN

@@ -7,14 +7,12 @@ import math
 from typing import Any
 
 from hilserver.compiled import kernel
-from hilserver.compiled.records import record_at
 from hilserver.image import word
 from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
-from hilserver.kernel.places import Places
+from hilserver.kernel.places import Places, p, q, u, x, y
 from hilserver.plant.battery import battery_step
 from hilserver.plant.imu import imu_step
 from hilserver.plant.kernels import inlined
-from hilserver.plant.layout import N_U, N_X, N_Y, PARAMETERS, Parameters
 from hilserver.plant.nav import nav_step
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
@@ -24,61 +22,46 @@ from hilserver.plant.tof import tof_step
 
 
 @inlined
-def _p(at: Places, values: Any) -> Parameters:
-    return record_at(values, at.p, PARAMETERS)  # type: ignore[no-any-return]
-
-
-@inlined
-def _pieces(at: Places, values: Any, words: Any) -> Any:
-    """Return x, u, y and q, as every part of the robot takes them after p."""
-    return (
-        values[at.x : at.x + N_X],
-        values[at.u : at.u + N_U],
-        values[at.y : at.y + N_Y],
-        words[at.q : at.q + N_Y],
-    )
-
-
-@inlined
 def robot(at: Places, values: Any, words: Any) -> None:
     """Run steps 1 to 11 of the tick: command, wheels, kinematics, pose."""
-    x, u, y, q = _pieces(at, values, words)
-    robot_step(_p(at, values), x, u, y, q)
+    robot_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
 @inlined
 def imu(at: Places, values: Any, words: Any) -> None:
     """Show yaw rate, heading and acceleration."""
-    x, u, y, q = _pieces(at, values, words)
-    imu_step(_p(at, values), x, u, y, q)
+    imu_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
 @inlined
 def battery(at: Places, values: Any, words: Any) -> None:
     """Take the charge of this run from the battery and show its voltage."""
-    x, u, y, q = _pieces(at, values, words)
-    battery_step(_p(at, values), x, u, y, q)
+    battery_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
 @inlined
 def shield(at: Places, values: Any, words: Any) -> None:
     """Show the lamps as they blink, and the temperature."""
-    x, u, y, q = _pieces(at, values, words)
-    shield_step(_p(at, values), x, u, y, q)
+    shield_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
 @inlined
 def tof(at: Places, values: Any, words: Any) -> None:
     """Show the four distances to the walls."""
-    x, u, y, q = _pieces(at, values, words)
-    tof_step(_p(at, values), x, u, y, q, values[at.hall : at.hall_end])
+    tof_step(
+        p(at, values),
+        x(at, values),
+        u(at, values),
+        y(at, values),
+        q(at, words),
+        values[at.hall : at.hall_end],
+    )
 
 
 @inlined
 def nav(at: Places, values: Any, words: Any) -> None:
     """Show the pose as the navigation tag measures it."""
-    x, u, y, q = _pieces(at, values, words)
-    nav_step(_p(at, values), x, u, y, q)
+    nav_step(p(at, values), x(at, values), u(at, values), y(at, values), q(at, words))
 
 
 # --- a user's block -------------------------------------------------------------------------------

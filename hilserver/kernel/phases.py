@@ -15,11 +15,13 @@ from hilserver.kernel.changes import drop_changes, take_changes
 from hilserver.kernel.modifier_layout import H_TIMEOUT_DEAD
 from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
 from hilserver.kernel.places import Places
-from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, N_U, N_Y
+from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, Inputs, Outputs
 from hilserver.scheduler import faults
 from hilserver.signals import State
 
 SAFE = int(State.SAFE)
+FIRST_OUTPUT = Inputs.n_words
+END_OF_OUTPUTS = FIRST_OUTPUT + Outputs.n_words
 NOTHING, SAVES, RESTORES = range(3)
 
 
@@ -158,7 +160,7 @@ def publish(tick: int, planned_ns: int, at: Places, values: Any, words: Any) -> 
     values[frame + at.sim + 2] = values[frame + at.sim + 3]
     values[frame + at.sim + 4] = values[at.edition]
     if values[frame + at.command] == COMMAND_SAFE:
-        for slot in range(N_U, N_U + N_Y):
+        for slot in range(FIRST_OUTPUT, END_OF_OUTPUTS):
             if words[status + slot] == GOOD:
                 words[status + slot] = UNCERTAIN
     modify_outputs(tick, values, words)

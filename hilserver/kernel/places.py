@@ -1,9 +1,11 @@
 """Where the parts of one configuration lie in the process image: all that tells two steps apart."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from hilserver.compiled.records import record_at
 from hilserver.image.layout import Layout
-from hilserver.plant import layout as robot
+from hilserver.plant.kernels import inlined
+from hilserver.plant.layout import INPUTS, OUTPUTS, PARAMETERS, STATE, STATUS, Inputs
 from hilserver.signals import SignalTable
 
 
@@ -46,8 +48,8 @@ def find_places(layout: Layout, table: SignalTable) -> Places:
         p=regions["p"].base,
         x=regions["x"].base,
         u=frame,
-        y=frame + robot.N_U,
-        q=status + robot.N_U,
+        y=frame + Inputs.n_words,
+        q=status + Inputs.n_words,
         hall=hall.base,
         hall_end=hall.base + hall.length,
         edition=regions["edition"].base,
@@ -56,6 +58,36 @@ def find_places(layout: Layout, table: SignalTable) -> Places:
         state=table.slot("internal.state"),
         sim=table.slot("sim.tick"),
     )
+
+
+@inlined
+def p(at: Places, values: Any) -> Any:
+    """Return the robot's parameters."""
+    return record_at(values, at.p, PARAMETERS)
+
+
+@inlined
+def x(at: Places, values: Any) -> Any:
+    """Return its state."""
+    return record_at(values, at.x, STATE)
+
+
+@inlined
+def u(at: Places, values: Any) -> Any:
+    """Return its inputs of this tick, in the working frame."""
+    return record_at(values, at.u, INPUTS)
+
+
+@inlined
+def y(at: Places, values: Any) -> Any:
+    """Return its outputs, in the working frame."""
+    return record_at(values, at.y, OUTPUTS)
+
+
+@inlined
+def q(at: Places, words: Any) -> Any:
+    """Return the status codes of its outputs."""
+    return record_at(words, at.q, STATUS)
 
 
 class BodyPlaces(NamedTuple):

@@ -5,13 +5,21 @@ the pack (4.2: 17.5 .. 23.5 V). E is flat in the middle and falls at the end, as
 currents and the resistance are assumptions. In the base model it does not act on the drive.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-import hilserver.plant.layout as at
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import (
+    BAD_OUT_OF_SERVICE,
+    GOOD,
+    N_WHEELS,
+    Inputs,
+    Outputs,
+    Parameters,
+    State,
+    Status,
+)
 
 LOWEST_V: Final = 17.5
 HIGHEST_V: Final = 23.5
@@ -31,23 +39,23 @@ def open_circuit_voltage(charge: float) -> float:
 
 
 @part
-def drawn_current(p: Parameters, y: Any) -> float:
+def drawn_current(p: Parameters, y: Outputs) -> float:
     """Return the current [A] of electronics and wheels under the duties of this tick."""
     current = p.idle_current
-    for i in range(at.N_WHEELS):
-        current += p.duty_current * abs(y[at.Y_DUTY + i])
+    for i in range(N_WHEELS):
+        current += p.duty_current * abs(y.duty[i])
     return float(current)
 
 
 @part
-def battery_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+def battery_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:  # noqa: ARG001 (one shape)
     """Publish the voltage under the load of this tick and take the charge of one run."""
     if p.battery_enabled == 0.0:
-        q[at.Y_BATTERY] = q[at.Y_CURRENT] = at.BAD_OUT_OF_SERVICE
+        q.battery = q.current = BAD_OUT_OF_SERVICE
         return
     current = drawn_current(p, y)
-    voltage = open_circuit_voltage(x[at.X_CHARGE]) - p.resistance * current
-    x[at.X_BATTERY_V] = min(max(voltage, LOWEST_V), HIGHEST_V)
-    y[at.Y_BATTERY], y[at.Y_CURRENT] = x[at.X_BATTERY_V], current
-    q[at.Y_BATTERY] = q[at.Y_CURRENT] = at.GOOD
-    x[at.X_CHARGE] = max(x[at.X_CHARGE] - p.charge_per_a * current, 0.0)
+    voltage = open_circuit_voltage(x.charge) - p.resistance * current
+    x.battery_v = min(max(voltage, LOWEST_V), HIGHEST_V)
+    y.battery, y.current = x.battery_v, current
+    q.battery = q.current = GOOD
+    x.charge = max(x.charge - p.charge_per_a * current, 0.0)

@@ -6,11 +6,9 @@ acceleration at t_k.
 """
 
 import math
-from typing import Any
 
-import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import N_WHEELS, Outputs, Parameters, State
 from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
 REST_RPM = 0.05
@@ -20,49 +18,49 @@ Matrices = tuple[float, float, float, float, float, float]
 
 
 @inlined
-def drive_base(p: Parameters, x: Any, y: Any) -> Sums:
+def drive_base(p: Parameters, x: State, y: Outputs) -> Sums:
     """All drive terms at null: the controller at the plant slice, the exact joint solution."""
-    if x[at.X_DIRECT] + x[at.X_GAINS] != 0.0:
+    if x.direct + x.own_gains != 0.0:
         return drive_terms(p, x, y)  # type: ignore[no-any-return]
     kp, ki_step = p.k_p, p.k_i_step
     anti_windup, limit = p.anti_windup_step, p.limit
     a00, a01, b0 = p.a00, p.a01, p.b0
     a10, a11, b1 = p.a10, p.a11, p.b1
     half_turn = p.dt * (0.5 * RAD_S_PER_RPM)
-    left, right = x[at.X_SPEED] + x[at.X_SPEED + 1], x[at.X_SPEED + 2] + x[at.X_SPEED + 3]
-    accel_left = (x[at.X_MOTOR] + x[at.X_MOTOR + 1] - left) * p.inverse_t2
-    accel_right = (x[at.X_MOTOR + 2] + x[at.X_MOTOR + 3] - right) * p.inverse_t2
-    for i in range(at.N_WHEELS):
-        speed, motor, integral = x[at.X_SPEED + i], x[at.X_MOTOR + i], x[at.X_INTEGRAL + i]
-        error = x[at.X_SETPOINT + i] - speed
+    left, right = x.speed[0] + x.speed[1], x.speed[2] + x.speed[3]
+    accel_left = (x.motor[0] + x.motor[1] - left) * p.inverse_t2
+    accel_right = (x.motor[2] + x.motor[3] - right) * p.inverse_t2
+    for i in range(N_WHEELS):
+        speed, motor, integral = x.speed[i], x.motor[i], x.integral[i]
+        error = x.setpoint[i] - speed
         wanted = kp * error + integral
         duty = min(max(wanted, -limit), limit)
         speed_next = a10 * motor + a11 * speed + b1 * duty
-        y[at.Y_SPEED + i] = speed
-        y[at.Y_DUTY + i] = duty
-        y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
-        x[at.X_INTEGRAL + i] = integral + (ki_step * error + anti_windup * (duty - wanted))
-        x[at.X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
-        x[at.X_SPEED + i] = speed_next
-        x[at.X_ANGLE + i] += half_turn * (speed + speed_next)
-    mean_left = 0.5 * (left + (x[at.X_SPEED] + x[at.X_SPEED + 1]))
-    mean_right = 0.5 * (right + (x[at.X_SPEED + 2] + x[at.X_SPEED + 3]))
+        y.speed[i] = speed
+        y.duty[i] = duty
+        y.angle[i] = x.angle[i]
+        x.integral[i] = integral + (ki_step * error + anti_windup * (duty - wanted))
+        x.motor[i] = a00 * motor + a01 * speed + b0 * duty
+        x.speed[i] = speed_next
+        x.angle[i] += half_turn * (speed + speed_next)
+    mean_left = 0.5 * (left + (x.speed[0] + x.speed[1]))
+    mean_right = 0.5 * (right + (x.speed[2] + x.speed[3]))
     return left, right, mean_left, mean_right, accel_left, accel_right
 
 
 @part
-def encoder(p: Parameters, x: Any, i: int) -> float:
+def encoder(p: Parameters, x: State, i: int) -> float:
     """Return the speed of wheel `i` [rpm] as the loop sees it (step 2).
 
     The filter is exact for a speed that changes evenly over a tick. Held speeds would make it half
     a tick too quick.
     """
-    speed = float(x[at.X_SPEED + i])
+    speed = float(x.speed[i])
     seen = speed
     if p.encoder_share != 1.0:
-        seen = x[at.X_ENCODER + i] + p.encoder_share * speed
+        seen = x.encoder[i] + p.encoder_share * speed
         rest = 1.0 - p.encoder_share - p.encoder_keep
-        x[at.X_ENCODER + i] = p.encoder_keep * seen + rest * speed
+        x.encoder[i] = p.encoder_keep * seen + rest * speed
     seen *= p.encoder_gain[i]
     if p.quantum != 0.0:
         seen = p.quantum * math.floor(seen / p.quantum + 0.5)
@@ -70,31 +68,31 @@ def encoder(p: Parameters, x: Any, i: int) -> float:
 
 
 @part
-def controller(p: Parameters, x: Any, i: int, seen_rpm: float) -> None:
+def controller(p: Parameters, x: State, i: int, seen_rpm: float) -> None:
     """Run the PI(D) loop of wheel `i` once (step 3), with back-calculation; sets the held duty."""
     kp, ki_step = p.k_p, p.k_i_step
-    if x[at.X_GAINS] != 0.0:
-        kp, ki_step = x[at.X_GAINS + 1], x[at.X_GAINS + 2] * p.control_ticks * p.dt
-    error = x[at.X_SETPOINT + i] - seen_rpm
-    wanted = kp * error + x[at.X_INTEGRAL + i]
+    if x.own_gains != 0.0:
+        kp, ki_step = x.k_p, x.k_i * p.control_ticks * p.dt
+    error = x.setpoint[i] - seen_rpm
+    wanted = kp * error + x.integral[i]
     if p.derivative_gain != 0.0:
-        change = p.derivative_gain * (error - x[at.X_LAST_ERROR + i])
-        x[at.X_DERIVATIVE + i] = p.derivative_keep * x[at.X_DERIVATIVE + i] + change
-        x[at.X_LAST_ERROR + i] = error
-        wanted += x[at.X_DERIVATIVE + i]
+        change = p.derivative_gain * (error - x.last_error[i])
+        x.derivative[i] = p.derivative_keep * x.derivative[i] + change
+        x.last_error[i] = error
+        wanted += x.derivative[i]
     limit = p.limit
     duty = min(max(wanted, -limit), limit)
-    x[at.X_INTEGRAL + i] += ki_step * error + p.anti_windup_step * (duty - wanted)
-    x[at.X_DUTY + i] = duty
+    x.integral[i] += ki_step * error + p.anti_windup_step * (duty - wanted)
+    x.duty[i] = duty
 
 
 @part
-def pass_duty(p: Parameters, x: Any, i: int) -> None:
+def pass_duty(p: Parameters, x: State, i: int) -> None:
     """Take the commanded duty of wheel `i` instead of the controller's, which takes note of it."""
     limit = p.limit
-    duty = min(max(x[at.X_DUTY_COMMAND + i], -limit), limit)
-    x[at.X_DUTY + i] = x[at.X_INTEGRAL + i] = duty
-    x[at.X_DERIVATIVE + i] = x[at.X_LAST_ERROR + i] = 0.0
+    duty = min(max(x.duty_command[i], -limit), limit)
+    x.duty[i] = x.integral[i] = duty
+    x.derivative[i] = x.last_error[i] = 0.0
 
 
 @part
@@ -184,51 +182,51 @@ def process_of_tick(p: Parameters, voltage_v: float) -> Matrices:
 
 @part
 def through_backlash(
-    p: Parameters, x: Any, i: int, speed_rpm: float, mean_rpm: float
+    p: Parameters, x: State, i: int, speed_rpm: float, mean_rpm: float
 ) -> tuple[float, float]:
     """Return the speeds [rpm] behind the play: at t_k and the mean over the tick.
 
     The motor moves freely inside the play; the wheel follows while a flank is in contact.
     """
     half = p.backlash
-    gap = x[at.X_GAP + i]
+    gap = x.gap[i]
     engaged = (gap >= half and speed_rpm > 0.0) or (gap <= -half and speed_rpm < 0.0)
     turned = mean_rpm * RAD_S_PER_RPM * p.dt
     free = gap + turned
-    x[at.X_GAP + i] = min(max(free, -half), half)
-    moved = free - x[at.X_GAP + i]  # exactly 0 inside the play
+    x.gap[i] = min(max(free, -half), half)
+    moved = free - x.gap[i]  # exactly 0 inside the play
     return speed_rpm if engaged else 0.0, moved / (RAD_S_PER_RPM * p.dt)
 
 
 @part
-def drive_terms(p: Parameters, x: Any, y: Any) -> Sums:
+def drive_terms(p: Parameters, x: State, y: Outputs) -> Sums:
     """Run the drive with its terms, in the order of the contract; a term at null adds nothing."""
-    runs = x[at.X_CONTROL_PHASE] <= 1e-9
+    runs = x.control_phase <= 1e-9
     if runs:
-        x[at.X_CONTROL_PHASE] += p.control_ticks
-    x[at.X_CONTROL_PHASE] -= 1.0
-    a00, a01, a10, a11, b0, b1 = process_of_tick(p, x[at.X_BATTERY_V])
+        x.control_phase += p.control_ticks
+    x.control_phase -= 1.0
+    a00, a01, a10, a11, b0, b1 = process_of_tick(p, x.battery_v)
     half_turn = p.dt * (0.5 * RAD_S_PER_RPM)
     left, right, mean_left, mean_right, accel_left, accel_right = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(at.N_WHEELS):
-        speed, motor = x[at.X_SPEED + i], x[at.X_MOTOR + i]
+    for i in range(N_WHEELS):
+        speed, motor = x.speed[i], x.motor[i]
         seen = encoder(p, x, i)
-        if x[at.X_DIRECT] != 0.0:
+        if x.direct != 0.0:
             pass_duty(p, x, i)
         elif runs:
             controller(p, x, i, seen)
-        y[at.Y_SPEED + i] = seen
-        y[at.Y_DUTY + i] = x[at.X_DUTY + i]
-        y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
-        duty = load(p, i, x[at.X_DUTY + i], speed)
+        y.speed[i] = seen
+        y.duty[i] = x.duty[i]
+        y.angle[i] = x.angle[i]
+        duty = load(p, i, x.duty[i], speed)
         if p.body_wheels != 0.0:  # the body takes the duty and hands the speed back
-            x[at.X_MOTOR + i] = duty * (b0 / p.b0)
+            x.motor[i] = duty * (b0 / p.b0)
             motor = speed
         else:
-            x[at.X_MOTOR + i] = a00 * motor + a01 * speed + b0 * duty
-            x[at.X_SPEED + i] = a10 * motor + a11 * speed + b1 * duty
-        x[at.X_ANGLE + i] += half_turn * (speed + x[at.X_SPEED + i])
-        mean = 0.5 * (speed + x[at.X_SPEED + i])
+            x.motor[i] = a00 * motor + a01 * speed + b0 * duty
+            x.speed[i] = a10 * motor + a11 * speed + b1 * duty
+        x.angle[i] += half_turn * (speed + x.speed[i])
+        mean = 0.5 * (speed + x.speed[i])
         accel = (motor - speed) * p.inverse_t2
         if p.backlash != 0.0:
             speed, mean = through_backlash(p, x, i, speed, mean)

@@ -1,7 +1,6 @@
 """Rings of past samples, read at any age between two of them."""
 
 import math
-from typing import Any
 
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import RING
@@ -39,9 +38,6 @@ def between_angles(newer: float, older: float, share: float) -> float:
 
 
 @part
-def push(x: Any, ring: int, width: int, head_slot: int, count_slot: int) -> int:
-    """Advance the head of a ring and return the first slot of its new row."""
-    head = (int(x[head_slot]) + 1) % RING
-    x[head_slot] = head
-    x[count_slot] = min(x[count_slot] + 1.0, RING)
-    return ring + width * head
+def push(head: float, count: float) -> tuple[int, float]:
+    """Return the row of a ring that takes the next sample, and how many the ring then holds."""
+    return (int(head) + 1) % RING, min(count + 1.0, RING)

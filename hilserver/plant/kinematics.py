@@ -6,11 +6,9 @@ derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 """
 
 import math
-from typing import Any
 
-import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import Parameters, State, Wheels
 from hilserver.plant.units import RAD_S_PER_RPM
 
 Velocity = tuple[float, float, float, float, float, float]
@@ -34,26 +32,26 @@ def velocity_base(p: Parameters, w_l: float, w_r: float, dw_l: float, dw_r: floa
 
 
 @inlined
-def _apart(p: Parameters, x: Any, first: int) -> float:
+def _apart(p: Parameters, speed: Wheels) -> float:
     """Return by how much the wheels of each side turn apart, as speed to the left."""
-    left = p.radius_left * (x[first] - x[first + 1])
-    right = p.radius_right * (x[first + 2] - x[first + 3])
+    left = p.radius_left * (speed[0] - speed[1])
+    right = p.radius_right * (speed[2] - speed[3])
     return float(-0.25 * RAD_S_PER_RPM * p.roller_keep * (left + right))
 
 
 @part
-def sideways(p: Parameters, x: Any) -> tuple[float, float]:
+def sideways(p: Parameters, x: State) -> tuple[float, float]:
     """Return lateral speed [m/s] and its rate [m/s2] of mecanum wheels that turn as `x` says."""
-    speed = _apart(p, x, at.X_SPEED)
-    return speed, (_apart(p, x, at.X_MOTOR) - speed) * p.inverse_t2
+    speed = _apart(p, x.speed)
+    return speed, (_apart(p, x.motor) - speed) * p.inverse_t2
 
 
 @part
-def in_region(p: Parameters, x: Any) -> bool:
+def in_region(p: Parameters, x: State) -> bool:
     """Return whether the centre of mass stands on the patch of `surface_change`."""
     return bool(
-        p.region_x_min <= x[at.X_POSE] <= p.region_x_max
-        and p.region_y_min <= x[at.X_POSE + 1] <= p.region_y_max
+        p.region_x_min <= x.pose[0] <= p.region_x_max
+        and p.region_y_min <= x.pose[1] <= p.region_y_max
     )
 
 

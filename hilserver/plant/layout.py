@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.records import Record
 
-Wheels = Annotated[NDArray[np.float64], 4]
-"""A number of each wheel."""
+RING: Final = 1024  # samples that a delay can reach back
+
+Wheels = Annotated[NDArray[np.float64], 4]  # fl, rl, fr, rr
+Corners = Annotated[NDArray[np.float64], 4]  # fl, fr, rl, rr: EduArt's order
+Lamps = Annotated[NDArray[np.float64], (4, 3)]  # the corners' red, green, blue
+Three = Annotated[NDArray[np.float64], 3]
+Ring3 = Annotated[NDArray[np.float64], (RING, 3)]
+Ring4 = Annotated[NDArray[np.float64], (RING, 4)]
 
 LEFT_WHEELS: Final = ("fl", "rl")
 RIGHT_WHEELS: Final = ("fr", "rr")
@@ -33,96 +39,120 @@ UNCERTAIN: Final = 0x40000000
 BAD_WAITING_FOR_INITIAL_DATA: Final = 0x80320000
 BAD_OUT_OF_SERVICE: Final = 0x808D0000
 
-# --- inputs u: the signal table's inputs, then three hidden ones ----------------------------------
-U_SETPOINT: Final = 0  # 4 wheels [rpm]
-U_TWIST_LINEAR: Final = 4  # [m/s]
-U_TWIST_ANGULAR: Final = 5  # [rad/s]
-U_TWIST_LATERAL: Final = 6  # [m/s], mecanum only
-U_DUTY: Final = 7  # 4 wheels [%]
-U_MODE: Final = 11  # MODE_*; what stands before it is a set-point
-U_ENABLE: Final = 12
-U_LIGHTS: Final = 13  # command, red, green, blue
-U_SEQUENCE: Final = 17
-U_COMMAND: Final = 18  # hidden: COMMAND_*
-U_POSE_REQUEST: Final = 19  # hidden: a counter; when it changes, the pose is set
-U_POSE: Final = 20  # hidden: x [m], y [m], yaw [rad]
-U_GAINS: Final = 23  # hidden: 1 while the next two replace the controller's, K_P, K_I
-N_U: Final = 26
 
-# values of u[U_MODE]
+class Inputs(Record):
+    """What a tick latches: the signal table's inputs in their order, then hidden ones."""
+
+    setpoint: Wheels  # [rpm]
+    twist_linear: float  # [m/s]
+    twist_angular: float  # [rad/s]
+    twist_lateral: float  # [m/s], mecanum only
+    duty: Wheels  # [%]
+    mode: float  # MODE_*
+    enable: float
+    light_pattern: float
+    light_colour: Three  # red, green, blue
+    sequence: float
+    command: float  # hidden: COMMAND_*
+    pose_request: float  # hidden: a counter; when it changes, the pose is set
+    pose: Three  # hidden: x [m], y [m], yaw [rad]
+    own_gains: float  # hidden: 1 while the next two replace the controller's
+    k_p: float  # [%/rpm]
+    k_i: float  # [%/(rpm s)]
+
+
+N_SETPOINTS: Final = Inputs.where("mode").start
+"""So many of the first inputs are set-points."""
+N_COMMANDS: Final = Inputs.where("enable").stop
+"""So many of the first inputs are commands: the set-points, mode and enable."""
+
+# values of `Inputs.mode`
 MODE_WHEELS: Final = 0
 MODE_TWIST: Final = 1
 MODE_DUTY: Final = 2
 
-# values of u[U_COMMAND]
+# values of `Inputs.command`
 COMMAND_NORMAL: Final = 0
 COMMAND_ZERO: Final = 1
 COMMAND_SAFE: Final = 2  # ramp to zero
 
-# --- outputs y ------------------------------------------------------------------------------------
-Y_SPEED: Final = 0  # 4 wheels [rpm], as the encoder shows it
-Y_DUTY: Final = 4  # 4 wheels [%]
-Y_ANGLE: Final = 8  # 4 wheels [rad], not wrapped
-Y_POSE: Final = 12  # x [m], y [m], yaw [rad]
-Y_VELOCITY: Final = 15  # linear [m/s], lateral [m/s], angular [rad/s]
-N_Y_ROBOT: Final = 18  # robot_step writes y[:18], the sensors the rest
-Y_IMU: Final = 18  # gyro_z [rad/s], yaw [rad], accel_x, accel_y [m/s2]
-Y_BATTERY: Final = 22  # [V]
-Y_TOF: Final = 23  # fl, fr, rl, rr [m]: EduArt's order
-Y_NAV: Final = 27  # x [m], y [m], yaw [rad]
-Y_CURRENT: Final = 30  # [A]
-Y_TEMPERATURE: Final = 31  # [degC]
-Y_LIGHTS: Final = 32  # pattern, then red, green, blue of fl, fr, rl, rr
-N_Y: Final = 45
 
-# --- state x --------------------------------------------------------------------------------------
-RING: Final = 1024  # samples that a delay can reach back
+class Outputs(Record):
+    """What a tick shows, in the order of the signal table; `robot_step` writes up to `angular`."""
 
-X_MOTOR: Final = 0  # 4: first state of the process
-X_SPEED: Final = 4  # 4: wheel (motor side) speed n [rpm]
-X_INTEGRAL: Final = 8  # 4 [%]
-X_ANGLE: Final = 12  # 4 [rad]
-X_POSE: Final = 16  # 3
-X_SETPOINT: Final = 19  # 4 [rpm]: what the loop follows in this tick
-X_COMMANDED: Final = 23  # 4 [rpm]: what was commanded, before delay and rate limit
-X_DUTY: Final = 27  # 4 [%]: held between control periods
-X_ACCEL: Final = 31  # 2 [m/s2]: acceleration of the centre of mass at t_k, body frame
-X_TWIST_REDUCED: Final = 33  # 1 while exclusive mode drops a part of the twist
-X_SCALED: Final = 34  # 1 while max_rpm scales the wheels down
-X_LAST_COMMAND: Final = 35
-X_RAMP_TICKS: Final = 36
-X_RAMP_START: Final = 37  # 4 [rpm]
-X_POSE_REQUEST: Final = 41
-X_CONTROL_PHASE: Final = 42  # ticks until the controller runs again
-X_DERIVATIVE: Final = 43  # 4 [%]
-X_LAST_ERROR: Final = 47  # 4 [rpm]
-X_ENCODER: Final = 51  # 4 [rpm]: encoder filter, all but the share of the newest speed
-X_GAP: Final = 55  # 4 [rad]: motor angle minus wheel angle inside the backlash
-X_BATTERY_V: Final = 59
-X_CHARGE: Final = 60  # 1 full, 0 empty
-X_SETPOINT_HEAD: Final = 61  # newest entry of the set-point ring
-X_IMU_HEAD: Final = 62
-X_IMU_COUNT: Final = 63
-X_NAV_HEAD: Final = 64
-X_NAV_COUNT: Final = 65  # samples in the ring
-X_NAV_WAIT: Final = 66  # runs until the next sample
-X_NAV_SAMPLES: Final = 67
-X_NAV_OU: Final = 68  # 3: x [m], y [m], yaw [rad]
-X_IMU_RUNS: Final = 71
-X_NAV_SHOWN: Final = 72  # 3: the last sample, shown until the next
-X_DIRECT: Final = 75  # 1 while duties are commanded
-X_DUTY_COMMAND: Final = 76  # 4 [%]
-X_TEMPERATURE: Final = 80  # [degC]
-X_LIGHT_PATTERN: Final = 81
-X_LIGHT_TIME: Final = 82  # [s] since the pattern began
-X_GAINS: Final = 83  # 3: as the input
-X_BODY: Final = 86  # v [m/s], om [rad/s]: what the body has of them while it lags
-X_SETPOINT_RING: Final = 88  # RING x 4
-X_IMU_RING: Final = X_SETPOINT_RING + 4 * RING  # RING x 4
-X_NAV_RING: Final = X_IMU_RING + 4 * RING  # RING x 3
-N_X: Final = X_NAV_RING + 3 * RING
+    speed: Wheels  # [rpm], as the encoder shows it
+    duty: Wheels  # [%]
+    angle: Wheels  # [rad], not wrapped
+    pose: Three  # x [m], y [m], yaw [rad]
+    linear: float  # [m/s]
+    lateral: float  # [m/s]
+    angular: float  # [rad/s]
+    gyro: float  # [rad/s]
+    heading: float  # of the inertial unit [rad]
+    accel_x: float  # [m/s2]
+    accel_y: float
+    battery: float  # [V]
+    tof: Corners  # [m]
+    nav: Three  # x [m], y [m], yaw [rad]
+    current: float  # [A]
+    temperature: float  # [degC]
+    light_pattern: float
+    lights: Lamps  # red, green, blue of each
 
-# --- parameters p ---------------------------------------------------------------------------------
+
+class Status(Outputs, word=np.int64):
+    """The OPC UA status code of every output."""
+
+
+class State(Record):
+    """All that the future depends on: a copy is a snapshot."""
+
+    motor: Wheels  # [rpm]: first state of the process
+    speed: Wheels  # [rpm]: of the wheel, on the motor's side
+    integral: Wheels  # [%]
+    angle: Wheels  # [rad]
+    pose: Three  # x [m], y [m], yaw [rad]
+    setpoint: Wheels  # [rpm]: what the loop follows in this tick
+    commanded: Wheels  # [rpm]: what was commanded, before delay and rate limit
+    duty: Wheels  # [%]: held between control periods
+    accel_x: float  # [m/s2]: of the centre of mass at t_k, body frame
+    accel_y: float
+    twist_reduced: float  # 1 while exclusive mode drops a part of the twist
+    scaled: float  # 1 while max_rpm scales the wheels down
+    last_command: float
+    ramp_ticks: float
+    ramp_start: Wheels  # [rpm]
+    pose_request: float
+    control_phase: float  # ticks until the controller runs again
+    derivative: Wheels  # [%]
+    last_error: Wheels  # [rpm]
+    encoder: Wheels  # [rpm]: encoder filter, all but the share of the newest speed
+    gap: Wheels  # [rad]: motor angle minus wheel angle inside the backlash
+    battery_v: float
+    charge: float  # 1 full, 0 empty
+    setpoint_head: float  # row of the newest entry of the ring
+    imu_head: float
+    imu_count: float  # samples in the ring
+    nav_head: float
+    nav_count: float  # samples in the ring
+    nav_wait: float  # runs until the next sample
+    nav_samples: float
+    nav_ou: Three  # x [m], y [m], yaw [rad]
+    imu_runs: float
+    nav_shown: Three  # the last sample, shown until the next
+    direct: float  # 1 while duties are commanded
+    duty_command: Wheels  # [%]
+    temperature: float  # [degC]
+    light_pattern: float
+    light_time: float  # [s] since the pattern began
+    own_gains: float  # these three as the inputs
+    k_p: float
+    k_i: float
+    body_v: float  # [m/s]: what the body has of the wheels' speed while it lags
+    body_om: float  # [rad/s]
+    setpoint_ring: Ring4  # [rpm] of each wheel
+    imu_ring: Ring4  # rate [rad/s], heading [rad], acceleration ahead and to the left [m/s2]
+    nav_ring: Ring3  # x [m], y [m], yaw [rad]
 
 
 class Parameters(Record):
@@ -243,4 +273,8 @@ class Parameters(Record):
     charge_0: float  # 1 full, 0 empty
 
 
+INPUTS: Final = Inputs.layout
+OUTPUTS: Final = Outputs.layout
+STATUS: Final = Status.layout
+STATE: Final = State.layout
 PARAMETERS: Final = Parameters.layout

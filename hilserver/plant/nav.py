@@ -6,12 +6,18 @@ outputs keep their value and carry BadOutOfService.
 """
 
 import math
-from typing import Any
 
-import hilserver.plant.layout as at
 from hilserver.plant.history import between, between_angles, push, weights
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import (
+    BAD_OUT_OF_SERVICE,
+    GOOD,
+    Inputs,
+    Outputs,
+    Parameters,
+    State,
+    Status,
+)
 from hilserver.plant.noise import normal, uniform
 from hilserver.plant.pose import wrap
 
@@ -21,25 +27,25 @@ CHANNEL_OUTLIER = 40  # uniform channels: whether, in which direction
 
 
 @part
-def _correlated(p: Parameters, x: Any, part: int, keep: float, deviation: float) -> float:
+def _correlated(p: Parameters, x: State, part: int, keep: float, deviation: float) -> float:
     """Advance an Ornstein-Uhlenbeck state by one sample, stationary from the first on."""
-    sample = x[at.X_NAV_SAMPLES]
+    sample = x.nav_samples
     fresh = deviation * normal(p.seed, sample, CHANNEL_OU + part)
     if sample == 0.0:
-        x[at.X_NAV_OU + part] = fresh
+        x.nav_ou[part] = fresh
     else:
-        x[at.X_NAV_OU + part] = keep * x[at.X_NAV_OU + part] + math.sqrt(1.0 - keep * keep) * fresh
-    return float(x[at.X_NAV_OU + part])
+        x.nav_ou[part] = keep * x.nav_ou[part] + math.sqrt(1.0 - keep * keep) * fresh
+    return float(x.nav_ou[part])
 
 
 @part
-def shown_position(p: Parameters, x: Any) -> tuple[float, float]:
+def shown_position(p: Parameters, x: State) -> tuple[float, float]:
     """Return x, y [m] of the tag, of the pose that lies the delay back in the ring."""
-    newer, older, share = weights(int(x[at.X_NAV_HEAD]), x[at.X_NAV_COUNT], p.nav_delay)
-    a, b = at.X_NAV_RING + 3 * newer, at.X_NAV_RING + 3 * older
-    px, py = between(x[a], x[b], share), between(x[a + 1], x[b + 1], share)
+    newer, older, share = weights(int(x.nav_head), x.nav_count, p.nav_delay)
+    a, b = x.nav_ring[newer], x.nav_ring[older]
+    px, py = between(a[0], b[0], share), between(a[1], b[1], share)
     if p.lever_x != 0.0 or p.lever_y != 0.0:
-        yaw = between_angles(x[a + 2], x[b + 2], share)
+        yaw = between_angles(a[2], b[2], share)
         px += p.lever_x * math.cos(yaw) - p.lever_y * math.sin(yaw)
         py += p.lever_x * math.sin(yaw) + p.lever_y * math.cos(yaw)
     shown_x, shown_y = p.nav_scale * px, p.nav_scale * py
@@ -50,11 +56,10 @@ def shown_position(p: Parameters, x: Any) -> tuple[float, float]:
 
 
 @part
-def shown_yaw(p: Parameters, x: Any) -> float:
+def shown_yaw(p: Parameters, x: State) -> float:
     """Return the yaw [rad] that the tag shows, not wrapped."""
-    newer, older, share = weights(int(x[at.X_NAV_HEAD]), x[at.X_NAV_COUNT], p.nav_yaw_delay)
-    a, b = at.X_NAV_RING + 3 * newer + 2, at.X_NAV_RING + 3 * older + 2
-    yaw = between_angles(x[a], x[b], share)
+    newer, older, share = weights(int(x.nav_head), x.nav_count, p.nav_yaw_delay)
+    yaw = between_angles(x.nav_ring[newer, 2], x.nav_ring[older, 2], share)
     shown = yaw
     if p.distortion_1 != 0.0:
         shown += p.distortion_1 * math.sin(yaw + p.distortion_phase_1)
@@ -66,9 +71,9 @@ def shown_yaw(p: Parameters, x: Any) -> float:
 
 
 @part
-def _sample(p: Parameters, x: Any) -> None:
+def _sample(p: Parameters, x: State) -> None:
     """Take one sample: what the tag shows until the next."""
-    seed, sample = p.seed, x[at.X_NAV_SAMPLES]
+    seed, sample = p.seed, x.nav_samples
     px, py = shown_position(p, x)
     yaw = shown_yaw(p, x)
     if p.nav_ou != 0.0:
@@ -83,24 +88,25 @@ def _sample(p: Parameters, x: Any) -> None:
         direction = 2.0 * math.pi * uniform(seed, sample, CHANNEL_OUTLIER + 1)
         px += p.outlier_size * math.cos(direction)
         py += p.outlier_size * math.sin(direction)
-    x[at.X_NAV_SAMPLES] = sample + 1.0
-    x[at.X_NAV_SHOWN], x[at.X_NAV_SHOWN + 1], x[at.X_NAV_SHOWN + 2] = px, py, wrap(yaw)
+    x.nav_samples = sample + 1.0
+    x.nav_shown[0], x.nav_shown[1], x.nav_shown[2] = px, py, wrap(yaw)
 
 
 @part
-def nav_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:  # noqa: ARG001 (one shape)
+def nav_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:  # noqa: ARG001 (one shape)
     """Remember the pose of t_k and, when a sample is due, publish what the tag shows."""
     if p.nav_enabled == 0.0:
         for k in range(3):
-            q[at.Y_NAV + k] = at.BAD_OUT_OF_SERVICE
+            q.nav[k] = BAD_OUT_OF_SERVICE
         return
-    row = push(x, at.X_NAV_RING, 3, at.X_NAV_HEAD, at.X_NAV_COUNT)
+    row, x.nav_count = push(x.nav_head, x.nav_count)
+    x.nav_head = row
     for k in range(3):
-        x[row + k] = y[at.Y_POSE + k]
-    x[at.X_NAV_WAIT] -= 1.0
-    if x[at.X_NAV_WAIT] <= 0.0:
-        x[at.X_NAV_WAIT] = p.nav_every
+        x.nav_ring[row, k] = y.pose[k]
+    x.nav_wait -= 1.0
+    if x.nav_wait <= 0.0:
+        x.nav_wait = p.nav_every
         _sample(p, x)
     for k in range(3):
-        y[at.Y_NAV + k] = x[at.X_NAV_SHOWN + k]
-        q[at.Y_NAV + k] = at.GOOD
+        y.nav[k] = x.nav_shown[k]
+        q.nav[k] = GOOD

@@ -3,20 +3,14 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-import hilserver.plant.layout as at
 from hilserver.plant.battery import DUTY_FULL_PCT, HIGHEST_V, LOWEST_V, open_circuit_voltage
 from hilserver.plant.errors import PlantError
 from hilserver.plant.friction import anisotropy
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import RING, Parameters, State
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.shield import AMBIENT_DEGC, WARMING_S
 from hilserver.plant.terms import TERMS, complete
 from hilserver.plant.units import RPM_PER_RAD_S
-
-Array = NDArray[np.float64]
 
 _DRIVE_SWITCHES = (
     "coulomb_friction",
@@ -109,7 +103,7 @@ def _pack_command(p: Parameters, robot: RobotParameters, term: _Values) -> None:
     p.body_wheels = robot.body_wheels
     p.ramp_step = robot.period_s / max(robot.safe_ramp_s, robot.period_s)
     delay_s, rate = term("actuation_delay"), term.given("setpoint_rate_limit")
-    runs = _delay_runs("actuation_delay", delay_s, robot.period_s, at.RING - 1)
+    runs = _delay_runs("actuation_delay", delay_s, robot.period_s, RING - 1)
     p.delay_ticks = math.ceil(runs)  # set-points hold between ticks: the one valid at t - tau
     p.rate_step = math.inf if rate is None else rate * robot.period_s
     p.command_terms = delay_s > 0.0 or rate is not None
@@ -238,7 +232,7 @@ def _pack_motion_terms(p: Parameters, robot: RobotParameters, term: _Values) -> 
 def _pack_body_sensors(p: Parameters, robot: RobotParameters, term: _Values) -> None:
     imu, battery, tof = robot.imu, robot.battery, robot.tof
     p.imu_enabled = imu.enabled
-    p.imu_delay = _delay_runs("imu_latency", term("imu_latency"), imu.period_s, at.RING - 2)
+    p.imu_delay = _delay_runs("imu_latency", term("imu_latency"), imu.period_s, RING - 2)
     p.gyro_gain = 1.0 + term("gyro_scale")
     p.gyro_bias = term("gyro_bias")
     p.gyro_noise = imu.gyro_noise_rad_s
@@ -273,8 +267,8 @@ def _pack_navigation(p: Parameters, robot: RobotParameters, term: _Values) -> No
     yaw_latency_s = nav.yaw_latency_s + term("yaw_latency")
     p.nav_enabled = nav.enabled
     p.nav_every = max(round(every), 1)
-    p.nav_delay = _delay_runs("nav_latency", latency_s, nav.period_s, at.RING - 2)
-    p.nav_yaw_delay = _delay_runs("yaw_latency", yaw_latency_s, nav.period_s, at.RING - 2)
+    p.nav_delay = _delay_runs("nav_latency", latency_s, nav.period_s, RING - 2)
+    p.nav_yaw_delay = _delay_runs("yaw_latency", yaw_latency_s, nav.period_s, RING - 2)
     p.lever_x = nav.lever_arm_x_m + term("nav_lever_arm.x")
     p.lever_y = nav.lever_arm_y_m + term("nav_lever_arm.y")
     p.nav_scale = 1.0 + term("nav_scale")
@@ -293,13 +287,13 @@ def _pack_navigation(p: Parameters, robot: RobotParameters, term: _Values) -> No
     p.distortion_phase_2 = term("heading_distortion.phase2")
 
 
-def initial_state(robot: RobotParameters) -> Array:
-    """Return the state at rest in the origin, shape (N_X,)."""
-    battery, x = robot.battery, np.zeros(at.N_X)
+def initial_state(robot: RobotParameters) -> State:
+    """Return the state at rest in the origin."""
+    battery, x = robot.battery, State.zeros()
     charge = battery.initial_charge
-    x[at.X_CHARGE] = charge
-    x[at.X_TEMPERATURE] = AMBIENT_DEGC
+    x.charge = charge
+    x.temperature = AMBIENT_DEGC
     rest_v = open_circuit_voltage.py_func(charge)
     rest_v -= battery.resistance_ohm * battery.idle_current_a
-    x[at.X_BATTERY_V] = min(max(rest_v, LOWEST_V), HIGHEST_V)
+    x.battery_v = min(max(rest_v, LOWEST_V), HIGHEST_V)
     return x

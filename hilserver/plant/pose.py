@@ -1,12 +1,11 @@
 """Step 11 of the tick: the pose, moved along an exact arc, and the wrap of yaw (5.24)."""
 
 import math
-from typing import Any
 
 import numpy as np
 
-import hilserver.plant.layout as at
 from hilserver.plant.kernels import inlined, part
+from hilserver.plant.layout import Inputs, State
 
 TURN = 2.0 * math.pi
 SERIES_LIMIT_RAD = 0.05  # below, the next term of the series is under half a unit in the last place
@@ -39,7 +38,7 @@ def sinc(half_rad: float) -> float:
 
 
 @inlined
-def move(x: Any, v: float, vy: float, om: float, dt_s: float) -> None:
+def move(x: State, v: float, vy: float, om: float, dt_s: float) -> None:
     """Move the pose over `dt_s` with constant body velocity [m/s, m/s, rad/s].
 
     The chord of the arc lies at the mean heading and is sin(h)/h of the arc long, so one sine and
@@ -47,18 +46,18 @@ def move(x: Any, v: float, vy: float, om: float, dt_s: float) -> None:
     """
     half = 0.5 * om * dt_s
     chord = dt_s * sinc(half)
-    heading = x[at.X_POSE + 2] + half
+    heading = x.pose[2] + half
     cos, sin = math.cos(heading), math.sin(heading)
-    x[at.X_POSE] += chord * (v * cos - vy * sin)
-    x[at.X_POSE + 1] += chord * (v * sin + vy * cos)
-    x[at.X_POSE + 2] = wrap(heading + half)
+    x.pose[0] += chord * (v * cos - vy * sin)
+    x.pose[1] += chord * (v * sin + vy * cos)
+    x.pose[2] = wrap(heading + half)
 
 
 @inlined
-def set_pose(x: Any, u: Any) -> None:
+def set_pose(x: State, u: Inputs) -> None:
     """Place the robot where the hidden pose request asks, once per change of its counter."""
-    if u[at.U_POSE_REQUEST] != x[at.X_POSE_REQUEST]:
-        x[at.X_POSE_REQUEST] = u[at.U_POSE_REQUEST]
-        x[at.X_POSE] = u[at.U_POSE]
-        x[at.X_POSE + 1] = u[at.U_POSE + 1]
-        x[at.X_POSE + 2] = wrap(u[at.U_POSE + 2])
+    if u.pose_request != x.pose_request:
+        x.pose_request = u.pose_request
+        x.pose[0] = u.pose[0]
+        x.pose[1] = u.pose[1]
+        x.pose[2] = wrap(u.pose[2])

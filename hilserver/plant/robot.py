@@ -5,9 +5,7 @@ latched and every output of t_k is written; then the state moves to t_(k+1).
 """
 
 import math
-from typing import Any
 
-import hilserver.plant.layout as at
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms
 from hilserver.plant.kernels import inlined, part
@@ -18,7 +16,7 @@ from hilserver.plant.kinematics import (
     velocity_base,
     velocity_terms,
 )
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import GOOD, N_WHEELS, Inputs, Outputs, Parameters, State, Status
 from hilserver.plant.pose import move, set_pose
 from hilserver.plant.units import RAD_S_PER_RPM
 
@@ -27,35 +25,32 @@ SLOPE_REST_RAD_S = 0.05
 
 
 @inlined
-def publish(x: Any, y: Any, v: float, vy: float, om: float, dv: float, dvy: float) -> None:
+def publish(x: State, y: Outputs, v: float, vy: float, om: float, dv: float, dvy: float) -> None:
     """Write the velocity of t_k, and the acceleration of the centre of mass for the IMU."""
-    y[at.Y_VELOCITY] = v
-    y[at.Y_VELOCITY + 1] = vy
-    y[at.Y_VELOCITY + 2] = om
-    x[at.X_ACCEL] = dv - om * vy
-    x[at.X_ACCEL + 1] = dvy + om * v
+    y.linear, y.lateral, y.angular = v, vy, om
+    x.accel_x, x.accel_y = dv - om * vy, dvy + om * v
 
 
 @part
 def follow_wheels(
-    p: Parameters, x: Any, y: Any, w_l: float, w_r: float, dw_l: float, dw_r: float
+    p: Parameters, x: State, y: Outputs, w_l: float, w_r: float, dw_l: float, dw_r: float
 ) -> None:
     """Let the body move as its wheels do [rad/s, rad/s2], without the lag of `body_lag`."""
-    angle = 0.5 * (y[at.Y_ANGLE] + y[at.Y_ANGLE + 1])
+    angle = 0.5 * (y.angle[0] + y.angle[1])
     v, om, _, _ = velocity_terms(p, in_region(p, x), angle, w_l, w_r, dw_l, dw_r)
-    x[at.X_BODY], x[at.X_BODY + 1] = v, om
+    x.body_v, x.body_om = v, om
 
 
 @part
-def lag_behind(x: Any, v: float, om: float, lag_s: float, dt_s: float) -> tuple[float, float]:
+def lag_behind(x: State, v: float, om: float, lag_s: float, dt_s: float) -> tuple[float, float]:
     """Move the body's v and om towards the wheels' over a tick; return their means.
 
     First order, exact for wheels that keep their mean speed of the tick.
     """
     closed = -math.expm1(-dt_s / lag_s)
-    behind_v, behind_om = x[at.X_BODY] - v, x[at.X_BODY + 1] - om
-    x[at.X_BODY] -= closed * behind_v
-    x[at.X_BODY + 1] -= closed * behind_om
+    behind_v, behind_om = x.body_v - v, x.body_om - om
+    x.body_v -= closed * behind_v
+    x.body_om -= closed * behind_om
     share = closed * lag_s / dt_s
     return v + share * behind_v, om + share * behind_om
 
@@ -63,8 +58,8 @@ def lag_behind(x: Any, v: float, om: float, lag_s: float, dt_s: float) -> tuple[
 @part
 def drive_on_with_terms(
     p: Parameters,
-    x: Any,
-    y: Any,
+    x: State,
+    y: Outputs,
     w_l: float,
     w_r: float,
     dw_l: float,
@@ -82,17 +77,17 @@ def drive_on_with_terms(
     """
     dt, is_mecanum = p.dt, p.mecanum != 0.0
     inside = in_region(p, x)
-    angle = 0.5 * (y[at.Y_ANGLE] + y[at.Y_ANGLE + 1])
+    angle = 0.5 * (y.angle[0] + y.angle[1])
     v, om, dv, dom = velocity_terms(p, inside, angle, w_l, w_r, dw_l, dw_r)
     lag_s = p.body_lag
     if lag_s != 0.0:
-        dv, dom = (v - x[at.X_BODY]) / lag_s, (om - x[at.X_BODY + 1]) / lag_s
-        v, om = x[at.X_BODY], x[at.X_BODY + 1]
+        dv, dom = (v - x.body_v) / lag_s, (om - x.body_om) / lag_s
+        v, om = x.body_v, x.body_om
     vy, dvy = across(p, v, om, dv, dom)
     if is_mecanum:
         vy, dvy = vy + aside, dvy + daside
     publish(x, y, v, vy, om, dv, dvy)
-    angle = 0.5 * (angle + 0.5 * (x[at.X_ANGLE] + x[at.X_ANGLE + 1]))
+    angle = 0.5 * (angle + 0.5 * (x.angle[0] + x.angle[1]))
     dw_l, dw_r = (mean_l - w_l) * (2.0 / dt), (mean_r - w_r) * (2.0 / dt)
     v, om, _, _ = velocity_terms(p, inside, angle, mean_l, mean_r, dw_l, dw_r)
     if lag_s != 0.0:
@@ -102,33 +97,32 @@ def drive_on_with_terms(
         vy += 0.5 * (aside + sideways(p, x)[0])
     move(x, v, vy, om, dt)
     if abs(mean_l) + abs(mean_r) > SLOPE_REST_RAD_S:
-        x[at.X_POSE] += p.slope_x * dt
-        x[at.X_POSE + 1] += p.slope_y * dt
+        x.pose[0] += p.slope_x * dt
+        x.pose[1] += p.slope_y * dt
 
 
 @part
-def robot_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:
+def robot_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:
     """Write the outputs of t_k and move the state to t_(k+1).
 
     Parameters
     ----------
     p : Parameters
         See `packing.pack`.
-    x : ndarray of float64, shape (N_X,)
-        State, changed in place.
-    u : ndarray of float64, shape (N_U,)
-        Inputs latched for this tick; finite.
-    y : ndarray of float64, shape (N_Y,)
-        Outputs; the first N_Y_ROBOT are written.
-    q : ndarray of int64, shape (N_Y,)
-        OPC UA status codes; the first N_Y_ROBOT become Good.
+    x : State
+        Changed in place.
+    u : Inputs
+        Latched for this tick; finite.
+    y, q : Outputs, Status
+        Written up to `angular`; there the status becomes Good.
     """
     set_pose(x, u)
     command(p, x, u)
-    for i in range(at.N_Y_ROBOT):
-        q[i] = at.GOOD
+    for i in range(N_WHEELS):
+        q.speed[i] = q.duty[i] = q.angle[i] = GOOD
+    q.pose[0] = q.pose[1] = q.pose[2] = q.linear = q.lateral = q.angular = GOOD
     for i in range(3):
-        y[at.Y_POSE + i] = x[at.X_POSE + i]
+        y.pose[i] = x.pose[i]
     aside, daside = 0.0, 0.0
     if p.mecanum != 0.0:
         aside, daside = sideways(p, x)

@@ -5,12 +5,11 @@ its lamps blink, is not published: the figures here are assumptions.
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
-import hilserver.plant.layout as at
 from hilserver.plant.battery import drawn_current
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import GOOD, Inputs, Outputs, Parameters, State, Status
 
 AMBIENT_DEGC: Final = 25.0
 WARMING_DEGC_PER_A: Final = 2.5
@@ -48,21 +47,20 @@ def brightness(pattern: float, lamp: int, time_s: float) -> float:
 
 
 @part
-def shield_step(p: Parameters, x: Any, u: Any, y: Any, q: Any) -> None:
+def shield_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status) -> None:
     """Publish lamps and temperature, and move on by one run."""
-    pattern = u[at.U_LIGHTS]
-    if pattern != x[at.X_LIGHT_PATTERN]:
-        x[at.X_LIGHT_PATTERN], x[at.X_LIGHT_TIME] = pattern, 0.0
-    y[at.Y_LIGHTS] = pattern
-    q[at.Y_LIGHTS] = at.GOOD
+    pattern = u.light_pattern
+    if pattern != x.light_pattern:
+        x.light_pattern, x.light_time = pattern, 0.0
+    y.light_pattern = pattern
+    q.light_pattern = GOOD
     for lamp in range(4):
-        share = brightness(pattern, lamp, x[at.X_LIGHT_TIME])
+        share = brightness(pattern, lamp, x.light_time)
         for colour in range(3):
-            place = at.Y_LIGHTS + 1 + 3 * lamp + colour
-            y[place] = math.floor(u[at.U_LIGHTS + 1 + colour] * share + 0.5)
-            q[place] = at.GOOD
-    y[at.Y_TEMPERATURE] = x[at.X_TEMPERATURE]
-    q[at.Y_TEMPERATURE] = at.GOOD
-    x[at.X_LIGHT_TIME] += p.shield_period
+            y.lights[lamp, colour] = math.floor(u.light_colour[colour] * share + 0.5)
+            q.lights[lamp, colour] = GOOD
+    y.temperature = x.temperature
+    q.temperature = GOOD
+    x.light_time += p.shield_period
     warm = AMBIENT_DEGC + WARMING_DEGC_PER_A * drawn_current(p, y)
-    x[at.X_TEMPERATURE] = warm + (x[at.X_TEMPERATURE] - warm) * p.shield_keep
+    x.temperature = warm + (x.temperature - warm) * p.shield_keep

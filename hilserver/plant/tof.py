@@ -7,9 +7,17 @@ segment is cut to the cone and its nearest point taken, so no thin wall slips be
 import math
 from typing import Any, Final
 
-import hilserver.plant.layout as at
 from hilserver.plant.kernels import part
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import (
+    BAD_OUT_OF_SERVICE,
+    GOOD,
+    UNCERTAIN,
+    Inputs,
+    Outputs,
+    Parameters,
+    State,
+    Status,
+)
 
 NEAREST_M: Final = 0.01
 FARTHEST_M: Final = 5.0
@@ -72,7 +80,7 @@ def seen_by(p: Parameters, hall: Any, k: int, x: float, y: float, yaw: float) ->
 
 
 @part
-def tof_step(p: Parameters, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None:  # noqa: ARG001
+def tof_step(p: Parameters, x: State, u: Inputs, y: Outputs, q: Status, hall: Any) -> None:  # noqa: ARG001
     """Publish the four ranges in the order fl, fr, rl, rr.
 
     Parameters
@@ -84,15 +92,17 @@ def tof_step(p: Parameters, x: Any, u: Any, y: Any, q: Any, hall: Any) -> None: 
     """
     if p.tof_enabled == 0.0:
         for k in range(4):
-            q[at.Y_TOF + k] = at.BAD_OUT_OF_SERVICE
+            q.tof[k] = BAD_OUT_OF_SERVICE
         return
-    show_ranges(p, hall, y[at.Y_POSE], y[at.Y_POSE + 1], y[at.Y_POSE + 2], y, q)
+    show_ranges(p, hall, y.pose[0], y.pose[1], y.pose[2], y, q)
 
 
 @part
-def show_ranges(p: Parameters, hall: Any, x: float, y_m: float, yaw: float, y: Any, q: Any) -> None:
+def show_ranges(
+    p: Parameters, hall: Any, x: float, y_m: float, yaw: float, y: Outputs, q: Status
+) -> None:
     """Publish the four ranges seen from a pose."""
     for k in range(4):
         distance = seen_by(p, hall, k, x, y_m, yaw)
-        y[at.Y_TOF + k] = min(max(distance, NEAREST_M), FARTHEST_M)
-        q[at.Y_TOF + k] = at.GOOD if distance <= FARTHEST_M else at.UNCERTAIN
+        y.tof[k] = min(max(distance, NEAREST_M), FARTHEST_M)
+        q.tof[k] = GOOD if distance <= FARTHEST_M else UNCERTAIN

@@ -12,7 +12,7 @@ from hilserver.errors import ControlRefused
 from hilserver.image import Row, press_stop
 from hilserver.kernel.phases import enter_safe, latch
 from hilserver.kernel.places import Places
-from hilserver.plant.layout import N_X
+from hilserver.plant.layout import State as PlantState
 from hilserver.signals import State
 from tests.fakes import make_gate, make_image, make_table
 
@@ -40,7 +40,7 @@ class Pacing:
 class World:
     def __init__(self, tmp_path):
         self.table = make_table()
-        self.image = make_image(self.table, live={"x": N_X})
+        self.image = make_image(self.table, live={"x": PlantState.n_words})
         self.events = EventBus()
         self.pacing = Pacing()
         self.gate = make_gate(self.table, self.image, self.events, ramp_ticks=5, owner="opcua")

@@ -9,7 +9,7 @@ from hilserver_injector.recipe import WHEELS
 from hilserver_injector.sensors import YAW, X, Y
 
 from hilserver.compiled import kernel
-from hilserver.plant import layout as at
+from hilserver.plant.layout import Inputs, Outputs, Status
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import MECANUM_GEOMETRY, RobotParameters
 from hilserver.plant.robot import robot_step
@@ -31,11 +31,12 @@ def follow(p, x, u, y, q, ticks, setpoints, out):
     for tick in range(ticks[-1] + 1):
         due = tick == ticks[k]
         if due:
-            u[at.U_SETPOINT : at.U_SETPOINT + 4] = setpoints[k]
+            for i in range(4):
+                u.setpoint[i] = setpoints[k, i]
         robot_step(p, x, u, y, q)
         if due:
-            out[k, :4] = y[at.Y_SPEED : at.Y_SPEED + 4]
-            out[k, 4:7] = y[at.Y_POSE : at.Y_POSE + 3]
+            out[k, :4] = y.speed
+            out[k, 4:7] = y.pose
             k += 1
 
 
@@ -44,9 +45,9 @@ def differences(recipe, terms):
     drive = {"drive": "mecanum", **MECANUM_GEOMETRY} if recipe.drive == "mecanum" else {}
     robot = RobotParameters(terms=terms, **drive)
     p, x = pack(robot), initial_state(robot)
-    x[at.X_POSE : at.X_POSE + 3] = truth.dense[0, [X, Y, YAW]]
-    u, y, q = np.zeros(at.N_U), np.zeros(at.N_Y), np.zeros(at.N_Y, np.int64)
-    u[at.U_ENABLE] = 1.0
+    x.pose = truth.dense[0, [X, Y, YAW]]
+    u, y, q = Inputs.zeros(), Outputs.zeros(), Status.zeros()
+    u.enable = 1.0
     ticks = np.round(table.t_s * 1e3).astype(np.int64)
 
     def columns(what):

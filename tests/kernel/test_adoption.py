@@ -8,7 +8,7 @@ from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import ControlRefused
-from hilserver.plant import layout as robot
+from hilserver.plant.layout import State
 
 ENTRY = at.ENTRIES
 WRONG = [
@@ -22,9 +22,9 @@ WRONG = [
     ("modifiers", ENTRY + at.E_TICKS, 2**50),
     ("modifiers", ENTRY + at.E_EVERY, 0),
     ("modifiers", ENTRY + at.E_KIND, 99),
-    ("x", robot.X_IMU_HEAD, np.float64(1e300).view(np.int64)),
-    ("x", robot.X_SETPOINT_HEAD, np.float64("nan").view(np.int64)),
-    ("x", robot.X_NAV_COUNT, np.float64(-1.0).view(np.int64)),
+    ("x", State.where("imu_head").start, np.float64(1e300).view(np.int64)),
+    ("x", State.where("setpoint_head").start, np.float64("nan").view(np.int64)),
+    ("x", State.where("nav_count").start, np.float64(-1.0).view(np.int64)),
 ]
 
 

@@ -8,8 +8,6 @@ import math
 
 import numba
 
-import hilserver.plant.layout as at
-
 RPM = 2.0 * math.pi / 60.0
 
 
@@ -17,34 +15,34 @@ RPM = 2.0 * math.pi / 60.0
 def base_step(p, x, u, y):
     largest = 0.0
     for i in range(4):
-        x[at.X_COMMANDED + i] = u[at.U_SETPOINT + i]
-        largest = max(largest, abs(x[at.X_COMMANDED + i]))
+        x.commanded[i] = u.setpoint[i]
+        largest = max(largest, abs(x.commanded[i]))
     if largest > p.max_rpm:
         scale = p.max_rpm / largest
         for i in range(4):
-            x[at.X_COMMANDED + i] *= scale
+            x.commanded[i] *= scale
     sums = [0.0, 0.0, 0.0, 0.0]
     nexts = [0.0, 0.0, 0.0, 0.0]
     motors = [0.0, 0.0, 0.0, 0.0]
     for i in range(4):
-        n, m = x[at.X_SPEED + i], x[at.X_MOTOR + i]
+        n, m = x.speed[i], x.motor[i]
         sums[i], motors[i] = n, m
-        y[at.Y_SPEED + i] = n
-        y[at.Y_ANGLE + i] = x[at.X_ANGLE + i]
-        e = x[at.X_COMMANDED + i] - n
-        w = p.k_p * e + x[at.X_INTEGRAL + i]
+        y.speed[i] = n
+        y.angle[i] = x.angle[i]
+        e = x.commanded[i] - n
+        w = p.k_p * e + x.integral[i]
         duty = w
         if duty < -p.limit:
             duty = -p.limit
         if duty > p.limit:
             duty = p.limit
-        y[at.Y_DUTY + i] = duty
+        y.duty[i] = duty
         step = p.k_i_step * e + p.anti_windup_step * (duty - w)
-        x[at.X_INTEGRAL + i] = x[at.X_INTEGRAL + i] + step
-        x[at.X_MOTOR + i] = p.a00 * m + p.a01 * n + p.b0 * duty
-        x[at.X_SPEED + i] = p.a10 * m + p.a11 * n + p.b1 * duty
-        nexts[i] = x[at.X_SPEED + i]
-        x[at.X_ANGLE + i] += p.dt * (0.5 * RPM) * (n + nexts[i])
+        x.integral[i] = x.integral[i] + step
+        x.motor[i] = p.a00 * m + p.a01 * n + p.b0 * duty
+        x.speed[i] = p.a10 * m + p.a11 * n + p.b1 * duty
+        nexts[i] = x.speed[i]
+        x.angle[i] += p.dt * (0.5 * RPM) * (n + nexts[i])
     side = 0.5 * RPM
     left, right = sums[0] + sums[1], sums[2] + sums[3]
     w_l, w_r = left * side, right * side
@@ -57,10 +55,10 @@ def base_step(p, x, u, y):
     v, vy = 0.5 * (r_l * w_l - r_r * w_r), -p.icr * om
     dom = p.yaw_gain * (r_l * dw_l + r_r * dw_r)
     dv, dvy = 0.5 * (r_l * dw_l - r_r * dw_r), -p.icr * dom
-    y[at.Y_VELOCITY], y[at.Y_VELOCITY + 1], y[at.Y_VELOCITY + 2] = v, vy, om
-    x[at.X_ACCEL], x[at.X_ACCEL + 1] = dv - om * vy, dvy + om * v
+    y.linear, y.lateral, y.angular = v, vy, om
+    x.accel_x, x.accel_y = dv - om * vy, dvy + om * v
     for i in range(3):
-        y[at.Y_POSE + i] = x[at.X_POSE + i]
+        y.pose[i] = x.pose[i]
     om = p.yaw_gain * (r_l * mean_l + r_r * mean_r)
     v, vy = 0.5 * (r_l * mean_l - r_r * mean_r), -p.icr * om
     half = 0.5 * om * p.dt
@@ -70,13 +68,13 @@ def base_step(p, x, u, y):
         chord *= 1.0 - h2 * (1.0 / 6.0 - h2 * (1.0 / 120.0 - h2 * (1.0 / 5040.0)))
     else:
         chord *= math.sin(half) / half
-    heading = x[at.X_POSE + 2] + half
+    heading = x.pose[2] + half
     cos, sin = math.cos(heading), math.sin(heading)
-    x[at.X_POSE] += chord * (v * cos - vy * sin)
-    x[at.X_POSE + 1] += chord * (v * sin + vy * cos)
+    x.pose[0] += chord * (v * cos - vy * sin)
+    x.pose[1] += chord * (v * sin + vy * cos)
     heading += half
     if heading > math.pi:
         heading -= 2.0 * math.pi
     elif heading <= -math.pi:
         heading += 2.0 * math.pi
-    x[at.X_POSE + 2] = heading
+    x.pose[2] = heading

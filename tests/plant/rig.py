@@ -2,13 +2,14 @@
 
 import numpy as np
 
-import hilserver.plant.layout as at
+from hilserver.plant.layout import BAD_WAITING_FOR_INITIAL_DATA, MODE_DUTY, Inputs, Outputs, Status
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.robot import robot_step
 from hilserver.plant.sensors import battery_step, imu_step, nav_step, shield_step, tof_step
 
 SENSOR_TICKS = 10
+VELOCITY = slice(Outputs.where("linear").start, Outputs.where("angular").stop)
 
 
 class Rig:
@@ -16,26 +17,26 @@ class Rig:
         self.robot = RobotParameters(**parameters)
         self.p = pack(self.robot)
         self.x = initial_state(self.robot)
-        self.u = np.zeros(at.N_U)
-        self.u[at.U_ENABLE] = 1.0
-        self.y = np.zeros(at.N_Y)
-        self.q = np.full(at.N_Y, at.BAD_WAITING_FOR_INITIAL_DATA, dtype=np.int64)
+        self.u = Inputs.zeros()
+        self.u.enable = 1.0
+        self.y = Outputs.zeros()
+        self.q = Status.of(np.full(Status.n_words, BAD_WAITING_FOR_INITIAL_DATA))
         self.ticks = 0
 
     def wheels(self, *rpm):
-        self.u[at.U_MODE] = 0.0
-        self.u[at.U_SETPOINT : at.U_SETPOINT + 4] = rpm
+        self.u.mode = 0.0
+        self.u.setpoint = rpm
         return self
 
     def twist(self, linear_m_s, angular_rad_s):
-        self.u[at.U_MODE] = 1.0
-        self.u[at.U_TWIST_LINEAR] = linear_m_s
-        self.u[at.U_TWIST_ANGULAR] = angular_rad_s
+        self.u.mode = 1.0
+        self.u.twist_linear = linear_m_s
+        self.u.twist_angular = angular_rad_s
         return self
 
     def duties(self, *pct):
-        self.u[at.U_MODE] = at.MODE_DUTY
-        self.u[at.U_DUTY : at.U_DUTY + 4] = pct
+        self.u.mode = MODE_DUTY
+        self.u.duty = pct
         return self
 
     def step(self, ticks=1):
@@ -63,15 +64,15 @@ class Rig:
 
     @property
     def pose(self):
-        return self.x[at.X_POSE : at.X_POSE + 3]
+        return self.x.pose
 
     @property
     def velocity(self):
-        return self.y[at.Y_VELOCITY : at.Y_VELOCITY + 3]
+        return self.y.numbers[VELOCITY]
 
     def rolling(self, left_rpm, right_rpm):
         """Set the wheels into steady motion at once: nothing of the drive moves any more."""
         for i, rpm in enumerate((left_rpm, left_rpm, right_rpm, right_rpm)):
-            self.x[at.X_SPEED + i] = self.x[at.X_MOTOR + i] = rpm
-            self.x[at.X_INTEGRAL + i] = rpm / self.robot.process.gain
+            self.x.speed[i] = self.x.motor[i] = rpm
+            self.x.integral[i] = rpm / self.robot.process.gain
         return self.wheels(left_rpm, left_rpm, right_rpm, right_rpm)

@@ -5,12 +5,18 @@ import math
 import numpy as np
 import pytest
 
-import hilserver.plant.layout as at
+from hilserver.plant.layout import (
+    BAD_WAITING_FOR_INITIAL_DATA,
+    COMMAND_NORMAL,
+    COMMAND_SAFE,
+    COMMAND_ZERO,
+    Outputs,
+)
 from tests.plant.rig import Rig
 
 
 def setpoints(rig):
-    return rig.x[at.X_SETPOINT : at.X_SETPOINT + 4].tolist()
+    return rig.x.setpoint.tolist()
 
 
 def test_wheel_mode_takes_the_setpoints_as_they_are():
@@ -20,8 +26,8 @@ def test_wheel_mode_takes_the_setpoints_as_they_are():
 def test_max_rpm_scales_all_wheels_together():
     rig = Rig().wheels(180, 90, -45, 0).step()
     assert setpoints(rig) == [90, 45, -22.5, 0]
-    assert rig.x[at.X_SCALED] == 1.0
-    assert rig.wheels(1, 1, 1, 1).step().x[at.X_SCALED] == 0.0
+    assert rig.x.scaled == 1.0
+    assert rig.wheels(1, 1, 1, 1).step().x.scaled == 0.0
 
 
 def test_scaled_twist_keeps_the_radius():
@@ -39,32 +45,32 @@ def test_exclusive_mode_drives_the_larger_part_and_says_so(v, om, driven):
     rig = Rig(exclusive_twist=True).twist(v, om).step()
     other = Rig().twist(*(driven or (v, om))).step()
     assert setpoints(rig) == setpoints(other)
-    assert rig.x[at.X_TWIST_REDUCED] == (driven is not None)
+    assert rig.x.twist_reduced == (driven is not None)
 
 
 def test_notes_of_a_twist_do_not_outlive_it():
     rig = Rig(exclusive_twist=True).twist(5.0, 1.0).step()
-    assert (rig.x[at.X_TWIST_REDUCED], rig.x[at.X_SCALED]) == (1.0, 1.0)
+    assert (rig.x.twist_reduced, rig.x.scaled) == (1.0, 1.0)
     rig.wheels(1, 1, 1, 1).step()
-    assert (rig.x[at.X_TWIST_REDUCED], rig.x[at.X_SCALED]) == (0.0, 0.0)
+    assert (rig.x.twist_reduced, rig.x.scaled) == (0.0, 0.0)
 
 
 def test_disabled_drive_brakes_to_rest():
     rig = Rig().wheels(50, 50, -50, -50).step(500)
-    rig.u[at.U_ENABLE] = 0.0
+    rig.u.enable = 0.0
     rig.step()
     assert setpoints(rig) == [0, 0, 0, 0]
-    assert abs(rig.step(2000).y[at.Y_SPEED]) < 1e-3
+    assert abs(rig.step(2000).y.speed[0]) < 1e-3
 
 
 def test_zero_command():
     rig = Rig().wheels(50, 50, -50, -50).step(500)
-    rig.u[at.U_COMMAND] = at.COMMAND_ZERO
+    rig.u.command = COMMAND_ZERO
     assert setpoints(rig.step()) == [0, 0, 0, 0]
 
 
 def ramp(rig, ticks):
-    rig.u[at.U_COMMAND] = at.COMMAND_SAFE
+    rig.u.command = COMMAND_SAFE
     return np.array([setpoints(rig.step()) for _ in range(ticks)])
 
 
@@ -80,7 +86,7 @@ def test_safe_ramp_is_linear_and_ends_in_time():
 def test_safe_ramp_starts_from_a_twist_too_and_ignores_enable():
     rig = Rig(safe_ramp_s=0.1).twist(0.2, 0.0).step(200)
     start = np.array(setpoints(rig))
-    rig.u[at.U_ENABLE] = 0.0
+    rig.u.enable = 0.0
     assert ramp(rig, 50)[-1] == pytest.approx(start / 2)
 
 
@@ -93,7 +99,7 @@ def test_shortest_ramp_stops_at_once(seconds):
 def test_second_ramp_starts_anew():
     rig = Rig(safe_ramp_s=0.1).wheels(50, 50, -50, -50).step(10)
     ramp(rig, 150)
-    rig.u[at.U_COMMAND] = at.COMMAND_NORMAL
+    rig.u.command = COMMAND_NORMAL
     assert setpoints(rig.step()) == [50, 50, -50, -50]
     assert ramp(rig, 1)[0][0] == pytest.approx(49.5)
 
@@ -103,20 +109,20 @@ def test_second_ramp_starts_anew():
 
 def test_commanded_duty_reaches_the_process_unchanged():
     rig = Rig().duties(20, -30, 40, 0).step(1000)
-    assert rig.y[at.Y_DUTY : at.Y_DUTY + 4].tolist() == [20, -30, 40, 0]
+    assert rig.y.duty.tolist() == [20, -30, 40, 0]
     gain = rig.robot.process.gain
-    assert rig.y[:4] == pytest.approx(gain * np.array([20, -30, 40, 0]), abs=1e-4)
+    assert rig.y.speed == pytest.approx(gain * np.array([20, -30, 40, 0]), abs=1e-4)
 
 
 def test_commanded_duty_ends_at_the_limit():
     rig = Rig(terms={"saturation_limit": 60.0}).duties(100, -100, 5, 0).step()
-    assert rig.y[at.Y_DUTY : at.Y_DUTY + 4].tolist() == [60, -60, 5, 0]
+    assert rig.y.duty.tolist() == [60, -60, 5, 0]
 
 
 def test_speed_loop_takes_over_without_a_jump():
     rig = Rig().duties(50, 50, -50, -50).step(1000)
-    before = rig.y[:4].copy()
-    duty = rig.wheels(*before).step().y[at.Y_DUTY : at.Y_DUTY + 4]
+    before = rig.y.speed.copy()
+    duty = rig.wheels(*before).step().y.duty
     assert duty == pytest.approx([50, 50, -50, -50], abs=0.1)
 
 
@@ -126,8 +132,8 @@ def test_safe_ramp_and_disabling_end_commanded_duties():
     assert rows[0] == pytest.approx(0.99 * 1.11 * np.array([50, 50, -50, -50]), rel=1e-3)
     assert not rows[99:].any()
     rig = Rig().duties(50, 50, -50, -50).step(1000)
-    rig.u[at.U_ENABLE] = 0.0
-    assert abs(rig.step(2000).y[:4]).max() < 1e-3
+    rig.u.enable = 0.0
+    assert abs(rig.step(2000).y.speed).max() < 1e-3
 
 
 # --- gains that come in as inputs -----------------------------------------------------------------
@@ -136,33 +142,34 @@ def test_safe_ramp_and_disabling_end_commanded_duties():
 def test_gains_of_the_configuration_given_as_inputs_change_nothing():
     plain, given = Rig().wheels(30, 30, -30, -30), Rig().wheels(30, 30, -30, -30)
     c = given.robot.controller
-    given.u[at.U_GAINS : at.U_GAINS + 3] = (1.0, c.k_p, c.k_i)
+    given.u.own_gains, given.u.k_p, given.u.k_i = 1.0, c.k_p, c.k_i
     for _ in range(300):
-        assert given.step().y == pytest.approx(plain.step().y, abs=1e-9)
+        assert given.step().y.numbers == pytest.approx(plain.step().y.numbers, abs=1e-9)
 
 
 def test_smaller_gains_make_a_slower_robot_until_they_are_withdrawn():
     plain, soft = Rig().wheels(60, 60, -60, -60), Rig().wheels(60, 60, -60, -60)
-    soft.u[at.U_GAINS : at.U_GAINS + 3] = (1.0, 0.5, 10.0)
-    assert soft.step(50).y[0] < 0.6 * plain.step(50).y[0]
-    soft.u[at.U_GAINS] = 0.0
-    assert soft.step(1000).y[0] == pytest.approx(60, abs=0.01)
+    soft.u.own_gains, soft.u.k_p, soft.u.k_i = 1.0, 0.5, 10.0
+    assert soft.step(50).y.speed[0] < 0.6 * plain.step(50).y.speed[0]
+    soft.u.own_gains = 0.0
+    assert soft.step(1000).y.speed[0] == pytest.approx(60, abs=0.01)
 
 
 def test_pose_request_acts_once_at_the_start_of_the_tick():
     rig = Rig().wheels(50, 50, -50, -50).step(300)
-    rig.u[at.U_POSE_REQUEST] = 1.0
-    rig.u[at.U_POSE : at.U_POSE + 3] = (1.0, 2.0, math.pi + 1.0)
+    rig.u.pose_request = 1.0
+    rig.u.pose = (1.0, 2.0, math.pi + 1.0)
     rig.step()
-    assert rig.y[at.Y_POSE : at.Y_POSE + 3].tolist() == pytest.approx([1.0, 2.0, 1.0 - math.pi])
+    assert rig.y.pose.tolist() == pytest.approx([1.0, 2.0, 1.0 - math.pi])
     rig.step(100)
     assert abs(rig.pose[0] - 1.0) > 0.01
 
 
 def test_outputs_become_good():
     rig = Rig().step()
-    assert not rig.q[: at.N_Y_ROBOT].any()
-    assert np.all(rig.q[at.N_Y_ROBOT :] == at.BAD_WAITING_FOR_INITIAL_DATA)
+    status, end = rig.q.numbers.view(np.int64), Outputs.where("angular").stop
+    assert not status[:end].any()
+    assert np.all(status[end:] == BAD_WAITING_FOR_INITIAL_DATA)
 
 
 def test_outputs_belong_to_the_tick_before_the_move():
@@ -170,6 +177,6 @@ def test_outputs_belong_to_the_tick_before_the_move():
     rig = Rig().wheels(50, 50, -50, -50).step(100)
     before = rig.x.copy()
     rig.step()
-    assert rig.y[: at.Y_DUTY].tolist() == before[at.X_SPEED : at.X_SPEED + 4].tolist()
-    assert rig.y[at.Y_POSE : at.Y_POSE + 3].tolist() == before[at.X_POSE : at.X_POSE + 3].tolist()
-    assert rig.x[at.X_SPEED] != before[at.X_SPEED]
+    assert rig.y.speed.tolist() == before.speed.tolist()
+    assert rig.y.pose.tolist() == before.pose.tolist()
+    assert rig.x.speed[0] != before.speed[0]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-import hilserver.plant.layout as at
 from hilserver.plant.packing import initial_state
 from hilserver.plant.reference import library, vectors
 from hilserver.plant.terms import TERMS
@@ -33,7 +32,7 @@ def test_plant_reproduces(name):
 
 def c_numbers(c_library, terms, ticks, *, extended):
     robot = vectors.robot_of(terms)
-    battery_v = initial_state(robot)[at.X_BATTERY_V]
+    battery_v = initial_state(robot).battery_v
     plant = library.ReferencePlant(c_library, robot, battery_v=battery_v, extended=extended)
     rows = []
     for tick in range(vectors.TICKS):

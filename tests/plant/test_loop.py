@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-import hilserver.plant.layout as at
 from hilserver.plant.parameters import Controller, Process, RobotParameters
 from tests.plant.rig import Rig
 
@@ -46,8 +45,8 @@ def plant_loop(setpoint, ticks, **parameters):
     dt, speeds, duties = rig.robot.period_s, [], []
     for k in range(ticks):
         rig.wheels(setpoint(k * dt), 0, 0, 0).step()
-        speeds.append(rig.y[at.Y_SPEED])
-        duties.append(rig.y[at.Y_DUTY])
+        speeds.append(rig.y.speed[0])
+        duties.append(rig.y.duty[0])
     return np.array(speeds), np.array(duties)
 
 
@@ -137,16 +136,16 @@ def test_euler_uses_forward_differences():
 
 def test_full_duty_makes_111_rpm():
     rig = Rig(max_rpm=200.0).wheels(200, 200, -200, -200).step(2000)
-    assert rig.y[at.Y_SPEED] == pytest.approx(111.0)
-    assert rig.y[at.Y_DUTY : at.Y_DUTY + 4].tolist() == [100, 100, -100, -100]
+    assert rig.y.speed[0] == pytest.approx(111.0)
+    assert rig.y.duty.tolist() == [100, 100, -100, -100]
 
 
 def test_integral_recovers_from_saturation():
     """Without back-calculation the integral would stand at thousands of percent."""
     rig = Rig(max_rpm=200.0).wheels(200, 0, 0, 0).step(3000)
-    assert abs(rig.x[at.X_INTEGRAL]) < 2000
+    assert abs(rig.x.integral[0]) < 2000
     rig.wheels(50, 0, 0, 0).step(300)
-    assert rig.y[at.Y_SPEED] == pytest.approx(50, abs=0.5)
+    assert rig.y.speed[0] == pytest.approx(50, abs=0.5)
 
 
 def test_derivative_part_of_the_controller():

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-import hilserver.plant.layout as at
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from tests.plant.rig import Rig
@@ -42,8 +41,8 @@ def rolling(v, vy, om, **changes):
     """A robot in steady motion: nothing of the drive moves any more."""
     robot = rig(max_rpm=1000.0, **changes)
     rpm = wheels_of(v, vy, om) * RPM
-    robot.x[at.X_SPEED : at.X_SPEED + 4] = robot.x[at.X_MOTOR : at.X_MOTOR + 4] = rpm
-    robot.x[at.X_INTEGRAL : at.X_INTEGRAL + 4] = rpm / robot.robot.process.gain
+    robot.x.speed = robot.x.motor = rpm
+    robot.x.integral = rpm / robot.robot.process.gain
     return robot.wheels(*rpm)
 
 
@@ -59,8 +58,8 @@ def rolling(v, vy, om, **changes):
 def test_a_twist_turns_the_wheels_as_the_contract_says(twist, signs):
     v, vy, om = twist
     robot = rig().twist(v, om)
-    robot.u[at.U_TWIST_LATERAL] = vy
-    commanded = robot.step().x[at.X_COMMANDED : at.X_COMMANDED + 4]
+    robot.u.twist_lateral = vy
+    commanded = robot.step().x.commanded
     assert tuple(np.sign(commanded)) == signs
     assert commanded == pytest.approx(wheels_of(*twist) * RPM, abs=1e-9)
 
@@ -92,13 +91,13 @@ def test_rollers_that_slip_take_a_share_of_the_speed_to_the_side_alone():
 
 def test_the_wheels_left_alone_reach_the_commanded_twist():
     robot = rig().twist(0.1, 0.2)
-    robot.u[at.U_TWIST_LATERAL] = 0.1
+    robot.u.twist_lateral = 0.1
     assert robot.step(3000).velocity == pytest.approx((0.1, 0.1, 0.2), abs=1e-6)
 
 
 def test_too_fast_a_twist_keeps_its_direction():
     robot = rig().twist(0.4, 0.0)
-    robot.u[at.U_TWIST_LATERAL] = 0.4
+    robot.u.twist_lateral = 0.4
     v, vy, om = robot.step(3000).velocity
     assert v == pytest.approx(vy)
     assert om == pytest.approx(0.0, abs=1e-9)
@@ -107,18 +106,18 @@ def test_too_fast_a_twist_keeps_its_direction():
 
 def test_acceleration_sideways_is_the_derivative_of_the_speed():
     robot, dt = rig().twist(0.0, 0.0), 0.001
-    robot.u[at.U_TWIST_LATERAL] = 0.2
+    robot.u.twist_lateral = 0.2
     robot.step(20)
-    speed, shown = robot.velocity[1], robot.x[at.X_ACCEL + 1]
+    speed, shown = robot.velocity[1], robot.x.accel_y
     robot.step()
     assert (robot.velocity[1] - speed) / dt == pytest.approx(
-        0.5 * (shown + robot.x[at.X_ACCEL + 1]), rel=1e-2
+        0.5 * (shown + robot.x.accel_y), rel=1e-2
     )
 
 
 def test_a_skid_steer_robot_ignores_the_lateral_twist():
     plain, asked = Rig().twist(0.1, 0.2), Rig().twist(0.1, 0.2)
-    asked.u[at.U_TWIST_LATERAL] = 0.3
+    asked.u.twist_lateral = 0.3
     assert plain.step(100).x.tobytes() == asked.step(100).x.tobytes()
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-import hilserver.plant.layout as at
 from hilserver.plant.battery import open_circuit_voltage
+from hilserver.plant.layout import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from hilserver.plant.parameters import Imu, Navigation, RangeFinders
 from hilserver.plant.reference.vectors import cases
 from hilserver.plant.sensors import tof_step
@@ -22,9 +22,9 @@ def test_acceleration_is_the_derivative_of_the_world_velocity():
     accel, speeds, yaws = [], [], []
     for _ in range(300):
         rig.step().sense()
-        accel.append(rig.y[at.Y_IMU + 2 : at.Y_IMU + 4].copy())
+        accel.append([rig.y.accel_x, rig.y.accel_y])
         speeds.append(rig.velocity[:2].copy())
-        yaws.append(rig.y[at.Y_POSE + 2])
+        yaws.append(rig.y.pose[2])
     turn = np.exp(1j * np.array(yaws))
     world = np.array(speeds) @ [1, 1j] * turn
     derivative = (world[2:] - world[:-2]) / 0.002 / turn[1:-1]
@@ -35,12 +35,12 @@ def test_acceleration_is_the_derivative_of_the_world_velocity():
 def test_centripetal_acceleration_in_a_steady_circle():
     rig = Rig(icr_offset_m=0.0).rolling(60.0, -30.0).step().sense()
     v, _, om = rig.velocity
-    assert rig.y[at.Y_IMU + 2 : at.Y_IMU + 4].tolist() == pytest.approx([0.0, v * om], abs=1e-12)
+    assert [rig.y.accel_x, rig.y.accel_y] == pytest.approx([0.0, v * om], abs=1e-12)
 
 
 def test_gyro_terms():
     rig = Rig(terms={"gyro_bias": 0.01, "gyro_scale": -0.47}).twist(0, 0.6).step(2000).sense()
-    assert rig.y[at.Y_IMU] == pytest.approx(0.53 * 0.6 + 0.01, abs=1e-8)
+    assert rig.y.gyro == pytest.approx(0.53 * 0.6 + 0.01, abs=1e-8)
 
 
 @pytest.mark.parametrize("late_s", [0.05, 0.033])
@@ -50,15 +50,15 @@ def test_imu_latency(late_s):
     for _ in range(100):
         for rig in (plain, late):
             rig.wheels(30, 30, 10, 10).step(10).sense()
-        history.append(plain.y[at.Y_IMU + 1])
+        history.append(plain.y.heading)
     age = late_s / 0.01
     wanted = np.interp(99 - age, np.arange(100), history)
-    assert late.y[at.Y_IMU + 1] == pytest.approx(wanted, abs=1e-12)
+    assert late.y.heading == pytest.approx(wanted, abs=1e-12)
 
 
 def test_imu_noise_has_its_deviation():
     rig = Rig(imu=Imu(gyro_noise_rad_s=0.006), seed=7).step()
-    samples = np.array([rig.sense().y[at.Y_IMU] for _ in range(5000)])
+    samples = np.array([rig.sense().y.gyro for _ in range(5000)])
     assert samples.std() == pytest.approx(0.006, rel=0.05)
     assert abs(samples.mean()) < 0.0005
     assert abs(np.corrcoef(samples[1:], samples[:-1])[0, 1]) < 0.05
@@ -69,7 +69,7 @@ def test_imu_noise_has_its_deviation():
 
 def test_battery_stays_in_its_range_and_falls():
     rig = Rig().wheels(90, 90, 90, 90).step(500)
-    volts = [rig.sense().y[at.Y_BATTERY] for _ in range(20_000)]
+    volts = [rig.sense().y.battery for _ in range(20_000)]
     assert 17.5 <= min(volts) <= max(volts) <= 23.5
     assert np.all(np.diff(volts[1:]) <= 0)
     assert volts[0] - volts[-1] > 0.01
@@ -77,7 +77,7 @@ def test_battery_stays_in_its_range_and_falls():
 
 def test_load_lowers_the_voltage():
     idle, full = Rig().step().sense(), Rig(max_rpm=200).wheels(200, 200, -200, -200).step().sense()
-    assert idle.y[at.Y_BATTERY] - full.y[at.Y_BATTERY] == pytest.approx(0.15 * 4 * 1.5)
+    assert idle.y.battery - full.y.battery == pytest.approx(0.15 * 4 * 1.5)
 
 
 def test_open_circuit_voltage():
@@ -89,7 +89,7 @@ def test_open_circuit_voltage():
 
 def test_battery_does_not_act_on_the_base_drive():
     rigs = [Rig().wheels(40, 40, -40, -40) for _ in range(2)]
-    rigs[1].x[at.X_BATTERY_V] = 17.5
+    rigs[1].x.battery_v = 17.5
     for rig in rigs:
         rig.step(300)
     assert rigs[0].pose.tobytes() == rigs[1].pose.tobytes()
@@ -97,8 +97,8 @@ def test_battery_does_not_act_on_the_base_drive():
 
 def test_sagging_robot_follows_the_voltage():
     rig = Rig(terms={"battery_sag": 1.0}, max_rpm=300).wheels(300, 300, -300, -300)
-    rig.x[at.X_BATTERY_V] = 17.5
-    assert rig.step(3000).y[at.Y_SPEED] == pytest.approx(111 * 17.5 / 19.2)
+    rig.x.battery_v = 17.5
+    assert rig.step(3000).y.speed[0] == pytest.approx(111 * 17.5 / 19.2)
 
 
 # --- range finders --------------------------------------------------------------------------------
@@ -106,11 +106,11 @@ def test_sagging_robot_follows_the_voltage():
 
 def ranges(hall, x=0.0, y=0.0, yaw=0.0, **parameters):
     rig = Rig(**parameters)
-    rig.x[at.X_POSE : at.X_POSE + 3] = (x, y, yaw)
+    rig.x.pose = (x, y, yaw)
     rig.step()
     flat = np.array(hall, dtype=float).ravel()
     tof_step(rig.p, rig.x, rig.u, rig.y, rig.q, flat)
-    return rig.y[at.Y_TOF : at.Y_TOF + 4], rig.q[at.Y_TOF : at.Y_TOF + 4]
+    return rig.y.tof, rig.q.tof
 
 
 def test_walls_ahead_and_behind():
@@ -129,13 +129,13 @@ def test_order_is_fl_fr_rl_rr():
 def test_beyond_five_metres_is_uncertain():
     found, status = ranges([[5.3, -9, 5.3, 9]])
     assert found.tolist() == [5.0, 5.0, 5.0, 5.0]
-    assert status.tolist() == [at.UNCERTAIN] * 4
+    assert status.tolist() == [UNCERTAIN] * 4
 
 
 def test_nothing_below_one_centimetre():
     found, status = ranges([[0.2001, -9, 0.2001, 9]])
     assert found[0] == 0.01
-    assert status[0] == at.GOOD
+    assert status[0] == GOOD
 
 
 def test_cone_sees_what_stands_beside_the_axis():
@@ -166,7 +166,7 @@ def test_range_is_that_of_the_nearest_point_in_the_cone(yaw, y, view, seed):
 def test_a_hall_without_walls_and_the_default_one():
     assert ranges(np.zeros((0, 4)))[0].tolist() == [5.0] * 4
     rig = Rig().step().sense()
-    assert rig.y[at.Y_TOF : at.Y_TOF + 4].tolist() == pytest.approx([4.8, 4.8, 2.8, 2.8])
+    assert rig.y.tof.tolist() == pytest.approx([4.8, 4.8, 2.8, 2.8])
 
 
 # --- navigation -----------------------------------------------------------------------------------
@@ -174,26 +174,26 @@ def test_a_hall_without_walls_and_the_default_one():
 
 def test_navigation_is_out_of_service_by_default():
     rig = Rig().step().sense()
-    assert rig.q[at.Y_NAV : at.Y_NAV + 3].tolist() == [at.BAD_OUT_OF_SERVICE] * 3
+    assert rig.q.nav.tolist() == [BAD_OUT_OF_SERVICE] * 3
 
 
 def test_quiet_tag_shows_the_pose_at_its_rate():
     rig, changes, last = Rig(nav=QUIET).twist(0.3, 0.2), 0, None
     for _ in range(1000):
         rig.drive(1)
-        changes += rig.y[at.Y_NAV] != last
-        last = rig.y[at.Y_NAV]
+        changes += rig.y.nav[0] != last
+        last = rig.y.nav[0]
     assert changes == 20
     rig = Rig(nav=QUIET).twist(0.3, 0.2).drive(551)
-    assert rig.y[at.Y_NAV : at.Y_NAV + 3].tolist() == rig.y[at.Y_POSE : at.Y_POSE + 3].tolist()
+    assert rig.y.nav.tolist() == rig.y.pose.tolist()
 
 
 def test_lever_arm_and_frame():
     terms = {"nav_lever_arm.x": 0.1, "nav_lever_arm.y": 0.2, "nav_frame_yaw": 0.3}
     rig = Rig(nav=QUIET, terms=terms)
-    rig.x[at.X_POSE : at.X_POSE + 3] = (1.0, 2.0, math.pi / 2)
+    rig.x.pose = (1.0, 2.0, math.pi / 2)
     rig.step().sense()
-    assert rig.y[at.Y_NAV : at.Y_NAV + 3].tolist() == pytest.approx([0.8, 2.1, math.pi / 2 + 0.3])
+    assert rig.y.nav.tolist() == pytest.approx([0.8, 2.1, math.pi / 2 + 0.3])
 
 
 def test_latencies_of_position_and_yaw_apart():
@@ -201,8 +201,8 @@ def test_latencies_of_position_and_yaw_apart():
     poses = {}
     for tick in range(1001):
         rig.drive(1)
-        poses[tick] = rig.y[at.Y_POSE : at.Y_POSE + 3].copy()
-    nav = rig.y[at.Y_NAV : at.Y_NAV + 3]
+        poses[tick] = rig.y.pose.copy()
+    nav = rig.y.nav
     assert nav[:2].tolist() == poses[900][:2].tolist()
     assert nav[2] == poses[850][2]
 
@@ -211,13 +211,13 @@ def test_yaw_latency_across_the_wrap():
     rig = Rig(nav=QUIET, terms={"yaw_latency": 0.015}).rolling(-60.0, -60.0)
     for _ in range(6000):
         rig.drive(1)
-        gap = math.remainder(rig.y[at.Y_NAV + 2] - rig.y[at.Y_POSE + 2], 2 * math.pi)
+        gap = math.remainder(rig.y.nav[2] - rig.y.pose[2], 2 * math.pi)
         assert abs(gap) < 0.5
 
 
 def test_noise_is_white_plus_correlated():
     rig = Rig(nav=Navigation(enabled=True), seed=3).step()
-    samples = np.array([rig.sense().y[at.Y_NAV : at.Y_NAV + 3].copy() for _ in range(100_000)])[::5]
+    samples = np.array([rig.sense().y.nav.copy() for _ in range(100_000)])[::5]
     x, yaw = samples[:, 0], samples[:, 2]
     assert x.std() == pytest.approx(math.hypot(0.08, 0.01), rel=0.06)
     assert yaw.std() == pytest.approx(0.0175, rel=0.12)
@@ -228,7 +228,7 @@ def test_noise_is_white_plus_correlated():
 
 def test_outliers_have_share_and_size():
     rig = Rig(nav=QUIET, terms={"nav_outliers.share": 0.03, "nav_outliers.size": 1.5}).step()
-    samples = np.array([rig.sense().y[at.Y_NAV : at.Y_NAV + 2].copy() for _ in range(50_000)])[::5]
+    samples = np.array([rig.sense().y.nav[:2].copy() for _ in range(50_000)])[::5]
     far = np.hypot(*samples.T)
     assert np.mean(far > 0.1) == pytest.approx(0.03, abs=0.006)
     assert far[far > 0.1] == pytest.approx(1.5)
@@ -242,8 +242,10 @@ def test_a_copy_of_the_state_is_a_complete_snapshot():
     options = {"nav": Navigation(enabled=True), "imu": Imu(gyro_noise_rad_s=0.01), "seed": 5}
     first = Rig(terms=everything, **options).wheels(50, 50, -20, -20).drive(333)
     second = Rig(terms=everything, **options).wheels(50, 50, -20, -20)
-    second.x[:] = first.x
-    second.y[:] = first.y  # of the other slices: the frame, which a snapshot holds too
+    second.x.numbers[:] = first.x.numbers
+    second.y.numbers[:] = (
+        first.y.numbers
+    )  # of the other slices: the frame, which a snapshot holds too
     second.ticks = first.ticks
     assert first.drive(500).y.tobytes() == second.drive(500).y.tobytes()
     assert first.x.tobytes() == second.x.tobytes()

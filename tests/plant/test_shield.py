@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import hilserver.plant.layout as at
+from hilserver.plant.layout import BAD_OUT_OF_SERVICE, GOOD
 from hilserver.plant.parameters import Battery
 from hilserver.plant.shield import BLINK_S, TURN_S, WARMING_S
 from hilserver.signals import LIGHTS
@@ -12,23 +12,22 @@ from tests.plant.rig import Rig
 
 def lit(rig, pattern, runs=200):
     """Return the red of the lamps fl, fr, rl, rr over `runs` runs of 10 ms, shape (runs, 4)."""
-    rig.u[at.U_LIGHTS : at.U_LIGHTS + 4] = (LIGHTS.index(pattern), 200, 100, 0)
-    red = slice(at.Y_LIGHTS + 1, at.Y_LIGHTS + 13, 3)
-    return np.array([rig.sense().y[red].copy() for _ in range(runs)])
+    rig.u.light_pattern, rig.u.light_colour = LIGHTS.index(pattern), (200, 100, 0)
+    return np.array([rig.sense().y.lights[:, 0].copy() for _ in range(runs)])
 
 
 def test_every_pattern_shows_its_number_and_ends_with_off():
     rig = Rig()
     for number, pattern in enumerate(LIGHTS):
         lit(rig, pattern, 1)
-        assert rig.y[at.Y_LIGHTS] == number
+        assert rig.y.light_pattern == number
     assert not lit(rig, "off").any()
 
 
 def test_steady_patterns_keep_the_colour():
     rig = Rig()
     assert (lit(rig, "high beam") == 200).all()
-    assert rig.y[at.Y_LIGHTS + 1 : at.Y_LIGHTS + 4].tolist() == [200, 100, 0]
+    assert rig.y.lights[0].tolist() == [200, 100, 0]
     assert (lit(rig, "dim") == 70).all()
 
 
@@ -70,15 +69,15 @@ def test_a_pattern_begins_when_it_is_commanded():
 
 def test_current_and_temperature_follow_the_duty():
     idle, busy = Rig().step().sense(), Rig().duties(100, 100, -100, -100).step().sense()
-    assert busy.y[at.Y_CURRENT] - idle.y[at.Y_CURRENT] == pytest.approx(6.0)
-    start = busy.y[at.Y_TEMPERATURE]
+    assert busy.y.current - idle.y.current == pytest.approx(6.0)
+    start = busy.y.temperature
     for _ in range(round(WARMING_S / 0.01)):
         busy.sense()
-    rise = busy.y[at.Y_TEMPERATURE] - start
-    assert rise == pytest.approx(2.5 * busy.y[at.Y_CURRENT] * (1 - np.exp(-1)), rel=1e-3)
+    rise = busy.y.temperature - start
+    assert rise == pytest.approx(2.5 * busy.y.current * (1 - np.exp(-1)), rel=1e-3)
 
 
 def test_without_a_battery_there_is_no_current_but_a_temperature():
     rig = Rig(battery=Battery(enabled=False)).step().sense()
-    assert rig.q[at.Y_CURRENT] == at.BAD_OUT_OF_SERVICE
-    assert rig.q[at.Y_TEMPERATURE] == at.GOOD
+    assert rig.q.current == BAD_OUT_OF_SERVICE
+    assert rig.q.temperature == GOOD

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import hilserver.plant.layout as at
 from hilserver.plant.errors import PlantError
+from hilserver.plant.layout import Inputs, Outputs, Status
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import (
     FOR_MECANUM_ALONE,
@@ -19,21 +19,20 @@ from tests.plant.base_kernel import base_step
 from tests.plant.rig import Rig
 
 NULLS = {name: term.null for name, term in TERMS.items()}
-STATE = at.X_COMMANDED  # motor, speed, integral, angle, pose (and set-points, compared apart)
 SAMPLES = 10_000
 MECANUM = {"drive": "mecanum", **MECANUM_GEOMETRY}
 
 
 def random_states(rng, x, u):
-    x[: at.X_ANGLE] = rng.normal(0.0, 60.0, at.X_ANGLE)
-    x[at.X_ANGLE : at.X_POSE] = rng.normal(0.0, 1e3, 4)
-    x[at.X_POSE : at.X_POSE + 2] = rng.normal(0.0, 10.0, 2)
-    x[at.X_POSE + 2] = rng.uniform(-np.pi, np.pi)
-    u[:4] = rng.uniform(-120.0, 120.0, 4)
-    zeros = rng.random(at.X_POSE + 3) < 0.1  # zeros of both signs must keep theirs
-    signs = np.where(rng.random(zeros.sum()) < 0.5, 0.0, -0.0)
-    x[: at.X_POSE + 3][zeros] = signs
-    u[:4][rng.random(4) < 0.2] = rng.choice([0.0, -0.0])
+    for wheels in (x.motor, x.speed, x.integral):
+        wheels[:] = rng.normal(0.0, 60.0, 4)
+    x.angle[:] = rng.normal(0.0, 1e3, 4)
+    x.pose[:] = *rng.normal(0.0, 10.0, 2), rng.uniform(-np.pi, np.pi)
+    u.setpoint[:] = rng.uniform(-120.0, 120.0, 4)
+    for numbers in (x.motor, x.speed, x.integral, x.angle, x.pose):
+        zeros = rng.random(len(numbers)) < 0.1  # zeros of both signs must keep theirs
+        numbers[zeros] = np.where(rng.random(zeros.sum()) < 0.5, 0.0, -0.0)
+    u.setpoint[rng.random(4) < 0.2] = rng.choice([0.0, -0.0])
 
 
 @pytest.mark.parametrize("terms", [{}, NULLS], ids=["no terms", "all terms at null"])
@@ -41,18 +40,17 @@ def test_null_terms_equal_the_separate_base_to_the_bit(terms):
     rng = np.random.default_rng(1)
     robot = RobotParameters(terms=terms)
     p = pack(robot)
-    u, q = np.zeros(at.N_U), np.zeros(at.N_Y, dtype=np.int64)
-    u[at.U_ENABLE] = 1.0
-    x, y, y_base = initial_state(robot), np.zeros(at.N_Y), np.zeros(at.N_Y)
+    u, q = Inputs.zeros(), Status.zeros()
+    u.enable = 1.0
+    x, y, y_base = initial_state(robot), Outputs.zeros(), Outputs.zeros()
     for _ in range(SAMPLES):
         random_states(rng, x, u)
-        x_base = x[: at.X_DUTY + 10].copy()
+        x_base = x.copy()
         robot_step(p, x, u, y, q)
         base_step(p, x_base, u, y_base)
         assert y.tobytes() == y_base.tobytes()
-        assert x[: at.X_SETPOINT].tobytes() == x_base[: at.X_SETPOINT].tobytes()
-        accel = slice(at.X_ACCEL, at.X_ACCEL + 2)
-        assert x[accel].tobytes() == x_base[accel].tobytes()
+        for name in ("motor", "speed", "integral", "angle", "pose", "accel_x", "accel_y"):
+            assert x[name].tobytes() == x_base[name].tobytes(), name
 
 
 @pytest.mark.parametrize("drive", [{}, MECANUM], ids=["skid", "mecanum"])
@@ -80,10 +78,10 @@ def lively(terms, **drive):
         rig.wheels(*(setpoints + apart))
         for _ in range(ticks):
             rig.drive(1)
-            outputs.append(rig.y.copy())
+            outputs.append(rig.y.numbers.copy())
     # long enough for one sample in a thousand
     long = 20_000 if "nav_outliers.share" in terms or not terms else 0
-    outputs += [rig.sense().y.copy() for _ in range(long)]
+    outputs += [rig.sense().y.numbers.copy() for _ in range(long)]
     return np.array(outputs)
 
 
@@ -194,7 +192,7 @@ def test_exact_twins(a, b):
         rig, track = Rig(nav=quiet, icr_offset_m=0.0, terms=terms).twist(0.2, 0.5), []
         for _ in range(2000):
             rig.drive(1)
-            track.append(rig.y[at.Y_NAV : at.Y_NAV + 3].copy())
+            track.append(rig.y.nav.copy())
         tracks.append(np.array(track) - track[0])
     assert np.max(np.abs(tracks[0])) > 0.2
     assert tracks[0] == pytest.approx(tracks[1], abs=2e-6)
@@ -204,8 +202,8 @@ def test_steady_friction_is_paid_in_duty():
     plain, dragging = (
         Rig(terms=t).wheels(30, 30, -30, -30).step(4000) for t in ({}, {"coulomb_friction": 10.0})
     )
-    assert dragging.y[at.Y_SPEED] == pytest.approx(30.0, abs=1e-6)
-    extra = dragging.y[at.Y_DUTY : at.Y_DUTY + 4] - plain.y[at.Y_DUTY : at.Y_DUTY + 4]
+    assert dragging.y.speed[0] == pytest.approx(30.0, abs=1e-6)
+    extra = dragging.y.duty - plain.y.duty
     assert extra.tolist() == pytest.approx([10, 10, -10, -10], abs=1e-6)
 
 
@@ -213,27 +211,27 @@ def test_friction_holds_at_rest():
     rig = (
         Rig(terms={"wheel_load.f": 30.0, "wheel_load.wheel": 2}).wheels(0.05, 0, -0.05, 0).step(20)
     )
-    assert rig.y[at.Y_SPEED + 2] == 0.0
-    assert rig.y[at.Y_SPEED] > 0.0
+    assert rig.y.speed[2] == 0.0
+    assert rig.y.speed[0] > 0.0
 
 
 def test_the_loop_holds_what_the_encoder_shows():
     terms = {"encoder_scale.a": 0.25, "encoder_scale.wheel": 3}
     rig = Rig(terms=terms).wheels(30, 30, -30, -30).step(4000)
-    assert rig.y[at.Y_SPEED :][:4].tolist() == pytest.approx([30, 30, -30, -30])
-    assert rig.x[at.X_SPEED :][:4].tolist() == pytest.approx([30, 30, -30, -24])
+    assert rig.y.speed.tolist() == pytest.approx([30, 30, -30, -30])
+    assert rig.x.speed.tolist() == pytest.approx([30, 30, -30, -24])
 
 
 def test_the_encoder_rounds_what_it_shows():
     terms = {"encoder_scale.a": 0.1, "encoder_quantization": 0.5}
     rig = Rig(terms=terms).wheels(30, 30, -30, -30).step(100)
-    assert rig.x[at.X_SPEED] * 1.1 - rig.y[at.Y_SPEED] == pytest.approx(0.0, abs=0.25)
-    assert rig.y[at.Y_SPEED] % 0.5 == 0.0
+    assert rig.x.speed[0] * 1.1 - rig.y.speed[0] == pytest.approx(0.0, abs=0.25)
+    assert rig.y.speed[0] % 0.5 == 0.0
 
 
 def test_slip_of_the_traction_leaves_the_turn_as_it_is():
     firm, loose = (Rig(terms=t).twist(0.2, 0.5).step(2000) for t in ({}, {"traction_slip": 0.3}))
-    assert loose.y[at.Y_VELOCITY] == pytest.approx(0.7 * firm.y[at.Y_VELOCITY])
+    assert loose.y.linear == pytest.approx(0.7 * firm.y.linear)
     assert loose.pose[2] == firm.pose[2]
 
 
@@ -242,46 +240,46 @@ def test_a_body_that_lags_answers_in_first_order():
     lag_s, ticks = 0.05, 80
     even = Rig().wheels(20, 20, -30, -30).step(6000)
     rig = Rig(terms={"body_lag": lag_s}).wheels(20, 20, -30, -30)
-    rig.x[: at.X_ANGLE] = even.x[: at.X_ANGLE]
+    for name in ("motor", "speed", "integral"):
+        rig.x[name] = even.x[name]
     rig.step(ticks + 1)
     follows = -np.expm1(-ticks * 0.001 / lag_s)
-    velocity = slice(at.Y_VELOCITY, at.Y_VELOCITY + 3)
-    assert rig.y[velocity] == pytest.approx(follows * even.y[velocity])
-    turned = even.y[at.Y_VELOCITY + 2] * (ticks * 0.001 - lag_s * follows)
-    assert rig.y[at.Y_POSE + 2] == pytest.approx(turned)
+    assert rig.velocity == pytest.approx(follows * even.velocity)
+    turned = even.y.angular * (ticks * 0.001 - lag_s * follows)
+    assert rig.y.pose[2] == pytest.approx(turned)
 
 
 @pytest.mark.parametrize(("tau_s", "ticks"), [(0.003, 3), (0.0025, 3), (0.0021, 3), (0.002, 2)])
 def test_actuation_delay_takes_the_setpoint_valid_then(tau_s, ticks):
     rig = Rig(terms={"actuation_delay": tau_s}).wheels(10, 10, -10, -10)
-    seen = [rig.step().x[at.X_SETPOINT] for _ in range(6)]
+    seen = [rig.step().x.setpoint[0] for _ in range(6)]
     assert seen == [0.0] * ticks + [10.0] * (6 - ticks)
 
 
 def test_longest_delay():
     rig = Rig(terms={"actuation_delay": 1.023}).wheels(10, 10, -10, -10)
-    seen = [rig.step().x[at.X_SETPOINT] for _ in range(1030)]
+    seen = [rig.step().x.setpoint[0] for _ in range(1030)]
     assert seen[1022:1025] == [0.0, 10.0, 10.0]
 
 
 def test_rate_limit():
     rig = Rig(terms={"setpoint_rate_limit": 100.0}).wheels(1, -1, 0.05, 0)
     rig.step(5)
-    assert rig.x[at.X_SETPOINT :][:4].tolist() == pytest.approx([0.5, -0.5, 0.05, 0.0])
+    assert rig.x.setpoint.tolist() == pytest.approx([0.5, -0.5, 0.05, 0.0])
 
 
 @pytest.mark.parametrize(("period_s", "runs"), [(0.002, 50), (0.01, 10), (0.0025, 40)])
 def test_control_period_holds_the_duty(period_s, runs):
     rig = Rig(terms={"control_period": period_s}).wheels(2, 2, -2, -2)
-    duties = [rig.step().y[at.Y_DUTY] for _ in range(100)]
+    duties = [rig.step().y.duty[0] for _ in range(100)]
     assert 1 + np.count_nonzero(np.diff(duties)) == runs
 
 
 def test_backlash_lets_the_motor_turn_alone():
     rig = Rig(terms={"backlash": 0.2}).wheels(20, 20, -20, -20)
-    while rig.x[at.X_ANGLE] < 0.0999:
+    while rig.x.angle[0] < 0.0999:
         rig.step()
-        assert rig.pose[0] == 0.0 or rig.x[at.X_ANGLE] > 0.1
+        assert rig.pose[0] == 0.0 or rig.x.angle[0] > 0.1
     rig.step(500)
     lost = 0.085 * 0.1
-    assert rig.pose[0] == pytest.approx(0.085 * rig.x[at.X_ANGLE] - lost, abs=1e-9)
+    assert rig.pose[0] == pytest.approx(0.085 * rig.x.angle[0] - lost, abs=1e-9)

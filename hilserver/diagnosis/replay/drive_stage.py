@@ -7,7 +7,6 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import hilserver.plant.layout as plant
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
@@ -22,19 +21,25 @@ from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.resolution import step_of
+from hilserver.plant.layout import MODE_TWIST, WHEELS, Inputs, Outputs, State
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V
 
+
+def _place(name: str) -> int:
+    return int(Inputs.where(name).start)
+
+
 INPUTS: Final[Mapping[str, int]] = {
-    **{name: plant.U_SETPOINT + i for i, name in enumerate(SETPOINTS)},
-    **{name: plant.U_DUTY + i for i, name in enumerate(DUTY_COMMANDS)},
-    "twist.linear_m_s": plant.U_TWIST_LINEAR,
-    "twist.angular_rad_s": plant.U_TWIST_ANGULAR,
-    "twist.lateral_m_s": plant.U_TWIST_LATERAL,
-    "control.mode": plant.U_MODE,
-    "drive.enable": plant.U_ENABLE,
-    "internal.command": plant.U_COMMAND,
+    **{name: _place("setpoint") + i for i, name in enumerate(SETPOINTS)},
+    **{name: _place("duty") + i for i, name in enumerate(DUTY_COMMANDS)},
+    "twist.linear_m_s": _place("twist_linear"),
+    "twist.angular_rad_s": _place("twist_angular"),
+    "twist.lateral_m_s": _place("twist_lateral"),
+    "control.mode": _place("mode"),
+    "drive.enable": _place("enable"),
+    "internal.command": _place("command"),
 }
 FULL_DUTY_PCT: Final = 100.0
 SETTLING_S: Final = 1.0
@@ -93,13 +98,14 @@ class DriveStage(Stage):
         run_drive(
             p,
             initial_state(replace(robot, seed=0)),
+            State.zeros(),
             self.segments.first,
             self._inputs,
             self._row,
             self._volts,
             self._speed_0,
             phase,
-            np.zeros(plant.N_Y),
+            Outputs.zeros(),
             speed,
             seen,
             duty,
@@ -128,7 +134,7 @@ class DriveStage(Stage):
         angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * self.segments.period_s)
         angle = np.mod(angle, 2.0 * np.pi)
         found: dict[str, Array] = {}
-        for w, wheel in enumerate(plant.WHEELS):
+        for w, wheel in enumerate(WHEELS):
             found |= {SPEEDS[w]: seen[:, w], DUTIES[w]: duty[:, w]}
             found[f"wheel.{wheel}.angle_rad"] = angle[:, w]
         return found
@@ -178,6 +184,7 @@ class DriveStage(Stage):
         run_process(
             pack(self.robot),
             initial_state(replace(self.robot, seed=0)),
+            State.zeros(),
             self.segments.first,
             duty,
             self._volts,
@@ -188,7 +195,7 @@ class DriveStage(Stage):
 
     def stepped(self, wheel: int) -> NDArray[np.bool_]:
         """Return at which ticks an input of a wheel changes, shape (ticks,)."""
-        others = [plant.U_SETPOINT + w for w in range(4) if w != wheel]
+        others = [INPUTS[name] for w, name in enumerate(SETPOINTS) if w != wheel]
         own = np.delete(self._inputs, others, axis=1)
         differs = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
         changed = np.concatenate([[False], np.diff(self._row) != 0]) & differs[self._row]
@@ -256,10 +263,10 @@ class DriveStage(Stage):
         index = np.zeros(self.segments.ticks, dtype=np.int64)
         channels = {n: c for n, c in INPUTS.items() if n in self.log}
         for i, span in enumerate(self.segments.span):
-            now = np.zeros(plant.N_U)
-            now[plant.U_ENABLE] = 1.0
+            now = np.zeros(Inputs.n_words)
+            now[INPUTS["drive.enable"]] = 1.0
             if not self.log.has(*SETPOINTS):
-                now[plant.U_MODE] = 1.0
+                now[INPUTS["control.mode"]] = MODE_TWIST
             changes: dict[int, list[tuple[int, float]]] = {}
             for name, column in channels.items():
                 t, v = self.log[name].of(int(span))
@@ -296,12 +303,14 @@ class DriveStage(Stage):
         place_inputs(
             pack(self.robot),
             initial_state(replace(self.robot, seed=0)),
+            State.zeros(),
+            State.zeros(),
             self.segments.first,
             dense,
             self._speed_0,
             is_row,
             measured,
-            np.zeros(plant.N_Y),
+            Outputs.zeros(),
         )
         fresh = np.concatenate([[True], (dense[1:] != dense[:-1]).any(axis=1)])
         fresh[self.segments.first[:-1]] = True

@@ -8,28 +8,31 @@ from typing import Any
 
 import numpy as np
 
-import hilserver.plant.layout as plant
 from hilserver.compiled import kernel
+from hilserver.compiled.records import assign, record_at
 from hilserver.plant.command import command
 from hilserver.plant.drive import drive_base, drive_terms, encoder, load, process_of_tick
 from hilserver.plant.kinematics import sideways
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import INPUTS, Inputs, Outputs, Parameters, State
 from hilserver.plant.nav import shown_position, shown_yaw
 from hilserver.plant.pose import wrap
 from hilserver.plant.robot import SIDE, drive_on_with_terms, follow_wheels
+
+SETPOINT = Inputs.where("setpoint").start
 
 
 @kernel()
 def run_drive(
     p: Parameters,
-    x0: Any,
+    x0: State,
+    x: State,
     first: Any,
     inputs: Any,
     input_row: Any,
     volts: Any,
     speed_0: Any,
     phase_ticks: float,
-    y: Any,
+    y: Outputs,
     speed: Any,
     seen: Any,
     duty: Any,
@@ -38,7 +41,9 @@ def run_drive(
 
     Parameters
     ----------
-    inputs : ndarray, shape (rows, N_U)
+    x0, x
+        State before each segment; one to compute with.
+    inputs : ndarray, shape (rows, Inputs.n_words)
         Distinct inputs; ``input_row[k]`` is the row that is latched at tick k.
     volts : ndarray, shape (ticks,)
         Battery voltage.
@@ -47,54 +52,67 @@ def run_drive(
     speed, seen, duty : ndarray, shape (ticks, 4)
         Written: true speed, speed as the encoder shows it, duty.
     """
-    x = x0.copy()
     for s in range(first.size - 1):
-        x[:] = x0
-        x[plant.X_CONTROL_PHASE] = phase_ticks
+        assign(x, x0)
+        x.control_phase = phase_ticks
         _set_start(p, x, speed_0[s])
         for k in range(first[s], first[s + 1]):
-            x[plant.X_BATTERY_V] = volts[k]
+            x.battery_v = volts[k]
             for i in range(4):
-                speed[k, i] = x[plant.X_SPEED + i]
-            command(p, x, inputs[input_row[k]])
+                speed[k, i] = x.speed[i]
+            command(p, x, _row(inputs, input_row[k]))
             if p.drive_terms != 0.0:
                 drive_terms(p, x, y)
             else:
                 drive_base(p, x, y)
             for i in range(4):
-                seen[k, i] = y[plant.Y_SPEED + i]
-                duty[k, i] = y[plant.Y_DUTY + i]
+                seen[k, i] = y.speed[i]
+                duty[k, i] = y.duty[i]
 
 
 @kernel()
-def _set_start(p: Parameters, x: Any, speed_0: Any) -> None:
+def _row(inputs: Any, k: int) -> Inputs:
+    return record_at(inputs, k * inputs.shape[1], INPUTS)  # type: ignore[no-any-return]
+
+
+@kernel()
+def _set_start(p: Parameters, x: State, speed_0: Any) -> None:
     """Let the wheels turn in balance: shape (8,), shown speeds [rpm] and integrals."""
     for i in range(4):
         turns = speed_0[i] / p.encoder_gain[i]
-        x[plant.X_SPEED + i] = turns
-        x[plant.X_MOTOR + i] = turns
-        x[plant.X_SETPOINT + i] = speed_0[i]
-        x[plant.X_INTEGRAL + i] = speed_0[4 + i] / p.encoder_gain[i]
-        x[plant.X_ENCODER + i] = (1.0 - p.encoder_share) * turns
+        x.speed[i] = turns
+        x.motor[i] = turns
+        x.setpoint[i] = speed_0[i]
+        x.integral[i] = speed_0[4 + i] / p.encoder_gain[i]
+        x.encoder[i] = (1.0 - p.encoder_share) * turns
 
 
 @kernel()
-def _drive_to(p: Parameters, x: Any, y: Any, inputs: Any, first: int, end: int) -> None:
+def _drive_to(p: Parameters, x: State, y: Outputs, inputs: Any, first: int, end: int) -> None:
     for k in range(first, end):
-        command(p, x, inputs[k])
+        command(p, x, _row(inputs, k))
         drive_terms(p, x, y)
 
 
 @kernel()
-def _miss(p: Parameters, y: Any, measured: Any, i: int) -> float:
+def _miss(p: Parameters, y: Outputs, measured: Any, i: int) -> float:
     """Return by how much a wheel misses what was measured, squared [rpm^2]."""
-    speed = y[plant.Y_SPEED + i] - measured[i]
-    duty = (y[plant.Y_DUTY + i] - measured[4 + i]) / max(p.k_p, 1e-9)
+    speed = y.speed[i] - measured[i]
+    duty = (y.duty[i] - measured[4 + i]) / max(p.k_p, 1e-9)
     return (0.0 if np.isnan(speed) else speed * speed) + (0.0 if np.isnan(duty) else duty * duty)
 
 
 @kernel()
-def _place(p: Parameters, x: Any, y: Any, inputs: Any, first: int, at: int, measured: Any) -> None:
+def _place(
+    p: Parameters,
+    x: State,
+    trial: State,
+    y: Outputs,
+    inputs: Any,
+    first: int,
+    at: int,
+    measured: Any,
+) -> None:
     """Place the change that stands in row `at`, at one of the ticks `first` to `at`.
 
     Wheels are placed by themselves, as long as nothing but their own set-points changes.
@@ -102,12 +120,12 @@ def _place(p: Parameters, x: Any, y: Any, inputs: Any, first: int, at: int, meas
     before, after = inputs[first - 1].copy(), inputs[at].copy()
     alone = True
     for c in range(after.size):
-        if before[c] != after[c] and not plant.U_SETPOINT <= c < plant.U_SETPOINT + 4:
+        if before[c] != after[c] and not SETPOINT <= c < SETPOINT + 4:
             alone = False
     least, best, miss = np.full(4, np.inf), np.full(4, at), np.empty(4)
     for change in range(at, first - 1, -1):
         inputs[change:at] = after
-        trial = x.copy()
+        assign(trial, x)
         _drive_to(p, trial, y, inputs, first, at + 1)
         for i in range(4):
             miss[i] = _miss(p, y, measured, i)
@@ -121,19 +139,21 @@ def _place(p: Parameters, x: Any, y: Any, inputs: Any, first: int, at: int, meas
         inputs[best[0] : at] = after
         return
     for i in range(4):
-        inputs[best[i] : at, plant.U_SETPOINT + i] = after[plant.U_SETPOINT + i]
+        inputs[best[i] : at, SETPOINT + i] = after[SETPOINT + i]
 
 
 @kernel()
 def place_inputs(
     p: Parameters,
-    x0: Any,
+    x0: State,
+    x: State,
+    trial: State,
     first: Any,
     inputs: Any,
     speed_0: Any,
     is_row: Any,
     measured: Any,
-    y: Any,
+    y: Outputs,
 ) -> None:
     """Move changes of the inputs to the ticks at which they fit the measured wheels best.
 
@@ -142,7 +162,9 @@ def place_inputs(
 
     Parameters
     ----------
-    inputs : ndarray, shape (ticks, N_U)
+    x0, x, trial
+        State before each segment; two to compute with.
+    inputs : ndarray, shape (ticks, Inputs.n_words)
         Changed in place: a change stands in its row before, at its own tick afterwards.
     speed_0
         As for `run_drive`.
@@ -152,7 +174,7 @@ def place_inputs(
         Speeds [rpm] and duties [%] in the rows, NaN where there is none.
     """
     for s in range(first.size - 1):
-        x = x0.copy()
+        assign(x, x0)
         _set_start(p, x, speed_0[s])
         k = first[s]
         while k < first[s + 1]:
@@ -160,14 +182,21 @@ def place_inputs(
             while at < first[s + 1] - 1 and not is_row[at]:
                 at += 1
             if first[s] < k < at and (inputs[at] != inputs[k - 1]).any():
-                _place(p, x, y, inputs, k, at, measured[at])
+                _place(p, x, trial, y, inputs, k, at, measured[at])
             _drive_to(p, x, y, inputs, k, at + 1)
             k = at + 1
 
 
 @kernel()
 def run_process(
-    p: Parameters, x0: Any, first: Any, duty: Any, volts: Any, speed_0: Any, seen: Any
+    p: Parameters,
+    x0: State,
+    x: State,
+    first: Any,
+    duty: Any,
+    volts: Any,
+    speed_0: Any,
+    seen: Any,
 ) -> None:
     """Run process and encoder alone under a given duty, cut point B.
 
@@ -175,45 +204,44 @@ def run_process(
     ----------
     duty : ndarray, shape (ticks, 4)
         Of the controller; friction and dead zone of a plant that has them come after it.
-    volts, speed_0
+    x0, x, volts, speed_0
         As for `run_drive`.
     seen : ndarray, shape (ticks, 4)
         Written: speed as the encoder shows it.
     """
-    x = x0.copy()
     for s in range(first.size - 1):
-        x[:] = x0
+        assign(x, x0)
         for i in range(4):
-            x[plant.X_SPEED + i] = speed_0[s, i]
-            x[plant.X_MOTOR + i] = speed_0[s, i]
+            x.speed[i] = speed_0[s, i]
+            x.motor[i] = speed_0[s, i]
         for k in range(first[s], first[s + 1]):
             a00, a01, a10, a11, b0, b1 = process_of_tick(p, volts[k])
             for i in range(4):
-                motor, n = x[plant.X_MOTOR + i], x[plant.X_SPEED + i]
+                motor, n = x.motor[i], x.speed[i]
                 seen[k, i] = encoder(p, x, i)
                 u = load(p, i, duty[k, i], n)
-                x[plant.X_MOTOR + i] = a00 * motor + a01 * n + b0 * u
-                x[plant.X_SPEED + i] = a10 * motor + a11 * n + b1 * u
+                x.motor[i] = a00 * motor + a01 * n + b0 * u
+                x.speed[i] = a10 * motor + a11 * n + b1 * u
 
 
 @kernel()
-def _turn_apart(x: Any, apart: Any, k: int) -> None:
+def _turn_apart(x: State, apart: Any, k: int) -> None:
     """Let the front wheels turn by the difference to the rear ones: `sideways` asks no more."""
-    x[plant.X_SPEED] = apart[0, k]
-    x[plant.X_SPEED + 2] = apart[1, k]
+    x.speed[0] = apart[0, k]
+    x.speed[2] = apart[1, k]
 
 
 @kernel()
 def run_pose(
     p: Parameters,
-    x0: Any,
+    x: State,
     first: Any,
     left: Any,
     right: Any,
     apart: Any,
     pose_0: Any,
     angle_0: Any,
-    y: Any,
+    y: Outputs,
     pose: Any,
 ) -> None:
     """Run the kinematics alone under given wheel speeds, cut point C.
@@ -230,11 +258,10 @@ def run_pose(
     pose : ndarray, shape (ticks, 4)
         Written: x [m], y [m], yaw [rad] not wrapped, turn rate [rad/s].
     """
-    x = x0.copy()
     dt, is_mecanum, aside = p.dt, p.mecanum != 0.0, 0.0
     for s in range(first.size - 1):
         for i in range(3):
-            x[plant.X_POSE + i] = pose_0[s, i]
+            x.pose[i] = pose_0[s, i]
         turned = pose_0[s, 2]
         angle = angle_0[s]
         last = first[s + 1] - 1
@@ -243,15 +270,15 @@ def run_pose(
             w_l, w_r = left[k] * SIDE, right[k] * SIDE
             next_l, next_r = left[following] * SIDE, right[following] * SIDE
             mean_l, mean_r = 0.5 * (w_l + next_l), 0.5 * (w_r + next_r)
-            y[plant.Y_ANGLE] = angle
-            y[plant.Y_ANGLE + 1] = angle
+            y.angle[0] = angle
+            y.angle[1] = angle
             angle += mean_l * dt
-            x[plant.X_ANGLE] = angle
-            x[plant.X_ANGLE + 1] = angle
-            pose[k, 0] = x[plant.X_POSE]
-            pose[k, 1] = x[plant.X_POSE + 1]
+            x.angle[0] = angle
+            x.angle[1] = angle
+            pose[k, 0] = x.pose[0]
+            pose[k, 1] = x.pose[1]
             pose[k, 2] = turned
-            before = x[plant.X_POSE + 2]
+            before = x.pose[2]
             dw_l, dw_r = (next_l - w_l) / dt, (next_r - w_r) / dt
             if k == first[s]:
                 follow_wheels(p, x, y, w_l, w_r, dw_l, dw_r)
@@ -260,8 +287,8 @@ def run_pose(
                 aside = sideways(p, x)[0]
                 _turn_apart(x, apart, following)
             drive_on_with_terms(p, x, y, w_l, w_r, dw_l, dw_r, mean_l, mean_r, aside, 0.0)
-            pose[k, 3] = y[plant.Y_VELOCITY + 2]
-            turned += wrap(x[plant.X_POSE + 2] - before)
+            pose[k, 3] = y.angular
+            turned += wrap(x.pose[2] - before)
 
 
 @kernel()
@@ -283,7 +310,14 @@ def sample(dense: Any, column: int, low: Any, high: Any, at: Any, out: Any) -> N
 
 @kernel()
 def sample_tag(
-    p: Parameters, x: Any, dense: Any, low: Any, high: Any, at_position: Any, at_yaw: Any, out: Any
+    p: Parameters,
+    x: State,
+    dense: Any,
+    low: Any,
+    high: Any,
+    at_position: Any,
+    at_yaw: Any,
+    out: Any,
 ) -> None:
     """Write what the navigation tag shows for a pose, with the plant's own sensor; shape (n, 3).
 
@@ -292,19 +326,19 @@ def sample_tag(
     """
     p.nav_delay = 0.0
     p.nav_yaw_delay = 0.0
-    x[plant.X_NAV_HEAD] = 0.0
-    x[plant.X_NAV_COUNT] = 1.0
+    x.nav_head = 0.0
+    x.nav_count = 1.0
     for j in range(at_position.size):
         where = min(max(at_position[j], float(low[j])), float(high[j]))
         k = int(where)
         following = min(k + 1, int(high[j]))
         share = where - k
         for c in range(3):
-            x[plant.X_NAV_RING + c] = dense[k, c] + share * (dense[following, c] - dense[k, c])
+            x.nav_ring[0, c] = dense[k, c] + share * (dense[following, c] - dense[k, c])
         out[j, 0], out[j, 1] = shown_position(p, x)
         where = min(max(at_yaw[j], float(low[j])), float(high[j]))
         k = int(where)
         following = min(k + 1, int(high[j]))
         yaw = dense[k, 2] + (where - k) * (dense[following, 2] - dense[k, 2])
-        x[plant.X_NAV_RING + 2] = yaw
+        x.nav_ring[0, 2] = yaw
         out[j, 2] = yaw + wrap(shown_yaw(p, x) - yaw)

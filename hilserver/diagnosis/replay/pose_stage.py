@@ -29,7 +29,7 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.plant.layout import N_Y, Parameters
+from hilserver.plant.layout import Outputs, Parameters
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -222,8 +222,10 @@ class PoseStage(Stage):
 
         def run(share: slice) -> None:
             ends = self.segments.first[share.start : share.stop + 1]
-            angles, y = self.angle_0[share], np.zeros(N_Y)
-            run_pose(p, self._state, ends, left, right, apart, poses[share], angles, y, dense)
+            angles, y = self.angle_0[share], Outputs.zeros()
+            run_pose(
+                p, self._state.copy(), ends, left, right, apart, poses[share], angles, y, dense
+            )
 
         if self._pool is None:
             run(slice(0, len(self.segments)))

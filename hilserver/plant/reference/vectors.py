@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-import hilserver.plant.layout as at
+from hilserver.plant.layout import WHEELS, Inputs, Outputs, Status
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import (
     FOR_MECANUM_ALONE,
@@ -53,14 +53,14 @@ _UNSET_REFERENCE: Final = {
     "heading_distortion.a2": 0.05,
 }
 WHEEL_COLUMNS: Final = [
-    f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct", "angle_rad") for w in at.WHEELS
+    f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct", "angle_rad") for w in WHEELS
 ]
 COLUMNS: Final = [
     *WHEEL_COLUMNS,
     *("pose.x_m", "pose.y_m", "pose.yaw_rad"),
     *("velocity.linear_m_s", "velocity.lateral_m_s", "velocity.angular_rad_s"),
     *("accel_x_m_s2", "accel_y_m_s2"),
-    *(f"state.{w}.{what}" for what in ("motor", "speed_rpm", "integral_pct") for w in at.WHEELS),
+    *(f"state.{w}.{what}" for what in ("motor", "speed_rpm", "integral_pct") for w in WHEELS),
     *("imu.gyro_z_rad_s", "imu.yaw_rad", "imu.accel_x_m_s2", "imu.accel_y_m_s2"),
     *("nav.x_m", "nav.y_m", "nav.yaw_rad"),
 ]
@@ -108,19 +108,18 @@ def setpoints(tick: int) -> NDArray[np.float64]:
 def drive(robot: RobotParameters) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Run the manoeuvre with the compiled plant; yield tick and numbers as in `COLUMNS`."""
     p = pack(robot)
-    x, u = initial_state(robot), np.zeros(at.N_U)
-    y, q = np.zeros(at.N_Y), np.zeros(at.N_Y, dtype=np.int64)
-    u[at.U_ENABLE] = 1.0
+    x, u, y, q = initial_state(robot), Inputs.zeros(), Outputs.zeros(), Status.zeros()
+    u.enable = 1.0
     for tick in range(TICKS):
-        u[at.U_SETPOINT : at.U_SETPOINT + 4] = setpoints(tick)
-        state = x[: at.X_ANGLE].copy()
+        u.setpoint[:] = setpoints(tick)
+        state = np.concatenate([x.motor, x.speed, x.integral])
         robot_step(p, x, u, y, q)
         if tick % SENSOR_TICKS == 0:
             imu_step(p, x, u, y, q)
             nav_step(p, x, u, y, q)
-        accel = x[at.X_ACCEL : at.X_ACCEL + 2]
-        sensed = [*y[at.Y_IMU : at.Y_IMU + 4], *y[at.Y_NAV : at.Y_NAV + 3]]
-        yield tick, np.concatenate([y[: at.N_Y_ROBOT], accel, state, sensed])
+        moved = y.numbers[: Outputs.where("angular").stop]
+        sensed = [y.gyro, y.heading, y.accel_x, y.accel_y, *y.nav]
+        yield tick, np.concatenate([moved, [x.accel_x, x.accel_y], state, sensed])
 
 
 def to_csv(terms: dict[str, float]) -> str:
@@ -137,7 +136,7 @@ def to_csv(terms: dict[str, float]) -> str:
 
 def inputs_csv() -> str:
     """Return the text of the file of set-point changes."""
-    rows = [",".join(["tick", *(f"wheel.{w}.setpoint_rpm" for w in at.WHEELS)])]
+    rows = [",".join(["tick", *(f"wheel.{w}.setpoint_rpm" for w in WHEELS)])]
     rows += [",".join([str(tick), *map(repr, values)]) for tick, values in _SETPOINTS]
     return "\n".join(rows) + "\n"
 
