@@ -20,8 +20,8 @@ from statistics import median
 from hilserver_injector.cases import CLASSES, Case, cases, singles
 from hilserver_injector.causes import CAUSES, REQUIRED
 
-from benchmarks.diagnose_beside import beside
 from benchmarks.diagnose_results import Results
+from benchmarks.diagnose_rivals import rival_table
 from benchmarks.diagnose_table import Record, markdown, rows
 from benchmarks.diagnose_worker import Staged, changed, work
 from hilserver import __version__
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> list[Result]:
 
 
 def _text(records: Sequence[Record], results: Results) -> str:
-    return markdown(records, [*_heading(results), "", *beside(records)])
+    return markdown(records, [*_heading(results), "", *rival_table(records)])
 
 
 def _groups(text: str) -> list[str]:

@@ -68,7 +68,7 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]]) -> list[Result]:
     print(f"| recording | quantity | diagnosis | {' | '.join(RIVALS)} | {beyond} |")
     print("|---" * (len(RIVALS) + len(NINE_TERMS) + 3) + "|")
     for file, mapping in ((file, mapping) for mapping, files in mapped for file in files):
-        for row in beside(file.stem, read_measured([file], mapping), robot):
+        for row in against_rivals(file.stem, read_measured([file], mapping), robot):
             rows.append(row)
             cells = [f"{row.gain(rival):.2f}" for rival in RIVALS]
             for gain in (row.ahead[rival] for rival in NINE_TERMS):
@@ -81,7 +81,7 @@ def measure(mapped: Iterable[tuple[str, Sequence[Path]]]) -> list[Result]:
     return list(_figures(rows))
 
 
-def beside(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
+def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Iterator[Row]:
     """Yield what the diagnosis and its rivals gain on one log."""
     rng = np.random.default_rng(0)
     judged = examine(log, robot, rng, 1, Tracker()).judged

@@ -22,11 +22,7 @@ from hilserver.diagnosis.findings.nested import answers_of
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, other_findings, worsened
 from hilserver.diagnosis.findings.worth import Answer
-from hilserver.diagnosis.groups.shared import (
-    answers_in_groups,
-    gains_in_groups,
-    smallest_in_groups,
-)
+from hilserver.diagnosis.groups.shared import answers_in_groups, gains_in_groups, smallest_in_groups
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Report, Tracker
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons

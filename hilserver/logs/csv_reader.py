@@ -233,14 +233,14 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
 
 def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
     """Return what stands in the file beside the log; None for a log of others."""
-    beside = meta_path(path)
-    if not beside.exists():
+    meta = meta_path(path)
+    if not meta.exists():
         return None, []
     try:
-        return unpack_meta(beside.read_text(encoding="utf-8"))
+        return unpack_meta(meta.read_text(encoding="utf-8"))
     except (ValueError, OSError):
         raise LogError(
-            f"{beside}: is damaged; remove it to read {path.name} as a log of others"
+            f"{meta}: is damaged; remove it to read {path.name} as a log of others"
         ) from None
 
 

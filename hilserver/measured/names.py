@@ -4,6 +4,7 @@ import math
 from functools import cache
 
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 from hilserver.signals import MEASURED, Direction, Ranges, Signal, SignalTable, robot_table
 
 _OF_THE_DAEMON = ("sim.", "internal.")
@@ -47,7 +48,7 @@ _DIMENSIONS: dict[str, dict[str, float]] = {
     "angular speed": {
         "rad/s": 1.0,
         "deg/s": math.pi / 180.0,
-        "rpm": math.pi / 30.0,
+        "rpm": RAD_S_PER_RPM,
         "rev/s": 2.0 * math.pi,
     },
     "angle": {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},

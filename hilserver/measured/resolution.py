@@ -24,5 +24,5 @@ def step_of(values: Array) -> tuple[float, float]:
         step = float(slope)
         if not step > 0.0:
             return 0.0, 0.0
-    beside = np.abs(different - origin - step * np.rint((different - origin) / step))
-    return (step, float(origin)) if beside.max() < STEP_EXACT * step else (0.0, 0.0)
+    off = np.abs(different - origin - step * np.rint((different - origin) / step))
+    return (step, float(origin)) if off.max() < STEP_EXACT * step else (0.0, 0.0)

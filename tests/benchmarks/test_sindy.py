@@ -11,7 +11,7 @@ from hilserver_injector.cases import null, singles
 from benchmarks import diagnose
 from benchmarks.baselines import RIVALS
 from benchmarks.campaign_rivals import compared, scored
-from benchmarks.diagnose_beside import beside
+from benchmarks.diagnose_rivals import rival_table
 from benchmarks.diagnose_worker import measured
 from benchmarks.sindy import CAUSES, mapped, said, sparse
 from hilserver.daemon.assembly import assemble
@@ -88,11 +88,11 @@ def test_each_rival_is_a_column():
     rivals = {"nine terms": {"yaw_rad": 2.0}, "PySINDy": {"yaw_rad": 8.0}}
     log = {"group": "single", **said, "gain": {"yaw_rad": 4.0}, "gains": rivals}
     other = log | {"gain": {}, "pysindy": {"outcome": "right", "wrong": ["icr_offset"]}}
-    table = beside([log | {"pysindy": said}, other])
+    table = rival_table([log | {"pysindy": said}, other])
     assert "| measure | logs | diagnosis | nine terms | PySINDy |" in table
     assert "| right name, and no other | 2 | 2 |  | 1 |" in table
     assert "| gain in yaw, single cause | 2 | 2.00 | 2.00 | 8.00 |" in table
-    assert beside([said]) == []
+    assert rival_table([said]) == []
 
 
 def test_without_pysindy_one_sentence_says_what_to_install(tmp_path, monkeypatch):

@@ -9,13 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.thresholds import (
-    COMB_CLEAR,
-    COMB_FEWEST,
-    COMB_TIMES,
-    FEWEST_SAMPLES,
-    HALF,
-)
+from hilserver.diagnosis.thresholds import COMB_CLEAR, COMB_FEWEST, COMB_TIMES, FEWEST_SAMPLES, HALF
 from hilserver.measured.arrays import Array
 
 STEPS_RPM: Final = (0.2, 6.0)

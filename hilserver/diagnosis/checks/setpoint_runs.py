@@ -12,13 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.checks.runs import (
-    Fault,
-    classified,
-    corrected,
-    rate_fault,
-    runs_of,
-)
+from hilserver.diagnosis.checks.runs import Fault, classified, corrected, rate_fault, runs_of
 from hilserver.diagnosis.checks.support import along, row_period_s, subset
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import (

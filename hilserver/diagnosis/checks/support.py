@@ -48,10 +48,7 @@ def measured_channels(channels: Iterable[str]) -> list[str]:
 def subset(channel: Channel, keep: Mask) -> Channel:
     """Return the channel with some of its samples."""
     return replace(
-        channel,
-        t_s=channel.t_s[keep],
-        values=channel.values[keep],
-        span=channel.span[keep],
+        channel, t_s=channel.t_s[keep], values=channel.values[keep], span=channel.span[keep]
     )
 
 

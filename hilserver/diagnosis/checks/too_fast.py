@@ -6,15 +6,15 @@ import numpy as np
 
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import NEGLIGIBLE
+from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.data import MeasuredLog
-from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
     """Tell of set-points that the replay scales down; the log is left as it is."""
-    names = [name for wheel in WHEELS if (name := f"wheel.{wheel}.setpoint_rpm") in log]
-    fastest = {name: float(np.abs(log[name].values).max(initial=0.0)) for name in names}
+    sent = {name: log[name].values for name in SETPOINTS if name in log}
+    fastest = {name: float(np.abs(values).max(initial=0.0)) for name, values in sent.items()}
     slow = max(fastest.values(), default=0.0) <= (1.0 + NEGLIGIBLE) * robot.max_rpm
     if slow or not log.drive_is_known:
         return log, []

@@ -22,9 +22,10 @@ from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, POSITION, Y
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 WHEEL = {
-    np.pi / 30.0: "holds rad/s where rpm is meant",
+    RAD_S_PER_RPM: "holds rad/s where rpm is meant",
     30.0 / np.pi: "holds rpm where rad/s is meant",
     6.0: "holds deg/s where rpm is meant",
     1.0 / 60.0: "holds turns per second where turns per minute are meant",

@@ -9,6 +9,7 @@ from hilserver.diagnosis.thresholds import UNITY
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.units import RAD_S_PER_RPM
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
@@ -19,7 +20,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
         name = f"wheel.{wheel}.angle_rad"
         if name not in log:
             continue
-        size = _wrap(log[name], UNITY * robot.max_rpm * np.pi / 30.0)
+        size = _wrap(log[name], UNITY * robot.max_rpm * RAD_S_PER_RPM)
         if size:
             unwrapped[name] = _unwrap(log[name], size)
             notices.append(f"{name}: the angle wraps at {size:.4g} rad; it was made continuous")
@@ -35,11 +36,11 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     jumps = jumps[(jumps > 0) & (jumps < len(step) - 1)]
     if not len(jumps):
         return 0.0
-    beside = step[1:-1] - 0.5 * (step[:-2] + step[2:])  # what a steady turn does not explain
-    sizes = np.abs(beside[jumps - 1])
+    extra = step[1:-1] - 0.5 * (step[:-2] + step[2:])  # what a steady turn does not explain
+    sizes = np.abs(extra[jumps - 1])
     size = float(np.median(sizes))
-    near = np.unique(np.concatenate([jumps - 2, jumps - 1, jumps]).clip(0, len(beside) - 1))
-    usual = np.abs(np.delete(beside, near))
+    near = np.unique(np.concatenate([jumps - 2, jumps - 1, jumps]).clip(0, len(extra) - 1))
+    usual = np.abs(np.delete(extra, near))
     unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(jumps)) if usual.size else 0.0
     if abs(size - 2.0 * np.pi) <= unsure + 1e-9:
         size = 2.0 * np.pi

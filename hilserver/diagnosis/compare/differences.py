@@ -59,11 +59,7 @@ class Difference:
 
 
 def differences_of(
-    stage: str,
-    prepared: Prepared,
-    point: Point,
-    second: Mask,
-    runs: Indices,
+    stage: str, prepared: Prepared, point: Point, second: Mask, runs: Indices
 ) -> list[Difference]:
     """Estimate every cause of a stage in both sets, beside the causes that both share.
 
@@ -116,11 +112,7 @@ def _own_scores(
 
 
 def _one(
-    score: Array,
-    information: Array,
-    sides: Sequence[Mask],
-    runs: Indices,
-    span_of_block: Indices,
+    score: Array, information: Array, sides: Sequence[Mask], runs: Indices, span_of_block: Indices
 ) -> tuple[tuple[float, float], tuple[float, float], float, float, float] | None:
     """Return estimates, errors, p, gain and degrees of freedom of one direction."""
     values, variances, counts, infos, repeats = [], [], [], [], []

@@ -16,12 +16,7 @@ from hilserver.diagnosis.regression.linear import cosine
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Parameter, Verdict
-from hilserver.diagnosis.thresholds import (
-    COMPARE_LEVEL,
-    DETECTABLE_POWER_SD,
-    GROUP_COSINE,
-    TIE,
-)
+from hilserver.diagnosis.thresholds import COMPARE_LEVEL, DETECTABLE_POWER_SD, GROUP_COSINE, TIE
 
 
 def difference_findings(

@@ -19,6 +19,7 @@ from hilserver.diagnosis.replay.stage import Stage
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
+from hilserver.plant.units import RAD_S_PER_RPM
 
 DRIVES, TURNS = 0.1, 0.1
 """Speed [m/s] and turn rate [rad/s] from which a direction is remembered."""
@@ -192,7 +193,7 @@ def _(stage: DriveStage, problem: Problem, point: Point) -> Iterator[Family]:
     _, seen, duty = stage.simulate(point.model.terms)
     rate = 1.0 / stage.segments.period_s
     slope = np.gradient(seen, axis=0) * rate
-    angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 / rate)
+    angle = np.cumsum(seen, axis=0) * (RAD_S_PER_RPM / rate)
     t = np.concatenate([stage.segments.times(i) for i in range(len(stage.segments))])
 
     def of_wheel(w: int, speed: Array | None, work: Array | None) -> Array:

@@ -12,13 +12,7 @@ from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
 from hilserver.diagnosis.findings.outcome import named_findings
-from hilserver.diagnosis.findings.worth import (
-    Answer,
-    Explained,
-    Part,
-    Predictions,
-    without_causes,
-)
+from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions, without_causes
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import of_halves
 from hilserver.diagnosis.regression.stages import without
@@ -60,8 +54,8 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
             if p is None:
                 halves.append(None)
                 continue
-            beside = [s for other, s in scores.items() if other != name]
-            selected = select(p.problem, p.library, p.base, rng, jobs, beside)
+            others = [s for other, s in scores.items() if other != name]
+            selected = select(p.problem, p.library, p.base, rng, jobs, others)
             halves.append(revised(p, selected, rng))
     return dict(found)
 

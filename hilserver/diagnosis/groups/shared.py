@@ -12,13 +12,7 @@ import numpy as np
 from hilserver.diagnosis.catalogue.candidate import STAGES
 from hilserver.diagnosis.examine import Member
 from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.findings.worth import (
-    Answer,
-    Explained,
-    Part,
-    Predictions,
-    without_causes,
-)
+from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions, without_causes
 from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_remains
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import fit_in_all

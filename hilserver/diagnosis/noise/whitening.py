@@ -81,24 +81,13 @@ class Whitener:
         ndarray of float64, of the shape of `columns`
             Independent with variance 1, if the columns were this noise.
         """
-        return self.whiten_with_log_det(t_s, columns, weights)[0]
-
-    def whiten_with_log_det(
-        self, t_s: Array, columns: Array, weights: Array | None = None
-    ) -> tuple[Array, float]:
-        """Whiten, and return the log determinant of the noise's covariance beside it.
-
-        With it, ``-0.5 * (log_det + sum(whitened**2) + n log(2 pi))`` is the exact likelihood.
-        """
         t_s = np.ascontiguousarray(t_s, float)
         table = np.ascontiguousarray(columns, float).reshape(len(t_s), -1)
         every = np.ones(len(t_s)) if weights is None else np.ascontiguousarray(weights, float)
         out = np.empty_like(table)
         model = self.model
-        log_det = filter_columns(
-            t_s, table, every, model.white_sd**2, model.ou_sd**2, model.ou_tau_s, out
-        )
-        return out.reshape(np.shape(columns)), float(log_det)
+        filter_columns(t_s, table, every, model.white_sd**2, model.ou_sd**2, model.ou_tau_s, out)
+        return out.reshape(np.shape(columns))
 
 
 def robust_weights(innovations: Array, dof: float) -> Array:
@@ -127,8 +116,8 @@ def robust_weights(innovations: Array, dof: float) -> Array:
 @kernel()
 def filter_columns(
     t_s: Any, columns: Any, weights: Any, white: float, ou: float, tau_s: float, out: Any
-) -> float:
-    """Run the Kalman filter over one span; return the log determinant.
+) -> None:
+    """Run the Kalman filter over one span.
 
     `white` and `ou` are variances. The state is the Ornstein-Uhlenbeck process, stationary at the
     first sample.
@@ -136,7 +125,6 @@ def filter_columns(
     n, width = columns.shape
     level = np.zeros(width)
     variance = ou
-    log_det = 0.0
     step, keep = 0.0, 1.0
     for i in range(n):
         if i > 0:
@@ -159,5 +147,3 @@ def filter_columns(
             out[i, j] = scale * surprise
             level[j] += gain * surprise
         variance *= max(1.0 - gain, 0.0)
-        log_det -= 2.0 * math.log(scale)
-    return log_det

@@ -213,14 +213,7 @@ def gated(
 
 @kernel()
 def restricted(
-    t_s: Any,
-    r: Any,
-    weights: Any,
-    starts: Any,
-    white: float,
-    ou: float,
-    tau_s: float,
-    lines: Any,
+    t_s: Any, r: Any, weights: Any, starts: Any, white: float, ou: float, tau_s: float, lines: Any
 ) -> tuple[float, float, float]:
     """Return squared sum, log determinant and freedom with every window's line projected out.
 

@@ -20,12 +20,7 @@ ATTEMPTS: Final = 4
 
 
 def fit(
-    problem: Problem,
-    model: Model,
-    start: Point,
-    *,
-    rows: Mask | None = None,
-    iterations: int = 6,
+    problem: Problem, model: Model, start: Point, *, rows: Mask | None = None, iterations: int = 6
 ) -> Point:
     """Fit the parameters of a model.
 

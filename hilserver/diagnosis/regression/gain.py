@@ -174,11 +174,7 @@ def compare(before: Errors, after: Errors, horizon_s: float, rng: np.random.Gene
 
 
 def gains(
-    problem: Problem,
-    before: Array,
-    after: Array,
-    horizon_s: float,
-    rng: np.random.Generator,
+    problem: Problem, before: Array, after: Array, horizon_s: float, rng: np.random.Generator
 ) -> dict[str, Gain]:
     """Return the gain of every quantity of a stage at one horizon."""
     return pooled_gains([errors(problem, (before, after), horizon_s)], rng)

@@ -24,7 +24,7 @@ from hilserver.measured.resolution import step_of
 from hilserver.plant.layout import MODE_TWIST, WHEELS, Inputs, Outputs, State
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
-from hilserver.plant.units import NOMINAL_V
+from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
 
 def _place(name: str) -> int:
@@ -131,7 +131,7 @@ class DriveStage(Stage):
         """Return shown speed, duty and angle of every wheel at every tick."""
         del poses
         _, seen, duty = self.simulate(terms)
-        angle = np.cumsum(seen, axis=0) * (2.0 * np.pi / 60.0 * self.segments.period_s)
+        angle = np.cumsum(seen, axis=0) * (RAD_S_PER_RPM * self.segments.period_s)
         angle = np.mod(angle, 2.0 * np.pi)
         found: dict[str, Array] = {}
         for w, wheel in enumerate(WHEELS):

@@ -306,8 +306,8 @@ class PoseStage(Stage):
 
     def forward_m_s(self) -> Array:
         """Return the speed ahead that the wheels ask for, at every tick."""
-        scale = self.robot.wheel_radius_m * 2.0 * np.pi / 60.0 / 4.0
-        return (self.left - self.right) * scale
+        rim_m_s_per_rpm = RAD_S_PER_RPM * self.robot.wheel_radius_m
+        return 0.25 * rim_m_s_per_rpm * (self.left - self.right)
 
     def difference(self, samples: Array, others: Array) -> Array:
         """Return samples minus others; yaw along the shorter way."""

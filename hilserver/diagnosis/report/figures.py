@@ -22,13 +22,7 @@ from hilserver.diagnosis.report.svg import (
     span_of,
 )
 from hilserver.diagnosis.report.words import Change
-from hilserver.diagnosis.schema.evidence import (
-    Course,
-    Dependence,
-    HorizonRow,
-    Path,
-    Similarity,
-)
+from hilserver.diagnosis.schema.evidence import Course, Dependence, HorizonRow, Path, Similarity
 from hilserver.diagnosis.schema.findings import Gain, Parameter
 from hilserver.measured.arrays import Array
 
@@ -70,11 +64,7 @@ def path(way: Path) -> Figure:
         pieces = len(way.begins) + 1
         rings = f"Rings: where a model begins, in {pieces} pieces; those poses are fitted."
     title = f"Path, {way.group}, segment {way.span}" if way.group else f"Path, segment {way.span}"
-    return Figure(
-        picture([plot], title),
-        title,
-        f"Distance from the measured end: {ends}. {rings}",
-    )
+    return Figure(picture([plot], title), title, f"Distance from the measured end: {ends}. {rings}")
 
 
 def _around(span: tuple[float, float], width: float) -> tuple[float, float]:

@@ -144,7 +144,7 @@ def environment() -> Environment:
         "contents": _contents,
         "headed": _headed,
         "interval": figures.interval,
-        "beside": lambda columns: list(zip_longest(*columns)),
+        "in_pairs": lambda columns: list(zip_longest(*columns)),
     }
     made.tests["large"] = words.is_large
     return made

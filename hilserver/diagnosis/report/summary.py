@@ -3,13 +3,7 @@
 import textwrap
 
 from hilserver.diagnosis.findings.explain import explain_finding, number
-from hilserver.diagnosis.report.words import (
-    Change,
-    gains,
-    headline,
-    is_unchanged,
-    shared_and_free,
-)
+from hilserver.diagnosis.report.words import Change, gains, headline, is_unchanged, shared_and_free
 from hilserver.diagnosis.schema.findings import Findings, Overall
 
 WIDTH = 96

@@ -4,13 +4,7 @@ from collections.abc import Iterable
 from enum import StrEnum
 from typing import Any, Final, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-)
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 from hilserver.diagnosis.schema.decisions import Action
 

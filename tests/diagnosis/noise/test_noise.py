@@ -54,10 +54,9 @@ def test_whitened_noise_is_white(model):
 @pytest.mark.parametrize("model", MODELS)
 def test_operator_is_the_inverse_root_of_the_covariance(model):
     t_s = stamps(60, 0.05, np.random.default_rng(4))
-    operator, log_det = Whitener(model).whiten_with_log_det(t_s, np.eye(len(t_s)))
+    operator = Whitener(model).whiten(t_s, np.eye(len(t_s)))
     expected = covariance(model, t_s)
     np.testing.assert_allclose(operator.T @ operator @ expected, np.eye(len(t_s)), atol=1e-7)
-    assert log_det == pytest.approx(np.linalg.slogdet(expected)[1], rel=1e-9)
 
 
 def test_skipped_samples_leave_no_trace():

@@ -1,4 +1,4 @@
-"""The diagnosis beside its rivals, each a column, on the logs that all of them were asked about."""
+"""The table of the diagnosis and its rivals, a column each, on the logs that all of them got."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -13,7 +13,7 @@ QUANTITIES: Final = {
 DIAGNOSIS, PYSINDY = "diagnosis", "PySINDy"
 
 
-def beside(records: Sequence[Record]) -> list[str]:
+def rival_table(records: Sequence[Record]) -> list[str]:
     """Return the table; nothing where no rival was asked."""
     mine = [record for record in records if "gains" in record]
     if not mine:
