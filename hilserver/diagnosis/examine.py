@@ -1,7 +1,7 @@
 """One member of a diagnosis, a set of logs that count as one: its faults, its stages, decided."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from hilserver.diagnosis.findings.sensors import noise_of
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared, prepare, prepare_all
-from hilserver.diagnosis.schema.findings import Decision, Detectable, Finding, Noise, NotJudged
+from hilserver.diagnosis.schema.decisions import Decision
+from hilserver.diagnosis.schema.findings import Detectable, Finding, Noise, NotJudged
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
 from hilserver.plant.parameters import RobotParameters
@@ -54,17 +55,8 @@ class Member:
     @property
     def decisions(self) -> list[Decision]:
         """The steps of the selection of all stages."""
-        return [
-            Decision(
-                cause=row.cause,
-                action=row.action,
-                held_out_gain=row.held_out_gain,
-                reason=row.reason,
-                group=self.name or None,
-            )
-            for j in self.judged.values()
-            for row in j.selected.rows
-        ]
+        rows = (row for j in self.judged.values() for row in j.selected.rows)
+        return [replace(row, group=self.name or None) for row in rows]
 
     def smallest(self, rng: np.random.Generator) -> tuple[list[Detectable], list[NotJudged]]:
         """Return the smallest effects that would have shown, and what the drive did not excite."""

@@ -5,7 +5,7 @@ import numpy as np
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.findings.explain import separating_experiment
-from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.decisions import Decision, ScreenRow
 from hilserver.diagnosis.schema.evidence import (
     Course,
     CutRow,
@@ -110,6 +110,10 @@ def findings(**changes):
             NotJudged(cause="process_gain", reason="no duty in the log"),
         ),
         "notices": ("Row 18001 ends early and was dropped.",),
+        "decisions": (
+            Decision("rotation_gain", "taken", 7.7, "passes every gate"),
+            Decision("gyro_scale", "refused", 0.98, "brings nothing on held-out blocks"),
+        ),
         "model_patch": "model_patch.yaml",
     }
     return Findings.model_validate(everything | changes)
@@ -171,10 +175,6 @@ def evidence(n=18000, seed=1):
             for c, s in zip([c for c in CAUSES if CAUSES[c].physical],
                             [*np.abs(rng.normal(size=16)), 11.2, *np.abs(rng.normal(size=24))],
                             strict=False)
-        ),
-        selection=(
-            SelectionRow("rotation_gain", "taken", 7.7, "passes every gate"),
-            SelectionRow("gyro_scale", "refused", 0.98, "brings nothing on held-out blocks"),
         ),
         similarity=Similarity(names, cosine),
         gain_by_horizon=tuple(

@@ -26,7 +26,7 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.schema.decisions import Action, SelectionRow
+from hilserver.diagnosis.schema.decisions import Action, Decision
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, LEFT_SHARE
 
 
@@ -116,7 +116,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
 
 
 def _predicting(
-    problem: Problem, point: Point, before: Iterable[Point], rows: list[SelectionRow]
+    problem: Problem, point: Point, before: Iterable[Point], rows: list[Decision]
 ) -> Point:
     """Return the model that predicts: one before causes lost their names, if it does so better.
 
@@ -130,12 +130,12 @@ def _predicting(
             whole, harm = richer, step.gain
     why = "no name, but held-out errors would grow without its column, which stays"
     nameless = [c for c in whole.model.causes if c not in point.model.causes]
-    rows += [SelectionRow(cause, "refused", harm, why) for cause in nameless]
+    rows += [Decision(cause, "refused", harm, why) for cause in nameless]
     return whole
 
 
 def _named_only(
-    problem: Problem, point: Point, ties: Mapping[str, Sequence[Rival]], rows: list[SelectionRow]
+    problem: Problem, point: Point, ties: Mapping[str, Sequence[Rival]], rows: list[Decision]
 ) -> tuple[Point, bool]:
     """Return a model without causes that are no findings, and whether one of them was large."""
     large = False
@@ -179,7 +179,7 @@ def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[in
     return found
 
 
-def _dropped(problem: Problem, point: Point, index: int, rows: list[SelectionRow]) -> Point:
+def _dropped(problem: Problem, point: Point, index: int, rows: list[Decision]) -> Point:
     """Return a model without a cause that unknown structure stands for."""
     less = fit(problem, point.model.without(index), point, iterations=3)
     rows += _left_out(problem, point, less, "dropped", "unknown structure explains as much")
@@ -203,7 +203,7 @@ def _weighed(p: Prepared, selected: Selected) -> tuple[Point, dict[str, list[Riv
 
 
 def _without_what_tyres_do(
-    problem: Problem, point: Point, explained: float, rows: list[SelectionRow]
+    problem: Problem, point: Point, explained: float, rows: list[Decision]
 ) -> Point:
     """Return a model without causes that imitate the scrubbing of tyres."""
     for found, does in (
@@ -245,8 +245,8 @@ def fails(p: Prepared, point: Point) -> bool:
 
 def _left_out(
     problem: Problem, before: Point, after: Point, action: Action, reason: str
-) -> list[SelectionRow]:
+) -> list[Decision]:
     """Return a row for each cause that one model has and the next has not, with what that gains."""
     gone = [c for c in before.model.causes if c not in after.model.causes]
     gain = Step(problem, before, after).gain if gone else None
-    return [SelectionRow(cause, action, gain, reason) for cause in gone]
+    return [Decision(cause, action, gain, reason) for cause in gone]

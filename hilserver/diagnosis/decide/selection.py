@@ -27,7 +27,7 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
 from hilserver.diagnosis.replay.model import Fitted, Model
-from hilserver.diagnosis.schema.decisions import SelectionRow
+from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import (
     GROSS,
     GROUP_COSINE,
@@ -57,7 +57,7 @@ class Selected:
     ----------
     p : mapping of str to float
         Family-wise p of each accepted cause when it was accepted.
-    rows : list of SelectionRow
+    rows : list of Decision
         What was taken and what was refused, in order.
     near : mapping of str to list of Trial
         Of each accepted cause the others that explained nearly as much in its round.
@@ -65,7 +65,7 @@ class Selected:
 
     point: Point
     p: dict[str, float] = field(default_factory=dict)
-    rows: list[SelectionRow] = field(default_factory=list)
+    rows: list[Decision] = field(default_factory=list)
     near: dict[str, list[Trial]] = field(default_factory=dict)
 
 
@@ -195,7 +195,7 @@ def _plausible(
     if not any(map(_excessive, other.point.model.fitted)) and (impossible or cheaper):
         gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
         why = "of a size that no machine has; others explain as much"
-        other.rows[:0] = [SelectionRow(cause, "swapped", None, why) for cause in gone]
+        other.rows[:0] = [Decision(cause, "swapped", None, why) for cause in gone]
         return other
     _use_noise(problem, library, own, first.point)
     if impossible:
@@ -315,9 +315,9 @@ def _accepted(
         if why is None:
             why = f"{saved}, {z:.1f} standard errors from zero"
             gain = Step(problem, point, fitted).gain
-            selected.rows.append(SelectionRow(cause, "taken", gain, why))
+            selected.rows.append(Decision(cause, "taken", gain, why))
             return replace(trial, point=fitted)
-        selected.rows.append(SelectionRow(cause, "refused", None, why))
+        selected.rows.append(Decision(cause, "refused", None, why))
     return None
 
 

@@ -57,7 +57,6 @@ def evidence(
         cuts=cuts.cuts(prepared),
         noise=tuple(row for p in stages for row in _noise(p.problem)),
         screen=tuple(row for p in stages for row in _screen(p.judged)),
-        selection=tuple(row for p in stages for row in p.judged.selected.rows),
         similarity=_similarity(stages[-1].judged.prepared.library) if stages else None,
         gain_by_horizon=tuple(row for p in stages for row in _horizons(p)),
         dependences=tuple(

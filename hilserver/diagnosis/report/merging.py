@@ -26,9 +26,6 @@ def merged(parts: Mapping[str, Evidence]) -> Evidence:
         cuts=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.cuts),
         noise=tuple(replace(r, channel=f"{r.channel} ({g})") for g, e in many for r in e.noise),
         screen=_screen(parts.values()),
-        selection=tuple(
-            replace(r, reason=f"{g}: {r.reason}") for g, e in many for r in e.selection
-        ),
         similarity=first.similarity,
         dependences=tuple(
             replace(d, channel=f"{d.channel} ({g})") for g, e in many for d in e.dependences

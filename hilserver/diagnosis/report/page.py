@@ -62,7 +62,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
             steps=words.steps(findings),
             where=words.where(evidence.cuts),
             screen=sorted(evidence.screen, key=lambda r: -abs(r.statistic) / r.critical),
-            selected=tables.selected(evidence.selection, findings.findings),
+            selected=tables.selected(findings),
             shared=words.belonging(findings, differs=False),
             free=words.belonging(findings, differs=True),
             joint=tables.together(findings.joint),

@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.schema.decisions import SelectionRow
 from hilserver.diagnosis.schema.evidence import Similarity
-from hilserver.diagnosis.schema.findings import Finding, Joint, NotJudged, Parameter
+from hilserver.diagnosis.schema.findings import Findings, Joint, NotJudged, Parameter
 
 CUT_POINTS: Final = {
     "setpoints": "From the set-points: the whole chain",
@@ -29,16 +28,17 @@ class Selected:
     parameter: Parameter | None = None
 
 
-def selected(rows: Iterable[SelectionRow], findings: Iterable[Finding]) -> list[Selected]:
+def selected(findings: Findings) -> list[Selected]:
     """Return every decision of the selection; the last one on a cause with its finding."""
-    in_the_end = {cause: f for f in findings for cause in f.causes}
+    in_the_end = {cause: f for f in findings.findings for cause in f.causes}
     out: list[Selected] = []
-    for row in reversed(list(rows)):
+    for row in reversed(findings.decisions):
         p = size = None
         if found := in_the_end.pop(row.cause, None):
             own = (v for n, v in found.parameters.items() if n.partition(".")[0] == row.cause)
             p, size = found.p_adjusted, next(own, None)
-        out.append(Selected(row.cause, row.action, row.reason, p, size))
+        reason = f"{row.group}: {row.reason}" if row.group else row.reason
+        out.append(Selected(row.cause, row.action, reason, p, size))
     return out[::-1]
 
 

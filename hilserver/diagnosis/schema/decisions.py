@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass as checked
+
 Action = Literal["taken", "refused", "swapped", "dropped"]
 
 
@@ -35,21 +38,23 @@ class ScreenRow:
     dof: float
 
 
-@dataclass(frozen=True, slots=True)
-class SelectionRow:
-    """One decision of the selection, in its order.
+@checked(frozen=True, config=ConfigDict(extra="forbid"))
+class Decision:
+    """One step of the selection, in its order.
 
     Attributes
     ----------
     action : str
         ``taken``, ``refused``, ``swapped`` or ``dropped``.
     held_out_gain : float or None
-        Error before by error after the step on held-out blocks, see `findings.Decision`.
-    reason : str
-        Half a sentence.
+        Error before by error after the step on blocks that took no part in the fits, geometric mean
+        over the quantities; below 1 the step costs some. None: it was not tried there.
+    group : str or None
+        Of ``--group``.
     """
 
     cause: str
     action: Action
     held_out_gain: float | None
     reason: str
+    group: str | None = None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hilserver.config.patch import FittedIn
-from hilserver.diagnosis.schema.decisions import ScreenRow, SelectionRow
+from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.findings import Findings, Gain, Noise, Parameter
 from hilserver.measured.arrays import Array, Indices
 
@@ -200,7 +200,6 @@ class Evidence:
     cuts: tuple[CutRow, ...] = ()
     noise: tuple[NoiseRow, ...] = ()
     screen: tuple[ScreenRow, ...] = ()
-    selection: tuple[SelectionRow, ...] = ()
     similarity: Similarity | None = None
     gain_by_horizon: tuple[HorizonRow, ...] = ()
     dependences: tuple[Dependence, ...] = ()

@@ -6,7 +6,7 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
-from hilserver.diagnosis.schema.decisions import Action
+from hilserver.diagnosis.schema.decisions import Decision
 
 SCHEMA: Final = "hilserver.diagnosis/1"
 
@@ -155,27 +155,6 @@ class NotJudged(_Model):
 
     cause: str
     reason: str
-
-
-class Decision(_Model):
-    """One step of the selection, in its order.
-
-    Attributes
-    ----------
-    action : str
-        ``taken``, ``refused``, ``swapped`` or ``dropped``.
-    held_out_gain : float or None
-        Error before by error after the step on blocks that took no part in the fits, geometric mean
-        over the quantities; below 1 the step costs some. None: it was not tried there.
-    group : str or None
-        Of ``--group``.
-    """
-
-    cause: str
-    action: Action
-    held_out_gain: float | None
-    reason: str
-    group: str | None = None
 
 
 class GroupOfLogs(_Model):
