@@ -13,6 +13,7 @@ from hilserver.daemon.assembly import assemble
 from hilserver.errors import EXIT_DONE
 from hilserver.io.opcua_server.nodeset import to_nodeset
 from hilserver.io.opcua_server.units import find_unit
+from hilserver.parameters import PLANT
 from hilserver.signals import Signal, SignalTable
 
 EXAMPLE = "hilserver signals --format nodeset2 -o hilserver.nodeset2.xml"
@@ -87,5 +88,5 @@ def as_csv(table: SignalTable) -> str:
 FORMATS: dict[str, Callable[[SignalTable], str]] = {
     "markdown": as_markdown,
     "csv": as_csv,
-    "nodeset2": to_nodeset,
+    "nodeset2": lambda table: to_nodeset(table, PLANT.values()),
 }

@@ -9,12 +9,13 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isnan
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.core.events import Event, EventBus, EventKind
+from hilserver.core.inputs import Refusal
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage
@@ -82,6 +83,13 @@ class Start:
         return {**self.composition.settings, **read(self.configured), **own}
 
 
+class Refused(NamedTuple):
+    """Why a parameter keeps its value, as other inputs say it, and in a sentence."""
+
+    reason: Refusal
+    text: str
+
+
 class LiveParameters:
     """What is in force, or on its way into the step; belongs to the event loop's thread.
 
@@ -120,30 +128,37 @@ class LiveParameters:
 
     # --- changes ----------------------------------------------------------------------------------
 
-    def write(self, source: str, values: Mapping[str, object]) -> dict[str, str]:
+    def write(self, source: str, values: Mapping[str, object]) -> dict[str, Refused]:
         """Check values and hand those that are sound, all together, to the next tick.
 
         Returns
         -------
-        dict of str
+        dict of Refused
             Why not, by name; empty when all are in force from the next tick on.
         """
         sound: dict[str, float] = {}
-        refused: dict[str, str] = {}
+        refused: dict[str, Refused] = {}
         for name, value in values.items():
             try:
                 sound |= self.checked({name: value})
             except PlantError as error:
-                refused[name] = str(error)
+                refused[name] = Refused(self._reason(name), str(error))
         if sound:
             try:
                 self.apply(sound)
-            except ControlRefused as error:
-                refused = {name: refused.get(name, str(error)) for name in values}
-        for name, why in refused.items():
-            text = f"{source}: parameters.{name} = {values[name]!r:.60} refused: {why}"
+            except (PlantError, ControlRefused) as error:
+                is_full = isinstance(error, ControlRefused)
+                reason = Refusal.QUEUE_FULL if is_full else Refusal.OUT_OF_RANGE
+                refused = {name: refused.get(name, Refused(reason, str(error))) for name in values}
+        for name, (_, why) in refused.items():
+            text = f"{source}: parameters.{name:.100} = {values[name]!r:.60} refused: {why}"
             self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
         return refused
+
+    def _reason(self, name: str) -> Refusal:
+        known = self.table.get(name)
+        is_fixed = known is not None and known.when == "restart"
+        return Refusal.NOT_WRITABLE if is_fixed else Refusal.OUT_OF_RANGE
 
     def checked(self, values: Mapping[str, object]) -> dict[str, float]:
         """Return values by their full names, each checked by itself.
@@ -191,15 +206,14 @@ class LiveParameters:
 
         Raises
         ------
+        PlantError
+            If they do not fit the others.
         ControlRefused
-            If they do not fit the others, or the plant does not take more.
+            If the plant does not take more.
         """
         if self._snapshots.is_restoring:
             raise ControlRefused("a snapshot is being loaded; ask again")
-        try:
-            robot, composition = self.try_out(values)
-        except PlantError as error:
-            raise ControlRefused(str(error)) from None
+        robot, composition = self.try_out(values)
         if fitted is not None:
             composition = replace(composition, fitted=fitted)
         number = max(self._number, self._edition) + 1
@@ -265,7 +279,7 @@ class LiveParameters:
             due, values = self._timed.popleft()
             try:
                 self.apply(values, due=due)
-            except ControlRefused as error:
+            except (PlantError, ControlRefused) as error:
                 text = f"scenario: parameters in tick {due} refused: {error}"
                 self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, "scenario", text))
 

@@ -69,6 +69,7 @@ def make_world(
         clock=clock,
         control=control,
         faults=core.faults,
+        parameters=core.parameters,
         lines=core.lines,
         robot=assembly.robot,
         shape=Shape.of(assembly.robot, parameters),

@@ -203,6 +203,14 @@ class Desk:
         """Lay a patch over the plant."""
         await self.patches.load(name)
 
+    async def reset_parameters(self) -> None:
+        """Go back to the parameters of the configuration."""
+        await self.patches.reset()
+
+    async def save_parameters(self, name: str) -> None:
+        """Write those that differ from it as a patch."""
+        await self.patches.save(name)
+
     async def remove_patch(self) -> None:
         """Go on without it."""
         await self.patches.remove()

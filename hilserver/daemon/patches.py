@@ -83,11 +83,11 @@ class Patches:
             fitted = fitted_limits(None if patch is None else patch.model)
             try:
                 number = parameters.apply(values, fitted=fitted)
-            except ControlRefused as error:
+            except PlantError as error:
                 key, _, rest = str(error).partition(": ")
                 if patch is not None and (entry := patch.entry_at(key)) is not None:
                     raise patch.refusal(entry, rest) from None
-                raise
+                raise ControlRefused(str(error)) from None
             self._patch = patch
             return await parameters.taken(number)
 
@@ -102,6 +102,15 @@ class Patches:
                 key, _, rest = str(error).partition(": ")
                 raise patch.refusal(patch.entry_at(key) or name, rest) from None
         return values
+
+    async def reset(self) -> None:
+        """Go back to the configuration, without a patch."""
+        parameters = self._core.parameters
+        async with self._lock:
+            values = {n: parameters.configured[n] for n in parameters.differing}
+            tick = await parameters.taken(parameters.apply(values, fitted=fitted_limits()))
+            self._patch = None
+        self._tell(200, f"all parameters are those of the configuration from tick {tick} on")
 
     async def save(self, name: str) -> None:
         """Write the parameters that differ from the configuration as a patch.

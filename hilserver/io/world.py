@@ -11,6 +11,7 @@ from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
 from hilserver.core.events import EventBus
 from hilserver.core.inputs import InputGate
+from hilserver.core.parameters import LiveParameters
 from hilserver.faults import Faults, Line
 from hilserver.image import ProcessImage
 from hilserver.plant.parameters import RobotParameters
@@ -56,6 +57,7 @@ class World:
     clock: UtcClock
     control: Control
     faults: Faults | None
+    parameters: LiveParameters | None
     lines: Mapping[str, Line]
     robot: RobotParameters
     shape: Shape

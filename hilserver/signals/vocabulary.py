@@ -3,7 +3,9 @@
 from enum import IntEnum
 from typing import Literal
 
-RESERVED = frozenset(("robot", "methods", "slices", "peers", "audit", "faults", "internal"))
+RESERVED = frozenset(
+    ("robot", "methods", "slices", "peers", "audit", "faults", "parameters", "internal")
+)
 """First parts of names that belong to the daemon itself; no block may have them."""
 
 RANGE_FINDERS = ("fl", "fr", "rl", "rr")

@@ -15,6 +15,7 @@ from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, NAMESPACE_URI, describe
 from hilserver.io.opcua_server.nodeset import to_nodeset
 from hilserver.io.opcua_server.units import UNECE
+from hilserver.parameters import PLANT
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "signals.md"
 
@@ -55,11 +56,11 @@ async def test_nodeset_is_the_address_space_of_the_server(table) -> None:
     for server in (loaded, built):
         await server.init()
         await server.register_namespace(NAMESPACE_URI)
-    await loaded.import_xml(xmlstring=to_nodeset(table))
+    await loaded.import_xml(xmlstring=to_nodeset(table, PLANT.values()))
 
     di_index = await built.register_namespace(DI_NAMESPACE_URI)
     builder = AddressSpaceBuilder(built.iserver.node_mgt_service, 2, di_index)
-    folders, variables = describe(table)
+    folders, variables = describe(table, PLANT.values())
     builder.roots()
     builder.folders(folders)
     for variable in variables:

@@ -283,7 +283,7 @@ class AddressSpaceBuilder:
 def eu_information(unit: Unit) -> ua.EUInformation:
     """Return a unit as OPC UA's EUInformation."""
     return ua.EUInformation(
-        NamespaceUri=UNITS_URI,
+        NamespaceUri=UNITS_URI if unit.code else model.NAMESPACE_URI,
         UnitId=unit.unit_id,
         DisplayName=ua.LocalizedText(unit.symbol),
         Description=ua.LocalizedText(unit.description),

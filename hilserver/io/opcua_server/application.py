@@ -31,9 +31,11 @@ from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage
 from hilserver.io.opcua_server.method_table import METHODS, Method, Parts
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES, SHELL
+from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.values import SignalVariables
 from hilserver.opcua.application import ACCEPTED, Answer, Application, CallAnswer, Visitor, refused
 from hilserver.opcua.logs import log
+from hilserver.opcua.settings import Role
 from hilserver.signals import Signal, SignalTable
 
 SOURCE = "opcua"
@@ -95,12 +97,14 @@ class RobotApplication(Application):
         image: ProcessImage,
         gate: InputGate,
         variables: SignalVariables,
+        parameters: ParameterVariables,
         parts: Parts,
         show_owner: Callable[[], None],
     ) -> None:
         super().__init__(server, server.access)
         self._index, self._table, self._image, self._gate = namespace_index, table, image, gate
         self._variables, self._parts, self._show_owner = variables, parts, show_owner
+        self._parameters = parameters
         self._methods = {ua.NodeId(m.node_id, namespace_index): m for m in METHODS}
         self.page_secret = secrets.token_hex(32)
         self._page_numbers = itertools.count(1)
@@ -136,9 +140,18 @@ class RobotApplication(Application):
     # --- writes -----------------------------------------------------------------------------------
 
     def is_writable(self, node_id: ua.NodeId) -> bool:
-        """Whether a variable is a signal: the gate knows which of them are inputs."""
+        """Whether a variable is a parameter, or a signal: the gate knows which are inputs."""
         name, is_ours = node_id.Identifier, node_id.NamespaceIndex == self._index
-        return is_ours and (name == CONTROL_SOURCE or name in self._table)
+        return is_ours and (
+            name == CONTROL_SOURCE or name in self._table or name in self._parameters
+        )
+
+    def may_write(self, user: Any, node_id: ua.NodeId) -> bool:
+        """Whether a user may write a variable; only an engineer changes the robot itself."""
+        is_parameter = node_id.Identifier in self._parameters
+        return super().may_write(user, node_id) and (
+            not is_parameter or user.rights >= Role.ENGINEER
+        )
 
     def write(
         self, items: Iterable[ua.WriteValue], session: Any
@@ -150,6 +163,7 @@ class RobotApplication(Application):
         source = session.visitor.source
         answers: list[Answer] = []
         group: dict[str, tuple[int, object]] = {}
+        changes: dict[str, tuple[int, ua.Variant]] = {}
         for position, item in enumerate(items):
             yield
             answer = self.refuse(item, session.user)
@@ -157,6 +171,9 @@ class RobotApplication(Application):
             if answer is not None:
                 continue
             name = item.NodeId.Identifier
+            if name in self._parameters:
+                changes[name] = (position, item.Value.Value)
+                continue
             if name == CONTROL_SOURCE or name in group:
                 # The order of a request holds: taking control acts on the writes behind it, and
                 # of two writes to one signal the later wins.
@@ -167,7 +184,16 @@ class RobotApplication(Application):
             else:
                 group[name] = (position, _plain(self._table[name], item.Value.Value))
         self._hand_over(group, answers, source)
+        self._change(changes, answers, source)
         return answers
+
+    def _change(
+        self, changes: dict[str, tuple[int, ua.Variant]], answers: list[Answer], source: str
+    ) -> None:
+        """Change parameters, all in one tick."""
+        written = {name: variant for name, (_, variant) in changes.items()}
+        for name, (reason, text) in self._parameters.write(source, written).items():
+            answers[changes[name][0]] = Answer(STATUS_OF[reason], text)
 
     def _hand_over(
         self, group: dict[str, tuple[int, object]], answers: list[Answer], source: str

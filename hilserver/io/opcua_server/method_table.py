@@ -50,6 +50,12 @@ class Files(Protocol):
     async def remove_patch(self) -> None:
         """Go on without it."""
 
+    async def reset_parameters(self) -> None:
+        """Go back to the parameters of the configuration."""
+
+    async def save_parameters(self, name: str) -> None:
+        """Write those that differ from it as a patch."""
+
 
 class Parts:
     """What the methods act on."""
@@ -226,4 +232,15 @@ METHODS = (
         (_PATCH,),
     ),
     Method("RemovePatch", "Go on without the model patch", lambda on: on.files.remove_patch()),
+    Method(
+        "ResetParameters",
+        "Go back to the parameters of the configuration, from one tick on",
+        lambda on: on.files.reset_parameters(),
+    ),
+    Method(
+        "SaveParameters",
+        "Save the parameters that differ from the configuration as a patch",
+        lambda on, name: on.files.save_parameters(_plain(name)),
+        (_PATCH,),
+    ),
 )

@@ -8,11 +8,15 @@ and its node id is the whole name, whatever the folder.
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.method_table import STRING
-from hilserver.io.opcua_server.units import Unit, find_unit
+from hilserver.io.opcua_server.units import UNECE, Unit, find_unit
 from hilserver.signals import Direction, Signal, SignalTable, ValueType
+
+if TYPE_CHECKING:  # clients use these names too, and need no compiler
+    from hilserver.parameters import Parameter
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
@@ -27,8 +31,11 @@ GROUPS = {
     "peers": "Links to OPC UA peers",
     "audit": "What this computer lacks for real time, and what is set open",
     "faults": "Injected faults and forced signals",
+    "parameters": "Numbers of the robot that can change while it runs",
 }
 """Folders that are no signals."""
+PARAMETERS = "parameters."
+"""Begin of the node ids of the parameters."""
 CONTROL_SOURCE = "control.source"
 SHELL = "shell"
 """Begin of the names of sessions that last as long as one command."""
@@ -137,8 +144,28 @@ def variable_of(signal: Signal) -> Variable:
     )
 
 
-def describe(table: SignalTable) -> tuple[list[Folder], list[Variable]]:
-    """Return all folders and variables of a signal table.
+def _of_parameter(parameter: "Parameter") -> Variable:
+    """Return the variable that shows a parameter; all of them have a range and a unit."""
+    path = PARAMETERS + parameter.name
+    parent, name = split(path)
+    text = parameter.meaning + ("; NaN is null" if parameter.nullable else "")
+    return Variable(
+        path=path,
+        parent=parent,
+        name=name,
+        description=text + ("; a change needs a restart" if parameter.when == "restart" else ""),
+        type_definition=ANALOG_UNIT_RANGE,
+        data_type=DATA_TYPES[ValueType.DOUBLE],
+        writable=True,
+        eu_range=(parameter.low, parameter.high),
+        unit=UNECE.get(parameter.unit) or Unit(parameter.unit, "", -1, parameter.unit),
+    )
+
+
+def describe(
+    table: SignalTable, parameters: "Iterable[Parameter]" = ()
+) -> tuple[list[Folder], list[Variable]]:
+    """Return all folders and variables of a signal table, and of parameters.
 
     Raises
     ------
@@ -158,11 +185,13 @@ def describe(table: SignalTable) -> tuple[list[Folder], list[Variable]]:
         )
     )
     paths = [variable.path for variable in variables]
-    folders = list(folders_of([*(f"{group}.x" for group in GROUPS), *paths]))
+    own = [_of_parameter(parameter) for parameter in parameters]
+    places = [*(f"{group}.x" for group in GROUPS), *paths, *(variable.path for variable in own)]
+    folders = list(folders_of(places))
     taken = {folder.path for folder in folders} | {ROBOT}
     for path in paths:
         if path in taken or path.split(".")[0] in {ROBOT, *GROUPS}:
             raise ConfigError(
                 f"a signal cannot be called '{path}': the address space uses the name"
             )
-    return folders, variables
+    return folders, variables + own

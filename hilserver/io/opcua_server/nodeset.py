@@ -5,13 +5,14 @@ loads into tools that do not have the DI model.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from hilserver import __version__
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.method_table import METHODS, Method
 from hilserver.io.opcua_server.units import NAMESPACE_URI as UNITS_URI
 from hilserver.io.opcua_server.units import Unit
+from hilserver.parameters import Parameter
 from hilserver.signals import SignalTable
 
 _NS = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
@@ -25,8 +26,8 @@ _RANGE_XML, _EU_INFORMATION_XML, _ARGUMENT_XML = "i=885", "i=888", "i=297"
 _READ, _READ_WRITE = "1", "3"
 
 
-def to_nodeset(table: SignalTable) -> str:
-    """Return the address space of `table` as the text of a NodeSet2 file."""
+def to_nodeset(table: SignalTable, parameters: Iterable[Parameter] = ()) -> str:
+    """Return the address space of `table` and `parameters` as the text of a NodeSet2 file."""
     root = ET.Element("UANodeSet", {"xmlns": _NS, "xmlns:uax": _TYPES})
     _child(_child(root, "NamespaceUris"), "Uri", model.NAMESPACE_URI)
     models = _child(root, "Models")
@@ -35,7 +36,7 @@ def to_nodeset(table: SignalTable) -> str:
     base = {"Version": "1.05.02", "PublicationDate": "2022-11-01T00:00:00Z"}
     _child(own_model, "RequiredModel", ModelUri="http://opcfoundation.org/UA/", **base)
 
-    folders, variables = model.describe(table)
+    folders, variables = model.describe(table, parameters)
     robot = _node(root, "UAObject", model.ROBOT, "Robot", "The simulated robot")
     _references(robot, (_HAS_TYPE, _OBJECT_TYPE, True), (_ORGANIZES, "i=85", False))
     for folder in folders:
@@ -144,7 +145,7 @@ def _range(value: ET.Element, low: float, high: float) -> None:
 
 def _unit(value: ET.Element, unit: Unit) -> None:
     body = _body(value, _EU_INFORMATION_XML, "EUInformation")
-    _child(body, "uax:NamespaceUri", UNITS_URI)
+    _child(body, "uax:NamespaceUri", UNITS_URI if unit.code else model.NAMESPACE_URI)
     _child(body, "uax:UnitId", str(unit.unit_id))
     _child(_child(body, "uax:DisplayName"), "uax:Text", unit.symbol)
     _child(_child(body, "uax:Description"), "uax:Text", unit.description)

@@ -12,6 +12,7 @@ from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.application import RobotApplication
 from hilserver.io.opcua_server.diagnostics import Diagnostics
 from hilserver.io.opcua_server.method_table import METHODS, Parts
+from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
 from hilserver.io.opcua_server.values import SignalVariables
@@ -49,7 +50,8 @@ class OpcUaServer(Part):
         self._providers = dict(world.tables) | {"audit": lambda: {**audit(), **self.audit()}}
         if world.faults is not None:
             self._providers["faults"] = world.faults.figures
-        self._folders, self._rows = model.describe(world.table)
+        parameters = () if world.parameters is None else world.parameters.table.values()
+        self._folders, self._rows = model.describe(world.table, parameters)
         self._server: HardenedServer | None = None
         self._owner_shown = ""
 
@@ -130,6 +132,7 @@ class OpcUaServer(Part):
             return 0
         self._show_owner()
         changed = self._variables.publish(frame)
+        self._parameters.publish()
         self._server.sample()
         return changed
 
@@ -162,6 +165,7 @@ class OpcUaServer(Part):
         self._variables = SignalVariables(world.table, world.clock)
         for name, signal_place in self._variables.places.items():
             builder.set_place(builder.node_id(name), signal_place)
+        self._parameters = ParameterVariables(world.parameters, place)
         self._owner_place = place(model.CONTROL_SOURCE)
         self._owner_shown = ""
         self._diagnostics = {
@@ -188,6 +192,7 @@ class OpcUaServer(Part):
             world.image,
             self._gate,
             self._variables,
+            self._parameters,
             Parts(world.control, world.faults, world.files),
             self._show_owner,
         )

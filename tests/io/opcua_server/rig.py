@@ -107,6 +107,7 @@ class Rig:
             clock=self.clock,
             tables={name: partial(self.tables.__getitem__, name) for name in self.tables},
             faults=None,
+            parameters=None,
             files=None,
         )
         return OpcUaServer(world)

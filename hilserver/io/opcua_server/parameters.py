@@ -1,0 +1,63 @@
+"""The parameters in the address space: a variable each, shown when it changes."""
+
+import math
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+
+from hilserver.core.inputs import Refusal
+from hilserver.core.parameters import LiveParameters, Refused
+from hilserver.io.opcua_server.model import PARAMETERS
+from hilserver.opcua.encoding import FixedDataValue
+
+_GOOD = ua.StatusCode(ua.StatusCodes.Good)
+
+
+class ParameterVariables:
+    """Values of the parameters, and what clients write.
+
+    Parameters
+    ----------
+    parameters : LiveParameters or None
+        None: the server has none.
+    place : callable
+        Where the address space keeps the value of a node, by its path.
+    """
+
+    def __init__(self, parameters: LiveParameters | None, place: Callable[[str], Any]) -> None:
+        self._parameters = parameters
+        names = () if parameters is None else parameters.table
+        self._places = {PARAMETERS + name: place(PARAMETERS + name) for name in names}
+        self._source: object = None
+        self._shown: dict[str, float] = {}
+        self.publish()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def publish(self) -> None:
+        """Show what has changed."""
+        if self._parameters is None or self._parameters.values is self._source:
+            return
+        values, now = self._parameters.values, datetime.now(UTC)
+        for name, value in values.items():
+            before = self._shown.get(name, math.inf)
+            if value != before and not (math.isnan(value) and math.isnan(before)):
+                variant = ua.Variant(value, ua.VariantType.Double)
+                self._places[PARAMETERS + name].value = FixedDataValue(variant, _GOOD, now, now)
+        self._source, self._shown = values, dict(values)
+
+    def write(self, source: str, written: Mapping[str, ua.Variant]) -> dict[str, Refused]:
+        """Change parameters, all in one tick; return what is refused, by the name of the node."""
+        refused: dict[str, Refused] = {}
+        values: dict[str, object] = {}
+        for node, variant in written.items():
+            if variant.VariantType != ua.VariantType.Double or variant.is_array:
+                refused[node] = Refused(Refusal.TYPE_MISMATCH, "the type is Double")
+            else:
+                values[node.removeprefix(PARAMETERS)] = variant.Value
+        found = {} if self._parameters is None else self._parameters.write(source, values)
+        self.publish()
+        return refused | {PARAMETERS + name: why for name, why in found.items()}
