@@ -13,7 +13,8 @@ NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json)) pag
 # What the tests call, or a file that they need, and the Debian package it comes from.
 TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
     systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
-    nsenter:util-linux promtool:prometheus chromium:chromium g++:g++ idlc:cyclonedds-tools \
+    nsenter:util-linux promtool:prometheus \
+    chromium:chromium g++:g++ idlc:cyclonedds-tools \
     /usr/include/dds/dds.h:cyclonedds-dev /usr/include/fastdds/rtps/rtps_all.h:libfastrtps-dev
 export PATH := $(PATH):/usr/sbin:/sbin
 
@@ -90,6 +91,12 @@ reference: $(VENV)/.run ## Write the generated reference pages anew
 pictures: test-tools ## Take the pictures of page and dashboard anew, on a quiet computer (a few minutes)
 	@$(BIN)/python -m tests.page.pictures docs/how-to/page
 	@$(BIN)/python -m tests.grafana.picture docs/how-to/dashboard.webp
+
+.PHONY: wheel
+wheel: $(VENV)/.dev ## Build sdist and wheel into dist/, and check them
+	@rm -rf build dist
+	@$(BIN)/python -m build --outdir dist . >/dev/null
+	@$(BIN)/python -m twine check --strict dist/*
 
 .PHONY: clean
 clean: ## Remove everything that make has made
