@@ -28,6 +28,7 @@ COMMANDS = {
     "page": "show the operator page in the browser, as 'run' does",
     "record": "record the signals of a running daemon",
     "simulate": "play a scenario in virtual time and write every signal to a file",
+    "sweep": "drive a controller on thousands of machines: how many pass, what decides",
     "convert": "write a log in another format: CSV, MCAP, MF4, ROS 2 bag, Parquet",
     "replay": "feed a log through the plant, faster than real time",
     "diagnose": "find what the simulation gets wrong in measured data, and why",

@@ -28,8 +28,6 @@ from hilserver.requirements import Drive, Judge, load_requirements
 
 EXAMPLE = "hilserver simulate drive.yaml -o drive.mcap"
 SCENARIOS = (".yaml", ".yml")
-AFTER_S = 1.0
-"""How long a scenario runs on after its last step or fault."""
 LONGEST_S = 86_400.0
 
 
@@ -77,18 +75,12 @@ def run(args: argparse.Namespace) -> int:
     verdict = None if args.require is None else Verdict(assembly, args.require)
     setup_logging("ERROR")
     try:
-        asyncio.run(_play(assembly, play, args.duration or _lasts(play), args.out, verdict))
+        asyncio.run(
+            _play(assembly, play, args.duration or play.scenario.lasts_s, args.out, verdict)
+        )
     except OSError as error:
         raise FailedError(f"{args.out}: simulation ended: {reason(error)}") from None
     return EXIT_DONE if verdict is None or verdict.passed() else EXIT_FAILED
-
-
-def _lasts(play: Play) -> float:
-    """Return the time of the last thing that happens, and a little more."""
-    ends = [step.at_s for step in play.scenario.steps]
-    for fault in play.scenario.faults:
-        ends += [fault.from_s, fault.end_s or 0.0]
-    return max(ends, default=0.0) + AFTER_S
 
 
 class Verdict:

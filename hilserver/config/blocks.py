@@ -28,6 +28,11 @@ class BlockConfig(Section):
     outputs: dict[str, Name] = Field(
         default={}, description="Variable of the FMU: <output>; none: all outputs of the FMU"
     )
+    drives: dict[str, str] = Field(
+        default={},
+        description="Output of the block: set-point, mode or enable that it commands from the next"
+        " tick on, as the source 'scenario', while that has control",
+    )
     parameters: dict[str, float] = Field(default={}, description="Parameters by name")
     start: dict[str, bool | float | str] = Field(
         default={}, description="Start values of the FMU's parameters and inputs"

@@ -200,6 +200,8 @@ def _line(root: yaml.Node | None, location: Path_) -> int:
                 return line
             line, node = found[0][0].start_mark.line + 1, found[0][1]
         elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            if part >= len(node.value):  # what a sweep adds stands in another file
+                return line
             node = node.value[part]
             line = node.start_mark.line + 1
         else:

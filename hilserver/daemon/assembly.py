@@ -40,6 +40,7 @@ from hilserver.signals import MEASURED, BlockOutput, Ranges, SignalTable, robot_
 
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
+_ONE = {"inputs": "input", "parameters": "parameter", "drives": "output"}
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,8 @@ class Assembly:
         if c.body is not None:
             digest.update(c.body.identity)
         for block in c.blocks:
-            wiring = (block.name, block.slice, dict(block.inputs), dict(block.parameters))
+            wiring: tuple[object, ...] = (block.name, block.slice, dict(block.inputs))
+            wiring += (dict(block.parameters), *([dict(block.drives)] if block.drives else ()))
             own = block.model
             source = block.declaration.source.read_bytes() if own is None else own.identity
             digest.update(repr(wiring).encode() + source)
@@ -331,15 +333,22 @@ class _Builder:
         for kind, given, known in (
             ("inputs", block.inputs, declared.inputs),
             ("parameters", block.parameters, declared.parameters),
+            ("drives", block.drives, [output.name for output in declared.outputs]),
         ):
             for name in given:
                 if name not in known:
                     raise self._fail(
                         (*here, kind, name),
-                        f"the block has no {kind[:-1]} '{name}'; known are {', '.join(known)}",
+                        f"the block has no {_ONE[kind]} '{name}'; known are {', '.join(known)}",
                     )
         return BlockUse(
-            block.name, declared, block.slice, block.inputs, block.parameters, model=model
+            block.name,
+            declared,
+            block.slice,
+            block.inputs,
+            block.parameters,
+            model=model,
+            drives=block.drives,
         )
 
     def _declared(self, block: BlockConfig) -> tuple[BlockDeclaration, ForeignModel | None]:
@@ -361,6 +370,14 @@ class _Builder:
                     raise self._fail(
                         ("blocks", index, "inputs", name),
                         f"there is no scalar signal '{signal}'; see 'hilserver signals'",
+                    )
+            for name, signal in block.drives.items():
+                is_command = signal in table and table.slot(signal) <= table.slot("drive.enable")
+                if not is_command or table[signal].is_array:
+                    raise self._fail(
+                        ("blocks", index, "drives", name),
+                        f"'{signal}' is no scalar set-point, control.mode or drive.enable;"
+                        " a block commands those",
                     )
         for index, peer in enumerate(self._config.peers):
             for problem in check_signals(peer, table):

@@ -10,7 +10,7 @@ what surrounds them. `Pace` says the former::
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self
@@ -31,6 +31,7 @@ from hilserver.image import ProcessImage, board, leases
 from hilserver.image.shared_file import MADE_UP
 from hilserver.kernel import compose, limit_silence, watch_communication
 from hilserver.kernel.composition import Foreign
+from hilserver.plant.layout import Parameters
 from hilserver.scheduler import (
     OverrunLimits,
     OverrunPolicy,
@@ -222,17 +223,27 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     publish = next(s.period_ticks for s in assembly.slices if s.name == "publish")
     parameters = LiveParameters(start, image, snapshots, events, PUBLISHED_AHEAD * publish)
     lines = {o.name: Line(o.name) for o in config.drivers if o.is_enabled and o.has_faults}
-    faults = Faults(
-        table,
-        Mailbox(image),
-        Planner(table, assembly.base_period_ns, _shield(assembly)),
-        events,
-        tick=lambda: scheduler.tick,
-        lines=lines,
+    packed = assembly.composition.parameters
+    faults = faults_of(
+        image, table, assembly.base_period_ns, packed, events, lambda: scheduler.tick, lines
     )
     return Core(
         assembly, image, step, scheduler, events, gate, snapshots, parameters, lines, faults
     )
+
+
+def faults_of(
+    image: ProcessImage,
+    table: SignalTable,
+    period_ns: int,
+    p: Parameters,
+    events: EventBus,
+    tick: Callable[[], int] = lambda: 0,
+    lines: Mapping[str, Line] | None = None,
+) -> Faults:
+    """Return what injects faults into an image of a robot with these parameters."""
+    planner = Planner(table, period_ns, ShieldFigures(p.rpm_per_m_s, p.rpm_per_rad_s, p.max_rpm))
+    return Faults(table, Mailbox(image), planner, events, tick=tick, lines=lines or {})
 
 
 def leases_of(config: Config, image: ProcessImage, period_ns: int) -> Leases:
@@ -265,8 +276,3 @@ def _scheduler(
         paused=pace.paused,
         freeze_gc=pace.freeze_gc,
     )
-
-
-def _shield(assembly: Assembly) -> ShieldFigures:
-    p = assembly.composition.parameters
-    return ShieldFigures(p.rpm_per_m_s, p.rpm_per_rad_s, p.max_rpm)

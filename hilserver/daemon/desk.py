@@ -12,11 +12,12 @@ from typing import Any
 
 import structlog
 
+from hilserver.config.loading import LIVE_BYTES
 from hilserver.config.recording import RecordingConfig
 from hilserver.core.inputs import InputGate
 from hilserver.daemon.patches import Patches
 from hilserver.errors import ControlRefused, UserError
-from hilserver.faults import Faults, Play, Scenario, load_scenario
+from hilserver.faults import Faults, Play, load_scenario
 from hilserver.faults.scenario import Stage
 from hilserver.io.recorder.launch import running_recorder
 
@@ -72,11 +73,11 @@ class Scenarios:
         path = self._folder / name
         if not path.is_file():
             raise ControlRefused(f"there is no scenario '{name}' in {self._folder}")
-        scenario = await asyncio.to_thread(load_scenario, path)
+        scenario = await asyncio.to_thread(load_scenario, path, LIVE_BYTES)
         self._stage.check(Play(scenario, path))
         start, owner = self._tick() + 1, self._gate.owner
         self._stage.play(scenario, start)
-        end = start + round(_length_s(scenario) / self._period_s)
+        end = start + round(scenario.length_s / self._period_s)
         self._playing = _Playing(name, start, end, owner)
 
     def stop(self) -> None:
@@ -105,12 +106,6 @@ class Scenarios:
             "seconds": round((self._tick() - playing.start_tick + 1) * self._period_s, 1),
             "length_s": (playing.end_tick - playing.start_tick) * self._period_s,
         }
-
-
-def _length_s(scenario: Scenario) -> float:
-    ends = [step.at_s for step in scenario.steps]
-    ends += [fault.from_s if fault.end_s is None else fault.end_s for fault in scenario.faults]
-    return max(ends, default=0.0)
 
 
 class Recordings:

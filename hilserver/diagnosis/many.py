@@ -22,7 +22,7 @@ def on_cluster(
     FailedError
         If the extra is not installed or nothing answers at the address.
     """
-    with _client(address) as client:
+    with connected(address) as client:
         futures = client.map(function, tasks, pure=False)
         waiting = {future.key: index for index, future in enumerate(futures)}
         from distributed import as_completed as completed  # noqa: PLC0415 (an extra)
@@ -31,7 +31,14 @@ def on_cluster(
             yield waiting[future.key], future.result()
 
 
-def _client(address: str) -> Any:
+def connected(address: str) -> Any:
+    """Return a client of the cluster at an address.
+
+    Raises
+    ------
+    FailedError
+        If the extra is not installed or nobody answers.
+    """
     try:
         from distributed import Client  # noqa: PLC0415 (an extra)
     except ImportError:

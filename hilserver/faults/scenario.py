@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hilserver.config.loading import LIVE_BYTES, load, place
+from hilserver.config.loading import MAX_BYTES, load, place
 from hilserver.config.section import Section
 from hilserver.core.inputs import InputGate, Refusal, check_value
 from hilserver.core.parameters import LiveParameters
@@ -33,6 +33,8 @@ from hilserver.plant.errors import PlantError
 from hilserver.signals import SignalTable
 
 MAX_STEPS = 4000
+AFTER_S = 1.0
+"""How long a scenario runs on after its last step or fault."""
 
 
 class Step(Section):
@@ -64,6 +66,18 @@ class Scenario(Section):
     faults: tuple[Fault, ...] = Field((), max_length=200, description="what is wrong")
 
     @property
+    def length_s(self) -> float:
+        """Time of the last thing that happens [s]."""
+        ends = [step.at_s for step in self.steps]
+        ends += [f.from_s if f.end_s is None else f.end_s for f in self.faults]
+        return max(ends, default=0.0)
+
+    @property
+    def lasts_s(self) -> float:
+        """How long a simulation of it runs [s]."""
+        return self.length_s + AFTER_S
+
+    @property
     def seeded_faults(self) -> list[Fault]:
         """Faults, each with a seed."""
         return [
@@ -79,7 +93,7 @@ class Play(NamedTuple):
     path: Path | None = None
 
 
-def load_scenario(path: Path) -> Scenario:
+def load_scenario(path: Path, most_bytes: int = MAX_BYTES) -> Scenario:
     """Return the scenario of a file; its signals are looked up by `Stage.check`.
 
     Raises
@@ -87,7 +101,7 @@ def load_scenario(path: Path) -> Scenario:
     ConfigError
         One line per complaint: file, line, key.
     """
-    return load(path, Scenario, LIVE_BYTES)
+    return load(path, Scenario, most_bytes)
 
 
 def json_schema() -> dict[str, Any]:

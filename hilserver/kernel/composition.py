@@ -110,6 +110,8 @@ class BlockUse:
         What is behind it if it is no function of the user.
     foreign : Foreign or None
         The same, started for this robot.
+    drives : mapping of str
+        Command for some of the outputs: the block is a controller.
     """
 
     name: str
@@ -119,6 +121,7 @@ class BlockUse:
     parameters: Mapping[str, float] = field(default_factory=dict)
     model: ForeignModel | None = None
     foreign: Foreign | None = None
+    drives: Mapping[str, str] = field(default_factory=dict)
 
     def output_signal(self, output: str) -> str:
         """Return the name of the signal of an output."""

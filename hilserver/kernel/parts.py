@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from hilserver.compiled import kernel
-from hilserver.image import word
+from hilserver.image import leases, word
 from hilserver.image.status import BAD_SENSOR_FAILURE, GOOD
 from hilserver.kernel.places import Places, p, q, u, x, y
 from hilserver.plant.battery import battery_step
@@ -17,6 +17,9 @@ from hilserver.plant.nav import nav_step
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
+from hilserver.signals import SOURCES
+
+SCENARIO = SOURCES.index("scenario")
 
 # --- the robot ------------------------------------------------------------------------------------
 
@@ -88,3 +91,19 @@ def write_outputs(slots: Any, y: Any, values: Any, words: Any) -> None:
         values[words[word.FRAME_BASE] + slots[i]] = y[i]
         status = GOOD if math.isfinite(y[i]) else BAD_SENSOR_FAILURE
         words[words[word.STATUS_BASE] + slots[i]] = status
+
+
+@kernel()
+def drive(slots: Any, outputs: Any, ranges: Any, y: Any, values: Any, words: Any) -> None:
+    """Let a block's outputs command what they are wired to, for whoever plays the scenario.
+
+    What is no number or outside the range is not commanded; the command before stays.
+    """
+    if words[word.LEASES] == 0:
+        return
+    row = words[word.LEASES] + leases.VALUES + SCENARIO * leases.ROW
+    for i in range(slots.shape[0]):
+        value = y[outputs[i]]
+        if ranges[i, 0] <= value <= ranges[i, 1]:
+            values[row + slots[i]] = value
+            words[word.COMMANDED] = 1

@@ -90,9 +90,22 @@ def _text(lines: Iterable[str]) -> str:
 def _block_slots(number: int, block: BlockUse, composition: Composition) -> list[str]:
     inputs = [block.inputs[name] for name in block.declaration.inputs]
     outputs = [block.output_signal(output.name) for output in block.declaration.outputs]
-    return [
+    lines = [
         f"INPUTS_{number} = {_slots(inputs, composition)}",
         f"OUTPUTS_{number} = {_slots(outputs, composition)}",
+    ]
+    return lines + _commands(number, block, composition) if block.drives else lines
+
+
+def _commands(number: int, block: BlockUse, composition: Composition) -> list[str]:
+    """Return which output goes to which slot, and the range of what it commands."""
+    names = [output.name for output in block.declaration.outputs]
+    signals = [composition.table[name] for name in block.drives.values()]
+    numbers = [names.index(output) for output in block.drives]
+    return [
+        f"COMMANDS_{number} = {_slots(list(block.drives.values()), composition)}",
+        f"FROM_{number} = np.array({numbers}, dtype=np.int64)",
+        f"RANGES_{number} = np.array({[[float(s.low), float(s.high)] for s in signals]})",
     ]
 
 
@@ -129,6 +142,7 @@ def _piece(region: Region) -> str:
 
 
 def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -> list[str]:
+    drive = f"parts.drive(COMMANDS_{number}, FROM_{number}, RANGES_{number}, {{y}}, values, words)"
     u, y, x, p = (_piece(layout.regions[f"{block.name}.{array}"]) for array in "uyxp")
     if block.foreign is not None:
         return [
@@ -153,4 +167,5 @@ def _block_call(number: int, block: BlockUse, period_s: float, layout: Layout) -
         f"    fault = {number + 1}",
         f"    parts.give_up({y})",
         f"parts.write_outputs(OUTPUTS_{number}, {y}, values, words)",
+        *([drive.format(y=y)] if block.drives else []),
     ]

@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 
+from hilserver.config.root import Config
 from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.faults.scenario import Play
@@ -15,10 +16,9 @@ from hilserver.logs.writer import Segmented
 BATCH_TICKS, RING_FRAMES = 1000, 2048
 
 
-def offline(assembly: Assembly) -> Assembly:
+def quiet(config: Config) -> Config:
     """Return the same robot with nothing that listens, connects or writes by itself."""
-    config = assembly.config
-    quiet = {
+    settings = {
         "scheduler": {"backend": "virtual"},
         "control": {"source": "scenario"},
         "image": {"name": "auto", "ring_frames": RING_FRAMES},
@@ -26,9 +26,13 @@ def offline(assembly: Assembly) -> Assembly:
         "metrics": {"enabled": False},
         "recording": {"file": None},
     }
-    sections = {key: getattr(config, key).model_copy(update=to) for key, to in quiet.items()}
-    alone = config.model_copy(update={**sections, "peers": ()})
-    return assemble_config(alone, assembly.folder, assembly.patch)
+    sections = {key: getattr(config, key).model_copy(update=to) for key, to in settings.items()}
+    return config.model_copy(update={**sections, "peers": ()})
+
+
+def offline(assembly: Assembly) -> Assembly:
+    """Return the assembly of the same robot, quiet."""
+    return assemble_config(quiet(assembly.config), assembly.folder, assembly.patch)
 
 
 class Simulation:

@@ -238,6 +238,31 @@ class Plot:
         if data:
             self._drawn.append(f'<path class="whisker {role}" d="{data}"/>')
 
+    def bar(self, first: float, last: float, height: float, role: str, title: str) -> None:
+        """Fill a bar from zero up between two places."""
+        a, b = (float(self.to_x(v)) for v in (first, last))
+        y0, y1 = (float(self.to_y(v)) for v in (0.0, height))
+        self._drawn.append(
+            f'<path class="bar {role}"'
+            f' d="M{a + 0.5:.1f} {y0:.1f}V{y1:.1f}H{b - 0.5:.1f}V{y0:.1f}Z">'
+            f"<title>{escape(title)}</title></path>"
+        )
+
+    def cell(
+        self, x: tuple[float, float], y: tuple[float, float], role: str, opacity: float
+    ) -> None:
+        """Fill a rectangle."""
+        (a, b), (low, high) = self.to_x(np.array(x)), self.to_y(np.array(y))
+        self._drawn.append(
+            f'<path class="area {role}" style="opacity:{opacity:.2f}"'
+            f' d="M{a:.1f} {low:.1f}V{high:.1f}H{b:.1f}V{low:.1f}Z"/>'
+        )
+
+    def upright(self, x: float) -> None:
+        """Draw a vertical reference line."""
+        at, y0, y1 = float(self.to_x(x)), self.top + self.height - MARGIN_BOTTOM, self.top
+        self._drawn.append(f'<path class="axis" d="M{at:.1f} {y0}V{y1 + MARGIN_TOP}"/>')
+
     def begins(self, x: Array) -> None:
         """Mark at the upper edge where something begins anew."""
         y = self.top + MARGIN_TOP

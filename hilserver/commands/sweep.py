@@ -1,0 +1,149 @@
+"""Drive one controller on thousands of machines in virtual time: how many pass, and what decides.
+
+The machines come from the findings of a diagnosis (how well one machine is known), from a
+population (how machines scatter), or both. Results do not depend on the number of workers.
+"""
+
+import argparse
+import os
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from hilserver.commands.options import add_config, number_within
+from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.monitoring.logging_setup import setup_logging
+from hilserver.program.progress import Progress
+from hilserver.sweep.campaign import DaskWorkers, LocalWorkers, outcomes
+from hilserver.sweep.compare import compare
+from hilserver.sweep.journal import Journal
+from hilserver.sweep.junit import write_junit
+from hilserver.sweep.only import drive_again
+from hilserver.sweep.prepare import Prepared, prepare
+from hilserver.sweep.report import write_report
+from hilserver.sweep.rig import Rig
+from hilserver.sweep.table import Table, read_table, table_of, write_table
+from hilserver.sweep.words import details, headline, plan
+
+EXAMPLE = "hilserver sweep sweep.yaml -o result --workers 2"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument("sweep", type=Path, nargs="?", metavar="SWEEP", help="the sweep (.yaml)")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="DIR", help="folder for results and report"
+    )
+    add_config(parser)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers",
+        type=partial(number_within, 1, 1024, what="number of processes (1 .. 1024)"),
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes; default: all cores",
+    )
+    where.add_argument("--dask", metavar="ADDRESS", help="a Dask cluster, as tcp://host:8786")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--only", type=int, metavar="INDEX", help="one machine again, with a full recording"
+    )
+    what.add_argument("--dry-run", action="store_true", help="check, drive one machine, estimate")
+    what.add_argument("--resume", action="store_true", help="go on where a sweep was ended")
+    what.add_argument(
+        "--compare", nargs=2, type=Path, metavar=("A", "B"), help="two finished sweeps, paired"
+    )
+    parser.add_argument("--mixed", action="store_true", help="let computers differ in last bits")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="also write a test report")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sweep; return 0 however many pass."""
+    if args.compare is not None:
+        print(compare(*(read_table(folder) for folder in args.compare)))
+        return EXIT_DONE
+    if args.sweep is None:
+        raise FailedError("name a sweep, or two finished ones with --compare")
+    if args.out is None and not args.dry_run:
+        raise FailedError("name a folder for the results with -o")
+    if args.out is not None and args.out.exists() and not args.out.is_dir():
+        raise FailedError(f"{args.out}: is a file; name a folder for the results")
+    setup_logging("ERROR")
+    prepared = prepare(args.sweep, args.config)
+    if args.only is not None:
+        return _only(prepared, args.only, args.out)
+    rig = Rig(prepared.job)  # compiles once, and says what is wrong, before any worker begins
+    if args.dry_run:
+        began_s = time.monotonic()
+        outcome = rig.drive(prepared.machine(0))
+        print(plan(prepared, outcome, time.monotonic() - began_s, int(args.workers)))
+        return EXIT_DONE
+    table = _sweep(prepared, args)
+    print(f"{headline(table)}; {details(table)}")
+    print(f"The report is {args.out / 'report.html'}")
+    return EXIT_DONE
+
+
+def _only(prepared: Prepared, index: int, out: Path) -> int:
+    if not 0 <= index < prepared.sweep.machines:
+        raise FailedError(f"--only {index}: machines are 0 .. {prepared.sweep.machines - 1}")
+    folder = out / f"machine-{index}"
+    outcome = drive_again(prepared, index, folder)
+    names = (requirement.name for requirement in prepared.sweep.require)
+    for name, margin in zip(names, outcome.margins, strict=False):
+        print(f"{'met' if margin >= 0.0 else 'NOT MET':8}{margin:12.6g}  {name}")
+    if outcome.error:
+        print(f"NOT MET: {outcome.error}")
+    print(
+        f"recorded; once more: hilserver run -c {folder / 'config.yaml'}"
+        f" --scenario {folder / 'scenario.yaml'}"
+    )
+    return EXIT_DONE
+
+
+def _sweep(prepared: Prepared, args: argparse.Namespace) -> Table:
+    indices = range(prepared.sweep.machines)
+    journal = Journal(args.out, prepared.job.key, resume=args.resume)
+    try:
+        _drive(prepared, journal, args)
+    except SystemExit:
+        n = len(journal.done)
+        print(
+            f"hilserver: stopped after {n} of {len(indices)} machines; go on with --resume",
+            file=sys.stderr,
+        )
+        raise
+    finally:
+        journal.close()
+    table = table_of(prepared, journal, indices)
+    write_table(args.out, table)
+    write_report(args.out, table)
+    if args.junit is not None:
+        write_junit(args.junit, table)
+    return table
+
+
+def _drive(prepared: Prepared, journal: Journal, args: argparse.Namespace) -> None:
+    job, n = prepared.job, prepared.sweep.machines
+    left = (index for index in range(n) if index not in journal.done)
+    progress, began_s, before = Progress(), time.monotonic(), len(journal.done)
+    if before >= n:
+        return
+    workers = (
+        DaskWorkers(args.dask)
+        if args.dask
+        else LocalWorkers(int(args.workers), job.limits.memory_mb)
+    )
+    with workers:
+        try:
+            found = outcomes(job, prepared.machines(left), workers, mixed=args.mixed)
+            for computer, batch in found:
+                journal.add(batch, computer)
+                done, passed_s = len(journal.done), time.monotonic() - began_s
+                a_minute = 60.0 * (done - before) / max(passed_s, 1e-3)
+                rest_s = 60.0 * (n - done) / max(a_minute, 1e-3)
+                text = f"{done} of {n} machines, {a_minute:.0f} a minute, {rest_s:.0f} s left"
+                progress(text, done / n)
+        finally:
+            progress.end()

@@ -1,0 +1,48 @@
+"""What a worker does: drive some machines, and say on what computer that was."""
+
+import hashlib
+import math
+import platform
+import signal
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from hilserver.compiled import kernel_hash
+from hilserver.program.workers import end_with_parent
+from hilserver.sweep.limits import limit_memory
+from hilserver.sweep.prepare import Job, Machine
+from hilserver.sweep.rig import Outcome, Rig
+
+_PROBES = np.linspace(-3.0, 3.0, 41)
+
+
+@cache
+def fingerprint() -> str:
+    """Return what two computers must share to give the same bits: kernels, processor, libm."""
+    functions = (math.sin, math.cos, math.tan, math.exp, math.atan, math.tanh, math.erf)
+    values = [f(x) for f in functions for x in _PROBES.tolist()]
+    values += [math.log(abs(x) + 0.1) for x in _PROBES.tolist()]
+    digest = hashlib.sha256(np.array(values).tobytes()).hexdigest()[:16]
+    return f"{kernel_hash()}-{platform.machine()}-{digest}"
+
+
+def begin_worker(parent: int, memory_mb: float) -> None:
+    """Prepare a worker process of this computer."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever started it
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    end_with_parent(parent)
+    limit_memory(memory_mb)
+
+
+_rigs: dict[str, Rig] = {}
+
+
+def run_batch(job: Job, machines: Sequence[Machine]) -> tuple[str, list[Outcome]]:
+    """Drive machines one after the other; return the fingerprint and what became of them."""
+    if job.key not in _rigs:
+        _rigs.clear()
+        _rigs[job.key] = Rig(job)
+    rig = _rigs[job.key]
+    return fingerprint(), [rig.drive(machine) for machine in machines]

@@ -1,0 +1,182 @@
+"""Hands batches of machines to workers, keeps so many on their way, and outlives workers.
+
+Workers are processes of this computer or of a Dask cluster, behind the same interface of
+`concurrent.futures`; nothing here decides where a batch runs. A batch whose worker died is driven
+again, machine by machine, so that one which takes its worker with it is found.
+"""
+
+import multiprocessing
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
+from itertools import islice
+from typing import Any, Final, Protocol
+
+from hilserver.diagnosis.many import connected
+from hilserver.errors import FailedError
+from hilserver.sweep.batch import begin_worker, fingerprint, run_batch
+from hilserver.sweep.prepare import Job, Machine
+from hilserver.sweep.rig import Outcome
+
+IN_A_BATCH: Final = 8
+AHEAD: Final = 3
+"""Batches on their way for each worker."""
+LIVES: Final = 3
+"""A machine that was alone with so many workers that died has failed."""
+Result = tuple[str, list[Outcome]]
+
+
+class Workers(Protocol):
+    """Where batches run."""
+
+    count: int
+
+    def submit(self, job: Job, machines: list[Machine]) -> "Future[Result]":
+        """Have machines driven."""
+
+    def means_death(self, error: BaseException) -> bool:
+        """Say whether an error means that a worker is gone."""
+
+    def renew(self) -> None:
+        """Make up for workers that are gone."""
+
+
+class LocalWorkers(AbstractContextManager["LocalWorkers"]):
+    """Processes of this computer, with limits for memory."""
+
+    def __init__(self, count: int, memory_mb: float) -> None:
+        self.count, self._memory_mb = count, memory_mb
+        self._others = set(multiprocessing.active_children())
+        self._pool = self._new()
+
+    def _new(self) -> Executor:
+        context = multiprocessing.get_context("spawn")
+        arguments = (os.getpid(), self._memory_mb)
+        return ProcessPoolExecutor(self.count, context, begin_worker, arguments)
+
+    def submit(self, job: Job, machines: list[Machine]) -> "Future[Result]":
+        """Have machines driven."""
+        try:
+            return self._pool.submit(run_batch, job, machines)
+        except BrokenProcessPool as error:
+            lost: Future[Result] = Future()
+            lost.set_exception(error)
+            return lost
+
+    def means_death(self, error: BaseException) -> bool:
+        """Say whether a process is gone, and the pool with it."""
+        return isinstance(error, BrokenProcessPool)
+
+    def renew(self) -> None:
+        """Make all processes anew."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool = self._new()
+
+    def __exit__(self, *_: object) -> None:
+        for worker in set(multiprocessing.active_children()) - self._others:
+            worker.terminate()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+class DaskWorkers(AbstractContextManager["DaskWorkers"]):
+    """Workers of a Dask cluster; they see the files of the sweep under the same paths."""
+
+    def __init__(self, address: str) -> None:
+        self._client = connected(address)
+        self.count = max(sum(self._client.nthreads().values()), 1)
+        self._executor: Any = self._client.get_executor(pure=False)
+
+    def submit(self, job: Job, machines: list[Machine]) -> "Future[Result]":
+        """Have machines driven."""
+        future: Future[Result] = self._executor.submit(run_batch, job, machines)
+        return future
+
+    def means_death(self, error: BaseException) -> bool:
+        """Say whether Dask gave a batch up because its workers died."""
+        return type(error).__name__ in ("KilledWorker", "CancelledError")
+
+    def renew(self) -> None:
+        """Leave it to Dask."""
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown(wait=False)
+        self._client.close()
+
+
+def outcomes(
+    job: Job, machines: Iterable[Machine], workers: Workers, *, mixed: bool = False
+) -> Iterator[Result]:
+    """Yield where batches ran and what became of their machines, as they are finished.
+
+    Parameters
+    ----------
+    mixed : bool
+        Whether computers may take part whose numbers differ from this one's in the last bits.
+
+    Raises
+    ------
+    FailedError
+        If one does.
+    """
+    source: Iterator[Machine] = iter(machines)
+    pending: dict[Future[Result], list[Machine]] = {}
+    while True:
+        while len(pending) < AHEAD * workers.count and (batch := list(islice(source, IN_A_BATCH))):
+            pending[workers.submit(job, batch)] = batch
+        if not pending:
+            return
+        results, lost = _taken(pending, workers)
+        for result in results:
+            yield _checked(result, mixed)
+        for machine in lost:
+            yield _checked(_alone(job, machine, workers), mixed)
+
+
+def _taken(
+    pending: "dict[Future[Result], list[Machine]]", workers: Workers
+) -> tuple[list[Result], list[Machine]]:
+    """Wait for batches and take them; return results, and the machines of workers that died."""
+    done, _ = wait(pending, return_when=FIRST_COMPLETED)
+    errors = [error for future in done if (error := future.exception()) is not None]
+    if any(map(workers.means_death, errors)):
+        done, _ = wait(pending)  # of a pool of processes all die, and we make it anew
+        workers.renew()
+    results, lost = [], list[Machine]()
+    for future in done:
+        batch, error = pending.pop(future), future.exception()
+        if error is None:
+            results.append(future.result())
+        elif workers.means_death(error):
+            lost += batch
+        else:
+            raise error
+    return results, lost
+
+
+def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
+    """Drive a machine that may have ended a worker, with nobody beside it."""
+    for _ in range(LIVES):
+        future = workers.submit(job, [machine])
+        error = future.exception()
+        if error is None:
+            return future.result()
+        if not workers.means_death(error):
+            raise error
+        workers.renew()
+    text = (
+        f"ended its worker {LIVES} times: its code does not return within"
+        f" {job.limits.time_s:g} s, needs too much memory, or crashes"
+    )
+    return fingerprint(), [Outcome(machine.index, error=text)]
+
+
+def _checked(result: Result, mixed: bool) -> Result:
+    where = result[0]
+    if where != fingerprint() and not mixed:
+        raise FailedError(
+            f"a worker computes with other bits ({where}, here {fingerprint()}): its hilserver,"
+            " processor or mathematical library differs; use alike workers, or --mixed"
+        )
+    return result

@@ -1,0 +1,130 @@
+"""What the machine with an index is: a function of the sweep's file and the index alone.
+
+Every number of every machine has a stream of its own (seed, index, name), so neither the number of
+workers nor another parameter in the file changes it. Uniform numbers go through the inverse of the
+distribution: normal draws need no method of a library that may change.
+"""
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from hilserver.faults import Fault
+from hilserver.sweep.model import Distribution, FaultShare
+
+Array = NDArray[np.float64]
+SEEDS: Final = 2**53
+"""One more than the largest seed of a plant."""
+_HALF = 2.0**-54
+"""Moves a uniform number off zero, where the normal distribution has no value."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Parameters of one machine that are known together.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the table of parameters.
+    value : ndarray, shape (k,)
+    root : ndarray, shape (k, k)
+        Times its transpose it is the covariance.
+    """
+
+    names: tuple[str, ...]
+    value: Array
+    root: Array
+
+
+@dataclass(frozen=True)
+class Draws:
+    """All draws of a sweep.
+
+    Attributes
+    ----------
+    nominal : mapping of float
+        Value of the configuration for each name of `population`.
+    """
+
+    seed: int
+    population: Mapping[str, Distribution]
+    nominal: Mapping[str, float]
+    joint: Joint | None
+    faults: Sequence[FaultShare]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that differ from machine to machine."""
+        return (*(() if self.joint is None else self.joint.names), *self.population)
+
+    def plant_seed(self, index: int) -> int:
+        """Return the seed of the machine's noise."""
+        return int(self._uniform(index, "seed") * SEEDS)
+
+    def values(self, index: int) -> dict[str, float]:
+        """Return the machine's parameters, whether or not a robot can have them."""
+        found: dict[str, float] = {}
+        if self.joint is not None:
+            z = [self._normal(index, f"joint:{n}") for n in self.joint.names]
+            # Summed in a fixed order: BLAS differs between processors, machines must not.
+            for row, name in enumerate(self.joint.names):
+                terms = (float(self.joint.root[row, k]) * z[k] for k in range(len(z)))
+                found[name] = float(self.joint.value[row]) + sum(terms)
+        for name, distribution in self.population.items():
+            found[name] = self._drawn(distribution, name, index)
+        return found
+
+    def faults_of(self, index: int) -> list[tuple[int, Fault]]:
+        """Return the machine's faults with their numbers, each with a seed of its own."""
+        found = []
+        for number, item in enumerate(self.faults):
+            if self._uniform(index, f"fault:{number}") < item.share:
+                seed = item.fault.seed
+                if seed is None:
+                    seed = int(self._uniform(index, f"fault seed:{number}") * 2**31)
+                found.append((number, item.fault.model_copy(update={"seed": seed})))
+        return found
+
+    def _drawn(self, distribution: Distribution, name: str, index: int) -> float:
+        u = self._uniform(index, name)
+        if distribution.uniform is not None:
+            low, high = distribution.uniform
+            return low + u * (high - low)
+        if distribution.values is not None:
+            return distribution.values[int(u * len(distribution.values))]
+        mean = self.nominal[name] if distribution.mean is None else distribution.mean
+        return mean + (distribution.sd or 0.0) * self._normal(index, name)
+
+    def _normal(self, index: int, name: str) -> float:
+        """Return a standard normal number for a machine and a name."""
+        return float(ndtri(self._uniform(index, name) + _HALF))
+
+    def _uniform(self, index: int, name: str) -> float:
+        """Return a number in 0 .. 1 for a machine and a name."""
+        words = np.random.SeedSequence([self.seed, index, zlib.crc32(name.encode())])
+        low, high = words.generate_state(2).tolist()
+        return float((high << 21 | low >> 11) * 2.0**-53)
+
+
+def root_of(covariance: Array) -> Array:
+    """Return a matrix that, times its transpose, is the covariance.
+
+    Raises
+    ------
+    ValueError
+        If it is none: not symmetric, or with a negative variance.
+    """
+    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-15):
+        raise ValueError("is not symmetric")
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    if values.min(initial=0.0) < -1e-6:
+        raise ValueError("is not positive semidefinite")
+    root: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return root

@@ -1,0 +1,125 @@
+"""What a sweep says about all machines, with intervals: shares, rank correlations, pairs."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import betaincinv
+
+Floats = NDArray[np.float64]
+LEVEL: Final = 0.95
+LEAST_MACHINES: Final = 10
+"""Machines below which no correlation is reported."""
+TOGETHER: Final = 0.7
+"""Rank correlation of two drawn parameters from which they count as one group."""
+
+
+def exact_interval(passed: int, n: int, level: float = LEVEL) -> tuple[float, float]:
+    """Return the interval of Clopper and Pearson for a share; it covers at least the level."""
+    if n == 0:
+        return 0.0, 1.0
+    alpha = (1.0 - level) / 2.0
+    low = float(betaincinv(passed, n - passed + 1, alpha)) if passed else 0.0
+    high = float(betaincinv(passed + 1, n - passed, 1.0 - alpha)) if passed < n else 1.0
+    return low, high
+
+
+@dataclass(frozen=True)
+class Influence:
+    """How much one parameter, or a group that is drawn together, decides a margin.
+
+    Attributes
+    ----------
+    names : tuple of str
+        More than one: the draws are so correlated that the sweep cannot tell them apart.
+    rank_correlation : float
+        Spearman's, of the first name; its sign says what raises the margin.
+    interval : tuple of float
+        Of 95 % (Fisher's z with the variance of Bonett and Wright, 2000).
+    strength : float
+        0 .. 1: share of the variance of the margin's ranks that the parameter explains, in any
+        shape; it decides the order.
+    """
+
+    names: tuple[str, ...]
+    rank_correlation: float
+    interval: tuple[float, float]
+    strength: float
+
+
+def influences(parameters: dict[str, Floats], margin: Floats) -> list[Influence]:
+    """Return what decides a margin, strongest first."""
+    fine = ~np.isnan(margin)
+    if fine.sum() < LEAST_MACHINES:
+        return []
+    ranks = stats.rankdata(margin[fine])
+    drawn = {n: stats.rankdata(v[fine]) for n, v in parameters.items() if np.ptp(v[fine]) > 0.0}
+    found = []
+    for name, values in drawn.items():
+        r = _correlation(values, ranks)
+        found.append(Influence((name,), r, _fisher(r, len(ranks)), explained(values, ranks)))
+    found.sort(key=lambda item: -item.strength)
+    return _grouped(found, drawn)
+
+
+def explained(values: Floats, ranks: Floats) -> float:
+    """Return the share of the variance of `ranks` between slices of `values`, less that of chance.
+
+    A parameter that hurts at both ends has no rank correlation; its slices show it.
+    """
+    n = len(ranks)
+    n_slices = int(min(max(math.sqrt(n) / 2.0, 2.0), 20.0))
+    total = float(((ranks - ranks.mean()) ** 2).sum())
+    if total == 0.0:
+        return 0.0
+    slices = np.array_split(np.argsort(values, kind="stable"), n_slices)
+    between = sum(len(s) * (float(ranks[s].mean()) - float(ranks.mean())) ** 2 for s in slices)
+    by_chance = (n_slices - 1) / (n - 1)
+    return max((between / total - by_chance) / (1.0 - by_chance), 0.0)
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = math.sqrt(float((a**2).sum()) * float((b**2).sum()))
+    return float((a * b).sum()) / size if size > 0.0 else 0.0
+
+
+def _fisher(r: float, n: int) -> tuple[float, float]:
+    if n <= 3 or abs(r) >= 1.0:
+        return (r, r) if abs(r) >= 1.0 else (-1.0, 1.0)
+    width = 1.96 * math.sqrt((1.0 + r * r / 2.0) / (n - 3))
+    return math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)
+
+
+def _grouped(found: list[Influence], drawn: dict[str, Floats]) -> list[Influence]:
+    """Put parameters together whose draws go together; the stronger one speaks for both."""
+    groups: list[Influence] = []
+    for item in found:
+        (name,) = item.names
+        for k, group in enumerate(groups):
+            alike = (abs(_correlation(drawn[name], drawn[other])) for other in group.names)
+            if max(alike) > TOGETHER:
+                names = (*group.names, name)
+                groups[k] = Influence(names, group.rank_correlation, group.interval, group.strength)
+                break
+        else:
+            groups.append(item)
+    return groups
+
+
+def median_interval(values: Floats, level: float = LEVEL) -> tuple[float, float, float]:
+    """Return the median and its exact interval from order statistics."""
+    ordered = np.sort(values)
+    n = len(ordered)
+    k = int(stats.binom.ppf((1.0 - level) / 2.0, n, 0.5))
+    low, high = max(k - 1, 0), min(n - k, n - 1)
+    return float(np.median(ordered)), float(ordered[low]), float(ordered[high])
+
+
+def paired_p(only_first: int, only_second: int) -> float:
+    """Return the probability of so uneven a pair of counts by chance (exact test of McNemar)."""
+    n = only_first + only_second
+    return 1.0 if n == 0 else float(stats.binomtest(only_first, n, 0.5).pvalue)

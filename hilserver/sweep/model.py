@@ -1,0 +1,172 @@
+"""The file of a sweep.
+
+::
+
+    machines: 1000
+    seed: 7
+    from:
+      findings: diagnosis/findings.json
+      population: {terms.coulomb_friction: {uniform: [0, 4]}, controller.k_i: {sd: 10}}
+    drive: {scenario: course.yaml}
+    controller: {python: my.py:Controller, every_ms: 20}
+    require:
+      - {name: arrives, signal: pose.x_m, above: 4.9, within_s: 40}
+"""
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from hilserver.config.loading import load
+from hilserver.config.section import Section
+from hilserver.faults import Fault
+from hilserver.requirements.model import MAX_REQUIREMENTS, Requirement
+
+MOST_MACHINES = 1_000_000
+LONGEST_DRIVE_S = 7_200.0
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Distribution(Section):
+    """How one parameter scatters over the machines."""
+
+    sd: float | None = Field(None, gt=0, le=1e12, description="normal, standard deviation")
+    mean: Number | None = Field(None, description="with sd; null: what the configuration has")
+    uniform: tuple[Number, Number] | None = Field(None, description="between two ends")
+    values: tuple[Number, ...] | None = Field(
+        None, min_length=1, max_length=1000, description="one of these, each as often"
+    )
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        given = [key for key in ("sd", "uniform", "values") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError("write one of sd, uniform and values")
+        if self.mean is not None and self.sd is None:
+            raise ValueError("mean goes with sd")
+        if self.uniform is not None and self.uniform[0] >= self.uniform[1]:
+            low, high = self.uniform
+            raise ValueError(f"uniform goes from {low:g} up to {high:g}; swap the two numbers")
+        return self
+
+
+class Source(Section):
+    """Where the machines come from."""
+
+    findings: Path | None = Field(
+        None, description="findings.json of a diagnosis: how well one machine is known (joint)"
+    )
+    population: dict[str, Distribution] = Field(
+        {}, max_length=100, description="how machines scatter: parameter and distribution"
+    )
+
+    @model_validator(mode="after")
+    def _is_something(self) -> Self:
+        if self.findings is None and not self.population:
+            raise ValueError("name findings, a population or both")
+        return self
+
+
+class FaultShare(Section):
+    """A fault that some of the machines have."""
+
+    share: Share = Field(description="of the machines that have it")
+    fault: Fault = Field(description="as in a scenario")
+
+
+class DriveConfig(Section):
+    """What the machines do."""
+
+    scenario: Path | None = Field(None, description="set-points and faults, as for simulate")
+    duration_s: float | None = Field(
+        None,
+        gt=0,
+        le=LONGEST_DRIVE_S,
+        description="null: until 1 s after the scenario's last step or fault",
+    )
+    path: tuple[tuple[Number, Number], ...] | None = Field(
+        None,
+        min_length=2,
+        max_length=1000,
+        description="way in the plane [m]; path.error_m is the distance of the pose to it",
+    )
+
+    @model_validator(mode="after")
+    def _lasts(self) -> Self:
+        if self.scenario is None and self.duration_s is None:
+            raise ValueError("without a scenario, write duration_s")
+        return self
+
+
+class ControllerConfig(Section):
+    """The controller under test: a block or a Python object."""
+
+    block: str | None = Field(None, description="file.py:function, compiled into a slice")
+    name: str | None = Field(None, description="of the block; null: that of its function")
+    slice: str = Field("sensors", description="of the block")
+    inputs: dict[str, str] = Field({}, description="input of the block: signal")
+    drives: dict[str, str] = Field({}, description="output of the block: command")
+    parameters: dict[str, float] = Field({}, description="of the block")
+    python: str | None = Field(None, description="file.py:Class, made anew for each machine")
+    every_ms: float | None = Field(None, gt=0, le=10_000, description="period of python")
+
+    @model_validator(mode="after")
+    def _is_one_kind(self) -> Self:
+        given = [k for k in ("block", "python") if getattr(self, k) is not None]
+        if len(given) != 1:
+            raise ValueError("write block or python")
+        kind = given[0]
+        needs = {"block": "drives", "python": "every_ms"}[kind]
+        if not getattr(self, needs):
+            raise ValueError(f"{kind} needs {needs}")
+        of = {"block": ("name", "inputs", "drives", "parameters"), "python": ("every_ms",)}
+        for other, keys in of.items():
+            for key in keys:
+                if other != kind and getattr(self, key):
+                    raise ValueError(f"{key} goes with {other}, not with {kind}")
+        return self
+
+
+class Limits(Section):
+    """What one machine may take; who takes more fails."""
+
+    time_s: float = Field(60.0, gt=0, le=3600, description="on the clock")
+    memory_mb: float = Field(1000.0, ge=100, le=1e6, description="beyond what a worker begins with")
+
+
+class Sweep(Section):
+    """One controller against many machines."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    machines: int = Field(ge=1, le=MOST_MACHINES, description="how many")
+    seed: int = Field(0, ge=0, lt=2**31, description="of all draws")
+    config: Path | None = Field(None, description="of the robot; null: that of the command")
+    from_: Source = Field(alias="from", description="where the machines come from")
+    faults: tuple[FaultShare, ...] = Field((), max_length=50, description="and what is wrong")
+    drive: DriveConfig = Field(description="what they do")
+    controller: ControllerConfig | None = Field(None, description="null: the scenario alone")
+    require: tuple[Requirement, ...] = Field(
+        min_length=1, max_length=MAX_REQUIREMENTS, description="what each machine has to meet"
+    )
+    limits: Limits = Limits()
+
+    @field_validator("faults")
+    @classmethod
+    def _acts_in_the_plant(cls, faults: tuple[FaultShare, ...]) -> tuple[FaultShare, ...]:
+        if any(item.fault.peer is not None for item in faults):
+            raise ValueError("a machine of a sweep has no peers; name a signal")
+        return faults
+
+
+def load_sweep(path: Path) -> Sweep:
+    """Return the sweep of a file; what it names is looked up by `prepare`.
+
+    Raises
+    ------
+    ConfigError
+        One line per complaint: file, line, key.
+    """
+    return load(path, Sweep)

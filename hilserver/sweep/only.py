@@ -1,0 +1,148 @@
+"""One machine of a sweep once more, through the whole daemon, with everything written down.
+
+The recording's margins are those of the table, bit by bit; configuration and scenario are files
+that ``hilserver run`` takes.
+"""
+
+import asyncio
+import json
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from hilserver.config.root import without_passwords
+from hilserver.daemon.assembly import assemble
+from hilserver.errors import FailedError
+from hilserver.faults.scenario import MAX_STEPS, Play, Scenario, Step, as_yaml
+from hilserver.logs import open_writer
+from hilserver.logs.provenance import make_run
+from hilserver.parameters.table import BLOCK, TERM
+from hilserver.plant.terms import TERMS, complete
+from hilserver.replay.simulation import Simulation
+from hilserver.requirements import Drive, Judge
+from hilserver.sweep.prepare import PATH_ERROR, Machine, Prepared
+from hilserver.sweep.rig import Outcome, Rig, scenario_of, with_way
+
+CONFIG, SCENARIO, RECORDING, MARGINS = (
+    "config.yaml",
+    "scenario.yaml",
+    "recording.mcap",
+    "margins.json",
+)
+
+
+def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
+    """Write configuration, scenario, recording and margins of one machine; return its outcome.
+
+    Raises
+    ------
+    FailedError
+        If there is no such machine, or the daemon drives another way than the sweep.
+    """
+    machine = prepared.machine(index)
+    if machine.p is None:
+        raise FailedError(f"machine {index} cannot be built: {machine.refused}")
+    rig = Rig(prepared.job)
+    outcome = rig.drive(machine)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_config(prepared, machine, folder / CONFIG)
+    written = [] if rig.driver is None else rig.driver.written
+    scenario = _scenario(prepared, machine, written)
+    text = as_yaml(scenario.model_dump(mode="json", exclude_defaults=True))
+    (folder / SCENARIO).write_text(text, encoding="utf-8")
+    margins = asyncio.run(_record(prepared, machine, scenario, folder))
+    names = [r.name for r in prepared.sweep.require]
+    about = {"index": index, "seed": machine.seed, "parameters": dict(machine.values)}
+    about |= {"margins": dict(zip(names, margins, strict=True)), "error": outcome.error}
+    (folder / MARGINS).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    if not outcome.error and margins != outcome.margins:
+        raise FailedError(
+            f"machine {index} drives differently in the daemon: margins {margins}, in the sweep"
+            f" {outcome.margins}; please report it with {folder}"
+        )
+    return outcome
+
+
+async def _record(
+    prepared: Prepared, machine: Machine, scenario: Scenario, folder: Path
+) -> tuple[float, ...]:
+    """Play the scenario with the written configuration; return the margins of the recording."""
+    job, assembly = prepared.job, assemble(folder / CONFIG)
+    if assembly.composition.parameters.numbers.tobytes() != np.array(machine.p).tobytes():
+        raise FailedError(f"{folder / CONFIG} makes another robot than machine {machine.index}")
+    derived = () if job.way is None else (PATH_ERROR, "pose.x_m", "pose.y_m")
+    judge = Judge(job.requirements, assembly.table, job.path, derived[:1])
+    names = list(dict.fromkeys((*judge.signals, *derived[1:])))
+    kept: list[NDArray[np.float64]] = []
+    async with Simulation(assembly, Play(scenario, folder / SCENARIO)) as simulation:
+        table = simulation.table
+        slots = [table.slot(name) for name in names if name not in derived[:1]]
+        run = make_run(simulation.image.description)
+        writer = open_writer(folder / RECORDING, run, range(table.n_slots))
+        try:
+            writer.add_state(simulation.start)
+            async for batch in simulation.frames(job.n_ticks):
+                writer.write(batch)
+                kept.append(batch.frames.values[:, slots])
+        finally:
+            writer.close()
+    columns = dict(zip((n for n in names if n not in derived[:1]), np.vstack(kept).T, strict=True))
+    drive = Drive(assembly.base_period_ns * 1e-9, columns)
+    return tuple(judge.margins(with_way(drive, job.way)).values())
+
+
+def _scenario(
+    prepared: Prepared, machine: Machine, written: list[tuple[int, dict[str, Any]]]
+) -> Scenario:
+    """Return what was played, with what a Python controller commanded as steps."""
+    base, period_s = prepared.job.scenario, prepared.assembly.base_period_ns * 1e-9
+    steps = [
+        Step(at_s=tick * period_s, write={n: _plain(v) for n, v in values.items()})
+        for tick, values in written
+    ]
+    whole = sorted((*base.steps, *steps), key=lambda step: step.at_s)
+    if len(whole) > MAX_STEPS:
+        raise FailedError(
+            f"the controller commanded {len(steps)} times, and a scenario holds {MAX_STEPS} steps;"
+            " choose a longer every_ms or a shorter drive"
+        )
+    title = f"machine {machine.index} of {prepared.job.path.name}"
+    scenario = scenario_of(base, machine)
+    return scenario.model_copy(update={"scenario": title, "steps": tuple(whole)})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _write_config(prepared: Prepared, machine: Machine, path: Path) -> None:
+    data = without_passwords(prepared.user_config)
+    folder, robot = prepared.job.folder, prepared.robot_with(machine.values)
+    terms = {n: v for n, v in complete(robot.terms).items() if v != TERMS[n].null}
+    data["peers"] = []  # the scenario drives
+    data["plant"] |= {"terms": terms, "seed": machine.seed}
+    for name, value in machine.values.items():
+        if name.startswith(BLOCK):
+            block, _, key = name.removeprefix(BLOCK).partition(".")
+            use = next(one for one in data["blocks"] if one["name"] == block)
+            use["parameters"][key] = value
+        elif not name.startswith(TERM):
+            *sections, key = name.split(".")
+            place = data
+            for section in sections:
+                place = place[section]
+            place[key] = None if isnan(value) else value
+    for use in data["blocks"]:
+        file, colon, function = (use["function"] or "").rpartition(":")
+        if file.endswith(".py"):
+            use["function"] = f"{(folder / file).resolve()}{colon}{function}"
+    hall = data["sensors"]["tof"]
+    if hall["hall"] != "default":
+        hall["hall"] = str((folder / hall["hall"]).resolve())
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")

@@ -1,0 +1,91 @@
+"""What the report of a sweep draws: distributions of margins, what decides, where it fails."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.report.svg import Figure, Plot, picture, span_of
+from hilserver.sweep.estimates import Influence
+from hilserver.sweep.table import Table
+
+Floats = NDArray[np.float64]
+MOST_BARS: Final = 40
+MOST_DOTS: Final = 1500
+"""Dots of a map; of more machines only so many are drawn, failing ones first."""
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit in brackets, nothing without one."""
+    return f" [{unit}]" if unit not in ("", "1") else ""
+
+
+def distribution(name: str, margins: Floats, unit: str) -> Figure | None:
+    """Return how the margins of a requirement are distributed, failing ones in their colour."""
+    finite = margins[np.isfinite(margins)]
+    endless = int(np.isneginf(margins).sum())
+    if len(finite) < 2:
+        return None
+    low, high = span_of(finite, np.zeros(1))
+    # An edge lies at zero, so that no bar holds machines of both kinds.
+    width = (high - low) / min(MOST_BARS, max(int(2 * len(finite) ** (1 / 3)), 8))
+    edges = np.arange(np.floor(low / width), np.ceil(high / width) + 1) * width
+    counts, _ = np.histogram(finite, edges)
+    plot = Plot(
+        x=(float(edges[0]), float(edges[-1])),
+        y=(0.0, float(counts.max()) * 1.06),
+        x_label=f"margin{unit_text(unit)}",
+        y_label="machines",
+        height=250.0,
+    )
+    for count, a, b in zip(counts.tolist(), edges[:-1], edges[1:], strict=True):
+        if count:
+            role = "passes" if a + b > 0.0 else "fails"
+            plot.bar(float(a), float(b), count, role, f"{count} machines: {a:.4g} .. {b:.4g}")
+    plot.upright(0.0)
+    failing = int((margins < 0.0).sum())
+    beside = f" {endless} of them without a number: too short, or not a number." if endless else ""
+    caption = f"{failing} of {int((~np.isnan(margins)).sum())} machines do not meet it.{beside}"
+    return Figure(picture([plot], f"margins of {name}"), name, caption)
+
+
+def failing_region(
+    table: Table, name: str, found: Sequence[Influence], units: dict[str, str]
+) -> Figure | None:
+    """Return where in the plane of the two parameters that decide most machines fail."""
+    margins = table.margins[name]
+    driven = np.flatnonzero(~np.isnan(margins))
+    if len(found) < 2 or not (margins[driven] < 0.0).any():
+        return None
+    first, second = found[0].names[0], found[1].names[0]
+    x, y = table.parameters[first], table.parameters[second]
+    plot = Plot(
+        x=span_of(x[driven]),
+        y=span_of(y[driven]),
+        x_label=first + unit_text(units[first]),
+        y_label=second + unit_text(units[second]),
+        height=340.0,
+    )
+    _shares(plot, x[driven], y[driven], margins[driven] < 0.0)
+    step = max(len(driven) // MOST_DOTS, 1)
+    for fails, role in ((False, "passes"), (True, "fails")):
+        rows = driven[(margins[driven] < 0.0) == fails][::step]
+        titles = [f"machine {table.index[r]}: margin {margins[r]:.4g}" for r in rows]
+        plot.dots(x[rows], y[rows], f"small {role}", titles)
+    caption = (
+        "Each dot is a machine; orange ones fail. Behind them: the share that fails there, the"
+        " darker the more."
+    )
+    return Figure(picture([plot], f"where {name} fails"), f"Where '{name}' fails", caption)
+
+
+def _shares(plot: Plot, x: Floats, y: Floats, fails: NDArray[np.bool_]) -> None:
+    """Shade a grid of cells by the share of machines in them that fail."""
+    n = int(min(max(np.sqrt(len(x) / 8.0), 3), 16))
+    x_edges, y_edges = np.linspace(*plot.x, n + 1), np.linspace(*plot.y, n + 1)
+    total, _, _ = np.histogram2d(x, y, (x_edges, y_edges))
+    failed, _, _ = np.histogram2d(x[fails], y[fails], (x_edges, y_edges))
+    for i, j in zip(*np.nonzero(failed), strict=True):
+        share = failed[i, j] / (total[i, j] + 1.0)  # one machine alone says little
+        plot.cell((x_edges[i], x_edges[i + 1]), (y_edges[j], y_edges[j + 1]), "fails", 0.5 * share)

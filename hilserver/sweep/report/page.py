@@ -1,0 +1,155 @@
+"""The page: the share that passes first, then margins, what decides, and the worst machines."""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jinja2 import ChoiceLoader, Environment, PackageLoader
+from markupsafe import Markup
+
+from hilserver import __version__
+from hilserver.diagnosis.report.page import environment
+from hilserver.diagnosis.report.svg import Figure
+from hilserver.sweep.estimates import Influence, exact_interval, influences
+from hilserver.sweep.report.figures import distribution, failing_region
+from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
+from hilserver.sweep.words import details, headline, scope
+
+REPORT: Final = "report.html"
+MOST_INFLUENCES: Final = 8
+N_WORST: Final = 10
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One requirement over all machines.
+
+    Attributes
+    ----------
+    share, low, high : float
+        Of the machines that meet it, with the exact interval.
+    """
+
+    name: str
+    unit: str
+    met: int
+    share: float
+    low: float
+    high: float
+    median: float
+    worst: float
+    influences: list[Influence]
+
+
+@dataclass(frozen=True)
+class Worst:
+    """A machine to drive again."""
+
+    index: int
+    margins: list[tuple[str, float]]
+    message: str
+    parameters: list[tuple[str, float]]
+
+
+def render(table: Table) -> str:
+    """Return the report as one HTML file without any reference to the network."""
+    n = len(table) - table.count(REFUSED)
+    judged = [_judged(table, name, n) for name in table.margins]
+    units = {**table.about["units"], **dict.fromkeys(table.faults, "1")}
+    low, high = exact_interval(table.count(PASSED), n)
+    drawn = [distribution(j.name, table.margins[j.name], j.unit) for j in judged]
+    maps = [failing_region(table, j.name, j.influences, units) for j in judged]
+    return (
+        _environment()
+        .get_template("sweep.html.j2")
+        .render(
+            about=table.about,
+            headline=headline(table),
+            details=details(table),
+            scope=scope(table),
+            n=n,
+            passed=table.count(PASSED),
+            interval=(low, high),
+            judged=judged,
+            units=units,
+            figures=[figure for figure in drawn if isinstance(figure, Figure)],
+            maps=[figure for figure in maps if isinstance(figure, Figure)],
+            worst=_worst(table),
+            errors=_counted(table, ERROR),
+            refused=_counted(table, REFUSED),
+            mixed=sum(bool(computer) for computer in table.computer),
+            version=__version__,
+        )
+    )
+
+
+def write_report(folder: Path, table: Table) -> Path:
+    """Write the report; return the file."""
+    path = folder / REPORT
+    partial = path.with_suffix(".part")
+    partial.write_text(render(table), encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+def _judged(table: Table, name: str, n: int) -> Judged:
+    margins = table.margins[name]
+    driven = margins[~np.isnan(margins)]
+    met = int((driven >= 0.0).sum())
+    low, high = exact_interval(met, n)
+    faults = {f: v for f, v in table.faults.items() if np.ptp(v) > 0.0} if len(table) else {}
+    finite = np.where(np.isneginf(margins), np.nan, margins)
+    return Judged(
+        name,
+        table.about["requirement_units"].get(name, ""),
+        met,
+        met / max(n, 1),
+        low,
+        high,
+        float(np.median(driven)) if len(driven) else np.nan,
+        float(driven.min()) if len(driven) else np.nan,
+        influences({**table.parameters, **faults}, finite)[:MOST_INFLUENCES],
+    )
+
+
+def _worst(table: Table) -> list[Worst]:
+    size = table.worst_margin  # NaN where the controller failed: those have their own table
+    order = np.argsort(size, kind="stable")
+    rows = [row for row in order.tolist() if not np.isnan(size[row])]
+    return [
+        Worst(
+            int(table.index[row]),
+            [(name, float(values[row])) for name, values in table.margins.items()],
+            table.message[row],
+            [(name, float(values[row])) for name, values in table.parameters.items()],
+        )
+        for row in rows[:N_WORST]
+    ]
+
+
+def _counted(table: Table, status: str, most: int = 8) -> list[tuple[str, int, int]]:
+    """Return messages of a status, how often each came, and a machine that has it."""
+    found: dict[str, list[int]] = {}
+    for row, message in enumerate(table.message):
+        if table.status[row] == status:
+            key = message.partition(": ")[0] if status == REFUSED else message
+            found.setdefault(key, []).append(int(table.index[row]))
+    ordered = sorted(found.items(), key=lambda item: -len(item[1]))
+    return [(message, len(rows), rows[0]) for message, rows in ordered[:most]]
+
+
+@cache
+def _environment() -> Environment:
+    """Return what fills the template: that of the diagnosis, with this room's templates."""
+    made = environment().overlay(
+        loader=ChoiceLoader(
+            [PackageLoader("hilserver.sweep.report"), PackageLoader("hilserver.diagnosis.report")]
+        )
+    )
+    own = files("hilserver.sweep.report").joinpath("sweep.css").read_text(encoding="utf-8")
+    made.globals = {**made.globals, "own_style": Markup(own), "infinity": math.inf}  # noqa: S704
+    return made

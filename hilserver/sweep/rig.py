@@ -1,0 +1,227 @@
+"""Drives machines of one sweep one after the other: one image, one compiled step, many robots.
+
+Every machine begins with the same bytes in the image, so nothing of the one before is left.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.config.loading import place
+from hilserver.daemon.assembly import Assembly, assemble_config
+from hilserver.daemon.builder import Pace, build, faults_of
+from hilserver.errors import ConfigError
+from hilserver.faults import Faults
+from hilserver.faults.scenario import Play, Scenario, Stage
+from hilserver.parameters.table import BLOCK
+from hilserver.plant.layout import Parameters
+from hilserver.program.own_python import described, load_callable
+from hilserver.requirements import CheckError, Drive, Judge
+from hilserver.scheduler.faults import SLICE, fault_of
+from hilserver.signals import State
+from hilserver.sweep.controllers import Driver, WrongCommand
+from hilserver.sweep.limits import OutOfTime, limited
+from hilserver.sweep.loop import run_ticks
+from hilserver.sweep.prepare import PATH_ERROR, Job, Machine
+from hilserver.sweep.way import Floats, distance_to_way
+
+RING_FRAMES, QUEUE_ROWS = 16, 1 << 15
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a machine.
+
+    Attributes
+    ----------
+    margins : tuple of float
+        In the order of the requirements; empty where it could not be driven.
+    error : str
+        Why it could not: the controller raised, took too long, commanded nonsense.
+    refused : str
+        Why there is no such machine.
+    """
+
+    index: int
+    margins: tuple[float, ...] = ()
+    error: str = ""
+    refused: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every requirement is met."""
+        return bool(self.margins) and min(self.margins) >= 0.0
+
+
+class _Broken(Exception):
+    """The compiled step gave up; the words say why."""
+
+
+class Rig:
+    """One robot that becomes every machine of a job."""
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        assembly = assemble_config(job.config, job.folder)
+        self._period_ns = assembly.base_period_ns
+        self._table = assembly.table
+        self._core = build(assembly, Pace(image="", ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS))
+        self._image = self._core.image
+        self._image.control.state = State.RUNNING
+        derived = () if job.way is None else (PATH_ERROR,)
+        self._judge = Judge(job.requirements, self._table, job.path, derived)
+        self._kept = _kept(self._judge.signals, job)
+        self._slots = np.array([self._table.slot(name) for name in self._kept], dtype=np.int64)
+        self._values = np.zeros((len(self._kept), job.n_ticks))
+        self._periods = np.array(
+            [s.period_ticks for s in assembly.slices if s.compiled], dtype=np.int64
+        )
+        self.driver = self._driver(assembly)
+        self._stage()
+        self._fresh = self._image.words.copy()
+
+    def _driver(self, assembly: Assembly) -> Driver | None:
+        controller = self.job.controller
+        if controller is None or controller.python is None:
+            return None
+        make = load_callable(controller.python, self.job.path.parent)
+        period_s = self._period_ns * 1e-9
+        leases = self._core.gate.leases
+        self._every = max(round((controller.every_ms or 0.0) * 1e6 / self._period_ns), 1)
+        return Driver(make, self._image, assembly.table, leases, period_s)
+
+    def drive(self, machine: Machine) -> Outcome:
+        """Drive one machine and judge it; whatever its controller does, this returns."""
+        if machine.p is None:
+            return Outcome(machine.index, refused=machine.refused)
+        try:
+            with limited(self.job.limits.time_s):
+                self._begin(machine, machine.p)
+                self._run()
+                return Outcome(machine.index, self._margins())
+        except OutOfTime:
+            error = f"took longer than {self.job.limits.time_s:g} s"
+        except MemoryError:
+            error = f"needed more than {self.job.limits.memory_mb:g} MB of memory"
+        except WrongCommand as problem:
+            error = f"the controller {problem}"
+        except _Broken as problem:
+            error = str(problem)
+        except CheckError as problem:
+            error = str(problem)
+        except BaseException as problem:
+            if isinstance(problem, KeyboardInterrupt) or _is_ours(problem):
+                raise
+            error = f"the controller raised {described(problem)}"
+        finally:
+            if self.driver is not None:
+                self.driver.end()
+        return Outcome(machine.index, error=error)
+
+    def _begin(self, machine: Machine, packed: NDArray[np.float64]) -> None:
+        """Make the robot that machine, before its first tick."""
+        image, regions = self._image, self._image.layout.regions
+        image.words[:] = self._fresh
+        p, x = regions["p"].base, regions["x"]
+        image.values[p : p + len(packed)] = packed
+        image.values[x.base : x.base + x.length] = 0.0
+        for word, value in machine.state.items():
+            image.values[x.base + word] = value
+        for use in self._core.assembly.composition.blocks:
+            base = regions[f"{use.name}.p"].base
+            for number, name in enumerate(use.declaration.parameters):
+                drawn = machine.values.get(f"{BLOCK}{use.name}.{name}")
+                if drawn is not None:
+                    image.values[base + number] = drawn
+        faults = scenario_of(self.job.scenario, machine).seeded_faults
+        if faults:
+            self._book(packed).inject(*faults, start_tick=0)
+        if self.driver is not None:
+            self.driver.begin(machine.seed)
+
+    def _book(self, p: NDArray[np.float64]) -> Faults:
+        image, table = self._image, self._table
+        return faults_of(image, table, self._period_ns, Parameters.of(p), self._core.events)
+
+    def _stage(self) -> None:
+        """Check scenario and faults, and put the scenario's values into the queue of all."""
+        core, job = self._core, self.job
+        stage = Stage(
+            core.table, core.image, core.gate, core.faults, core.parameters, self._period_ns
+        )
+        stage.check(Play(job.scenario, job.scenario_path))
+        for index, item in enumerate(job.faults):
+            try:
+                core.faults.check(item.fault)
+            except ValueError as error:
+                where = place(job.path, ("faults", index, "fault"))
+                raise ConfigError(f"{where}{error}") from None
+        stage.play(job.scenario.model_copy(update={"faults": ()}))
+
+    def _run(self) -> None:
+        n, driver = self.job.n_ticks, self.driver
+        if driver is None:
+            self._advance(0, n)
+            return
+        self._advance(0, 1)
+        for first in range(0, n, self._every):
+            driver.act(first)
+            self._advance(first + 1, min(self._every, n - first - 1))
+
+    def _advance(self, first: int, n_ticks: int) -> None:
+        image = self._image
+        fault = run_ticks(
+            self._core.step,
+            self._periods,
+            self._period_ns,
+            first,
+            n_ticks,
+            self._slots,
+            self._values,
+            image.values,
+            image.words,
+        )
+        if fault:
+            raise _Broken(self._words_for(fault))
+
+    def _words_for(self, fault: int) -> str:
+        blocks = self._core.assembly.composition.blocks
+        at_s = self._image.frame_values[self._table.slot("sim.time_s")]
+        if 0 < fault <= len(blocks):
+            return f"the block '{blocks[fault - 1].name}' raised an exception at {at_s:.3f} s"
+        return f"{fault_of(SLICE + fault).text} at {at_s:.3f} s"
+
+    def _margins(self) -> tuple[float, ...]:
+        columns: dict[str, Floats] = dict(zip(self._kept, self._values, strict=True))
+        drive = with_way(Drive(self._period_ns * 1e-9, columns), self.job.way)
+        return tuple(self._judge.margins(drive).values())
+
+
+def with_way(drive: Drive, way: tuple[tuple[float, float], ...] | None) -> Drive:
+    """Return a drive with its distance to the way, if there is one."""
+    if way is None:
+        return drive
+    error_m = distance_to_way(drive["pose.x_m"], drive["pose.y_m"], np.array(way))
+    return Drive(drive.period_s, {**drive.columns, PATH_ERROR: error_m})
+
+
+def scenario_of(scenario: Scenario, machine: Machine) -> Scenario:
+    """Return the scenario with the machine's faults."""
+    own = tuple(fault for _, fault in machine.faults)
+    return scenario.model_copy(update={"faults": (*scenario.faults, *own)}) if own else scenario
+
+
+def _kept(signals: tuple[str, ...], job: Job) -> tuple[str, ...]:
+    """Return the signals to keep: those judged, and what they derive from."""
+    names = [name for name in signals if name != PATH_ERROR or job.way is None]
+    if job.way is not None:
+        names += [name for name in ("pose.x_m", "pose.y_m") if name not in names]
+    return tuple(names)
+
+
+def _is_ours(problem: BaseException) -> bool:
+    """Whether it is the end of the program, asked for by a signal."""
+    from hilserver.program.ending import end_was_asked  # noqa: PLC0415
+
+    return isinstance(problem, SystemExit) and end_was_asked()

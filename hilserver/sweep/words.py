@@ -1,0 +1,81 @@
+"""A sweep in words, for the terminal and the head of the report."""
+
+from hilserver.sweep.draws import Draws
+from hilserver.sweep.estimates import exact_interval
+from hilserver.sweep.model import Distribution
+from hilserver.sweep.prepare import Prepared
+from hilserver.sweep.rig import Outcome
+from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
+
+MOST_TRIED = 1000
+"""Machines that are drawn to say how many cannot be built."""
+
+
+def headline(table: Table) -> str:
+    """Return the share that passes in a sentence."""
+    n = len(table) - table.count(REFUSED)
+    if n == 0:
+        return "No machine could be built: every draw is outside the range of a parameter."
+    passed = table.count(PASSED)
+    return f"{passed} of {n} machines pass: {100 * passed / n:.1f} %"
+
+
+def details(table: Table) -> str:
+    """Return how sure the share is, and what else became of machines."""
+    n = len(table) - table.count(REFUSED)
+    low, high = exact_interval(table.count(PASSED), n)
+    text = f"95 % between {100 * low:.1f} % and {100 * high:.1f} %."
+    if failed := table.count(ERROR):
+        text += f" On {failed} the controller failed."
+    if refused := table.count(REFUSED):
+        text += f" {refused} more draws are no machines: a parameter is outside its range."
+    return text
+
+
+def scope(table: Table) -> str:
+    """Return whether the share is about one machine or about many."""
+    one, many = table.about["of_one_machine"], table.about["population"]
+    if one and many:
+        return (
+            "The machines are one machine as uncertain as its diagnosis left it, and scatter in"
+            f" {', '.join(many)} besides: the share mixes both."
+        )
+    if one:
+        return (
+            "The machines are one and the same, as uncertain as its diagnosis left it: the share is"
+            " the probability that the controller passes on that machine."
+        )
+    return (
+        "The machines are a population: the share is that of its machines on which the controller"
+        " passes. It says nothing about a machine that is not drawn from it."
+    )
+
+
+def plan(prepared: Prepared, outcome: Outcome, seconds: float, workers: int) -> str:
+    """Return what a sweep would do, and how long it would take."""
+    sweep, draws = prepared.sweep, prepared.draws
+    tried = min(sweep.machines, MOST_TRIED)
+    refused = [m.refused for m in map(prepared.machine, range(tried)) if m.p is None]
+    duration_s = prepared.job.n_ticks * prepared.assembly.base_period_ns * 1e-9
+    lines = [f"{sweep.machines} machines, {duration_s:g} s each, {len(sweep.require)} requirements"]
+    lines += [f"  {name}: {_drawn(name, draws)}" for name in draws.names]
+    lines += [f"  left out, no parameter of a robot: {name}" for name in prepared.left_out]
+    lines.append(f"{len(refused)} of the first {tried} draws are no machines")
+    lines += [f"  as: {refused[0]}"] if refused else []
+    said = outcome.error or outcome.refused or f"smallest margin {min(outcome.margins):g}"
+    lines.append(f"machine 0 took {seconds:.2f} s: {said}")
+    total_s = seconds * sweep.machines / workers
+    lines.append(f"all of them: about {total_s / 60:.1f} min with {workers} workers")
+    return "\n".join(lines)
+
+
+def _drawn(name: str, draws: Draws) -> str:
+    if name not in draws.population:
+        return "from the findings, with its covariance"
+    distribution: Distribution = draws.population[name]
+    if distribution.uniform is not None:
+        return "uniform {:g} .. {:g}".format(*distribution.uniform)
+    if distribution.values is not None:
+        return f"one of {', '.join(f'{value:g}' for value in distribution.values)}"
+    mean = draws.nominal[name] if distribution.mean is None else distribution.mean
+    return f"normal, mean {mean:g}, sd {distribution.sd:g}"

@@ -1,0 +1,156 @@
+"""Workers that die, machines that take theirs with them, and the same bits in every case."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from hilserver.errors import FailedError
+from hilserver.sweep import campaign
+from hilserver.sweep.campaign import LocalWorkers, outcomes
+from hilserver.sweep.only import drive_again
+from hilserver.sweep.rig import Rig
+
+CONTROLLER = """
+import os, signal, time
+
+class Controller:
+    def __call__(self, time_s, signals):
+        if signals.seed == SEED and time_s > 0.5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"control.mode": 1, "twist.linear_m_s": 0.3 - signals["pose.x_m"]}
+"""
+PYTHON = {"controller": {"python": "killer.py:Controller", "every_ms": 20}}
+
+
+@pytest.fixture
+def sweep(made, tmp_path):
+    def prepared(seed=-1, **sections):
+        (tmp_path / "killer.py").write_text(CONTROLLER.replace("SEED", str(seed)))
+        return made(**(PYTHON | sections))
+
+    return prepared
+
+
+def driven(prepared, workers, on_batch=lambda: None):
+    found = {}
+    machines = prepared.machines(iter(range(prepared.sweep.machines)))
+    with workers:
+        for _, batch in outcomes(prepared.job, machines, workers):
+            found |= {outcome.index: outcome for outcome in batch}
+            on_batch()
+    return [found[index] for index in sorted(found)]
+
+
+def here(prepared):
+    rig = Rig(prepared.job)
+    return [rig.drive(machine) for machine in map(prepared.machine, range(prepared.sweep.machines))]
+
+
+def test_a_machine_that_kills_its_worker_fails_alone(sweep, monkeypatch):
+    monkeypatch.setattr(campaign, "LIVES", 2)
+    victim = sweep().machine(2).seed
+    prepared = sweep(seed=victim, machines=12)
+    found = driven(prepared, LocalWorkers(1, 1000.0))
+    assert "ended its worker 2 times" in found[2].error
+    expected = here(sweep(machines=12))
+    assert [o.margins for o in found if o.index != 2] == [
+        o.margins for o in expected if o.index != 2
+    ]
+
+
+def children(pool):
+    return [process.pid for process in pool._pool._processes.values()]
+
+
+def kill_some(workers, stop, n=10):
+    """Kill workers, one after the other, while they drive."""
+    for _ in range(n):
+        if stop.wait(1.0):
+            return
+        for pid in children(workers)[:1]:
+            os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_same_bits_for_any_number_of_workers_and_while_they_are_killed(sweep, count):
+    prepared = sweep(machines=400, drive={"scenario": "course.yaml", "duration_s": 4.0})
+    workers, stop = LocalWorkers(count, 1000.0), threading.Event()
+    killer = threading.Thread(target=kill_some, args=(workers, stop))
+    killer.start()
+    try:
+        found = driven(prepared, workers)
+    finally:
+        stop.set()
+        killer.join()
+    assert found == here(prepared)
+
+
+@pytest.mark.long
+def test_the_same_bits_on_a_dask_cluster(sweep):
+    distributed = pytest.importorskip("distributed")
+    prepared = sweep(machines=60)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as c:
+        found = driven(prepared, campaign.DaskWorkers(c.scheduler_address))
+    assert found == here(prepared)
+
+
+def test_a_computer_with_other_bits_is_refused(sweep, monkeypatch):
+    class Elsewhere:
+        count = 1
+
+        def submit(self, job, machines):
+            done = campaign.Future()
+            done.set_result(("other", [Rig(job).drive(machine) for machine in machines]))
+            return done
+
+        def means_death(self, error):
+            return False
+
+    prepared = sweep(machines=2)
+    machines = list(prepared.machines(iter(range(2))))
+    with pytest.raises(FailedError, match="computes with other bits"):
+        list(outcomes(prepared.job, machines, Elsewhere()))
+    ((where, batch),) = outcomes(prepared.job, machines, Elsewhere(), mixed=True)
+    assert where == "other"
+    assert len(batch) == 2
+
+
+@pytest.mark.long
+def test_a_hang_in_compiled_code_ends_with_its_worker(made, limit, monkeypatch, tmp_path):
+    (tmp_path / "forever.py").write_text(
+        "from hilserver.plant.blocks import Output, block\n\n"
+        "@block(inputs=('x_m',), outputs=(Output('margin'), Output('speed_m_s')),"
+        " parameters={'a': 0.0, 'b': 0.0, 'c': 0.0})\n"
+        "def limit(dt_s, u, y, x, p):\n"
+        "    while p[0] > 0.5:\n"
+        "        y[0] += 1e-9\n"
+        "    y[0] = p[0]\n"
+    )
+    controller = limit["controller"] | {"block": "forever.py:limit"}
+    population = {"limit.a": {"values": [0.0, 1.0]}}
+    sections = limit | {"controller": controller, "from": {"population": population}}
+    prepared = made(machines=4, limits={"time_s": 0.2}, **sections)
+    hangs = [m.values["blocks.limit.a"] > 0.5 for m in map(prepared.machine, range(4))]
+    assert any(hangs)
+    monkeypatch.setattr(campaign, "LIVES", 1)
+    began_s = time.monotonic()
+    found = driven(prepared, LocalWorkers(1, 1000.0))
+    assert [bool(outcome.error) for outcome in found] == hangs
+    assert time.monotonic() - began_s < 120.0
+
+
+@pytest.mark.parametrize("controller", ["python", "block"])
+def test_one_machine_again_through_the_daemon(made, limit, tmp_path, controller):
+    sections = {"controller": {"python": "my.py:Controller", "every_ms": 20}}
+    if controller == "block":
+        sections = limit | {"drive": {"duration_s": 0.5}}
+    fault = {"fault": "noise", "signal": "pose.y_m", "sd": 0.01}
+    prepared = made(faults=[{"share": 1, "fault": fault}], **sections)
+    outcome = drive_again(prepared, 3, tmp_path / "again")  # raises if one bit differs
+    assert outcome.margins
+    names = sorted(path.name for path in (tmp_path / "again").iterdir())
+    assert names == ["config.yaml", "margins.json", "recording.mcap", "scenario.yaml"]
