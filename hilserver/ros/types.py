@@ -43,6 +43,27 @@ SERVICES: Final[Mapping[str, tuple[str, str]]] = {
     ),
     "std_srvs/srv/Trigger": ("", "bool success\nstring message\n"),
     "std_srvs/srv/Empty": ("", ""),
+    "rcl_interfaces/srv/GetParameters": (
+        "string[] names\n",
+        "rcl_interfaces/ParameterValue[] values\n",
+    ),
+    "rcl_interfaces/srv/GetParameterTypes": ("string[] names\n", "uint8[] types\n"),
+    "rcl_interfaces/srv/SetParameters": (
+        "rcl_interfaces/Parameter[] parameters\n",
+        "rcl_interfaces/SetParametersResult[] results\n",
+    ),
+    "rcl_interfaces/srv/SetParametersAtomically": (
+        "rcl_interfaces/Parameter[] parameters\n",
+        "rcl_interfaces/SetParametersResult result\n",
+    ),
+    "rcl_interfaces/srv/ListParameters": (
+        "string[] prefixes\nuint64 depth\n",
+        "rcl_interfaces/ListParametersResult result\n",
+    ),
+    "rcl_interfaces/srv/DescribeParameters": (
+        "string[] names\n",
+        "rcl_interfaces/ParameterDescriptor[] descriptors\n",
+    ),
 }
 """Request and response. The widths of iotbot_interface are inferred from its source."""
 

@@ -6,7 +6,7 @@ judged, its figures are those of a peer with the name ``ros2``.
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from typing import Any, Final
 
@@ -16,12 +16,13 @@ from hilserver.config.ros2 import Ros2Config
 from hilserver.faults.links import Lane, Line
 from hilserver.io.part import Part
 from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.ros2.parameters import ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
 from hilserver.io.world import World
-from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Subscribed
+from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
 
@@ -133,7 +134,7 @@ class Ros2Node(Part):
         self._ins = dict(opened(participant.reader, topic) for topic in self._flavour.subscribed)
         self._services = [
             Service(served, self.config, self._types, wire, participant)
-            for served in self._flavour.served
+            for served in (*self._flavour.served, *self._parameter_services())
         ]
         kinds = [published.type for published, _ in self._outs.values()]
         for kind in kinds + [subscribed.type for subscribed, _ in self._ins.values()]:
@@ -144,6 +145,12 @@ class Ros2Node(Part):
             writer.write(self._types.encode(self.robot.make(description.type, data=text)))
             self._outs[name] = description, writer
         return participant
+
+    def _parameter_services(self) -> Iterable[Served]:
+        parameters = self._world.parameters
+        if parameters is None:
+            return ()
+        return ParameterServices(NAME, parameters, self._types).served()
 
     def _published(self) -> list[Published]:
         asked = self.config.publish.model_dump()

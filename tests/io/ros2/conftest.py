@@ -18,6 +18,8 @@ def cyclone(tmp_path_factory):
         topics = (*flavour.published, *flavour.extras.values(), *flavour.subscribed)
         types |= {topic.type for topic in topics}
         types |= {f"{s.type}_{part}" for s in flavour.served for part in ("Request", "Response")}
+    for service in ("SetParameters", "GetParameters", "ListParameters", "DescribeParameters"):
+        types |= {f"rcl_interfaces/srv/{service}_{part}" for part in ("Request", "Response")}
     return made_once(tmp_path_factory, "cyclone", lambda folder: build_cyclone(folder, types))
 
 
