@@ -1,8 +1,8 @@
 """Records: the numbers of an array by name, over the same memory, in Python and in kernels.
 
 A subclass of `Record` is a layout: its annotations name the numbers in their order, the comments
-beside them say unit and meaning. ``float`` and ``int`` are a word of 8 bytes each, an array is
-``Annotated`` with its shape::
+beside them say unit and meaning. ``float`` and ``int`` are a word of 8 bytes each, an array, or a
+list of records, is ``Annotated`` with its shape; a record may hold others::
 
     Wheels = Annotated[NDArray[np.float64], 4]
 
@@ -32,9 +32,11 @@ def _number(hint: Any) -> np.dtype[Any]:
     if hint in (float, int):
         number: np.dtype[Any] = np.dtype(hint)
         return number
+    if isinstance(hint, type) and issubclass(hint, Record):
+        return hint.layout
     (shape,) = hint.__metadata__
-    (word,) = get_args(get_args(hint.__origin__)[1])
-    return np.dtype((word, shape))
+    element = get_args(hint.__origin__)[-1]
+    return np.dtype((get_args(element)[0] if get_args(element) else element.layout, shape))
 
 
 if TYPE_CHECKING:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from hilserver.image import ProcessImage, Row, leases
+from hilserver.image.leases import Driving, Lease
 from hilserver.image.status import GOOD
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import SOURCES
@@ -43,38 +44,37 @@ class Leases:
     """
 
     def __init__(self, image: ProcessImage, ramp_ticks: int = 0) -> None:
-        self._image, self._base = image, image.layout.regions[leases.REGION].base
-        self._words = image.words[self._base :]
-        self._entries: dict[str, int] = {}
+        self._image, base = image, image.layout.regions[leases.REGION].base
+        self._words = image.words[base:]
+        self._driving = Driving.of(self._words)
+        self._places: dict[str, int] = {}
         self._known: dict[str, int] = {}
         image.control.setpoint_slots = N_SETPOINTS
-        image.control.leases = self._base
-        self._words[leases.RAMP] = image.control.safe_ramp = ramp_ticks
-        for kind in range(leases.KINDS):
-            image.values[self._base + leases.VALUES + kind * leases.ROW + N_COMMANDS - 1] = 1.0
+        image.control.leases = base
+        self._driving.ramp = image.control.safe_ramp = ramp_ticks
+        self._driving.values[:, N_COMMANDS - 1] = 1.0
 
     def add(self, source: str, limit_ms: float | None, action: str) -> None:
         """Give `source` a lease; what it commands lapses after `limit_ms`, None: never."""
-        entry = leases.FIRST_ENTRY + len(self._entries) * leases.ENTRY
-        self._entries[source] = entry
-        self._words[entry + leases.KIND] = SOURCES.index(source.partition(":")[0])
-        self._words[entry + leases.POLICY] = leases.POLICIES[action]
-        self._words[leases.COUNT] = len(self._entries)
+        self._places[source] = leases.words_needed(len(self._places))
+        lease = self._lease(source)
+        lease.kind = SOURCES.index(source.partition(":")[0])
+        lease.policy = leases.POLICIES[action]
+        self._driving.count = len(self._places)
         self.limit(source, limit_ms)
 
     def limit(self, source: str, limit_ms: float | None) -> None:
         """Change how long a command of `source` holds."""
-        limit_ns = 0 if limit_ms is None else max(1, round(limit_ms * 1e6))
-        self._words[self._entries[source] + leases.LIMIT] = limit_ns
+        self._lease(source).limit = 0 if limit_ms is None else max(1, round(limit_ms * 1e6))
 
     def limit_ms(self, source: str) -> float | None:
         """Return how long a command of `source` holds, None for ever."""
-        limit_ns = int(self._words[self._entries[source] + leases.LIMIT])
+        limit_ns = int(self._lease(source).limit)
         return limit_ns / 1e6 if limit_ns else None
 
     def begin(self, kind: str) -> None:
         """Let the sources of `kind` have control, before the first tick."""
-        self._image.values[self._base + leases.OWNER] = self._number(kind)
+        self._driving.owner = self._number(kind)
 
     def place(self, kind: str, slot: int) -> int:
         """Return where a value of this kind of source for `slot` is to be pushed."""
@@ -84,8 +84,8 @@ class Leases:
 
     def renewal(self, source: str) -> list[Row]:
         """Return the row that renews what `source` holds; none if that never lapses."""
-        entry = self._entries.get(source) or self._entries.get(source.partition(":")[0])
-        return [] if entry is None else [Row(self._slot(entry + leases.RENEWED), 1.0)]
+        place = self._places.get(source) or self._places.get(source.partition(":")[0])
+        return [] if place is None else [Row(self._slot(place), 1.0)]
 
     def hand_over(self, kind: str) -> Row:
         """Return the row that gives control to the sources of `kind`."""
@@ -97,18 +97,19 @@ class Leases:
 
     def lapses(self) -> Iterator[Lapse]:
         """Yield those that have changed what is driven, each once."""
-        words = self._words
-        for source, entry in self._entries.items():
-            lapses = int(words[entry + leases.LAPSES])
-            before, self._known[source] = self._known.get(source, 0), lapses
-            if lapses != before:
-                action = _ACTIONS[int(words[entry + leases.POLICY])]
+        for source in self._places:
+            lease = self._lease(source)
+            before, self._known[source] = self._known.get(source, 0), int(lease.lapses)
+            if lease.lapses != before:
                 limit_ms = self.limit_ms(source) or 0.0
-                yield Lapse(source, action, limit_ms, int(words[entry + leases.STALLED]))
+                yield Lapse(source, _ACTIONS[int(lease.policy)], limit_ms, int(lease.stalled))
 
     def has_lapsed(self, source: str) -> bool:
         """Whether `source` has not renewed yet what lapsed."""
-        return bool(self._words[self._entries[source] + leases.LAPSED])
+        return bool(self._lease(source).lapsed)
+
+    def _lease(self, source: str) -> Lease:
+        return Lease.of(self._words, self._places[source])
 
     def _slot(self, index: int) -> int:
         return self._image.n_slots + index

@@ -1,12 +1,12 @@
 """The way of commands into the compiled step, and the look at what acts there."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from hilserver.faults.plan import Entry
 from hilserver.image import ProcessImage
 from hilserver.kernel import modifier_layout as lay
-from hilserver.kernel.modifier_layout import Kind
+from hilserver.kernel.modifier_layout import Kind, Mail, Modifiers
 from hilserver.kernel.modifier_mail import show_mail
 
 
@@ -36,8 +36,8 @@ class Mailbox:
 
     def __init__(self, image: ProcessImage) -> None:
         self._image = image
-        self._mail_values, self._mail = image.region("modifier_mail")
-        self._table_values, self._table = image.region("modifiers")
+        _, self._mail = image.region("modifier_mail")
+        self._table = Modifiers.of(image.region("modifiers")[1])
 
     @property
     def head(self) -> int:
@@ -74,67 +74,38 @@ class Mailbox:
             self._write(((head + offset) & (lay.MAIL_ROWS - 1)) * lay.MAIL_ROW, command)
         show_mail(head + len(commands), self._image.words)
 
-    def _write(self, row: int, command: Command) -> None:
-        words, values = self._mail, self._mail_values
-        words[row] = command.operation
-        row += 1
-        words[row + lay.E_ID] = command.number
-        entry = command.entry
-        if entry is None:
-            return
-        for place, number in (
-            (lay.E_KIND, int(entry.kind)),
-            (lay.E_SLOT, entry.slot),
-            (lay.E_OTHER, entry.other),
-            (lay.E_SIDE, entry.side),
-            (lay.E_FROM, entry.from_tick),
-            (lay.E_UNTIL, entry.until_tick),
-            (lay.E_SEED, entry.seed),
-            (lay.E_EVERY, entry.every),
-            (lay.E_TICKS, entry.ticks),
-            (lay.E_SPREAD, entry.spread),
-            (lay.E_INTEGER, int(entry.is_integer)),
-            (lay.E_CHANNEL, entry.channel),
-        ):
-            words[row + place] = number
-        for place, value in (
-            (lay.E_A, entry.a),
-            (lay.E_B, entry.b),
-            (lay.E_C, entry.c),
-            (lay.E_LOW, entry.low),
-            (lay.E_HIGH, entry.high),
-        ):
-            values[row + place] = value
+    def _write(self, place: int, command: Command) -> None:
+        mail = Mail.of(self._mail, place)
+        mail.operation = command.operation
+        mail.entry.number = command.number
+        for name, value in {} if command.entry is None else asdict(command.entry).items():
+            mail.entry[name] = value
 
     def acting(self) -> list[Acting]:
         """Return the modifiers in the arena; between two ticks it is exact."""
         table = self._table.copy()
-        found: list[Acting] = []
-        for i in range(min(int(table[lay.H_COUNT]), lay.MAX_MODIFIERS)):
-            entry = table[lay.ENTRIES + i * lay.N_ENTRY :]
-            kind = int(entry[lay.E_KIND])
-            if kind in set(Kind):
-                found.append(
-                    Acting(
-                        int(entry[lay.E_ID]),
-                        Kind(kind),
-                        int(entry[lay.E_SLOT]),
-                        int(entry[lay.E_FROM]),
-                        int(entry[lay.E_UNTIL]),
-                        bool(entry[lay.E_START] >= 0),
-                    )
-                )
-        return found
+        return [
+            Acting(
+                int(entry.number),
+                Kind(entry.kind),
+                int(entry.slot),
+                int(entry.from_tick),
+                int(entry.until_tick),
+                bool(entry.start >= 0),
+            )
+            for entry in table.entries[: table.count]
+            if entry.kind in set(Kind)
+        ]
 
     @property
     def timeouts(self) -> int:
         """How often the command time-out has fired."""
-        return int(self._table[lay.H_TIMEOUTS])
+        return int(self._table.timeouts)
 
     @property
     def is_silent(self) -> bool:
         """Whether the command time-out holds the set-points at zero."""
-        return bool(self._table[lay.H_SILENT])
+        return bool(self._table.silent)
 
 
 def rings_of(entries: Iterable[Entry]) -> int:

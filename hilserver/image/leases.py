@@ -5,9 +5,14 @@ frame says where. The step takes the row of the kind that has control. What is t
 lapses by the policy of the source that holds it, in the step, whatever has become of Python.
 """
 
-from typing import Any, Final
+import math
+from typing import Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
+from hilserver.compiled.records import Record, record_at
 from hilserver.image import word
 from hilserver.image.status import GOOD
 
@@ -19,27 +24,41 @@ FIRST_OFFERING: Final = 3
 """Kinds from here on say what they want whether or not they have control."""
 NO_KIND: Final = -1
 
-# --- the region -----------------------------------------------------------------------------------
-OWNER: Final = 0  # float: number of the kind that has control
-END: Final = 1  # writing it ends every lease
-DOWN: Final = 2  # ticks until what was driven before has come to zero
-UP: Final = 3  # ticks until the row counts in full
-RAMP: Final = 4  # ticks of either
-COUNT: Final = 5  # entries in use
-VALUES: Final = 16
-STATUS: Final = VALUES + KINDS * ROW
-FIRST_ENTRY: Final = STATUS + KINDS * ROW
 
-# --- an entry: the lease of one source ------------------------------------------------------------
-RENEWED: Final = 0  # not 0: a row of this tick has renewed it
-SINCE: Final = 1  # when it was renewed last [ns]; 0: nothing is held
-LIMIT: Final = 2  # [ns]; 0: it never lapses
-POLICY: Final = 3
-KIND: Final = 4
-LAPSED: Final = 5  # 1: not renewed in time
-STALLED: Final = 6  # ticks that the event loop had been silent when it lapsed
-LAPSES: Final = 7  # how often that has changed what is driven
-ENTRY: Final = 8
+class Lease(Record):
+    """What one source holds."""
+
+    renewed: int  # not 0: a row of this tick has renewed it
+    since: int  # when it was renewed last [ns]; 0: nothing is held
+    limit: int  # [ns]; 0: it never lapses
+    policy: int
+    kind: int
+    lapsed: int  # 1: not renewed in time
+    stalled: int  # ticks that the event loop had been silent when it lapsed
+    lapses: int  # how often that has changed what is driven
+
+
+class Driving(Record):
+    """The region; the leases follow it."""
+
+    owner: float  # number of the kind that has control
+    end: int  # writing it ends every lease
+    down: int  # ticks until what was driven before has come to zero
+    up: int  # ticks until the row counts in full
+    ramp: int  # ticks of either
+    count: int  # leases in use
+    free: Annotated[NDArray[np.int64], 10]
+    values: Annotated[NDArray[np.float64], (KINDS, ROW)]
+    status: Annotated[NDArray[np.int64], (KINDS, ROW)]
+
+
+LEASE: Final = Lease.layout
+DRIVING: Final = Driving.layout
+LEASE_WORDS: Final = Lease.n_words
+OWNER: Final = Driving.where("owner").start
+END: Final = Driving.where("end").start
+VALUES: Final = Driving.where("values").start
+FIRST_LEASE: Final = Driving.n_words
 
 LAPSE_HOLD, LAPSE_ZERO, LAPSE_SAFE, LAPSE_DEVICE = range(4)
 POLICIES: Final = {
@@ -52,98 +71,114 @@ POLICIES: Final = {
 
 def words_needed(n_sources: int) -> int:
     """Return the length of the region for so many leases [words]."""
-    return FIRST_ENTRY + n_sources * ENTRY
+    return FIRST_LEASE + n_sources * LEASE_WORDS
 
 
 @kernel()
-def _clear(kind: int, values: Any, words: Any) -> None:
+def driving(words: Any) -> Any:
+    """Return who drives; an image without leases has no such words."""
+    return record_at(words, words[word.LEASES], DRIVING)
+
+
+@kernel()
+def lease_at(number: int, words: Any) -> Any:
+    """Return a lease by its number."""
+    return record_at(words, words[word.LEASES] + FIRST_LEASE + number * LEASE_WORDS, LEASE)
+
+
+@kernel()
+def _clear(kind: int, words: Any) -> None:
     """Nothing is commanded in a row, nobody holds it."""
-    lease = words[word.LEASES]
+    d = driving(words)
     for i in range(words[word.SETPOINT_SLOTS]):
-        values[lease + VALUES + kind * ROW + i] = 0.0
-    for e in range(words[lease + COUNT]):
-        entry = lease + FIRST_ENTRY + e * ENTRY
-        if words[entry + KIND] == kind:
-            words[entry + RENEWED] = words[entry + SINCE] = 0
+        d.values[kind, i] = 0.0
+    for number in range(d.count):
+        lease = lease_at(number, words)
+        if lease.kind == kind:
+            lease.renewed = lease.since = 0
 
 
 @kernel()
 def _take(kind: int, values: Any, words: Any) -> None:
     """Hand control over: what drives is ramped to zero, then the new row counts."""
-    lease, frame, n = words[word.LEASES], words[word.FRAME_BASE], words[word.SETPOINT_SLOTS]
+    d, frame, n = driving(words), words[word.FRAME_BASE], words[word.SETPOINT_SLOTS]
     moving = False
     for i in range(n):
         moving |= values[frame + i] != 0.0
-    before = int(values[lease + OWNER])
+    before = int(d.owner)
     if 0 <= before < FIRST_OFFERING:  # should it drive again, then by what it says from then on
-        _clear(before, values, words)
-        values[lease + VALUES + before * ROW + n] = 0.0
-        values[lease + VALUES + before * ROW + n + 1] = 1.0
-    values[lease + OWNER] = kind
-    for e in range(words[lease + COUNT]):  # what it offered may have lapsed long ago
-        entry = lease + FIRST_ENTRY + e * ENTRY
-        if words[entry + KIND] == kind:
-            words[entry + LAPSED] = 0
-    ramp = words[lease + RAMP]
-    words[lease + DOWN] = ramp if moving else 0
-    words[lease + UP] = ramp if moving or kind >= FIRST_OFFERING else 0
+        _clear(before, words)
+        d.values[before, n] = 0.0
+        d.values[before, n + 1] = 1.0
+    d.owner = kind
+    for number in range(d.count):  # what it offered may have lapsed long ago
+        lease = lease_at(number, words)
+        if lease.kind == kind:
+            lease.lapsed = 0
+    d.down = d.ramp if moving else 0
+    d.up = d.ramp if moving or kind >= FIRST_OFFERING else 0
 
 
 @kernel()
-def end_leases(values: Any, words: Any) -> None:
+def end_leases(words: Any) -> None:
     """End every lease: nothing is commanded until a source does so anew."""
-    lease = words[word.LEASES]
-    if lease == 0:
+    if words[word.LEASES] == 0:
         return
+    d = driving(words)
     for kind in range(KINDS):
-        _clear(kind, values, words)
-    words[lease + DOWN] = 0
-    words[lease + UP] = words[lease + RAMP] if values[lease + OWNER] >= FIRST_OFFERING else 0
+        _clear(kind, words)
+    d.down = 0
+    d.up = d.ramp if d.owner >= FIRST_OFFERING else 0
 
 
 @kernel()
 def adopt_outcome(now_ns: int, values: Any, words: Any) -> None:
     """Let whoever has control command what a state commands that was restored."""
-    lease, frame = words[word.LEASES], words[word.FRAME_BASE]
-    if lease == 0 or values[lease + OWNER] < 0.0:
+    d, frame = driving(words), words[word.FRAME_BASE]
+    if words[word.LEASES] == 0 or d.owner < 0.0:
         return
-    kind = int(values[lease + OWNER])
+    kind = int(d.owner)
     for i in range(words[word.SETPOINT_SLOTS] + 2):
-        values[lease + VALUES + kind * ROW + i] = values[frame + i]
-    for e in range(words[lease + COUNT]):
-        entry = lease + FIRST_ENTRY + e * ENTRY
-        if words[entry + KIND] == kind and words[entry + SINCE] != 0:
-            words[entry + SINCE] = now_ns
-    words[lease + DOWN] = words[lease + UP] = 0
+        d.values[kind, i] = values[frame + i]
+    for number in range(d.count):
+        lease = lease_at(number, words)
+        if lease.kind == kind and lease.since != 0:
+            lease.since = now_ns
+    d.down = d.up = 0
 
 
 @kernel()
 def apply_lease(index: int, value: float, status: int, values: Any, words: Any) -> None:
     """Apply a row that is meant for the region; NaN leaves the value."""
-    lease = words[word.LEASES]
     if index == OWNER:
         _take(int(value), values, words)
     elif index == END:
-        end_leases(values, words)
-    elif index >= FIRST_ENTRY:
-        words[lease + index] = 1
+        end_leases(words)
+    elif index >= FIRST_LEASE:
+        lease_at((index - FIRST_LEASE) // LEASE_WORDS, words).renewed = 1
     else:
-        if value == value:  # noqa: PLR0124 - not NaN
-            values[lease + index] = value
-            kind, column = (index - VALUES) // ROW, (index - VALUES) % ROW
-            if column < words[word.SETPOINT_SLOTS] and kind == values[lease + OWNER]:
-                words[word.COMMANDED] = 1
-        words[lease + index + KINDS * ROW] = status
+        command((index - VALUES) // ROW, (index - VALUES) % ROW, value, status, words)
+
+
+@kernel()
+def command(kind: int, column: int, value: float, status: int, words: Any) -> None:
+    """Write one command into the row of a kind; NaN leaves the value."""
+    d = driving(words)
+    if not math.isnan(value):
+        d.values[kind, column] = value
+        if column < words[word.SETPOINT_SLOTS] and kind == d.owner:
+            words[word.COMMANDED] = 1
+    d.status[kind, column] = status
 
 
 @kernel()
 def show_outcome(values: Any, words: Any) -> None:
     """Write into the frame what the row in control commands: set-points, mode, enable."""
-    lease, frame, status = words[word.LEASES], words[word.FRAME_BASE], words[word.STATUS_BASE]
-    n, kind = words[word.SETPOINT_SLOTS], int(values[lease + OWNER])
-    down, up = words[lease + DOWN], words[lease + UP]
+    d, frame, status = driving(words), words[word.FRAME_BASE], words[word.STATUS_BASE]
+    n, kind = words[word.SETPOINT_SLOTS], int(d.owner)
+    down, up = d.down, d.up
     if down > 0:
-        words[lease + DOWN] = down - 1
+        d.down = down - 1
         for i in range(n):
             values[frame + i] *= (down - 1) / down
         return
@@ -152,10 +187,10 @@ def show_outcome(values: Any, words: Any) -> None:
             values[frame + i] = 0.0
             words[status + i] = GOOD
         return
-    share, row = 1.0, lease + VALUES + kind * ROW
+    share = 1.0
     if up > 0:
-        words[lease + UP] = up - 1
-        share = 1.0 - (up - 1) / words[lease + RAMP]
+        d.up = up - 1
+        share = 1.0 - (up - 1) / d.ramp
     for i in range(n + 2):
-        values[frame + i] = values[row + i] * share if i < n else values[row + i]
-        words[status + i] = words[row + KINDS * ROW + i]
+        values[frame + i] = d.values[kind, i] * share if i < n else d.values[kind, i]
+        words[status + i] = d.status[kind, i]

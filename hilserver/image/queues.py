@@ -11,9 +11,9 @@ from typing import Any
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
-from hilserver.image import leases, word
+from hilserver.image import word
 from hilserver.image.layout import ROW_WORDS
-from hilserver.image.leases import apply_lease
+from hilserver.image.leases import apply_lease, command, driving
 
 
 @kernel("int64(float64[:, ::1], int64, int64, int64, int64, float64[::1], int64[::1])")
@@ -50,9 +50,9 @@ def _apply(place: int, values: Any, words: Any) -> None:
         apply_lease(slot - words[word.N_SLOTS], value, status, values, words)
         return
     if lease > 0 and slot < words[word.SETPOINT_SLOTS] + 2 and words[word.STATE] >= 0:
-        kind = int(values[lease + leases.OWNER])
+        kind = int(driving(words).owner)
         if kind >= 0:  # it is meant for whoever drives
-            apply_lease(leases.VALUES + kind * leases.ROW + slot, value, status, values, words)
+            command(kind, slot, value, status, words)
         return
     if not math.isnan(value):
         values[words[word.FRAME_BASE] + slot] = value

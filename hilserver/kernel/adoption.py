@@ -1,23 +1,23 @@
 """Whether the step may go on from a state: its numbers become indices, and the step checks none."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import hilserver.kernel.modifier_layout as at
 from hilserver.image.layout import Region
+from hilserver.kernel.modifier_layout import Modifiers
 from hilserver.plant.layout import RING, State
 
 _ANY = 2**63
-_ENTRY: Mapping[str, tuple[int, int, int]] = {
-    "kind": (at.E_KIND, min(at.Kind), max(at.Kind)),
-    "side": (at.E_SIDE, at.INPUT, at.NEITHER),
-    "period": (at.E_EVERY, 1, _ANY),
-    "delay": (at.E_TICKS, 0, at.MAX_DELAY_TICKS),
-    "spread": (at.E_SPREAD, 0, at.MAX_DELAY_TICKS),
-    "ring": (at.E_RING, -1, at.MAX_RINGS - 1),
+_ENTRY: Mapping[str, tuple[int, int]] = {
+    "kind": (min(at.Kind), max(at.Kind)),
+    "side": (at.INPUT, at.NEITHER),
+    "every": (1, _ANY),
+    "ticks": (0, at.MAX_DELAY_TICKS),
+    "spread": (0, at.MAX_DELAY_TICKS),
+    "ring": (-1, at.MAX_RINGS - 1),
 }
 """Least and largest value of what an entry of the faults holds."""
 
@@ -43,17 +43,18 @@ def unfit(state: NDArray[np.int64], regions: Mapping[str, Region], n_slots: int)
             return "place in a ring of samples"
         if not all(0 <= count <= RING for count in (x.imu_count, x.nav_count)):
             return "number of samples"
-    return _unfit_faults(part("modifiers"), n_slots) if "modifiers" in regions else None
+    if "modifiers" in regions:
+        return _unfit_faults(Modifiers.of(part("modifiers")), n_slots)
+    return None
 
 
-def _unfit_faults(faults: NDArray[np.int64], n_slots: int) -> str | None:
-    count, touched = int(faults[at.H_COUNT]), int(faults[at.H_TOUCHED])
-    if not (0 <= count <= at.MAX_MODIFIERS and 0 <= touched <= 2 * at.MAX_MODIFIERS):
+def _unfit_faults(m: Modifiers, n_slots: int) -> str | None:
+    if not (0 <= m.count <= at.MAX_MODIFIERS and 0 <= m.touched <= 2 * at.MAX_MODIFIERS):
         return "number of faults"
-    slots: list[Any] = faults[at.TOUCHED :][:touched].tolist()
-    for entry in faults[at.ENTRIES : at.TOUCHED].reshape(-1, at.N_ENTRY)[:count].tolist():
-        slots += [entry[at.E_SLOT], entry[at.E_OTHER]]
-        for name, (place, low, high) in _ENTRY.items():
-            if not low <= entry[place] <= high:
-                return f"{name} of a fault"
+    slots = m.slots[: m.touched].tolist()
+    for entry in m.entries[: m.count]:
+        slots += [entry.slot, entry.other]
+        for name, (low, high) in _ENTRY.items():
+            if not low <= entry[name] <= high:
+                return f"'{name}' of a fault"
     return None if all(0 <= slot < n_slots for slot in slots) else "signal of a fault"

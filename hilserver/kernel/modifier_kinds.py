@@ -3,11 +3,10 @@
 import math
 from typing import Any
 
-import hilserver.kernel.modifier_layout as at
 from hilserver.compiled import kernel
 from hilserver.image import word
 from hilserver.image.status import GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
-from hilserver.kernel.modifier_layout import Kind
+from hilserver.kernel.modifier_layout import RING_TICKS, Entry, Kind, Modifiers
 from hilserver.plant.noise import normal, uniform
 
 STUCK, NOISE, BIAS, SCALE = (
@@ -25,75 +24,71 @@ UART_RANGE = 65536.0
 
 
 @kernel()
-def _past(tick: int, entry: int, raw: float, base: int, values: Any, words: Any) -> int:
-    """Note `raw` in the entry's ring, also for ticks that were skipped; return the ring's base."""
-    ring = base + at.RINGS + words[entry + at.E_RING] * at.RING_TICKS
-    last = words[entry + at.E_LAST]
-    first = max(last + 1, tick - at.RING_TICKS + 1)
+def _past(tick: int, entry: Entry, raw: float, m: Modifiers) -> Any:
+    """Note `raw` in the entry's ring, also for ticks that were skipped; return the ring."""
+    ring = m.rings[entry.ring]
+    last = entry.last
+    first = max(last + 1, tick - RING_TICKS + 1)
     for missed in range(first, tick):
-        values[ring + (missed & (at.RING_TICKS - 1))] = values[ring + (last & (at.RING_TICKS - 1))]
-    values[ring + (tick & (at.RING_TICKS - 1))] = raw
-    return int(ring)
+        ring[missed & (RING_TICKS - 1)] = ring[last & (RING_TICKS - 1)]
+    ring[tick & (RING_TICKS - 1)] = raw
+    return ring
 
 
 @kernel()
-def _begin(tick: int, entry: int, raw: float, values: Any, words: Any) -> None:
+def _begin(tick: int, entry: Entry, raw: float) -> None:
     """Make the entry's state that of the end of the last tick."""
-    start = words[entry + at.E_START]
+    start = entry.start
     if start < 0 or tick < start:
-        words[entry + at.E_START] = tick
+        entry.start = tick
         start = tick
-        words[entry + at.E_LAST] = tick - 1
+        entry.last = tick - 1
     if tick == start:
-        values[entry + at.E_PREVIOUS] = raw
-    elif tick != words[entry + at.E_LAST]:
-        values[entry + at.E_PREVIOUS] = values[entry + at.E_STATE]
+        entry.previous = raw
+    elif tick != entry.last:
+        entry.previous = entry.state
 
 
 @kernel()
-def _from_ring(tick: int, entry: int, raw: float, base: int, values: Any, words: Any) -> float:
-    kind, start, seed = (
-        words[entry + at.E_KIND],
-        words[entry + at.E_START],
-        words[entry + at.E_SEED],
-    )
-    channel, sample = words[entry + at.E_CHANNEL], tick // words[entry + at.E_EVERY]
-    ring = _past(tick, entry, raw, base, values, words)
-    wanted = tick - words[entry + at.E_TICKS]
-    if kind == REORDER and uniform(seed, sample, channel) >= values[entry + at.E_B]:
+def _from_ring(tick: int, entry: Entry, raw: float, m: Modifiers) -> float:
+    kind, start, seed = entry.kind, entry.start, entry.seed
+    channel, sample = entry.channel, tick // entry.every
+    ring = _past(tick, entry, raw, m)
+    wanted = tick - entry.ticks
+    if kind == REORDER and uniform(seed, sample, channel) >= entry.b:
         return raw
     if kind == JITTER:
         share = uniform(seed, sample, channel)
-        wanted -= int(share * (words[entry + at.E_SPREAD] + 1))
+        wanted -= int(share * (entry.spread + 1))
         if tick > start:
-            wanted = max(wanted, int(values[entry + at.E_PREVIOUS]))
+            wanted = max(wanted, int(entry.previous))
     wanted = max(wanted, start)
-    values[entry + at.E_STATE] = wanted
-    return float(values[ring + (wanted & (at.RING_TICKS - 1))])
+    entry.state = wanted
+    return float(ring[wanted & (RING_TICKS - 1)])
 
 
 @kernel()
-def _from_state(tick: int, entry: int, raw: float, values: Any, words: Any) -> float:
-    kind, start = words[entry + at.E_KIND], words[entry + at.E_START]
-    every, a = words[entry + at.E_EVERY], values[entry + at.E_A]
-    held = values[entry + at.E_PREVIOUS]
-    if kind == STUCK and values[entry + at.E_B] != 0.0:
+def _from_state(tick: int, entry: Entry, raw: float) -> float:
+    kind, start = entry.kind, entry.start
+    every, a = entry.every, entry.a
+    held = entry.previous
+    if kind == STUCK and entry.b != 0.0:
         held = a
     elif kind == HOLD and (tick - start) % every == 0:
         held = raw
     elif kind == DROP:
-        share = uniform(words[entry + at.E_SEED], tick // every, words[entry + at.E_CHANNEL])
-        if share >= values[entry + at.E_B]:
+        share = uniform(entry.seed, tick // every, entry.channel)
+        if share >= entry.b:
             held = raw
-    values[entry + at.E_STATE] = held
+    entry.state = held
     return float(held)
 
 
 @kernel()
-def _from_value(tick: int, entry: int, raw: float, values: Any, words: Any) -> float:
-    kind, a = words[entry + at.E_KIND], values[entry + at.E_A]
-    seed, sample = words[entry + at.E_SEED], tick // words[entry + at.E_EVERY]
-    channel = words[entry + at.E_CHANNEL]
+def _from_value(tick: int, entry: Entry, raw: float) -> float:
+    kind, a = entry.kind, entry.a
+    seed, sample = entry.seed, tick // entry.every
+    channel = entry.channel
     if kind == NOISE:
         return float(raw + a * normal(seed, sample, channel))
     if kind == BIAS:
@@ -103,7 +98,7 @@ def _from_value(tick: int, entry: int, raw: float, values: Any, words: Any) -> f
     if kind == QUANTISE:
         return float(a * math.floor(raw / a + 0.5))
     if kind == SPIKE:
-        if uniform(seed, sample, 2 * channel) >= values[entry + at.E_B]:
+        if uniform(seed, sample, 2 * channel) >= entry.b:
             return raw
         return float(raw + (a if uniform(seed, sample, 2 * channel + 1) < 0.5 else -a))
     if kind == UNSIGNED:
@@ -113,22 +108,22 @@ def _from_value(tick: int, entry: int, raw: float, values: Any, words: Any) -> f
 
 
 @kernel()
-def modify(tick: int, entry: int, base: int, values: Any, words: Any) -> None:
+def modify(tick: int, entry: Entry, m: Modifiers, values: Any, words: Any) -> None:
     """Let a modifier of one signal act on its value and status."""
-    slot, kind = words[entry + at.E_SLOT], words[entry + at.E_KIND]
+    slot, kind = entry.slot, entry.kind
     place = words[word.FRAME_BASE] + slot
     raw = values[place]
-    _begin(tick, entry, raw, values, words)
-    if words[entry + at.E_RING] >= 0:
-        value = _from_ring(tick, entry, raw, base, values, words)
+    _begin(tick, entry, raw)
+    if entry.ring >= 0:
+        value = _from_ring(tick, entry, raw, m)
     elif kind in (STUCK, HOLD, DROP, DISCONNECT):
-        value = _from_state(tick, entry, raw, values, words)
+        value = _from_state(tick, entry, raw)
     else:
-        value = _from_value(tick, entry, raw, values, words)
-    words[entry + at.E_LAST] = tick
-    if words[entry + at.E_INTEGER] != 0:
+        value = _from_value(tick, entry, raw)
+    entry.last = tick
+    if entry.is_integer != 0:
         value = math.floor(value + 0.5)
-        value = min(max(value, values[entry + at.E_LOW]), values[entry + at.E_HIGH])
+        value = min(max(value, entry.low), entry.high)
     if not math.isfinite(value):
         value = raw
     values[place] = value
@@ -139,26 +134,26 @@ def modify(tick: int, entry: int, base: int, values: Any, words: Any) -> None:
 
 
 @kernel()
-def swap(entry: int, values: Any, words: Any) -> None:
+def swap(entry: Entry, values: Any, words: Any) -> None:
     """Exchange two signals, values and status."""
-    a, b = words[entry + at.E_SLOT], words[entry + at.E_OTHER]
+    a, b = entry.slot, entry.other
     frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
     values[frame + a], values[frame + b] = values[frame + b], values[frame + a]
     words[status + a], words[status + b] = words[status + b], words[status + a]
 
 
 @kernel()
-def scale_by_last_wheel(entry: int, values: Any, words: Any) -> None:
+def scale_by_last_wheel(entry: Entry, values: Any, words: Any) -> None:
     """Limit the twist as a driver does that keeps the last offending wheel's factor.
 
     The wheels are looked at in the driver's order fl, fr, rl, rr; a wheel that is still too fast
     is cut off by its motor, so that the path bends.
     """
     frame = words[word.FRAME_BASE]
-    linear, angular = frame + words[entry + at.E_SLOT], frame + words[entry + at.E_OTHER]
-    straight = values[linear] * values[entry + at.E_A]
-    turning = values[angular] * values[entry + at.E_B]
-    limit = values[entry + at.E_C]
+    linear, angular = frame + entry.slot, frame + entry.other
+    straight = values[linear] * entry.a
+    turning = values[angular] * entry.b
+    limit = entry.c
     left, right = turning + straight, turning - straight
     factor = 1.0
     if abs(left) > limit:
@@ -167,5 +162,5 @@ def scale_by_last_wheel(entry: int, values: Any, words: Any) -> None:
         factor = limit / abs(right)
     left = min(max(left * factor, -limit), limit)
     right = min(max(right * factor, -limit), limit)
-    values[linear] = 0.5 * (left - right) / values[entry + at.E_A]
-    values[angular] = 0.5 * (left + right) / values[entry + at.E_B]
+    values[linear] = 0.5 * (left - right) / entry.a
+    values[angular] = 0.5 * (left + right) / entry.b

@@ -6,7 +6,12 @@ run that continues it gives the same bits. Commands come in through the fixed re
 """
 
 from enum import IntEnum
-from typing import Final
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.records import Record
 
 MAX_MODIFIERS: Final = 32
 MAX_RINGS: Final = 8  # each is part of every snapshot and recorded state, 8 kB
@@ -40,53 +45,63 @@ class Kind(IntEnum):
 
 RING_KINDS: Final = (Kind.DELAY, Kind.JITTER, Kind.REORDER)
 
-# --- one entry: what the command brings ---------------------------------------------------------
-E_ID: Final = 0
-E_KIND: Final = 1
-E_SLOT: Final = 2
-E_OTHER: Final = 3  # second slot of SWAP and LAST_WHEEL
-E_SIDE: Final = 4  # INPUT, OUTPUT or NEITHER
-E_FROM: Final = 5  # tick, or NOW
-E_UNTIL: Final = 6  # tick; with NOW: duration
-E_SEED: Final = 7
-E_EVERY: Final = 8  # ticks of one sample
-E_TICKS: Final = 9  # delay
-E_SPREAD: Final = 10  # largest additional delay
-E_A: Final = 11  # float: value, deviation, offset, factor, step, size, rpm per m/s
-E_B: Final = 12  # float: probability; 1: STUCK has a value; rpm per rad/s
-E_C: Final = 13  # float: max_rpm
-E_INTEGER: Final = 14  # 1: whole numbers between E_LOW and E_HIGH only
-E_LOW: Final = 15  # float
-E_HIGH: Final = 16  # float
-E_CHANNEL: Final = 17  # of the noise
-N_COMMAND: Final = 20
-# --- and what it remembers ----------------------------------------------------------------------
-E_START: Final = 20  # tick at which it began to act, -1 before
-E_RING: Final = 21
-E_LAST: Final = 22  # tick of the newest evaluation
-E_PREVIOUS: Final = 23  # float: state before that tick
-E_STATE: Final = 24  # float: state after it
-N_ENTRY: Final = 32
-
 INPUT: Final = 0
 OUTPUT: Final = 1
 NEITHER: Final = 2
 
-# --- the region: header, entries, what the modified slots held, rings -----------------------------
-H_COUNT: Final = 0
-H_TOUCHED: Final = 1  # slots that hold a modified value now
-H_RINGS: Final = 2  # one bit for each ring in use
-H_DROPPED: Final = 3  # commands for which there was no room
-H_TIMEOUT_DEAD: Final = 4  # 1: the command time-out is defeated
-H_LAST_COMMAND: Final = 5  # tick of the last set-point
-H_TIMEOUTS: Final = 6  # how often the command time-out has fired
-H_SILENT: Final = 7  # 1 while it holds
-ENTRIES: Final = 16
-TOUCHED: Final = ENTRIES + MAX_MODIFIERS * N_ENTRY
-RAW_VALUE: Final = TOUCHED + 2 * MAX_MODIFIERS
-RAW_STATUS: Final = RAW_VALUE + 2 * MAX_MODIFIERS
-RINGS: Final = RAW_STATUS + 2 * MAX_MODIFIERS
-N_MODIFIER_WORDS: Final = RINGS + MAX_RINGS * RING_TICKS
+Slots = Annotated[NDArray[np.int64], 2 * MAX_MODIFIERS]
+Raw = Annotated[NDArray[np.float64], 2 * MAX_MODIFIERS]
+Rings = Annotated[NDArray[np.float64], (MAX_RINGS, RING_TICKS)]
+
+
+class Entry(Record):
+    """One modifier: what the command brings, and what the step remembers of it."""
+
+    number: int
+    kind: int
+    slot: int
+    other: int  # second slot of SWAP and LAST_WHEEL
+    side: int  # INPUT, OUTPUT or NEITHER
+    from_tick: int  # or NOW
+    until_tick: int  # with NOW: duration
+    seed: int
+    every: int  # ticks of one sample
+    ticks: int  # delay
+    spread: int  # largest additional delay
+    a: float  # value, deviation, offset, factor, step, size, rpm per m/s
+    b: float  # probability; 1: STUCK has a value; rpm per rad/s
+    c: float  # max_rpm
+    is_integer: int  # 1: whole numbers between low and high only
+    low: float
+    high: float
+    channel: int  # of the noise
+    unused: Annotated[NDArray[np.int64], 2]
+    start: int  # tick at which it began to act, -1 before
+    ring: int  # -1: none
+    last: int  # tick of the newest evaluation
+    previous: float  # state before that tick
+    state: float  # state after it
+    free: Annotated[NDArray[np.int64], 7]
+
+
+class Modifiers(Record):
+    """The region: head, entries, what the modified slots held, delay rings."""
+
+    count: int  # entries in use
+    touched: int  # slots that hold a modified value now
+    rings_in_use: int  # one bit for each ring
+    dropped: int  # commands for which there was no room
+    timeout_dead: int  # 1: the command time-out is defeated
+    last_command: int  # tick of the last set-point
+    timeouts: int  # how often the command time-out has fired
+    silent: int  # 1 while it holds
+    free: Annotated[NDArray[np.int64], 8]
+    entries: Annotated[list[Entry], MAX_MODIFIERS]
+    slots: Slots  # those that are touched
+    raw_value: Raw  # what they held
+    raw_status: Slots
+    rings: Rings
+
 
 # --- the mail -------------------------------------------------------------------------------------
 OP_ADD: Final = 1
@@ -95,8 +110,17 @@ OP_CLEAR: Final = 3  # all but forces
 OP_CLEAR_ALL: Final = 4
 OP_SKIP_TIMED: Final = 5  # timed input rows up to this number
 MAIL_ROWS: Final = 128  # a power of two
-MAIL_ROW: Final = 1 + N_COMMAND
-N_MAIL_WORDS: Final = MAIL_ROWS * MAIL_ROW
 
-REGIONS_LIVE: Final = {"modifiers": N_MODIFIER_WORDS}
-REGIONS_FIXED: Final = {"modifier_mail": N_MAIL_WORDS}
+
+class Mail(Record):
+    """One command: a new entry, or what becomes of those with its number."""
+
+    operation: int  # OP_*
+    entry: Entry
+
+
+MODIFIERS: Final = Modifiers.layout
+MAIL: Final = Mail.layout
+MAIL_ROW: Final = Mail.n_words
+REGIONS_LIVE: Final = {"modifiers": Modifiers.n_words}
+REGIONS_FIXED: Final = {"modifier_mail": MAIL_ROWS * MAIL_ROW}

@@ -5,7 +5,9 @@ from typing import Any
 import hilserver.kernel.modifier_layout as at
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
+from hilserver.compiled.records import assign, record_at
 from hilserver.image import word
+from hilserver.kernel.modifier_layout import Entry, Modifiers
 
 DELAY, JITTER, REORDER = int(at.Kind.DELAY), int(at.Kind.JITTER), int(at.Kind.REORDER)
 FORCE, DEAD_TIMEOUT = int(at.Kind.FORCE), int(at.Kind.DEAD_TIMEOUT)
@@ -18,89 +20,87 @@ def show_mail(head: int, words: Any) -> None:
 
 
 @kernel()
-def _take_ring(base: int, words: Any) -> int:
+def _take_ring(m: Modifiers) -> int:
     for ring in range(at.MAX_RINGS):
-        if words[base + at.H_RINGS] & (1 << ring) == 0:
-            words[base + at.H_RINGS] |= 1 << ring
+        if m.rings_in_use & (1 << ring) == 0:
+            m.rings_in_use |= 1 << ring
             return ring
     return -1
 
 
 @kernel()
-def _add(tick: int, row: int, base: int, words: Any) -> None:
-    kind = words[row + at.E_KIND]
-    needs_ring = kind in (DELAY, JITTER, REORDER)
-    if words[base + at.H_COUNT] >= at.MAX_MODIFIERS:
-        words[base + at.H_DROPPED] += 1
+def _add(tick: int, order: Entry, m: Modifiers) -> None:
+    needs_ring = order.kind in (DELAY, JITTER, REORDER)
+    if m.count >= at.MAX_MODIFIERS:
+        m.dropped += 1
         return
-    ring = _take_ring(base, words) if needs_ring else -1
+    ring = _take_ring(m) if needs_ring else -1
     if needs_ring and ring < 0:
-        words[base + at.H_DROPPED] += 1
+        m.dropped += 1
         return
-    entry = base + at.ENTRIES + words[base + at.H_COUNT] * at.N_ENTRY
-    for i in range(at.N_COMMAND):
-        words[entry + i] = words[row + i]
-    if words[entry + at.E_FROM] == at.NOW:
-        words[entry + at.E_FROM] = tick
-        if words[entry + at.E_UNTIL] < at.FOREVER:
-            words[entry + at.E_UNTIL] += tick
-    words[entry + at.E_RING] = ring
-    words[entry + at.E_START] = -1
-    words[base + at.H_COUNT] += 1
+    entry = m.entries[m.count]
+    assign(entry, order)
+    if entry.from_tick == at.NOW:
+        entry.from_tick = tick
+        if entry.until_tick < at.FOREVER:
+            entry.until_tick += tick
+    entry.ring = ring
+    entry.start = -1
+    m.count += 1
 
 
 @kernel()
-def _keep(keeps: bool, entry: int, kept: int, base: int, words: Any) -> int:
+def _keep(keeps: bool, i: int, kept: int, m: Modifiers) -> int:
     """Move a kept entry down to place `kept`, free the ring of another; return the next place."""
+    entry = m.entries[i]
     if not keeps:
-        if words[entry + at.E_RING] >= 0:
-            words[base + at.H_RINGS] &= ~(1 << words[entry + at.E_RING])
+        if entry.ring >= 0:
+            m.rings_in_use &= ~(1 << entry.ring)
         return kept
-    place = base + at.ENTRIES + kept * at.N_ENTRY
-    if place != entry:
-        for i in range(at.N_ENTRY):
-            words[place + i] = words[entry + i]
+    if kept != i:
+        assign(m.entries[kept], entry)
     return kept + 1
 
 
 @kernel()
-def _remove(operation: int, number: int, base: int, words: Any) -> None:
+def _remove(operation: int, number: int, m: Modifiers) -> None:
     kept = 0
-    for i in range(words[base + at.H_COUNT]):
-        entry = base + at.ENTRIES + i * at.N_ENTRY
+    for i in range(m.count):
+        entry = m.entries[i]
         if operation == at.OP_REMOVE:
-            keeps = words[entry + at.E_ID] != number
+            keeps = entry.number != number
         else:
-            keeps = operation != at.OP_CLEAR_ALL and words[entry + at.E_KIND] == FORCE
-        kept = _keep(keeps, entry, kept, base, words)
-    words[base + at.H_COUNT] = kept
+            keeps = operation != at.OP_CLEAR_ALL and entry.kind == FORCE
+        kept = _keep(keeps, i, kept, m)
+    m.count = kept
 
 
 @kernel()
-def drain_mail(tick: int, base: int, words: Any) -> None:
+def drain_mail(tick: int, m: Modifiers, words: Any) -> None:
     """Take the commands that are shown; a modifier that begins now begins with `tick`."""
     head, tail = load_acquire(words, word.MAIL_HEAD), words[word.MAIL_TAIL]
     while tail < head:
-        row = words[word.MAIL_BASE] + (tail & (at.MAIL_ROWS - 1)) * at.MAIL_ROW
-        if words[row] == at.OP_ADD:
-            _add(tick, row + 1, base, words)
-        elif words[row] == at.OP_SKIP_TIMED:
-            words[word.TIMED_TAIL] = max(words[word.TIMED_TAIL], words[row + 1 + at.E_ID])
+        place = words[word.MAIL_BASE] + (tail & (at.MAIL_ROWS - 1)) * at.MAIL_ROW
+        mail = record_at(words, place, at.MAIL)
+        if mail.operation == at.OP_ADD:
+            _add(tick, mail.entry, m)
+        elif mail.operation == at.OP_SKIP_TIMED:
+            words[word.TIMED_TAIL] = max(words[word.TIMED_TAIL], mail.entry.number)
         else:
-            _remove(words[row], words[row + 1 + at.E_ID], base, words)
+            _remove(mail.operation, mail.entry.number, m)
         tail += 1
     store_release(words, word.MAIL_TAIL, tail)
 
 
 @kernel()
-def expire(tick: int, base: int, words: Any) -> None:
+def expire(tick: int, m: Modifiers) -> None:
     """Drop modifiers whose time is over; note whether one keeps the time-out from acting."""
     kept = 0
-    words[base + at.H_TIMEOUT_DEAD] = 0
-    for i in range(words[base + at.H_COUNT]):
-        entry = base + at.ENTRIES + i * at.N_ENTRY
-        keeps = tick < words[entry + at.E_UNTIL]
-        if keeps and words[entry + at.E_KIND] == DEAD_TIMEOUT and tick >= words[entry + at.E_FROM]:
-            words[base + at.H_TIMEOUT_DEAD] = 1
-        kept = _keep(keeps, entry, kept, base, words)
-    words[base + at.H_COUNT] = kept
+    m.timeout_dead = 0
+    for i in range(m.count):
+        entry = m.entries[i]
+        keeps = tick < entry.until_tick
+        if keeps and entry.kind == DEAD_TIMEOUT and tick >= entry.from_tick:
+            m.timeout_dead = 1
+        kept = _keep(keeps, i, kept, m)
+    m.count = kept

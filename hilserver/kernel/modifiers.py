@@ -13,58 +13,66 @@ from typing import Any
 import hilserver.kernel.modifier_layout as at
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
+from hilserver.compiled.records import record_at
 from hilserver.image import word
 from hilserver.kernel.modifier_kinds import modify, scale_by_last_wheel, swap
+from hilserver.kernel.modifier_layout import Modifiers
 from hilserver.kernel.modifier_mail import drain_mail, expire
 
 FORCE, SWAP, LAST_WHEEL = int(at.Kind.FORCE), int(at.Kind.SWAP), int(at.Kind.LAST_WHEEL)
+
+
+@kernel()
+def modifiers(words: Any) -> Any:
+    """Return the region; not one of its words is there in an image without modifiers."""
+    return record_at(words, words[word.MODIFIERS], at.MODIFIERS)
 
 
 # --- true values ----------------------------------------------------------------------------------
 
 
 @kernel()
-def _restore(base: int, values: Any, words: Any) -> None:
+def _restore(m: Modifiers, values: Any, words: Any) -> None:
     frame, status = words[word.FRAME_BASE], words[word.STATUS_BASE]
-    for i in range(words[base + at.H_TOUCHED]):
-        slot = words[base + at.TOUCHED + i]
-        values[frame + slot] = values[base + at.RAW_VALUE + i]
-        words[status + slot] = words[base + at.RAW_STATUS + i]
-    words[base + at.H_TOUCHED] = 0
+    for i in range(m.touched):
+        slot = m.slots[i]
+        values[frame + slot] = m.raw_value[i]
+        words[status + slot] = m.raw_status[i]
+    m.touched = 0
 
 
 @kernel()
-def _touch(slot: int, base: int, values: Any, words: Any) -> None:
+def _touch(slot: int, m: Modifiers, values: Any, words: Any) -> None:
     """Keep the true value of a slot before the first modifier acts on it."""
-    n = words[base + at.H_TOUCHED]
+    n = m.touched
     for i in range(n):
-        if words[base + at.TOUCHED + i] == slot:
+        if m.slots[i] == slot:
             return
-    words[base + at.TOUCHED + n] = slot
-    values[base + at.RAW_VALUE + n] = values[words[word.FRAME_BASE] + slot]
-    words[base + at.RAW_STATUS + n] = words[words[word.STATUS_BASE] + slot]
-    words[base + at.H_TOUCHED] = n + 1
+    m.slots[n] = slot
+    m.raw_value[n] = values[words[word.FRAME_BASE] + slot]
+    m.raw_status[n] = words[words[word.STATUS_BASE] + slot]
+    m.touched = n + 1
 
 
 @kernel()
-def _act(tick: int, side: int, base: int, values: Any, words: Any) -> None:
+def _act(tick: int, side: int, m: Modifiers, values: Any, words: Any) -> None:
     """Let all modifiers of one side act, in the order in which they came; forces last."""
     for forced in range(2):
-        for i in range(words[base + at.H_COUNT]):
-            entry = base + at.ENTRIES + i * at.N_ENTRY
-            kind = words[entry + at.E_KIND]
-            is_now = words[entry + at.E_SIDE] == side and words[entry + at.E_FROM] <= tick
+        for i in range(m.count):
+            entry = m.entries[i]
+            kind = entry.kind
+            is_now = entry.side == side and entry.from_tick <= tick
             if not is_now or (kind == FORCE) != (forced == 1):
                 continue
-            _touch(words[entry + at.E_SLOT], base, values, words)
+            _touch(entry.slot, m, values, words)
             if kind in (SWAP, LAST_WHEEL):
-                _touch(words[entry + at.E_OTHER], base, values, words)
+                _touch(entry.other, m, values, words)
             if kind == SWAP:
                 swap(entry, values, words)
             elif kind == LAST_WHEEL:
                 scale_by_last_wheel(entry, values, words)
             else:
-                modify(tick, entry, base, values, words)
+                modify(tick, entry, m, values, words)
 
 
 # --- the seams of the step ------------------------------------------------------------------------
@@ -73,33 +81,33 @@ def _act(tick: int, side: int, base: int, values: Any, words: Any) -> None:
 @kernel()
 def restore_true_values(tick: int, values: Any, words: Any) -> None:
     """Undo the modifiers of the last tick, take new ones, drop those whose time is over."""
-    base = words[word.MODIFIERS]
-    if base == 0:
+    if words[word.MODIFIERS] == 0:
         return
-    if words[base + at.H_TOUCHED] > 0:
-        _restore(base, values, words)
+    m = modifiers(words)
+    if m.touched > 0:
+        _restore(m, values, words)
     if load_acquire(words, word.MAIL_HEAD) != words[word.MAIL_TAIL]:
-        drain_mail(tick, base, words)
-    if words[base + at.H_COUNT] > 0:
-        expire(tick, base, words)
+        drain_mail(tick, m, words)
+    if m.count > 0:
+        expire(tick, m)
     else:
-        words[base + at.H_TIMEOUT_DEAD] = 0
+        m.timeout_dead = 0
 
 
 @kernel()
 def watch_commands(tick: int, values: Any, words: Any) -> None:
     """Set the set-points to zero when none has come for `word.COMMAND_LIMIT` ticks."""
-    base = words[word.MODIFIERS]
-    if words[word.COMMANDED] != 0 or tick < words[base + at.H_LAST_COMMAND]:
+    m = modifiers(words)
+    if words[word.COMMANDED] != 0 or tick < m.last_command:
         words[word.COMMANDED] = 0
-        words[base + at.H_LAST_COMMAND] = tick
-        words[base + at.H_SILENT] = 0
+        m.last_command = tick
+        m.silent = 0
         return
-    silent = tick - words[base + at.H_LAST_COMMAND] > words[word.COMMAND_LIMIT]
-    if not silent or words[base + at.H_TIMEOUT_DEAD] != 0:
+    silent = tick - m.last_command > words[word.COMMAND_LIMIT]
+    if not silent or m.timeout_dead != 0:
         return
-    words[base + at.H_TIMEOUTS] += 1 - words[base + at.H_SILENT]
-    words[base + at.H_SILENT] = 1
+    m.timeouts += 1 - m.silent
+    m.silent = 1
     for slot in range(words[word.SETPOINT_SLOTS]):
         values[words[word.FRAME_BASE] + slot] = 0.0
 
@@ -109,14 +117,14 @@ def modify_inputs(tick: int, values: Any, words: Any) -> None:
     """Let the modifiers of inputs act on what was latched."""
     if words[word.COMMAND_LIMIT] > 0:
         watch_commands(tick, values, words)
-    base = words[word.MODIFIERS]
-    if base > 0 and words[base + at.H_COUNT] > 0:
-        _act(tick, at.INPUT, base, values, words)
+    m = modifiers(words)
+    if words[word.MODIFIERS] > 0 and m.count > 0:
+        _act(tick, at.INPUT, m, values, words)
 
 
 @kernel()
 def modify_outputs(tick: int, values: Any, words: Any) -> None:
     """Let the modifiers of outputs act on what is about to be published."""
-    base = words[word.MODIFIERS]
-    if base > 0 and words[base + at.H_COUNT] > 0:
-        _act(tick, at.OUTPUT, base, values, words)
+    m = modifiers(words)
+    if words[word.MODIFIERS] > 0 and m.count > 0:
+        _act(tick, at.OUTPUT, m, values, words)

@@ -6,14 +6,20 @@ from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire
 from hilserver.image import leases, word
 from hilserver.image.layout import REQUEST_LOAD, REQUEST_RESTART
-from hilserver.image.leases import adopt_outcome, end_leases, show_outcome
+from hilserver.image.leases import (
+    Lease,
+    adopt_outcome,
+    driving,
+    end_leases,
+    lease_at,
+    show_outcome,
+)
 from hilserver.image.queues import latch_rows
 from hilserver.image.requests import serve
 from hilserver.image.ring import publish_frame
 from hilserver.image.status import GOOD, UNCERTAIN
 from hilserver.kernel.changes import drop_changes, take_changes
-from hilserver.kernel.modifier_layout import H_TIMEOUT_DEAD
-from hilserver.kernel.modifiers import modify_inputs, modify_outputs, restore_true_values
+from hilserver.kernel.modifiers import modifiers, modify_inputs, modify_outputs, restore_true_values
 from hilserver.kernel.places import Places
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, Inputs, Outputs
 from hilserver.scheduler import faults
@@ -35,41 +41,40 @@ def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
 
 
 @kernel()
-def _lapse(entry: int, at: Places, values: Any, words: Any) -> None:
+def _lapse(lease: Lease, at: Places, values: Any, words: Any) -> None:
     """End a lease by its policy; what it held was not renewed in time."""
-    words[entry + leases.LAPSED] = 1
-    words[entry + leases.STALLED] = words[word.HEARTBEAT_AGE]
-    policy, n = words[entry + leases.POLICY], words[word.SETPOINT_SLOTS]
-    row = words[word.LEASES] + leases.VALUES + words[entry + leases.KIND] * leases.ROW
+    lease.lapsed = 1
+    lease.stalled = words[word.HEARTBEAT_AGE]
+    policy, n = lease.policy, words[word.SETPOINT_SLOTS]
+    d = driving(words)
+    row = d.values[lease.kind]
     has_effect = policy in (leases.LAPSE_SAFE, leases.LAPSE_DEVICE)
     if policy == leases.LAPSE_SAFE:
         enter_safe(faults.SILENCE, at, values, words)
-    elif policy != leases.LAPSE_HOLD or words[words[word.LEASES] + leases.UP] > 0:
+    elif policy != leases.LAPSE_HOLD or d.up > 0:
         for i in range(n):
-            has_effect |= values[row + i] != 0.0
-            values[row + i] = 0.0
+            has_effect |= row[i] != 0.0
+            row[i] = 0.0
     if policy == leases.LAPSE_DEVICE:
-        values[row + n + 1] = 0.0
-    words[entry + leases.LAPSES] += 1 if has_effect else 0
+        row[n + 1] = 0.0
+    lease.lapses += 1 if has_effect else 0
 
 
 @kernel()
 def drive(now_ns: int, at: Places, values: Any, words: Any) -> None:
     """Renew the leases, let those lapse by which the robot is driven, write the outcome."""
-    lease, base = words[word.LEASES], words[word.MODIFIERS]
-    held = base > 0 and words[base + H_TIMEOUT_DEAD] != 0
-    for e in range(words[lease + leases.COUNT]):
-        entry = lease + leases.FIRST_ENTRY + e * leases.ENTRY
-        if words[entry + leases.RENEWED] != 0:
-            words[entry + leases.RENEWED] = words[entry + leases.LAPSED] = 0
-            words[entry + leases.SINCE] = max(now_ns, 1)
+    d = driving(words)
+    held = words[word.MODIFIERS] > 0 and modifiers(words).timeout_dead != 0
+    for number in range(d.count):
+        lease = lease_at(number, words)
+        if lease.renewed != 0:
+            lease.renewed = lease.lapsed = 0
+            lease.since = max(now_ns, 1)
             continue
-        limit_ns, since_ns = words[entry + leases.LIMIT], words[entry + leases.SINCE]
-        if held or limit_ns == 0 or since_ns == 0 or words[entry + leases.LAPSED] != 0:
+        if held or lease.limit == 0 or lease.since == 0 or lease.lapsed != 0:
             continue
-        drives = words[entry + leases.KIND] == values[lease + leases.OWNER]
-        if drives and now_ns - since_ns > limit_ns:
-            _lapse(entry, at, values, words)
+        if lease.kind == d.owner and now_ns - lease.since > lease.limit:
+            _lapse(lease, at, values, words)
     show_outcome(values, words)
 
 
@@ -97,7 +102,7 @@ def _drive_on(now_ns: int, values: Any, words: Any) -> None:
         drop_changes(words[word.REQUEST_TICK], words)
         adopt_outcome(now_ns, values, words)
     if kind == REQUEST_RESTART:
-        end_leases(values, words)
+        end_leases(words)
 
 
 @kernel()

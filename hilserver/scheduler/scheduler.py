@@ -36,7 +36,6 @@ from hilserver.scheduler.policies import OverrunLimits, OverrunPolicy
 from hilserver.scheduler.realtime import Grant, RealtimeSettings
 from hilserver.scheduler.slices import Slice
 from hilserver.scheduler.statistics import Statistics
-from hilserver.scheduler.statistics_rows import THREAD_ID
 from hilserver.scheduler.step import StepFunction
 
 BACKENDS = ("thread", "timerfd", "virtual")
@@ -201,7 +200,7 @@ class Scheduler:
         except BaseException:
             await self.stop()
             raise
-        self.statistics.array[THREAD_ID] = self._pacing.thread_id
+        self.statistics.thread_id = self._pacing.thread_id
         if self.backend != "virtual":
             gc_stops_ticks = self.backend == "timerfd"
             self._overruns.start(

@@ -14,7 +14,7 @@ import mmap
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +93,10 @@ class TickFigures:
     real_time_factor_total: float
 
 
+_PLAIN = [f.name for f in fields(SliceFigures) if f.type is int and f.name != "period_ns"]
+"""Figures that are words of a row as they are."""
+
+
 class Statistics:
     """Reads (and resets) a statistics array; the loop fills it.
 
@@ -122,17 +126,16 @@ class Statistics:
         if array.dtype != np.int64 or array.ndim != 1 or len(array) < needed:
             raise ValueError(f"the statistics need a flat int64 array of {needed} words")
         array[:needed] = 0
-        array[rows.GENERATION] = 1
-        array[rows.N_ROWS] = len(slices)
-        array[rows.N_LINEAR] = linear_bins
-        array[rows.BASE_PERIOD] = base_period_ns
+        head = rows.Head.of(array)
+        head.generation, head.n_rows, head.n_linear = 1, len(slices), linear_bins
+        head.base_period = base_period_ns
         for index, part in enumerate(slices):
-            array[row_offset(index) + rows.PERIOD_TICKS] = part.period_ticks
+            rows.Row.of(array, row_offset(index)).period_ticks = part.period_ticks
         rows.publish_magic(array)
         self._adopt(array, [part.name for part in slices])
 
     def _adopt(self, array: NDArray[np.int64], names: list[str]) -> None:
-        self.array = array
+        self.array, self._head = array, rows.Head.of(array)
         self._offsets = {name: row_offset(index) for index, name in enumerate(names)}
 
     @classmethod
@@ -144,12 +147,13 @@ class Statistics:
         ValueError
             If the array holds no statistics (yet), or other slices.
         """
-        if len(array) < rows.N_HEADER or array[rows.MAGIC] != rows.MAGIC_NUMBER:
+        if len(array) < rows.N_HEAD or array[rows.MAGIC] != rows.MAGIC_NUMBER:
             raise ValueError("this array holds no scheduler statistics")
         if names is None:
-            names = [str(index) for index in range(int(array[rows.N_ROWS]))]
-        if len(names) != array[rows.N_ROWS]:
-            raise ValueError(f"the statistics hold {array[rows.N_ROWS]} slices, not {len(names)}")
+            names = [str(index) for index in range(rows.Head.of(array).n_rows)]
+        if len(names) != rows.Head.of(array).n_rows:
+            held = rows.Head.of(array).n_rows
+            raise ValueError(f"the statistics hold {held} slices, not {len(names)}")
         attached = cls.__new__(cls)
         attached._adopt(array, list(names))
         return attached
@@ -162,41 +166,43 @@ class Statistics:
     @property
     def thread_id(self) -> int:
         """The operating system's number of the pacing thread; 0: not started, or virtual time."""
-        return int(self.array[rows.THREAD_ID])
+        return int(self._head.thread_id)
+
+    @thread_id.setter
+    def thread_id(self, number: int) -> None:
+        self._head.thread_id = number
 
     def reset(self) -> None:
         """Start counting anew; safe at any time, from any process that maps the array."""
-        self.array[rows.GENERATION] += 1
+        self._head.generation += 1
 
     def slice(self, name: str) -> SliceFigures:
         """Return the figures of one slice."""
-        offset = self._offsets[name]
-        row = self._read(offset, rows.N_ROW)
-        period_ns = int(row[rows.PERIOD_TICKS] * self.array[rows.BASE_PERIOD])
-        if row[rows.SEEN_GENERATION] != self.array[rows.GENERATION]:
-            rows.clear_row(row, 0)
-        return _figures(name, period_ns, row)
+        words = self._read(self._offsets[name], rows.N_ROW)
+        row = rows.Row.of(words)
+        if row.seen_generation != self._head.generation:
+            rows.clear_row(words, 0)
+        return _figures(name, int(row.period_ticks * self._head.base_period), row)
 
     @property
     def tick(self) -> TickFigures:
         """The figures of the tick as a whole."""
-        head = self._read(0, rows.N_HEADER)
-        if head[rows.SEEN_GENERATION] != head[rows.GENERATION]:
+        head = rows.Head.of(self._read(0, rows.N_HEAD))
+        if head.seen_generation != head.generation:
             return TickFigures(0, math.nan, math.nan)
-        base = int(head[rows.BASE_PERIOD])
         return TickFigures(
-            missed_ticks=int(head[rows.MISSED_TICKS]),
-            real_time_factor=_ratio(head[rows.LAST_SPAN_TICKS] * base, head[rows.LAST_SPAN_NS]),
-            real_time_factor_total=_ratio(head[rows.RUN_TICKS] * base, head[rows.RUN_NS]),
+            missed_ticks=int(head.missed_ticks),
+            real_time_factor=_ratio(head.last_span_ticks * head.base_period, head.last_span_ns),
+            real_time_factor_total=_ratio(head.run_ticks * head.base_period, head.run_ns),
         )
 
     @property
     def linear_counts(self) -> NDArray[np.int64]:
         """A copy of the tick's linear histogram of the wake latency, one bin per us."""
-        first = row_offset(int(self.array[rows.N_ROWS]))
-        whole = self._read(0, first + int(self.array[rows.N_LINEAR]))
-        counts = whole[first:]
-        if whole[rows.SEEN_GENERATION] != whole[rows.GENERATION]:
+        first = row_offset(int(self._head.n_rows))
+        whole = self._read(0, first + int(self._head.n_linear))
+        counts, head = whole[first:], rows.Head.of(whole)
+        if head.seen_generation != head.generation:
             counts[:] = 0
         return counts
 
@@ -228,49 +234,36 @@ def map_statistics(path: Path, n_words: int | None = None) -> NDArray[np.int64]:
 
 def row_offset(index: int) -> int:
     """Return where the row of slice number `index` begins."""
-    return rows.N_HEADER + index * rows.N_ROW
+    return rows.N_HEAD + index * rows.N_ROW
 
 
 def _ratio(part: int, whole: int) -> float:
     return float(part / whole) if whole else math.nan
 
 
-def _figures(name: str, period_ns: int, row: NDArray[np.int64]) -> SliceFigures:
-    lowest_margin = int(row[rows.MARGIN_MIN])
+def _figures(name: str, period_ns: int, row: rows.Row) -> SliceFigures:
+    lowest_ns = int(row.margin_min_ns)
     return SliceFigures(
         name=name,
         period_ns=period_ns,
-        count=int(row[rows.COUNT]),
-        latency_sum_ns=int(row[rows.LATENCY_SUM]),
-        latency_max_ns=int(row[rows.LATENCY_MAX]),
-        latency_max_tick=int(row[rows.LATENCY_MAX_TICK]),
-        latency_last_ns=int(row[rows.LATENCY_LAST]),
-        execution_sum_ns=int(row[rows.EXECUTION_SUM]),
-        execution_max_ns=int(row[rows.EXECUTION_MAX]),
-        execution_max_tick=int(row[rows.EXECUTION_MAX_TICK]),
-        execution_last_ns=int(row[rows.EXECUTION_LAST]),
-        margin_min_ns=None if lowest_margin == rows.NEVER else lowest_margin,
-        margin_min_tick=int(row[rows.MARGIN_MIN_TICK]),
-        margin_last_ns=int(row[rows.MARGIN_LAST]),
-        late_wakes=int(row[rows.N_LATE_WAKE]),
-        long_runs=int(row[rows.N_LONG_RUN]),
-        missed_ticks=int(row[rows.N_MISSED]),
-        window=_window(row[rows.LAST_WINDOW : rows.LATENCY_COUNTS]),
-        latency_counts=row[rows.LATENCY_COUNTS : rows.EXECUTION_COUNTS].copy(),
-        execution_counts=row[rows.EXECUTION_COUNTS :].copy(),
+        margin_min_ns=None if lowest_ns == rows.NEVER else lowest_ns,
+        window=_window(row.last_window),
+        latency_counts=row.latency_counts.copy(),
+        execution_counts=row.execution_counts.copy(),
+        **{name: int(row[name]) for name in _PLAIN},
     )
 
 
-def _window(window: NDArray[np.int64]) -> Window:
-    count = int(window[rows.W_COUNT])
+def _window(window: rows.Window) -> Window:
+    count = int(window.count)
     if count == 0:
         return Window(0, math.nan, math.nan, math.nan, math.nan)
-    total, squares = int(window[rows.W_SUM]), int(window[rows.W_SQUARES])
+    total, squares = int(window.total), int(window.squares)
     variance = (count * squares - total * total) / count**2
     return Window(
         count=count,
         mean_ns=total / count,
         deviation_ns=math.sqrt(variance),
-        low_ns=float(window[rows.W_MIN]),
-        high_ns=float(window[rows.W_MAX]),
+        low_ns=float(window.low),
+        high_ns=float(window.high),
     )

@@ -9,6 +9,8 @@ it is written, and the reader tries again. ``reset`` only raises a generation nu
 each writer clears its own row when it sees the new number, so a reset tears nothing.
 """
 
+from typing import Annotated
+
 import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
@@ -16,38 +18,84 @@ from numpy.typing import NDArray
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import fence, load_acquire, store_release
 from hilserver.compiled.histogram import N_BUCKETS, bucket_index
+from hilserver.compiled.records import Record, assign, record_at
 from hilserver.scheduler.law import LATE_WAKE, LONG_RUN
 
-# Every row, also the header, begins with these two.
-SEQUENCE, SEEN_GENERATION = 0, 1
-# Header
-MAGIC, GENERATION, N_ROWS, N_LINEAR, BASE_PERIOD, THREAD_ID = range(2, 8)
-MISSED_TICKS = 8
-RUN_TICKS, RUN_NS = 9, 10
-SPAN_TICKS, SPAN_NS, LAST_SPAN_TICKS, LAST_SPAN_NS = range(11, 15)
-N_HEADER = 16
 MAGIC_NUMBER = 0x68696C_73746174  # "hilstat"
-
-# Row
-COUNT, PERIOD_TICKS = 2, 3
-LATENCY_SUM, LATENCY_MAX, LATENCY_MAX_TICK = 4, 5, 6
-EXECUTION_SUM, EXECUTION_MAX, EXECUTION_MAX_TICK = 7, 8, 9
-MARGIN_MIN, MARGIN_MIN_TICK = 10, 11
-N_LATE_WAKE, N_LONG_RUN, N_MISSED, MISSED_CARRY = range(12, 16)
-LATENCY_LAST, EXECUTION_LAST, MARGIN_LAST, TICK_LAST = range(16, 20)
-# A window of at most 1000 runs or 1 s; the last complete one is what is reported.
-WINDOW = 20
-LAST_WINDOW = 26
-W_COUNT, W_SUM, W_SQUARES, W_MIN, W_MAX, W_START = range(6)
-LATENCY_COUNTS = 32
-EXECUTION_COUNTS = LATENCY_COUNTS + N_BUCKETS
-N_ROW = EXECUTION_COUNTS + N_BUCKETS
-
 WINDOW_RUNS = 1000
 WINDOW_NS = 1_000_000_000
 SQUARE_LIMIT_NS = 90_000_000
 """Latencies enter the sum of squares at most with this, so that 1000 squares fit into int64."""
 NEVER = np.iinfo(np.int64).max
+
+Counts = Annotated[NDArray[np.int64], N_BUCKETS]
+
+
+class Head(Record):
+    """What concerns the tick as a whole; like every row it begins with its sequence number."""
+
+    sequence: int
+    seen_generation: int
+    magic: int
+    generation: int
+    n_rows: int
+    n_linear: int
+    base_period: int  # [ns]
+    thread_id: int
+    missed_ticks: int  # from here on a reset clears
+    run_ticks: int
+    run_ns: int
+    span_ticks: int  # this second
+    span_ns: int
+    last_span_ticks: int  # the last complete one
+    last_span_ns: int
+    free: int
+
+
+class Window(Record):
+    """At most 1000 runs or 1 s."""
+
+    count: int
+    total: int  # [ns]
+    squares: int  # [ns2]
+    low: int  # [ns]
+    high: int  # [ns]
+    start: int  # [ns]
+
+
+class Row(Record):
+    """One slice; times in ns."""
+
+    sequence: int
+    seen_generation: int
+    count: int  # from here on a reset clears, but for the period
+    period_ticks: int
+    latency_sum_ns: int
+    latency_max_ns: int
+    latency_max_tick: int
+    execution_sum_ns: int
+    execution_max_ns: int
+    execution_max_tick: int
+    margin_min_ns: int
+    margin_min_tick: int
+    late_wakes: int
+    long_runs: int
+    missed_ticks: int
+    missed_carry: int
+    latency_last_ns: int
+    execution_last_ns: int
+    margin_last_ns: int
+    last_tick: int
+    window: Window
+    last_window: Window  # the last complete one: what is reported
+    latency_counts: Counts
+    execution_counts: Counts
+
+
+HEAD, ROW = Head.layout, Row.layout
+N_HEAD, N_ROW = Head.n_words, Row.n_words
+MAGIC, GENERATION = Head.where("magic").start, Head.where("generation").start
+CLEARED, COUNT = Head.where("missed_ticks").start, Row.where("count").start
 
 _WORDS = types.int64[::1]
 _READ_ONLY_WORDS = types.Array(types.int64, 1, "C", readonly=True)
@@ -56,26 +104,26 @@ _READ_ONLY_WORDS = types.Array(types.int64, 1, "C", readonly=True)
 @kernel()
 def begin_write(stats: NDArray[np.int64], row: int) -> None:
     """Make the sequence number of the row at offset `row` odd."""
-    store_release(stats, row + SEQUENCE, stats[row + SEQUENCE] + 1)
+    store_release(stats, row, stats[row] + 1)
     fence()
 
 
 @kernel()
 def end_write(stats: NDArray[np.int64], row: int) -> None:
     """Make the sequence number even again."""
-    store_release(stats, row + SEQUENCE, stats[row + SEQUENCE] + 1)
+    store_release(stats, row, stats[row] + 1)
 
 
 @kernel([types.boolean(words, types.int64, _WORDS) for words in (_WORDS, _READ_ONLY_WORDS)])
 def read_row(stats: NDArray[np.int64], row: int, out: NDArray[np.int64]) -> bool:
     """Copy a row to `out`; False if its writer was always in the way (64 attempts)."""
     for _ in range(64):
-        before = load_acquire(stats, row + SEQUENCE)
+        before = load_acquire(stats, row)
         if before % 2 == 0:
             for index in range(out.shape[0]):
                 out[index] = stats[row + index]
             fence()
-            if load_acquire(stats, row + SEQUENCE) == before:
+            if load_acquire(stats, row) == before:
                 return True
     return False
 
@@ -89,20 +137,22 @@ def publish_magic(stats: NDArray[np.int64]) -> None:
 @kernel(types.void(_WORDS, types.int64))
 def clear_row(stats: NDArray[np.int64], row: int) -> None:
     """Forget what a slice's row has counted; its period stays."""
+    slice_row = record_at(stats, row, ROW)
+    period_ticks = slice_row.period_ticks
     for index in range(COUNT, N_ROW):
-        if index != PERIOD_TICKS:
-            stats[row + index] = 0
-    stats[row + MARGIN_MIN] = NEVER
-    stats[row + WINDOW + W_MIN] = NEVER
+        stats[row + index] = 0
+    slice_row.period_ticks = period_ticks
+    slice_row.margin_min_ns = slice_row.window.low = NEVER
 
 
 @kernel()
 def clear_header(stats: NDArray[np.int64]) -> None:
     """Forget missed ticks, the real-time factor and the linear histogram."""
-    for index in range(MISSED_TICKS, N_HEADER):
+    for index in range(CLEARED, N_HEAD):
         stats[index] = 0
-    first = N_HEADER + stats[N_ROWS] * N_ROW
-    for index in range(first, first + stats[N_LINEAR]):
+    head = record_at(stats, 0, HEAD)
+    first = N_HEAD + head.n_rows * N_ROW
+    for index in range(first, first + head.n_linear):
         stats[index] = 0
 
 
@@ -123,43 +173,40 @@ def record_tick(stats: NDArray[np.int64], latency_ns: int, since_last_ns: int, m
     """
     generation = load_acquire(stats, GENERATION)
     begin_write(stats, 0)
-    if stats[SEEN_GENERATION] != generation:
+    head = record_at(stats, 0, HEAD)
+    if head.seen_generation != generation:
         clear_header(stats)
-        stats[SEEN_GENERATION] = generation
-    stats[MISSED_TICKS] += missed
+        head.seen_generation = generation
+    head.missed_ticks += missed
     if since_last_ns > 0:
-        stats[RUN_TICKS] += 1
-        stats[RUN_NS] += since_last_ns
-        stats[SPAN_TICKS] += 1
-        stats[SPAN_NS] += since_last_ns
-        if stats[SPAN_NS] >= WINDOW_NS:
-            stats[LAST_SPAN_TICKS] = stats[SPAN_TICKS]
-            stats[LAST_SPAN_NS] = stats[SPAN_NS]
-            stats[SPAN_TICKS] = 0
-            stats[SPAN_NS] = 0
-    if stats[N_LINEAR] > 0:
-        first = N_HEADER + stats[N_ROWS] * N_ROW
-        stats[first + min(max(latency_ns, 0) // 1000, stats[N_LINEAR] - 1)] += 1
+        head.run_ticks += 1
+        head.run_ns += since_last_ns
+        head.span_ticks += 1
+        head.span_ns += since_last_ns
+        if head.span_ns >= WINDOW_NS:
+            head.last_span_ticks, head.last_span_ns = head.span_ticks, head.span_ns
+            head.span_ticks = head.span_ns = 0
+    if head.n_linear > 0:
+        first = N_HEAD + head.n_rows * N_ROW
+        stats[first + min(max(latency_ns, 0) // 1000, head.n_linear - 1)] += 1
     end_write(stats, 0)
 
 
 @kernel()
-def record_window(stats: NDArray[np.int64], window: int, latency_ns: int, now_ns: int) -> None:
-    """Add a latency to the window at offset `window`; close the window when it is full."""
+def record_window(window: Window, last: Window, latency_ns: int, now_ns: int) -> None:
+    """Add a latency to a window; when it is full, it becomes the last one."""
     clipped = min(latency_ns, SQUARE_LIMIT_NS)
-    if stats[window + W_COUNT] == 0:
-        stats[window + W_START] = now_ns
-    stats[window + W_COUNT] += 1
-    stats[window + W_SUM] += clipped
-    stats[window + W_SQUARES] += clipped * clipped
-    stats[window + W_MIN] = min(stats[window + W_MIN], latency_ns)
-    stats[window + W_MAX] = max(stats[window + W_MAX], latency_ns)
-    full = stats[window + W_COUNT] >= WINDOW_RUNS
-    if full or now_ns - stats[window + W_START] >= WINDOW_NS:
-        for index in range(LAST_WINDOW - WINDOW):
-            stats[window + LAST_WINDOW - WINDOW + index] = stats[window + index]
-            stats[window + index] = 0
-        stats[window + W_MIN] = NEVER
+    if window.count == 0:
+        window.start = now_ns
+    window.count += 1
+    window.total += clipped
+    window.squares += clipped * clipped
+    window.low = min(window.low, latency_ns)
+    window.high = max(window.high, latency_ns)
+    if window.count >= WINDOW_RUNS or now_ns - window.start >= WINDOW_NS:
+        assign(last, window)
+        window.count = window.total = window.squares = window.high = window.start = 0
+        window.low = NEVER
 
 
 @kernel(types.void(_WORDS, *(types.int64,) * 8))
@@ -191,34 +238,30 @@ def record_run(
     """
     generation = load_acquire(stats, GENERATION)
     begin_write(stats, row)
-    if stats[row + SEEN_GENERATION] != generation:
+    r = record_at(stats, row, ROW)
+    if r.seen_generation != generation:
         clear_row(stats, row)
-        stats[row + SEEN_GENERATION] = generation
-    stats[row + COUNT] += 1
-    stats[row + LATENCY_SUM] += latency_ns
-    stats[row + EXECUTION_SUM] += execution_ns
-    if latency_ns > stats[row + LATENCY_MAX] or stats[row + COUNT] == 1:
-        stats[row + LATENCY_MAX] = latency_ns
-        stats[row + LATENCY_MAX_TICK] = tick
-    if execution_ns > stats[row + EXECUTION_MAX] or stats[row + COUNT] == 1:
-        stats[row + EXECUTION_MAX] = execution_ns
-        stats[row + EXECUTION_MAX_TICK] = tick
-    if margin_ns < stats[row + MARGIN_MIN]:
-        stats[row + MARGIN_MIN] = margin_ns
-        stats[row + MARGIN_MIN_TICK] = tick
-    stats[row + N_LATE_WAKE] += kind == LATE_WAKE
-    stats[row + N_LONG_RUN] += kind == LONG_RUN
-    stats[row + N_MISSED] += missed
-    stats[row + LATENCY_LAST] = latency_ns
-    stats[row + EXECUTION_LAST] = execution_ns
-    stats[row + MARGIN_LAST] = margin_ns
-    stats[row + TICK_LAST] = tick
-    stats[row + LATENCY_COUNTS + bucket_index(latency_ns)] += 1
-    stats[row + EXECUTION_COUNTS + bucket_index(execution_ns)] += 1
-    record_window(stats, row + WINDOW, latency_ns, start_ns)
+        r.seen_generation = generation
+    r.count += 1
+    r.latency_sum_ns += latency_ns
+    r.execution_sum_ns += execution_ns
+    if latency_ns > r.latency_max_ns or r.count == 1:
+        r.latency_max_ns, r.latency_max_tick = latency_ns, tick
+    if execution_ns > r.execution_max_ns or r.count == 1:
+        r.execution_max_ns, r.execution_max_tick = execution_ns, tick
+    if margin_ns < r.margin_min_ns:
+        r.margin_min_ns, r.margin_min_tick = margin_ns, tick
+    r.late_wakes += kind == LATE_WAKE
+    r.long_runs += kind == LONG_RUN
+    r.missed_ticks += missed
+    r.latency_last_ns, r.execution_last_ns = latency_ns, execution_ns
+    r.margin_last_ns, r.last_tick = margin_ns, tick
+    r.latency_counts[bucket_index(latency_ns)] += 1
+    r.execution_counts[bucket_index(execution_ns)] += 1
+    record_window(r.window, r.last_window, latency_ns, start_ns)
     end_write(stats, row)
 
 
 def words_needed(n_slices: int, linear_bins: int = 0) -> int:
     """Return the length of the statistics array for so many slices and 1 us bins."""
-    return N_HEADER + n_slices * N_ROW + linear_bins
+    return N_HEAD + n_slices * N_ROW + linear_bins

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.libc import monotonic_ns
+from hilserver.compiled.records import record_at
 from hilserver.scheduler import exchange as ex
 from hilserver.scheduler import faults
 from hilserver.scheduler import law as lw
@@ -154,16 +155,17 @@ def count(
     latency = law[lw.LATENCY]
     rows.record_tick(stats, latency, since_last, law[lw.MISSED])
     for index in range(slices.shape[0]):
-        row = rows.N_HEADER + index * rows.N_ROW
-        stats[row + rows.MISSED_CARRY] += law[lw.MISSED]
+        place = rows.N_HEAD + index * rows.N_ROW
+        row = record_at(stats, place, rows.ROW)
+        row.missed_carry += law[lw.MISSED]
         if slices[index, S_DUE] == 0:
             continue
-        missed = stats[row + rows.MISSED_CARRY] // slices[index, S_PERIOD_TICKS]
-        stats[row + rows.MISSED_CARRY] -= missed * slices[index, S_PERIOD_TICKS]
+        missed = row.missed_carry // slices[index, S_PERIOD_TICKS]
+        row.missed_carry -= missed * slices[index, S_PERIOD_TICKS]
         start, end = slices[index, S_START], slices[index, S_END]
         rows.record_run(
             stats,
-            row,
+            place,
             law[lw.TICK] - 1,
             start,
             latency + start - now_ns,

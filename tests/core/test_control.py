@@ -10,7 +10,7 @@ from hilserver.core.snapshot import SnapshotStore
 from hilserver.core.transitions import TRANSITIONS, Command
 from hilserver.errors import ControlRefused
 from hilserver.image import Row, press_stop
-from hilserver.kernel.phases import enter_safe, latch
+from hilserver.kernel.phases import enter_safe, latch, requested
 from hilserver.kernel.places import Places
 from hilserver.plant.layout import State as PlantState
 from hilserver.signals import State
@@ -62,6 +62,7 @@ class World:
 
     def latch(self):
         self.pacing.tick = latch(
+            requested(self.image.words),
             self.pacing.tick,
             self.pacing.tick * 1_000_000,
             self.at,

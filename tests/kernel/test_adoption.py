@@ -3,25 +3,33 @@
 import numpy as np
 import pytest
 
-import hilserver.kernel.modifier_layout as at
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import ControlRefused
+from hilserver.kernel.modifier_layout import Entry, Modifiers
 from hilserver.plant.layout import State
 
-ENTRY = at.ENTRIES
+
+def place(name):
+    return Modifiers.where(name).start
+
+
+def entry(name):
+    return place("entries") + Entry.where(name).start
+
+
 WRONG = [
-    ("modifiers", at.H_COUNT, 2**40),
-    ("modifiers", at.H_COUNT, -1),
-    ("modifiers", at.H_TOUCHED, 65),
-    ("modifiers", at.TOUCHED, 10**9),
-    ("modifiers", ENTRY + at.E_SLOT, -5),
-    ("modifiers", ENTRY + at.E_OTHER, 10**12),
-    ("modifiers", ENTRY + at.E_RING, 8),
-    ("modifiers", ENTRY + at.E_TICKS, 2**50),
-    ("modifiers", ENTRY + at.E_EVERY, 0),
-    ("modifiers", ENTRY + at.E_KIND, 99),
+    ("modifiers", place("count"), 2**40),
+    ("modifiers", place("count"), -1),
+    ("modifiers", place("touched"), 65),
+    ("modifiers", place("slots"), 10**9),
+    ("modifiers", entry("slot"), -5),
+    ("modifiers", entry("other"), 10**12),
+    ("modifiers", entry("ring"), 8),
+    ("modifiers", entry("ticks"), 2**50),
+    ("modifiers", entry("every"), 0),
+    ("modifiers", entry("kind"), 99),
     ("x", State.where("imu_head").start, np.float64(1e300).view(np.int64)),
     ("x", State.where("setpoint_head").start, np.float64("nan").view(np.int64)),
     ("x", State.where("nav_count").start, np.float64(-1.0).view(np.int64)),
