@@ -23,6 +23,7 @@ COMMANDS = {
     "set": "write signals of a running daemon, from the shell",
     "inject": "inject a fault into a running daemon, from the shell",
     "model": "write the robot as URDF or MJCF",
+    "fmu": "write the robot as an FMU for other simulators",
     "wiring": "commissioning: check that every wheel drives the right input",
     "certs": "manage certificates, trusted clients and passwords",
     "page": "show the operator page in the browser, as 'run' does",

@@ -1,0 +1,216 @@
+"""The robot as an FMU: description, machine code and C around it, in one zip."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.errors import ConfigError, FailedError
+from hilserver.fmu.description import MISSING
+from hilserver.fmu.machine_code import PARTS
+from hilserver.fmu.variables import (
+    FIRST_INPUT,
+    FIRST_OUTPUT,
+    FIRST_TUNABLE,
+    FLAGS,
+    Tunable,
+    c_number,
+    description,
+    flags_without,
+    inputs,
+    tunables,
+)
+from hilserver.kernel import Composition
+from hilserver.plant import layout as at
+from hilserver.plant.layout import Parameters
+from hilserver.plant.parameters import RobotParameters
+from hilserver.program import children
+
+COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
+    "x86_64-linux": ("gcc", "gcc"),
+    "aarch64-linux": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu"),
+}
+"""Compiler for a platform, and the Debian package that it comes from."""
+_FOLDERS: Final = {2: {"x86_64-linux": "linux64"}, 3: {}}
+_EXPORTED: Final = "{ global: fmi2*; fmi3*; local: *; };\n"
+_HERE: Final = Path(__file__).parent
+
+
+def export(
+    path: Path,
+    composition: Composition,
+    robot: RobotParameters,
+    base_period_ns: int,
+    version: int,
+    platforms: Sequence[str],
+) -> None:
+    """Write the FMU of a robot.
+
+    Parameters
+    ----------
+    composition, robot, base_period_ns
+        Of an assembly.
+    version : int
+        2 or 3.
+
+    Raises
+    ------
+    ConfigError
+        If the robot has parts that an FMU cannot have.
+    FailedError
+        If a compiler is missing or fails.
+    """
+    _check(composition)
+    for platform in platforms:
+        if platform not in COMPILERS:
+            known = ", ".join(COMPILERS)
+            raise FailedError(f"there is no machine code for {platform!r}; platforms are {known}")
+        compiler, package = COMPILERS[platform]
+        if shutil.which(compiler) is None:
+            raise FailedError(f"{platform}: needs {compiler}; install the package {package}")
+    tunable = tunables(robot)
+    step_s = base_period_ns * 1e-9
+    header = _header(composition, robot, tunable, base_period_ns)
+    token = f"{{{hashlib.sha256(header.encode()).hexdigest()[:32]}}}"
+    header += f'#define TOKEN "{token}"\n#define LAYOUT 0x{token[1:16]}ULL\n'
+    text = description(version, composition.table, tunable, step_s, token)
+    with tempfile.TemporaryDirectory(prefix="hilserver-fmu-") as name:
+        folder = Path(name)
+        (folder / "robot.h").write_text(header, encoding="utf-8")
+        (folder / "exported.map").write_text(_EXPORTED, encoding="utf-8")
+        libraries = {p: _linked(folder, p, version) for p in platforms}
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+            packed.writestr("modelDescription.xml", text)
+            for platform, library in libraries.items():
+                place = _FOLDERS[version].get(platform, platform)
+                packed.write(library, f"binaries/{place}/robot.so")
+
+
+def _check(composition: Composition) -> None:
+    if composition.body is not None:
+        raise ConfigError(
+            "the mechatronic model runs in MuJoCo, which an FMU of the robot does not carry; switch"
+            " mechatronic.enabled off"
+        )
+    if composition.blocks:
+        raise ConfigError(
+            f"own block '{composition.blocks[0].name}' is no part of the robot's FMU; leave it out"
+        )
+    if find_spec("fmpy") is None:
+        raise ConfigError(f"the export {MISSING}")
+
+
+def _linked(folder: Path, platform: str, version: int) -> Path:
+    """Return the shared library for a platform."""
+    code, library = folder / f"{platform}.o", folder / f"{platform}.so"
+    generic = os.environ | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    _run(children.python("-m", "hilserver.fmu.machine_code", platform, str(code)), generic)
+    headers = Path(find_spec("fmpy").origin).parent / "c-code"  # type: ignore[union-attr,arg-type]
+    options = ["-std=gnu11", "-O2", "-fPIC", "-shared", "-w", f"-DFMI={version}"]
+    places = [f"-I{headers}", f"-I{folder}", f"-I{_HERE}"]
+    script = f"-Wl,--version-script={folder / 'exported.map'},-z,defs,-z,noexecstack,-s"
+    sources = [str(_HERE / "robot_fmu.c"), str(code)]
+    target = ["-o", str(library), script, "-lm"]
+    _run([COMPILERS[platform][0], *options, *places, *sources, *target], os.environ)
+    return library
+
+
+def _run(command: Sequence[str], environment: Mapping[str, str]) -> None:
+    done = subprocess.run(  # noqa: S603 - of ours
+        command, env=environment, capture_output=True, text=True, check=False, timeout=600
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise FailedError(f"{Path(command[0]).name} failed: {last}")
+
+
+def _header(
+    composition: Composition,
+    robot: RobotParameters,
+    tunable: Sequence[Tunable],
+    base_period_ns: int,
+) -> str:
+    """Return robot.h: all that tells one robot from another."""
+    table = composition.table
+    ticks = {n: round(s * 1e9 / base_period_ns) for n, s in composition.periods_s.items()}
+    schedule = [
+        f"{{{PARTS.index(part.name)}, {ticks[name]}}}"
+        for name in composition.slices
+        for part in composition.parts
+        if part.slice == name
+    ]
+    flags = zip(FLAGS, flags_without(robot, tunable), strict=True)
+    lines = [
+        f"#define {name} {value}"
+        for name, value in {
+            "N_P": Parameters.n_words,
+            "N_X": at.N_X,
+            "N_U": at.N_U,
+            "N_Y": at.N_Y,
+            "N_INPUT": len(inputs(table)),
+            "N_TUNABLE": len(tunable),
+            "N_FLAG": len(FLAGS),
+            "FIRST_INPUT": FIRST_INPUT,
+            "FIRST_OUTPUT": FIRST_OUTPUT,
+            "FIRST_TUNABLE": FIRST_TUNABLE,
+            "STEP_S": c_number(base_period_ns * 1e-9),
+        }.items()
+    ]
+    u = np.array([s.initial for s in inputs(table)])
+    rows = [_row(s.name, i, s.low, s.high, s.initial) for i, s in enumerate(inputs(table))]
+    tuned = [
+        _row(t.about.name, t.place, t.about.low, t.about.high, t.start, t.about.default, t.flag)
+        for t in tunable
+    ]
+    lines += [
+        "typedef struct { const char *name; int place; double low, high, start, null; int flag; }"
+        " Number;",
+        f"static const Number INPUTS[] = {{{', '.join(rows)}}};",
+        f"static const Number TUNABLE[] = {{{', '.join(tuned)}}};",
+        "static const struct { int place; int on; } FLAGS[] = {"
+        + ", ".join(f"{{{Parameters.where(n).start}, {int(on)}}}" for n, on in flags)
+        + "};",
+        "static const struct { int which; int every; } PARTS[] = {" + ", ".join(schedule) + "};",
+        _array("P_0", composition.parameters.numbers),
+        _array("X_0", composition.state),
+        _array("U_0", u),
+        _array("HALL", composition.hall.ravel()),
+        _soundness(),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(
+    name: str,
+    place: int,
+    low: float,
+    high: float,
+    start: float,
+    null: float = 0.0,
+    flag: int = -1,
+) -> str:
+    numbers = ", ".join(map(c_number, (float(low), float(high), float(start), float(null))))
+    return f'{{"{name}", {place}, {numbers}, {flag}}}'
+
+
+def _array(name: str, numbers: NDArray[np.float64]) -> str:
+    values = ", ".join(c_number(float(v)) for v in np.atleast_1d(numbers)) or "0"
+    return f"static const double {name}[] = {{{values}}};"
+
+
+def _soundness() -> str:
+    """Return the C function that says whether a state can be gone on from."""
+    heads = (at.X_SETPOINT_HEAD, at.X_IMU_HEAD, at.X_NAV_HEAD)
+    counts = (at.X_IMU_COUNT, at.X_NAV_COUNT)
+    tests = [f"x[{i}] >= 0 && x[{i}] < {at.RING}" for i in heads]
+    tests += [f"x[{i}] >= 0 && x[{i}] <= {at.RING}" for i in counts]
+    return f"static int is_sound(const double *x) {{ return {' && '.join(tests)}; }}"

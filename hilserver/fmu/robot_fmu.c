@@ -1,0 +1,213 @@
+/* The robot as an FMU for co-simulation, FMI 2.0 and 3.0 (-DFMI=2 or 3). Numbers of one robot are in
+ * the generated robot.h; the equations are machine code of the daemon's own kernels (hil_part). */
+#include <math.h>
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if FMI == 2
+#include "fmi2FunctionTypes.h"
+#define F(name) fmi2##name
+#define Status fmi2Status
+#define Handle fmi2Component
+#define Reference fmi2ValueReference
+#define Saved fmi2FMUstate
+#define OK fmi2OK
+#define BAD fmi2Error
+#else
+#include "fmi3FunctionTypes.h"
+#define F(name) fmi3##name
+#define Status fmi3Status
+#define Handle fmi3Instance
+#define Reference fmi3ValueReference
+#define Saved fmi3FMUState
+#define OK fmi3OK
+#define BAD fmi3Error
+#endif
+#include "robot.h"
+
+extern void hil_part(int64_t which, double *p, double *x, double *u, double *y, int64_t *q,
+                     double *hall, int64_t n_hall);
+
+/* What the kernels' error paths name; a kernel never raises, so none of it is reached. */
+#define STUB(name) __attribute__((visibility("hidden"))) void name(void) { abort(); }
+STUB(PyBytes_FromStringAndSize) STUB(PyErr_Clear) STUB(PyErr_SetNone) STUB(PyErr_SetString)
+STUB(PyErr_WriteUnraisable) STUB(PyExc_RuntimeError) STUB(PyExc_StopIteration)
+STUB(PyExc_SystemError) STUB(PyUnicode_FromString) STUB(Py_DecRef) STUB(numba_do_raise)
+STUB(numba_gil_ensure) STUB(numba_gil_release) STUB(numba_runtime_build_excinfo_struct)
+STUB(numba_unpickle)
+
+/* --- the robot ---------------------------------------------------------------------------------*/
+
+typedef struct {
+    uint64_t layout; /* of whom a serialised state is */
+    int64_t tick;
+    double start_s, values[N_TUNABLE], p[N_P], x[N_X], u[N_U], y[N_Y];
+    int64_t q[N_Y];
+} State;
+
+typedef struct {
+    State now;
+    void *environment;
+#if FMI == 2
+    fmi2CallbackLogger log;
+#else
+    fmi3LogMessageCallback log;
+#endif
+    bool is_up;
+    char name[64];
+} Robot;
+
+static Status refuse(Robot *r, const char *format, ...) {
+    char text[400];
+    va_list more;
+    va_start(more, format);
+    vsnprintf(text, sizeof text, format, more);
+    va_end(more);
+    if (r->log != NULL) {
+#if FMI == 2
+        r->log(r->environment, r->name, BAD, "logStatusError", "%s", text);
+#else
+        r->log(r->environment, BAD, "logStatusError", text);
+#endif
+    }
+    return BAD;
+}
+
+static void begin(Robot *r) {
+    memset(&r->now, 0, sizeof r->now);
+    r->now.layout = LAYOUT;
+    memcpy(r->now.p, P_0, sizeof r->now.p);
+    memcpy(r->now.x, X_0, sizeof r->now.x);
+    memcpy(r->now.u, U_0, sizeof r->now.u);
+    for (int i = 0; i < N_TUNABLE; i++) r->now.values[i] = TUNABLE[i].start;
+    r->is_up = false;
+}
+
+static Robot *make(const char *name, const char *token) {
+    Robot *r = strcmp(token, TOKEN) ? NULL : calloc(1, sizeof *r);
+    if (r == NULL) return NULL;
+    snprintf(r->name, sizeof r->name, "%s", name == NULL ? "" : name);
+    begin(r);
+    return r;
+}
+
+static void run_tick(State *s) {
+    for (size_t i = 0; i < sizeof PARTS / sizeof *PARTS; i++)
+        if (s->tick % PARTS[i].every == 0)
+            hil_part(PARTS[i].which, s->p, s->x, s->u, s->y, s->q, (double *)HALL,
+                     sizeof HALL / sizeof *HALL);
+    s->tick++;
+}
+
+static Status step(Robot *r, double time_s, double step_s) {
+    State *s = &r->now;
+    double n = round(step_s / STEP_S), due_s = s->start_s + s->tick * STEP_S;
+    if (!r->is_up) return refuse(r, "doStep before the initialisation has ended");
+    if (!(fabs(time_s - due_s) <= 1e-3 * STEP_S + 1e-12 * fabs(due_s)))
+        return refuse(r, "a step begins at %.17g s, the last one ended at %.17g s", time_s, due_s);
+    if (!(n >= 1.0 && n <= 1e9 && fabs(step_s - n * STEP_S) <= 1e-6 * STEP_S))
+        return refuse(r, "a communication step of %.17g s is no multiple of %.17g s", step_s, STEP_S);
+    for (int64_t i = 0; i < (int64_t)n; i++) run_tick(s);
+    return OK;
+}
+
+static Status set(Robot *r, Reference reference, double value) {
+    State *s = &r->now;
+    const Number *about;
+    if (reference >= FIRST_INPUT && reference < FIRST_INPUT + N_INPUT)
+        about = &INPUTS[reference - FIRST_INPUT];
+    else if (reference >= FIRST_TUNABLE && reference < FIRST_TUNABLE + N_TUNABLE)
+        about = &TUNABLE[reference - FIRST_TUNABLE];
+    else
+        return refuse(r, "variable %u cannot be set", (unsigned)reference);
+    if (!(value >= about->low && value <= about->high))
+        return refuse(r, "%s: %g is outside %g .. %g", about->name, value, about->low, about->high);
+    if (reference < FIRST_TUNABLE) {
+        s->u[about->place] = value;
+        return OK;
+    }
+    s->values[reference - FIRST_TUNABLE] = value;
+    s->p[about->place] = value;
+    for (int f = 0; f < N_FLAG; f++) {
+        bool on = FLAGS[f].on;
+        for (int i = 0; i < N_TUNABLE; i++)
+            on |= TUNABLE[i].flag == f && s->values[i] != TUNABLE[i].null;
+        s->p[FLAGS[f].place] = on;
+    }
+    return OK;
+}
+
+static Status get(Robot *r, Reference reference, double *value) {
+    State *s = &r->now;
+    if (reference == 0)
+        *value = s->start_s + s->tick * STEP_S;
+    else if (reference >= FIRST_INPUT && reference < FIRST_INPUT + N_INPUT)
+        *value = s->u[INPUTS[reference - FIRST_INPUT].place];
+    else if (reference >= FIRST_OUTPUT && reference < FIRST_OUTPUT + N_Y)
+        *value = s->y[reference - FIRST_OUTPUT];
+    else if (reference >= FIRST_TUNABLE && reference < FIRST_TUNABLE + N_TUNABLE)
+        *value = s->values[reference - FIRST_TUNABLE];
+    else
+        return refuse(r, "there is no variable %u", (unsigned)reference);
+    return OK;
+}
+
+/* --- FMI, what both versions have --------------------------------------------------------------*/
+
+static Status set_all(Handle c, const Reference *vr, size_t n, const double *values) {
+    Status status = OK;
+    for (size_t i = 0; i < n && status == OK; i++) status = set(c, vr[i], values[i]);
+    return status;
+}
+
+static Status get_all(Handle c, const Reference *vr, size_t n, double *values) {
+    Status status = OK;
+    for (size_t i = 0; i < n && status == OK; i++) status = get(c, vr[i], &values[i]);
+    return status;
+}
+
+static Status begin_at(Handle c, double start_s) {
+    ((Robot *)c)->now.start_s = start_s;
+    return OK;
+}
+
+static Status save(Handle c, Saved *saved) {
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return refuse(c, "no memory for a state");
+    memcpy(*saved, &((Robot *)c)->now, sizeof(State));
+    return OK;
+}
+
+static Status restore(Handle c, Saved saved) {
+    memcpy(&((Robot *)c)->now, saved, sizeof(State));
+    ((Robot *)c)->is_up = true;
+    return OK;
+}
+
+static Status unpack(Handle c, const void *bytes, size_t size, Saved *saved) {
+    State *s = malloc(sizeof *s);
+    if (s == NULL) return refuse(c, "no memory for a state");
+    if (size == sizeof *s) memcpy(s, bytes, sizeof *s);
+    if (size != sizeof *s || s->layout != LAYOUT || s->tick < 0 || !is_sound(s->x)) {
+        free(s);
+        return refuse(c, "the serialised state is of another robot or damaged");
+    }
+    *saved = s;
+    return OK;
+}
+
+const char *F(GetVersion)(void) { return FMI == 2 ? "2.0" : "3.0"; }
+Status F(Terminate)(Handle c) { ((Robot *)c)->is_up = false; return OK; }
+void F(FreeInstance)(Handle c) { free(c); }
+Status F(Reset)(Handle c) { begin(c); return OK; }
+Status F(ExitInitializationMode)(Handle c) { ((Robot *)c)->is_up = true; return OK; }
+
+#if FMI == 2
+#include "fmi2_calls.h"
+#else
+#include "fmi3_calls.h"
+#endif

@@ -1,0 +1,203 @@
+"""The robot as an FMU: beside the daemon's own robot it computes the same bits."""
+
+import random
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from fmpy import read_model_description
+from fmpy.validation import validate_fmu
+
+from hilserver.commands import main
+from hilserver.daemon.builder import build
+from hilserver.fmu.description import read_fmu
+from hilserver.image import Row
+from hilserver.plant.layout import N_U, N_Y
+from tests.fmu.rig import configured
+
+ROBOT = {
+    "sensors": {
+        "nav": {"enabled": True, "white_noise_m": 0.003, "correlated_noise_m": 0.01},
+        "imu": {"gyro_noise_rad_s": 0.002},
+    },
+    "plant": {
+        "seed": 11,
+        "terms": {
+            "rotation_gain": -0.2, "dead_zone": 3.0, "actuation_delay": 0.012, "body_lag": 0.05,
+            "encoder_quantization": 0.5, "backlash": 0.01, "wheel_runout.amplitude": 0.01,
+            "floor_slope.x": 0.01, "gyro_bias": 0.003, "imu_latency": 0.02, "viscous_load": 0.1,
+            "heading_distortion.a1": 0.02, "nav_outliers.share": 0.05, "nav_outliers.size": 0.2,
+        },
+    },
+}  # fmt: skip
+N = 4000
+
+
+def exported(folder, version=3, *words):
+    configured(folder, **ROBOT)
+    path = folder / f"robot{version}.fmu"
+    command = ["fmu", "-c", str(folder / "config.yaml"), "-o", str(path), "--fmi", str(version)]
+    assert main([*command, *words]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported")
+    return {version: exported(folder, version) for version in (2, 3)}
+
+
+def drives():
+    """Set-points, a twist, the safe ramp, another pose, duties."""
+    rng = random.Random(4)
+    rows = [
+        (tick, f"wheel.{rng.choice(('fl', 'rl', 'fr', 'rr'))}.setpoint_rpm", rng.uniform(-90, 90))
+        for tick in sorted(rng.choices(range(N), k=200))
+    ]
+    rows += [(1000, "control.mode", 1.0), (1000, "twist.angular_rad_s", 0.4)]
+    rows += [(1500, "internal.command", 2.0), (2100, "internal.command", 0.0)]
+    rows += [(2200, "internal.pose_x_m", 3.0), (2200, "internal.pose_request", 1.0)]
+    rows += [(3000, "control.mode", 2.0), (3000, "wheel.fl.duty_command_pct", 40.0)]
+    return sorted(rows)
+
+
+async def both(folder, fmu, writes, start=()):
+    """Outputs of the daemon's robot and of the FMU beside it, shape (N, N_Y) each."""
+    names = [s.name for s in configured(folder).table.scalars if s.slots[0] < N_U]
+    block = {"name": "copy", "fmu": str(fmu), "inputs": {n: n for n in names}, "start": dict(start)}
+    async with build(configured(folder, block, **ROBOT)) as core:
+        core.image.control.state = -1  # the commands come in rows
+        table = core.table
+        rows = [Row(table.slot(name), value, tick=tick) for tick, name, value in writes]
+        assert core.image.push_timed(rows)
+        await core.scheduler.advance(N)
+        frames = np.array([core.image.frame(i).values for i in range(N)])
+        first = next(s.slots[0] for s in table.scalars if s.name.startswith("copy."))
+        return frames[:, N_U : N_U + N_Y], frames[:, first : first + N_Y]
+
+
+@pytest.mark.parametrize("version", [2, 3])
+async def test_it_computes_the_bits_of_the_daemon(fmu, tmp_path, version):
+    ours, copy = await both(tmp_path, fmu[version], drives())
+    assert np.ptp(ours[:, 12]) > 0.5, "it has moved"
+    assert np.array_equal(ours, copy, equal_nan=True)
+
+
+async def test_another_seed_gives_other_noise_alone(fmu, tmp_path):
+    ours, copy = await both(tmp_path, fmu[3], drives(), {"seed": 12}.items())
+    differs = {int(i) for i in np.flatnonzero((ours != copy).any(axis=0))}
+    assert differs
+    assert min(differs) >= 18, "the sensors' outputs"
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_checker_has_no_complaint_and_it_needs_libm_and_libc_alone(fmu, tmp_path, version):
+    assert validate_fmu(str(fmu[version])) == []
+    with zipfile.ZipFile(fmu[version]) as packed:
+        (library,) = (n for n in packed.namelist() if n.endswith(".so"))
+        packed.extract(library, tmp_path)
+    needed = subprocess.run(
+        ["readelf", "-d", tmp_path / library], capture_output=True, text=True, check=True
+    ).stdout
+    names = {line.split("[")[1][:-1] for line in needed.splitlines() if "NEEDED" in line}
+    assert names == {"libm.so.6", "libc.so.6"}
+
+
+def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
+    said = {v.name: v for v in read_model_description(str(fmu[3])).modelVariables}
+    assert said["wheel.fl.setpoint_rpm"].unit == "rpm"
+    assert said["pose.x_m"].causality == "output"
+    assert said["drive.enable"].start == "1"
+    assert said["seed"].variability == "tunable"
+    assert said["terms.dead_zone"].start == "3"
+    assert "plant.controller.k_p" not in said, "it needs the check of the loop"
+    assert read_fmu(str(fmu[3]), fmu[3].parent).stores_state
+
+
+DRIVE = """
+import sys
+from fmpy import extract, read_model_description
+from fmpy.fmi3 import FMU3Slave
+
+path = sys.argv[1]
+said = read_model_description(path)
+vr = {v.name: v.valueReference for v in said.modelVariables}
+folder, shown = extract(path), [v.valueReference for v in said.modelVariables if v.causality == "output"]
+def make():
+    fmu = FMU3Slave(guid=said.guid, unzipDirectory=folder, modelIdentifier="robot", instanceName="r")
+    fmu.instantiate()
+    begin(fmu)
+    return fmu
+def begin(fmu):
+    fmu.enterInitializationMode(startTime=2.0)
+    fmu.exitInitializationMode()
+    fmu.setFloat64([vr["wheel.fl.setpoint_rpm"], vr["wheel.fr.setpoint_rpm"]], [40.0, -10.0])
+def run(fmu, t, n, dt=0.001):
+    for i in range(n):
+        fmu.doStep(t + i * dt, dt)
+    return fmu.getFloat64(shown)
+a, b = make(), make()
+first = run(a, 2.0, 600)
+assert run(b, 2.0, 60, 0.01) == first, "a step of ten"
+state = a.getFMUState()
+packed = a.serializeFMUState(state)
+second = run(a, 2.6, 500)
+b.setFMUState(b.deserializeFMUState(packed))
+assert run(b, 2.6, 500) == second, "a state of another instance"
+a.setFMUState(state)
+assert run(a, 2.6, 500) == second
+a.terminate(); a.reset(); begin(a)
+assert run(a, 2.0, 600) == first, "reset"
+for wrong, words in (
+    (lambda: a.doStep(2.6, 0.0015), "step"),
+    (lambda: a.doStep(9.0, 0.001), "begin"),
+    (lambda: a.setFloat64([vr["wheel.fl.setpoint_rpm"]], [float("nan")]), "nan"),
+    (lambda: a.setFloat64([vr["terms.dead_zone"]], [1e300]), "range"),
+    (lambda: a.setFloat64([vr["pose.x_m"]], [0.0]), "output"),
+    (lambda: a.deserializeFMUState(packed[:-8]), "short"),
+    (lambda: a.deserializeFMUState(bytes(8) + packed[8:]), "layout"),
+):
+    try:
+        wrong()
+    except Exception:
+        continue
+    raise SystemExit(f"{words} was not refused")
+many = [make() for _ in range(100)]
+assert all(run(m, 2.0, 600) == first for m in many)
+print("done")
+"""
+
+
+def test_states_instances_reset_and_refusals_in_a_foreign_importer(fmu):
+    done = subprocess.run(
+        [sys.executable, "-c", DRIVE, fmu[3]], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.endswith("done\n"), done.stdout + done.stderr
+    for sentence in (
+        "a communication step of 0.0015",
+        "a step begins at 9 s",
+        "wheel.fl.setpoint_rpm: nan is outside -90 .. 90",
+        "the serialised state is of another robot or damaged",
+    ):
+        assert sentence in done.stdout + done.stderr
+
+
+def test_what_is_no_part_of_it_is_refused(fmu, tmp_path, capsys):
+    for sections, words in (
+        ({"mechatronic": {"enabled": True}}, "runs in MuJoCo, which an FMU"),
+        ({"blocks": [{"name": "copy", "fmu": str(fmu[3])}]}, "own block 'copy' is no part of"),
+    ):
+        configured(tmp_path, *sections.get("blocks", ()), **sections)
+        out = tmp_path / "r.fmu"
+        assert main(["fmu", "-c", str(tmp_path / "config.yaml"), "-o", str(out)]) == 78
+        assert words in capsys.readouterr().err
+        assert not out.exists()
+
+
+def test_another_platform_is_named(tmp_path, capsys):
+    words = ["fmu", "-o", str(tmp_path / "r.fmu"), "--platforms", "riscv-linux"]
+    configured(tmp_path)
+    assert main([*words, "-c", str(tmp_path / "config.yaml")]) == 1
+    assert "platforms are x86_64-linux, aarch64-linux" in capsys.readouterr().err
