@@ -1,9 +1,11 @@
 """The robot as an FMU: beside the daemon's own robot it computes the same bits."""
 
 import random
+import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,6 +118,43 @@ def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
     assert read_fmu(str(fmu[3]), fmu[3].parent).stores_state
 
 
+IMPORTER = Path(__file__).with_name("importer.c")
+AARCH64 = ("aarch64-linux-gnu-gcc", "qemu-aarch64")
+
+
+def imported(folder, fmu, platform, compiler, before=()):
+    """Outputs of an FMU in an importer in C, with the same inputs, shape (N, N_Y)."""
+    with zipfile.ZipFile(fmu) as packed:
+        packed.extract(f"binaries/{platform}/robot.so", folder)
+    subprocess.run([compiler, "-w", "-O2", "-o", folder / "importer", IMPORTER, "-ldl"], check=True)
+    said = read_model_description(str(fmu))
+    reference = {v.name: v.valueReference for v in said.modelVariables}
+    rows = np.array([(tick, reference[name], value) for tick, name, value in drives()])
+    rows.tofile(folder / "rows")
+    words = [folder / f"binaries/{platform}/robot.so", said.guid, N, 0.001, len(rows)]
+    words = [*before, folder / "importer", *words, folder / "rows", folder / "outputs"]
+    subprocess.run(list(map(str, words)), check=True)
+    return np.fromfile(folder / "outputs").reshape(N, N_Y)
+
+
+async def test_an_importer_in_c_gets_the_bits_too(fmu, tmp_path):
+    ours, _ = await both(tmp_path, fmu[3], drives())
+    copy = imported(tmp_path, fmu[3], "x86_64-linux", "gcc")
+    assert np.array_equal(ours, copy, equal_nan=True)
+
+
+@pytest.mark.skipif(not all(map(shutil.which, AARCH64)), reason="needs " + " and ".join(AARCH64))
+async def test_on_aarch64_it_computes_the_same(tmp_path, fmu):
+    """libm of the other processor may round differently: 1e-9 of what moves."""
+    other = exported(tmp_path, 3, "--platforms", "x86_64-linux,aarch64-linux")
+    ours, _ = await both(tmp_path, fmu[3], drives())
+    before = ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")
+    copy = imported(tmp_path, other, "aarch64-linux", AARCH64[0], before)
+    difference = np.abs(ours - copy).max()
+    print(f"largest difference {difference:.3g}")
+    assert difference < 1e-9
+
+
 DRIVE = """
 import sys
 from fmpy import extract, read_model_description
@@ -124,9 +163,12 @@ from fmpy.fmi3 import FMU3Slave
 path = sys.argv[1]
 said = read_model_description(path)
 vr = {v.name: v.valueReference for v in said.modelVariables}
-folder, shown = extract(path), [v.valueReference for v in said.modelVariables if v.causality == "output"]
+folder = extract(path)
+shown = [v.valueReference for v in said.modelVariables if v.causality == "output"]
 def make():
-    fmu = FMU3Slave(guid=said.guid, unzipDirectory=folder, modelIdentifier="robot", instanceName="r")
+    fmu = FMU3Slave(
+        guid=said.guid, unzipDirectory=folder, modelIdentifier="robot", instanceName="r"
+    )
     fmu.instantiate()
     begin(fmu)
     return fmu
