@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import ConfigError, FailedError
 from hilserver.fmu.description import MISSING
-from hilserver.fmu.machine_code import PARTS
+from hilserver.fmu.machine_code import CARRY, PARTS
 from hilserver.fmu.variables import (
     FIRST_INPUT,
     FIRST_OUTPUT,
@@ -140,7 +140,7 @@ def _header(
     base_period_ns: int,
 ) -> str:
     """Return robot.h: all that tells one robot from another."""
-    table = composition.table
+    table, sizes = composition.table, _sizes(composition, tunable)
     ticks = {n: round(s * 1e9 / base_period_ns) for n, s in composition.periods_s.items()}
     schedule = [
         f"{{{PARTS.index(part.name)}, {ticks[name]}}}"
@@ -148,45 +148,47 @@ def _header(
         for part in composition.parts
         if part.slice == name
     ]
-    flags = zip(FLAGS, flags_without(robot, tunable), strict=True)
-    lines = [
-        f"#define {name} {value}"
-        for name, value in {
-            "N_P": Parameters.n_words,
-            "N_X": at.N_X,
-            "N_U": at.N_U,
-            "N_Y": at.N_Y,
-            "N_INPUT": len(inputs(table)),
-            "N_TUNABLE": len(tunable),
-            "N_FLAG": len(FLAGS),
-            "FIRST_INPUT": FIRST_INPUT,
-            "FIRST_OUTPUT": FIRST_OUTPUT,
-            "FIRST_TUNABLE": FIRST_TUNABLE,
-            "STEP_S": c_number(base_period_ns * 1e-9),
-        }.items()
+    flags = [
+        f"{{{Parameters.where(name).start}, {int(on)}}}"
+        for name, on in zip(FLAGS, flags_without(robot, tunable), strict=True)
     ]
-    u = np.array([s.initial for s in inputs(table)])
-    rows = [_row(s.name, i, s.low, s.high, s.initial) for i, s in enumerate(inputs(table))]
+    taken = [_row(s.name, i, s.low, s.high, s.initial) for i, s in enumerate(inputs(table))]
     tuned = [
         _row(t.about.name, t.place, t.about.low, t.about.high, t.start, t.about.default, t.flag)
         for t in tunable
     ]
-    lines += [
+    lines = [
+        *(f"#define {name} {value}" for name, value in sizes.items()),
+        f"#define STEP_S {c_number(base_period_ns * 1e-9)}",
         "typedef struct { const char *name; int place; double low, high, start, null; int flag; }"
         " Number;",
-        f"static const Number INPUTS[] = {{{', '.join(rows)}}};",
+        f"static const Number INPUTS[] = {{{', '.join(taken)}}};",
         f"static const Number TUNABLE[] = {{{', '.join(tuned)}}};",
-        "static const struct { int place; int on; } FLAGS[] = {"
-        + ", ".join(f"{{{Parameters.where(n).start}, {int(on)}}}" for n, on in flags)
-        + "};",
-        "static const struct { int which; int every; } PARTS[] = {" + ", ".join(schedule) + "};",
+        f"static const struct {{ int place, on; }} FLAGS[] = {{{', '.join(flags)}}};",
+        f"static const struct {{ int which, every; }} PARTS[] = {{{', '.join(schedule)}}};",
         _array("P_0", composition.parameters.numbers),
         _array("X_0", composition.state),
-        _array("U_0", u),
+        _array("U_0", np.array([s.initial for s in inputs(table)])),
         _array("HALL", composition.hall.ravel()),
         _soundness(),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _sizes(composition: Composition, tunable: Sequence[Tunable]) -> dict[str, int]:
+    return {
+        "N_P": Parameters.n_words,
+        "N_X": at.N_X,
+        "N_U": at.N_U,
+        "N_Y": at.N_Y,
+        "N_INPUT": len(inputs(composition.table)),
+        "N_TUNABLE": len(tunable),
+        "N_FLAG": len(FLAGS),
+        "CARRY": CARRY,
+        "FIRST_INPUT": FIRST_INPUT,
+        "FIRST_OUTPUT": FIRST_OUTPUT,
+        "FIRST_TUNABLE": FIRST_TUNABLE,
+    }
 
 
 def _row(

@@ -17,6 +17,7 @@ from numba.np.arrayobj import populate_array
 from hilserver.compiled.record_at import record_at
 from hilserver.errors import FailedError
 from hilserver.plant.battery import battery_step
+from hilserver.plant.carry_over import carry_over
 from hilserver.plant.imu import imu_step
 from hilserver.plant.layout import N_U, N_X, N_Y, PARAMETERS, Parameters
 from hilserver.plant.nav import nav_step
@@ -25,8 +26,8 @@ from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
 
 PARTS: Final = ("robot", "imu", "battery", "shield", "tof", "nav")
-"""By the number with which the C code asks for them."""
-ROBOT, IMU, BATTERY, SHIELD, TOF, NAV = range(len(PARTS))
+"""By the number with which the C code asks for them; CARRY takes the state to other parameters."""
+ROBOT, IMU, BATTERY, SHIELD, TOF, NAV, CARRY = range(len(PARTS) + 1)
 ENTRY: Final = "hil_part"
 TRIPLES: Final = {
     "x86_64-linux": ("x86_64-unknown-linux-gnu", "x86-64"),
@@ -56,9 +57,12 @@ def array_at(typing_context: Any, pointer: Any, length: Any) -> Any:
 
 
 def run_part(
-    which: int, p_at: Any, x_at: Any, u_at: Any, y_at: Any, q_at: Any, hall_at: Any, n_hall: int
+    which: int, p_at: Any, x_at: Any, u_at: Any, y_at: Any, q_at: Any, more_at: Any, n_more: int
 ) -> None:
-    """Run one part of the robot once, as a time slice of the daemon does."""
+    """Run one part of the robot once, as a time slice of the daemon does.
+
+    What is `more` are the walls, or the new parameters.
+    """
     numbers = array_at(p_at, N_P)
     p = record_at(numbers, 0, PARAMETERS)
     x, u = array_at(x_at, N_X), array_at(u_at, N_U)
@@ -72,9 +76,11 @@ def run_part(
     elif which == SHIELD:
         shield_step(p, x, u, y, q)
     elif which == TOF:
-        tof_step(p, x, u, y, q, array_at(hall_at, n_hall))
+        tof_step(p, x, u, y, q, array_at(more_at, n_more))
     elif which == NAV:
         nav_step(p, x, u, y, q)
+    elif which == CARRY:
+        carry_over(p, record_at(array_at(more_at, n_more), 0, PARAMETERS), x)
 
 
 def emit(platform: str) -> bytes:

@@ -30,7 +30,7 @@
 #include "robot.h"
 
 extern void hil_part(int64_t which, double *p, double *x, double *u, double *y, int64_t *q,
-                     double *hall, int64_t n_hall);
+                     double *more, int64_t n_more);
 
 /* What the kernels' error paths name; a kernel never raises, so none of it is reached. */
 #define STUB(name) __attribute__((visibility("hidden"))) void name(void) { abort(); }
@@ -45,7 +45,7 @@ STUB(numba_unpickle)
 typedef struct {
     uint64_t layout; /* of whom a serialised state is */
     int64_t tick;
-    double start_s, values[N_TUNABLE], p[N_P], x[N_X], u[N_U], y[N_Y];
+    double start_s, values[N_TUNABLE], p[N_P], next_p[N_P], x[N_X], u[N_U], y[N_Y];
     int64_t q[N_Y];
 } State;
 
@@ -81,6 +81,7 @@ static void begin(Robot *r) {
     memset(&r->now, 0, sizeof r->now);
     r->now.layout = LAYOUT;
     memcpy(r->now.p, P_0, sizeof r->now.p);
+    memcpy(r->now.next_p, P_0, sizeof r->now.p);
     memcpy(r->now.x, X_0, sizeof r->now.x);
     memcpy(r->now.u, U_0, sizeof r->now.u);
     for (int i = 0; i < N_TUNABLE; i++) r->now.values[i] = TUNABLE[i].start;
@@ -103,6 +104,13 @@ static void run_tick(State *s) {
     s->tick++;
 }
 
+/* All that was tuned since the last step acts from now on, with the state carried over. */
+static void take_parameters(State *s) {
+    if (memcmp(s->p, s->next_p, sizeof s->p) == 0) return;
+    hil_part(CARRY, s->p, s->x, s->u, s->y, s->q, s->next_p, N_P);
+    memcpy(s->p, s->next_p, sizeof s->p);
+}
+
 static Status step(Robot *r, double time_s, double step_s) {
     State *s = &r->now;
     double n = round(step_s / STEP_S), due_s = s->start_s + s->tick * STEP_S;
@@ -111,6 +119,7 @@ static Status step(Robot *r, double time_s, double step_s) {
         return refuse(r, "a step begins at %.17g s, the last one ended at %.17g s", time_s, due_s);
     if (!(n >= 1.0 && n <= 1e9 && fabs(step_s - n * STEP_S) <= 1e-6 * STEP_S))
         return refuse(r, "a communication step of %.17g s is no multiple of %.17g s", step_s, STEP_S);
+    take_parameters(s);
     for (int64_t i = 0; i < (int64_t)n; i++) run_tick(s);
     return OK;
 }
@@ -131,12 +140,12 @@ static Status set(Robot *r, Reference reference, double value) {
         return OK;
     }
     s->values[reference - FIRST_TUNABLE] = value;
-    s->p[about->place] = value;
+    s->next_p[about->place] = value;
     for (int f = 0; f < N_FLAG; f++) {
         bool on = FLAGS[f].on;
         for (int i = 0; i < N_TUNABLE; i++)
             on |= TUNABLE[i].flag == f && s->values[i] != TUNABLE[i].null;
-        s->p[FLAGS[f].place] = on;
+        s->next_p[FLAGS[f].place] = on;
     }
     return OK;
 }
@@ -204,7 +213,12 @@ const char *F(GetVersion)(void) { return FMI == 2 ? "2.0" : "3.0"; }
 Status F(Terminate)(Handle c) { ((Robot *)c)->is_up = false; return OK; }
 void F(FreeInstance)(Handle c) { free(c); }
 Status F(Reset)(Handle c) { begin(c); return OK; }
-Status F(ExitInitializationMode)(Handle c) { ((Robot *)c)->is_up = true; return OK; }
+Status F(ExitInitializationMode)(Handle c) {
+    State *s = &((Robot *)c)->now;
+    memcpy(s->p, s->next_p, sizeof s->p);
+    ((Robot *)c)->is_up = true;
+    return OK;
+}
 
 #if FMI == 2
 #include "fmi2_calls.h"

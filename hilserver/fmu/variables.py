@@ -61,7 +61,7 @@ def tunables(robot: RobotParameters) -> list[Tunable]:
     that are computed when the FMU is made.
     """
     values = read(robot)
-    found = {}
+    found: dict[int, Tunable] = {}
     for name, value in values.items():
         tunable = _tunable(robot, PLANT[name], value)
         if tunable is not None:

@@ -65,7 +65,7 @@ def drives():
     return sorted(rows)
 
 
-async def both(folder, fmu, writes, start=()):
+async def both(folder, fmu, writes, start=(), tuned=()):
     """Outputs of the daemon's robot and of the FMU beside it, shape (N, N_Y) each."""
     names = [s.name for s in configured(folder).table.scalars if s.slots[0] < N_U]
     block = {"name": "copy", "fmu": str(fmu), "inputs": {n: n for n in names}, "start": dict(start)}
@@ -74,6 +74,9 @@ async def both(folder, fmu, writes, start=()):
         table = core.table
         rows = [Row(table.slot(name), value, tick=tick) for tick, name, value in writes]
         assert core.image.push_timed(rows)
+        for due, values in tuned:  # of the robot and of the FMU in one tick
+            copied = {f"blocks.copy.{name}": value for name, value in values.items()}
+            core.parameters.apply(core.parameters.checked(values | copied), due=due)
         await core.scheduler.advance(N)
         frames = np.array([core.image.frame(i).values for i in range(N)])
         first = next(s.slots[0] for s in table.scalars if s.name.startswith("copy."))
@@ -92,6 +95,20 @@ async def test_another_seed_gives_other_noise_alone(fmu, tmp_path):
     differs = {int(i) for i in np.flatnonzero((ours != copy).any(axis=0))}
     assert differs
     assert min(differs) >= 18, "the sensors' outputs"
+
+
+@pytest.mark.parametrize("version", [2, 3])
+async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, tmp_path, version):
+    tuned = [
+        (700, {"terms.dead_zone": 8.0, "terms.gyro_bias": -0.1}),
+        (800, {"terms.body_lag": 0.0, "terms.floor_slope.x": 0.2}),
+        (900, {"terms.body_lag": 0.2, "terms.wheel_runout.amplitude": 0.0}),
+        (1700, {"terms.encoder_quantization": 0.0, "sensors.nav.white_noise_m": 0.1}),
+    ]
+    ours, copy = await both(tmp_path, fmu[version], drives(), tuned=tuned)
+    assert np.array_equal(ours, copy, equal_nan=True)
+    as_made, _ = await both(tmp_path, fmu[version], drives())
+    assert [int(np.argmax((ours != as_made).any(axis=1)))] == [700]
 
 
 @pytest.mark.parametrize("version", [2, 3])
