@@ -30,8 +30,7 @@ from hilserver.fmu.variables import (
     tunables,
 )
 from hilserver.kernel import Composition
-from hilserver.plant import layout as at
-from hilserver.plant.layout import Parameters
+from hilserver.plant.layout import RING, Inputs, Outputs, Parameters, State
 from hilserver.plant.parameters import RobotParameters
 from hilserver.program import children
 
@@ -167,7 +166,7 @@ def _header(
         f"static const struct {{ int place, on; }} FLAGS[] = {{{', '.join(flags)}}};",
         f"static const struct {{ int which, every; }} PARTS[] = {{{', '.join(schedule)}}};",
         _array("P_0", composition.parameters.numbers),
-        _array("X_0", composition.state),
+        _array("X_0", composition.state.numbers),
         _array("U_0", np.array([s.initial for s in inputs(table)])),
         _array("HALL", composition.hall.ravel()),
         _soundness(),
@@ -178,9 +177,9 @@ def _header(
 def _sizes(composition: Composition, tunable: Sequence[Tunable]) -> dict[str, int]:
     return {
         "N_P": Parameters.n_words,
-        "N_X": at.N_X,
-        "N_U": at.N_U,
-        "N_Y": at.N_Y,
+        "N_X": State.n_words,
+        "N_U": Inputs.n_words,
+        "N_Y": Outputs.n_words,
         "N_INPUT": len(inputs(composition.table)),
         "N_TUNABLE": len(tunable),
         "N_FLAG": len(FLAGS),
@@ -211,8 +210,8 @@ def _array(name: str, numbers: NDArray[np.float64]) -> str:
 
 def _soundness() -> str:
     """Return the C function that says whether a state can be gone on from."""
-    heads = (at.X_SETPOINT_HEAD, at.X_IMU_HEAD, at.X_NAV_HEAD)
-    counts = (at.X_IMU_COUNT, at.X_NAV_COUNT)
-    tests = [f"x[{i}] >= 0 && x[{i}] < {at.RING}" for i in heads]
-    tests += [f"x[{i}] >= 0 && x[{i}] <= {at.RING}" for i in counts]
+    heads, counts = ("setpoint_head", "imu_head", "nav_head"), ("imu_count", "nav_count")
+    at, most = State.where, RING
+    tests = [f"x[{at(n).start}] >= 0 && x[{at(n).start}] < {most}" for n in heads]
+    tests += [f"x[{at(n).start}] >= 0 && x[{at(n).start}] <= {most}" for n in counts]
     return f"static int is_sound(const double *x) {{ return {' && '.join(tests)}; }}"

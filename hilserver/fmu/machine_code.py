@@ -14,12 +14,11 @@ from numba import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-from hilserver.compiled.record_at import record_at
 from hilserver.errors import FailedError
 from hilserver.plant.battery import battery_step
 from hilserver.plant.carry_over import carry_over
 from hilserver.plant.imu import imu_step
-from hilserver.plant.layout import N_U, N_X, N_Y, PARAMETERS, Parameters
+from hilserver.plant.layout import INPUTS, OUTPUTS, PARAMETERS, STATE, STATUS
 from hilserver.plant.nav import nav_step
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
@@ -33,7 +32,6 @@ TRIPLES: Final = {
     "x86_64-linux": ("x86_64-unknown-linux-gnu", "x86-64"),
     "aarch64-linux": ("aarch64-unknown-linux-gnu", "generic"),
 }
-N_P: Final = Parameters.n_words
 
 _F8, _I8 = types.CPointer(types.float64), types.CPointer(types.int64)
 _SIGNATURE: Any = types.void(types.int64, _F8, _F8, _F8, _F8, _I8, _F8, types.int64)
@@ -56,6 +54,16 @@ def array_at(typing_context: Any, pointer: Any, length: Any) -> Any:
     return array(pointer, types.intp), generate
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def record(typing_context: Any, pointer: Any, layout: Any) -> Any:
+    """Return the record of `layout` at a pointer."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], context.get_value_type(signature.return_type))
+
+    return layout.dtype(pointer, layout), generate
+
+
 def run_part(
     which: int, p_at: Any, x_at: Any, u_at: Any, y_at: Any, q_at: Any, more_at: Any, n_more: int
 ) -> None:
@@ -63,10 +71,8 @@ def run_part(
 
     What is `more` are the walls, or the new parameters.
     """
-    numbers = array_at(p_at, N_P)
-    p = record_at(numbers, 0, PARAMETERS)
-    x, u = array_at(x_at, N_X), array_at(u_at, N_U)
-    y, q = array_at(y_at, N_Y), array_at(q_at, N_Y)
+    p, x, u = record(p_at, PARAMETERS), record(x_at, STATE), record(u_at, INPUTS)
+    y, q = record(y_at, OUTPUTS), record(q_at, STATUS)
     if which == ROBOT:
         robot_step(p, x, u, y, q)
     elif which == IMU:
@@ -80,7 +86,7 @@ def run_part(
     elif which == NAV:
         nav_step(p, x, u, y, q)
     elif which == CARRY:
-        carry_over(p, record_at(array_at(more_at, n_more), 0, PARAMETERS), x)
+        carry_over(p, record(more_at, PARAMETERS), x)
 
 
 def emit(platform: str) -> bytes:

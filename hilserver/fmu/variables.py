@@ -11,13 +11,14 @@ import numpy as np
 from hilserver import __version__
 from hilserver.parameters import PLANT, Parameter, read, with_values
 from hilserver.plant.errors import PlantError
-from hilserver.plant.layout import N_U, N_Y, Parameters
+from hilserver.plant.layout import Inputs, Outputs, Parameters
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.signals import Signal, SignalTable
 
 FLAGS: Final = ("command_terms", "drive_terms", "kinematic_terms")
 """Numbers of the packed parameters that say whether any term of a kind is on."""
+N_U, N_Y = Inputs.n_words, Outputs.n_words
 FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000
 """Value references; the time has 0."""
 
@@ -83,7 +84,10 @@ def _tunable(robot: RobotParameters, about: Parameter, start: float) -> Tunable 
             then = pack(other).numbers
         except (PlantError, OverflowError, ValueError):
             return None
-        if other.loop != robot.loop or (initial_state(other) != initial_state(robot)).any():
+        if (
+            other.loop != robot.loop
+            or (initial_state(other).numbers != initial_state(robot).numbers).any()
+        ):
             return None
         changed = set(np.flatnonzero(now != then).tolist())
         switched |= changed & set(flags)

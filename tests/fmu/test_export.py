@@ -15,8 +15,8 @@ from fmpy.validation import validate_fmu
 from hilserver.commands import main
 from hilserver.daemon.builder import build
 from hilserver.fmu.description import read_fmu
+from hilserver.fmu.variables import N_U, N_Y
 from hilserver.image import Row
-from hilserver.plant.layout import N_U, N_Y
 from tests.fmu.rig import configured
 
 ROBOT = {
