@@ -13,7 +13,7 @@ NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json)) pag
 # What the tests call, or a file that they need, and the Debian package it comes from.
 TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
     systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
-    nsenter:util-linux promtool:prometheus \
+    nsenter:util-linux promtool:prometheus mosquitto:mosquitto mosquitto_sub:mosquitto-clients \
     chromium:chromium g++:g++ idlc:cyclonedds-tools \
     /usr/include/dds/dds.h:cyclonedds-dev /usr/include/fastdds/rtps/rtps_all.h:libfastrtps-dev
 export PATH := $(PATH):/usr/sbin:/sbin
@@ -146,8 +146,9 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	    export DEBIAN_FRONTEND=noninteractive; \
 	    apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing >/dev/null \
 	        || exit 1; \
-	    case "$$missing" in *prometheus*) if [ -d /run/systemd/system ]; then \
-	        systemctl disable --quiet --now prometheus; fi;; esac; \
+	    for service in prometheus mosquitto; do case "$$missing" in *$$service*) \
+	        if [ -d /run/systemd/system ]; then systemctl disable --quiet --now $$service; fi;; \
+	    esac; done; \
 	    touch $@; \
 	else \
 	    echo "the tests that use them will fail without these Debian packages:$$missing;" \

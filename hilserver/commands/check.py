@@ -81,11 +81,13 @@ def describe(assembly: Assembly) -> list[str]:
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
     lines.append(f"metrics: {address}")
-    page, foxglove, shield = config.page, config.foxglove, config.shield
+    page, foxglove, shield, edge = config.page, config.foxglove, config.shield, config.edge
     scheme = "https" if page.tls else "http"
     lines.append(f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}")
     if foxglove.enabled:
         lines.append(f"foxglove: ws://{foxglove.host}:{foxglove.port}")
+    if edge.enabled:
+        lines.append(f"databus: mqtt://{edge.host}:{edge.port}")
     if shield.enabled:
         lines.append(f"shield: {shield.device or assembly.folder / shield.link}")
     return lines + [f"warning: {text}" for text in warnings(assembly)]

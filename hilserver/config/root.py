@@ -8,6 +8,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from hilserver.config.blocks import BlockConfig
+from hilserver.config.edge import EdgeConfig
 from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
 from hilserver.config.mechatronic import MechatronicConfig
@@ -40,6 +41,7 @@ class Config(Section):
     peers: tuple[PeerConfig, ...] = ()
     shield: ShieldConfig = Field(default_factory=ShieldConfig)
     ros2: Ros2Config = Field(default_factory=Ros2Config)
+    edge: EdgeConfig = Field(default_factory=EdgeConfig)
     blocks: tuple[BlockConfig, ...] = ()
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
@@ -87,7 +89,7 @@ class Config(Section):
         """Kind of source that has control at the start."""
         if self.control.source is not None:
             return self.control.source
-        if self.peers:
+        if self.peers or self.edge.drives:
             return "peer"
         if self.shield.enabled:
             return "shield"

@@ -18,7 +18,7 @@ from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
-from hilserver.io import foxglove, peer_metrics, ros2
+from hilserver.io import edge, foxglove, peer_metrics, ros2
 from hilserver.io.opcua_client import link as opcua_client
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.part import Part
@@ -41,6 +41,7 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
     ros2.parts,
     shield.parts,
     foxglove.parts,
+    edge.parts,
     opcua_client.parts,
 )
 """Every link, in the order of the banner; a new one is a line here."""

@@ -1,0 +1,270 @@
+"""Connects the databus with the robot: groups at their rates, writes through the gate.
+
+While the broker is away nothing piles up: of every group only the newest frame waits.
+"""
+
+import asyncio
+import random
+import ssl
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from enum import StrEnum
+from typing import Any, Final
+
+import aiomqtt
+import structlog
+
+from hilserver.config.edge import EdgeConfig
+from hilserver.errors import FailedError
+from hilserver.image import Frame
+from hilserver.io.edge import payload
+from hilserver.io.edge.payload import Collection
+from hilserver.io.part import Part
+from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.source import Source
+from hilserver.io.world import World
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
+ANSWER_S: Final = 5.0
+LEAVE_S: Final = 0.3
+KEEPALIVE_S: Final = 10
+EARLY_NS: Final = 2_000_000
+"""A frame that comes so much before a group is due is taken for it."""
+PROTOCOLS: Final = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
+
+_log = structlog.get_logger(__name__)
+
+
+class EdgeFault(StrEnum):
+    """What can be wrong with the databus."""
+
+    NO_BROKER = "no_broker"
+    BAD_WRITE = "bad_write"
+
+
+class EdgeLink(Part):
+    """One client of the broker for as long as the daemon runs.
+
+    Attributes
+    ----------
+    status : PeerStatus
+        Always up to date; `writes` counts the messages of values that went out.
+    """
+
+    section, label = "edge", "databus"
+    status: PeerStatus
+
+    def __init__(self, config: EdgeConfig, world: World) -> None:
+        self._config, self._world = config, world
+        self.status = PeerStatus("edge", f"mqtt://{config.host}:{config.port}", mode="mqtt")
+        self.status.stale = config.drives  # nobody is waited for where nobody may write
+        self._source = Source(
+            config.driver,
+            "databus",
+            self.status,
+            world.gate,
+            world.events.publish,
+            fresh=lambda: "databus: values come in",
+        )
+        with world.at("edge"):
+            self._collections = payload.collections_of(config, world.table)
+        self._by_topic = {c.write_topic: c for c in self._collections if c.write_topic}
+        self._due_ns = dict.fromkeys(range(len(self._collections)), 0)
+        self._waiting: dict[int, Frame] = {}
+        self._news = asyncio.Event()
+        self._numbers = [0] * len(self._collections)
+        self._status_number = 0
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def address(self) -> str:
+        """The broker."""
+        return self.status.endpoint
+
+    async def start(self) -> None:
+        """Connect, now and after every loss.
+
+        Raises
+        ------
+        FailedError
+            If a file of the section cannot be read.
+        """
+        password, context = self._password(), self._context()
+        self.status.state = LinkState.CONNECTING
+        self._task = asyncio.create_task(self._stay_connected(password, context), name="edge")
+
+    async def stop(self) -> None:
+        """Say that we leave, and disconnect; if that fails the last will says it."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        self.status.connected, self.status.state = False, LinkState.STOPPED
+
+    def publish(self, frame: Frame) -> None:
+        """Have those groups sent that are due; a newer frame takes the place of one that waits."""
+        for index, collection in enumerate(self._collections):
+            if frame.planned_ns < self._due_ns[index] - EARLY_NS:
+                continue
+            period_ns = round(1e9 / collection.group.rate_hz)
+            on_time = self._due_ns[index] + period_ns
+            self._due_ns[index] = max(on_time, frame.planned_ns + period_ns // 2)
+            self._waiting[index] = frame
+            self._news.set()
+
+    def supervise(self) -> None:
+        """Judge the silence of those who write."""
+        if self._config.drives:
+            self._source.watch(time.monotonic_ns())
+
+    # --- the connection ---------------------------------------------------------------------------
+
+    async def _stay_connected(self, password: str | None, context: ssl.SSLContext | None) -> None:
+        pause_s = FIRST_PAUSE_S
+        while True:
+            begun_s = time.monotonic()
+            try:
+                async with self._client(password, context) as client:
+                    await self._serve(client)
+            except* (aiomqtt.MqttError, OSError, TimeoutError) as group:
+                error = group.exceptions[0]
+                while isinstance(error, BaseExceptionGroup):
+                    error = error.exceptions[0]
+                self._lost(str(error) or type(error).__name__)
+            if time.monotonic() - begun_s > LONGEST_PAUSE_S:
+                pause_s = FIRST_PAUSE_S
+            await asyncio.sleep(pause_s * random.uniform(0.8, 1.2))  # noqa: S311 -- no secret
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+    def _client(self, password: str | None, context: ssl.SSLContext | None) -> aiomqtt.Client:
+        config = self._config
+        will = payload.status(config, 0, time.time_ns(), available=False)
+        return aiomqtt.Client(
+            config.host,
+            config.port,
+            username=config.user,
+            password=password,
+            protocol=PROTOCOLS[config.version],
+            will=aiomqtt.Will(payload.status_topic(config), will, qos=config.qos, retain=True),
+            tls_context=context,
+            timeout=ANSWER_S,
+            keepalive=KEEPALIVE_S,
+            queue_type=_at_once(self._take),
+        )
+
+    async def _greet(self, client: aiomqtt.Client) -> None:
+        """Say that we are here, what there is, and what we take."""
+        await self._say(client, available=True)
+        described = payload.metadata(self._config, self._collections, self._status_number)
+        topic, qos = payload.metadata_topic(self._config), self._config.qos
+        await client.publish(topic, described, qos=qos, retain=True)
+        for topic in self._by_topic:
+            await client.subscribe(topic, qos=qos)
+        status, now_ns = self.status, time.monotonic_ns()
+        status.reconnects += status.last_connect_ns is not None
+        status.connected, status.state, status.last_connect_ns = True, LinkState.CONNECTED, now_ns
+        self._source.faults.admit()
+        _log.info("databus connected", broker=status.endpoint)
+
+    async def _say(self, client: aiomqtt.Client, *, available: bool) -> None:
+        self._status_number += 1
+        text = payload.status(
+            self._config, self._status_number, time.time_ns(), available=available
+        )
+        topic = payload.status_topic(self._config)
+        await client.publish(topic, text, qos=self._config.qos, retain=True)
+
+    async def _serve(self, client: aiomqtt.Client) -> None:
+        try:
+            await self._greet(client)
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._send(client))
+                group.create_task(_until_lost(client))
+        except asyncio.CancelledError:
+            with suppress(aiomqtt.MqttError, TimeoutError):
+                async with asyncio.timeout(LEAVE_S):
+                    await self._say(client, available=False)
+            raise
+
+    def _lost(self, reason: str) -> None:
+        status = self.status
+        status.failed_attempts += not status.connected
+        status.connected, status.state, status.last_error = False, LinkState.HELD_OFF, reason
+        sentence = f"the broker {status.endpoint} is away: {reason}"
+        self._source.faults.refuse(EdgeFault.NO_BROKER, "broker", sentence, time.monotonic_ns())
+
+    # --- values out and in ------------------------------------------------------------------------
+
+    async def _send(self, client: aiomqtt.Client) -> None:
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            while self._waiting:
+                index = next(iter(self._waiting))
+                frame, collection = self._waiting.pop(index), self._collections[index]
+                self._numbers[index] += 1
+                utc_ns = self._world.clock.utc_ns(frame.planned_ns)
+                text = payload.values(collection, frame, self._numbers[index], utc_ns)
+                await client.publish(collection.topic, text, qos=self._config.qos)
+                self.status.writes += 1
+
+    def _take(self, message: aiomqtt.Message) -> None:
+        collection = self._by_topic.get(message.topic.value)
+        if collection is not None and isinstance(message.payload, bytes | bytearray):
+            self._write(collection, bytes(message.payload))
+
+    def _write(self, collection: Collection, data: bytes) -> None:
+        now_ns, name = time.monotonic_ns(), collection.group.name
+        try:
+            values = payload.written(collection, data)
+        except ValueError as error:
+            sentence = f"a write to group '{name}' was refused: {error}"
+            self._source.faults.report(EdgeFault.BAD_WRITE, name, sentence, now_ns)
+            return
+        if values and not self._source.write(values, now_ns).wrong:
+            self._source.staleness.heard(now_ns)
+            self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
+
+    # --- files ------------------------------------------------------------------------------------
+
+    def _password(self) -> str | None:
+        path = self._config.password_file
+        if path is None:
+            return None
+        try:
+            lines = (self._world.folder / path).read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise FailedError(f"edge.password_file: {path}: cannot be read: {error}") from None
+        return lines[0] if lines else ""
+
+    def _context(self) -> ssl.SSLContext | None:
+        tls, folder = self._config.tls, self._world.folder
+        if tls is None:
+            return None
+        try:
+            context = ssl.create_default_context(cafile=tls.ca and folder / tls.ca)
+            if tls.certificate is not None and tls.key is not None:
+                context.load_cert_chain(folder / tls.certificate, folder / tls.key)
+        except (OSError, ssl.SSLError) as error:
+            raise FailedError(f"edge.tls: a file cannot be used: {error}") from None
+        return context
+
+
+def _at_once(take: Callable[[aiomqtt.Message], None]) -> type[asyncio.Queue[Any]]:
+    """Return a queue that holds nothing: what comes is taken as it is read.
+
+    The socket is read one message at a time, between whatever else the event loop does; what comes
+    faster waits at the broker, and nothing is lost here.
+    """
+
+    class AtOnce(asyncio.Queue[Any]):
+        def put_nowait(self, item: Any) -> None:
+            take(item)
+
+    return AtOnce
+
+
+async def _until_lost(client: aiomqtt.Client) -> None:
+    """Wait until the connection ends; MqttError then."""
+    async for _ in client.messages:
+        pass

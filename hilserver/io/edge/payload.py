@@ -1,0 +1,216 @@
+"""The common payload format of the Industrial Edge databus, version 1: topics and messages.
+
+Bytes in and out, no connection: what a message says is decided here.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from typing import Any, Final
+
+from hilserver import __version__
+from hilserver.config.edge import EdgeConfig, EdgeGroup
+from hilserver.errors import ConfigError
+from hilserver.image import Frame
+from hilserver.signals import Signal, SignalTable, ValueType
+
+DATA_TYPES: Final = {
+    ValueType.DOUBLE: "LReal",
+    ValueType.BOOLEAN: "Bool",
+    ValueType.BYTE: "Byte",
+    ValueType.UINT32: "UDInt",
+    ValueType.INT64: "LInt",
+}
+BAD, UNCERTAIN, GOOD = 0, 1, 3
+"""Quality; 3 is good and usable in control."""
+MOST_BYTES: Final = 65_536
+"""Of a message that is looked at."""
+
+
+@dataclass(frozen=True)
+class Collection:
+    """A group with its signals and topics.
+
+    Attributes
+    ----------
+    signals : tuple of Signal
+        Scalars; the slot of one is its id.
+    write_topic : str
+        Empty if nothing is taken.
+    """
+
+    group: EdgeGroup
+    signals: tuple[Signal, ...]
+    topic: str
+    write_topic: str
+
+    @property
+    def inputs(self) -> dict[str, Signal]:
+        """What may be written, by id."""
+        writable = self.signals if self.write_topic else ()
+        return {_id(signal): signal for signal in writable if signal.writable}
+
+
+def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
+    """Return the groups of a configuration with their signals.
+
+    Raises
+    ------
+    ConfigError
+        If a pattern fits no signal.
+    """
+    scalars = [signal for signal in table.scalars if not signal.hidden]
+    found = []
+    for group in config.groups:
+        for pattern in group.signals:
+            if not any(fnmatchcase(signal.name, pattern) for signal in scalars):
+                raise ConfigError(
+                    f"group '{group.name}': no signal fits '{pattern}'; see 'hilserver signals'"
+                )
+        signals = tuple(
+            signal
+            for signal in scalars
+            if any(fnmatchcase(signal.name, pattern) for pattern in group.signals)
+        )
+        base, place = f"ie/d/j/simatic/v1/{config.id}/dp", f"{config.connection}/{group.name}"
+        write_topic = f"{base}/w/{place}" if group.writable else ""
+        found.append(Collection(group, signals, f"{base}/r/{place}", write_topic))
+    return found
+
+
+def metadata_topic(config: EdgeConfig) -> str:
+    """Return where the metadata are, retained."""
+    return f"ie/m/j/simatic/v1/{config.id}/dp"
+
+
+def status_topic(config: EdgeConfig) -> str:
+    """Return where the status is."""
+    return f"ie/s/j/simatic/v1/{config.id}/status"
+
+
+def metadata(config: EdgeConfig, collections: Iterable[Collection], number: int) -> bytes:
+    """Return the message that describes everything else."""
+    points = [_described(collection) for collection in collections]
+    connection = {"name": config.connection, "type": "hilserver", "dataPoints": points}
+    return _json(
+        {
+            "seq": number,
+            "hashVersion": _hash(points),
+            "applicationName": f"hilserver {__version__}",
+            "statustopic": status_topic(config),
+            "connections": [connection],
+        }
+    )
+
+
+def _described(collection: Collection) -> dict[str, Any]:
+    written = {"pubTopic": collection.write_topic} if collection.write_topic else {}
+    return {
+        "name": collection.group.name,
+        "topic": collection.topic,
+        **written,
+        "publishType": "bulk",
+        "dataPointDefinitions": [
+            {"name": signal.name, "id": _id(signal), "dataType": DATA_TYPES[signal.type]}
+            for signal in collection.signals
+        ],
+    }
+
+
+def _hash(points: object) -> int:
+    """Return a number that changes with the data points, and with nothing else."""
+    digest = 0
+    for byte in _json(points):
+        digest = (digest * 31 + byte) & 0x7FFF_FFFF
+    return digest
+
+
+def status(config: EdgeConfig, number: int, utc_ns: int, *, available: bool) -> bytes:
+    """Return birth message or last will."""
+    return _json(
+        {
+            "seq": number,
+            "ts": _timestamp(utc_ns),
+            "connector": {"status": "available" if available else "unavailable"},
+            "connections": [{"name": config.connection, "status": "good" if available else "bad"}],
+        }
+    )
+
+
+def values(collection: Collection, frame: Frame, number: int, utc_ns: int) -> bytes:
+    """Return a group of one frame; `utc_ns` is when it was planned."""
+    timestamp = _timestamp(utc_ns)
+    points = [
+        {"id": _id(signal), "val": _value(signal, frame), "ts": timestamp, "qc": _quality(code)}
+        for signal in collection.signals
+        for code in (int(frame.status[signal.slots[0]]),)
+    ]
+    return _json({"seq": number, "vals": points})
+
+
+def _value(signal: Signal, frame: Frame) -> float | str | bool:
+    number = float(frame.values[signal.slots[0]])
+    if signal.type is ValueType.DOUBLE:
+        return number if math.isfinite(number) else 0.0
+    if signal.type is ValueType.BOOLEAN:
+        return bool(number)
+    return str(int(number)) if signal.type is ValueType.INT64 else int(number)
+
+
+def _quality(code: int) -> int:
+    if code & 0x8000_0000:
+        return BAD
+    return UNCERTAIN if code & 0x4000_0000 else GOOD
+
+
+def written(collection: Collection, data: bytes) -> Mapping[str, object]:
+    """Return what a message writes, by the names of the signals.
+
+    Raises
+    ------
+    ValueError
+        In words, if the message is no write of this group.
+    """
+    if len(data) > MOST_BYTES:
+        raise ValueError(f"{len(data)} bytes are more than a group has")
+    try:
+        message = json.loads(data)
+    except (ValueError, RecursionError):
+        raise ValueError("is no JSON") from None
+    points = message.get("vals") if isinstance(message, dict) else None
+    if not isinstance(points, list):
+        raise ValueError("has no list 'vals'")
+    inputs, found = collection.inputs, {}
+    for point in points:
+        if not isinstance(point, dict) or not {"id", "val"} <= point.keys():
+            raise ValueError("an entry of 'vals' has no 'id' or no 'val'")
+        signal = inputs.get(str(point["id"])[:20])
+        if signal is None:
+            raise ValueError(f"id {point['id']!s:.20} is no input of the group")
+        found[signal.name] = _number(signal, point["val"])
+    return found
+
+
+def _number(signal: Signal, value: object) -> object:
+    """Return a number that came as text, as 64 bits do, as a number."""
+    if signal.type is ValueType.INT64 and isinstance(value, str):
+        digits = value.removeprefix("-")
+        if len(digits) <= 19 and digits.isascii() and digits.isdigit():
+            return int(value)
+    return value
+
+
+def _id(signal: Signal) -> str:
+    return str(signal.slots[0])
+
+
+def _timestamp(utc_ns: int) -> str:
+    moment = datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{utc_ns // 1_000_000 % 1000:03d}Z"
+
+
+def _json(content: object) -> bytes:
+    return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
