@@ -16,6 +16,8 @@ from asyncua import Client, ua
 
 from hilserver.commands import main
 from hilserver.daemon.assembly import assemble
+from hilserver.sweep.estimates import influences
+from hilserver.sweep.table import read_table
 from tests.io.opcua_client.conftest import free_port
 from tests.loopback.rig import configuration, running, wait_until
 from tests.node_red.node_red import NodeRed, missing, with_sink
@@ -113,6 +115,22 @@ async def test_a_controller_in_lockstep_sees_the_same_bits_every_time():
             said.append(re.search(r"heading (\S+) rad after (\S+) s", text).groups())
     assert said[0] == said[1]
     assert float(said[0][0]) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_sweep_says_that_friction_decides(tmp_path, capsys):
+    text = (EXAMPLES / "sweep" / "sweep.yaml").read_text()
+    assert "machines: 300\n" in text
+    shutil.copy(EXAMPLES / "sweep" / "controller.py", tmp_path)
+    (tmp_path / "sweep.yaml").write_text(text.replace("machines: 300\n", "machines: 40\n"))
+    out = tmp_path / "result"
+    assert main(["sweep", str(tmp_path / "sweep.yaml"), "-o", str(out), "--workers", "2"]) == 0
+    assert "of 40 machines pass" in capsys.readouterr().out
+    table = read_table(out)
+    found = influences(dict(table.parameters), table.margins["arrives"])
+    assert found[0].names == ("terms.coulomb_friction",)
+    assert found[0].interval[1] < -0.8
+    friction, margin = table.parameters["terms.coulomb_friction"], table.margins["arrives"]
+    assert margin[friction > 13.0].max() < 0.0 < margin[friction < 6.0].min()
 
 
 @pytest.mark.long

@@ -90,6 +90,14 @@ def test_the_truth_is_in_the_report(made, limit, tmp_path):
     assert f'data-head="machine" class="n">{worst}</td>' in page
 
 
+def test_a_fault_that_decides_has_no_axis(made, tmp_path):
+    fault = {"fault": "bias", "signal": "pose.y_m", "offset": 0.5}
+    table = swept(made(machines=40, faults=[{"share": 0.5, "fault": fault}]), tmp_path / "out")
+    page = write_report(tmp_path / "out", table).read_text()
+    assert page.index("<code>bias:pose.y_m</code>") < page.index("<code>terms.rotation_gain</code>")
+    assert "Where &#39;straight&#39; fails" in page
+
+
 def test_the_report_of_failures_alone(made, tmp_path):
     table = swept(made(machines=8, **WIDE), tmp_path / "out")
     none = table.margins["straight"] * np.nan

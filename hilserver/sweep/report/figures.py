@@ -56,9 +56,11 @@ def failing_region(
     """Return where in the plane of the two parameters that decide most machines fail."""
     margins = table.margins[name]
     driven = np.flatnonzero(~np.isnan(margins))
-    if len(found) < 2 or not (margins[driven] < 0.0).any():
+    # A fault is there or not: it has no axis.
+    axes = [item.names[0] for item in found if item.names[0] in table.parameters]
+    if len(axes) < 2 or not (margins[driven] < 0.0).any():
         return None
-    first, second = found[0].names[0], found[1].names[0]
+    first, second = axes[:2]
     x, y = table.parameters[first], table.parameters[second]
     plot = Plot(
         x=span_of(x[driven]),
