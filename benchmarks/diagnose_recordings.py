@@ -17,7 +17,7 @@ from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.examine import examine
-from hilserver.diagnosis.findings.nested import honest, judged_by_halves
+from hilserver.diagnosis.findings.nested import cross_validated, judged_by_halves
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import prepare_all
@@ -91,7 +91,7 @@ def against_rivals(name: str, log: MeasuredLog, robot: RobotParameters) -> Itera
         return
     problem, before = prepared["pose"].problem, prepared["pose"].base.predicted
     halves = judged_by_halves(judged, 0, 1).get("pose", ())
-    after = honest(judged["pose"], halves, before).parts[0].after if halves else before
+    after = cross_validated(judged["pose"], halves, before).parts[0].after if halves else before
     engine = gains(problem, before, after, HORIZON_S, rng)
     ahead = {
         rival: gains(problem, predict(prepared["pose"]), after, HORIZON_S, rng)

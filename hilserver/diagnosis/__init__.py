@@ -7,7 +7,7 @@ daemon imports nothing from here.
 `catalogue`
     Causes as data: parameters, bounds, what can stand for what.
 `schema`
-    What a diagnosis says, and the evidence behind it.
+    The findings of a diagnosis, and their evidence.
 `checks`
     Faults of the recording, corrected before anything else is judged.
 `replay`

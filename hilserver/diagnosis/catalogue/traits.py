@@ -1,4 +1,4 @@
-"""What rules ask of a cause beside its parameters: one row for each of which there is something.
+"""Traits of causes that rules depend on, one row for each cause that has any.
 
 A rule asks for a trait and never for a name, so that a cause that is added with its row takes part.
 """
@@ -25,7 +25,7 @@ class Need(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traits:
-    """What rules ask of a cause.
+    """What rules need to know of a cause.
 
     Attributes
     ----------

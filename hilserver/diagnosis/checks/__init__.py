@@ -71,7 +71,7 @@ class Checked:
 
     @property
     def lost_setpoints(self) -> bool:
-        """Whether the log no longer says when the set-points changed."""
+        """Whether the log no longer holds the times at which the set-points changed."""
         return any(
             traits_of(cause).hides_inputs and any(map(is_input, finding.regressors))
             for finding in self.findings

@@ -34,7 +34,7 @@ class Spell(NamedTuple):
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Tell when the robot was blocked, and leave that out: nothing here models what held it."""
+    """Report when the robot was blocked, and leave that out: nothing here models what held it."""
     if not log.has(*POSITION, GYRO):
         return log, []
     windows = windows_of(log, WAY_S)

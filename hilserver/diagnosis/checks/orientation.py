@@ -243,7 +243,7 @@ def _is_aligned(log: MeasuredLog, robot: RobotParameters) -> bool:
 
 
 def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
-    """Return speed along the heading and turn rate in each window, as the tag says."""
+    """Return speed along the heading and turn rate in each window, by the tag."""
     moved = _moved(log)
     if moved is None:
         return None

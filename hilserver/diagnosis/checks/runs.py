@@ -1,7 +1,7 @@
 """Runs of a channel, stretches in which it stays the same, and what they are taken for.
 
-A classifier looks at the runs of one channel and says that they are a fault of the recording, what
-is left of the channel and by how much: `repetitions` has those of equal values in what is
+A classifier looks at the runs of one channel and decides whether they are a fault of the recording,
+what is left of the channel and by how much: `repetitions` has those of equal values in what is
 measured, `setpoint_runs` those of set-points.
 """
 
@@ -19,7 +19,7 @@ from hilserver.measured.data import Channel, MeasuredLog
 
 
 class Fault(NamedTuple):
-    """What a classifier says of a channel.
+    """What a classifier finds in a channel.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ def too_little_motion() -> Finding:
         explanation="The robot stood still in all of a recording: nothing of its drive, its"
         " kinematics and its navigation can be judged.",
         separating_experiment="Record a drive with straights at several speeds, turns both ways"
-        " and stops; `hilserver plan` says what it can show.",
+        " and stops; `hilserver plan` lists what it can show.",
     )
 
 

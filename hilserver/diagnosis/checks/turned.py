@@ -12,7 +12,7 @@ from hilserver.plant.units import RPM_PER_RAD_S
 
 
 def find(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Put speeds in the place of angles that stand alone; a notice says of which wheels."""
+    """Put speeds in the place of angles that stand alone; a notice names the wheels."""
     angles = {f"wheel.{wheel}.angle_rad": f"wheel.{wheel}.speed_rpm" for wheel in WHEELS}
     alone = {a: s for a, s in angles.items() if a in log and s not in log and len(log[a]) > 1}
     if not alone:

@@ -13,7 +13,7 @@ from hilserver.plant.units import RAD_S_PER_RPM
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:
-    """Unwrap wheel angles; a notice says where, for a wrap is no fault of the log."""
+    """Unwrap wheel angles; a notice gives the place, for a wrap is no fault of the log."""
     unwrapped: dict[str, Channel] = {}
     notices: list[str] = []
     for wheel in WHEELS:

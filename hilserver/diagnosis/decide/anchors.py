@@ -115,7 +115,7 @@ def anchor_off(
     """Return the anchor that the residual of a model indicates, with its p, or None.
 
     It must hold on blocks that it was not fitted to, and beat every cause of the library and every
-    unknown structure that was found: where another explains as much, nothing is said.
+    unknown structure that was found: where another explains as much, nothing is concluded.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Contest:
 
     @property
     def open(self) -> bool:
-        """Whether the data cannot tell."""
+        """Whether the data do not decide it."""
         return abs(self.more) <= TIE
 
 

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
@@ -24,7 +23,7 @@ from hilserver.diagnosis.thresholds import (
     REST_LEAST_GAIN,
     REST_LEVEL,
 )
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 
 RIVALS: Final = 3
 """Causes whose change is tried in full."""
@@ -61,7 +60,7 @@ def course(problem: Problem) -> Array:
     return np.asarray((clock - middle) / half)[:, None]
 
 
-def parts(problem: Problem) -> list[NDArray[np.bool_]]:
+def parts(problem: Problem) -> list[Mask]:
     """Return the blocks of each of `PARTS_OF_LOG` equal parts of the log."""
     stack, time = problem.stack, course(problem)[:, 0]
     middle = stack.block_sums(time) / np.maximum(np.bincount(stack.block, None, stack.n_blocks), 1)
@@ -216,7 +215,7 @@ def changing_alike(problem: Problem, point: Point, rivals: Sequence[Rival]) -> l
     return [r for r in rivals if left_by_changes(problem, r.point.model, r.point) < most]
 
 
-def _left_in(problem: Problem, model: Model, start: Point, mask: NDArray[np.bool_]) -> float:
+def _left_in(problem: Problem, model: Model, start: Point, mask: Mask) -> float:
     """Return the deviance of some blocks, with sizes and straight trends of their own there."""
     point = fit(problem, model, start, rows=mask, iterations=3)
     left = float(point.loss[mask].sum())

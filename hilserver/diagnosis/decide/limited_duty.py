@@ -63,7 +63,7 @@ def _free_to_turn(problem: Problem, free: Array, limit_pct: float) -> bool:
     """Return whether the wheels' speeds contradict a drive that is limited itself."""
     stack = problem.stack
     left = [problem.residual(p) for p in (free, problem.predict({LIMIT: limit_pct}, NO_POSES))]
-    problem.learn_noise(left[0])
+    problem.estimate_noise(left[0])
     of_speeds = np.zeros(len(stack))
     for name in (n for n in SPEEDS if n in stack.edges):
         of_speeds[stack.edges[name]] = 1.0

@@ -212,7 +212,7 @@ def _excessive(f: Fitted) -> bool:
 
 
 def _use_noise(problem: Problem, library: Library, noise: Noises, point: Point) -> None:
-    """Take a noise model that was learned before."""
+    """Take a noise model that was estimated before."""
     problem.noise, problem.weights = noise
     library.rewhiten(point)
 
@@ -332,7 +332,7 @@ def _part_of(problem: Problem, other: Trial, trial: Trial, least: float) -> bool
 
 def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:
     """Learn the noise anew from what the extended model leaves, and fit once more."""
-    problem.learn_noise(problem.residual(point.predicted))
+    problem.estimate_noise(problem.residual(point.predicted))
     library.rewhiten(point)
     return fit(problem, point.model, point, iterations=3)
 
@@ -349,7 +349,7 @@ def agreed(problem: Problem, library: Library, point: Point) -> Point:
     if not problem.weighs_by_model or not point.model.fitted:
         return point
     for _ in range(AGREED_ROUNDS):
-        problem.learn_noise(problem.residual(point.predicted))
+        problem.estimate_noise(problem.residual(point.predicted))
         point = fit(problem, point.model, point, iterations=3)
     library.rewhiten(point)
     return point

@@ -28,7 +28,7 @@ def searched(
 ) -> tuple[Candidate, tuple[float, ...]]:
     """Return the best of some starts of a cause, and a value near it that is better still.
 
-    What a delay or a limit leaves has steps: its slope says nothing of where the bottom is.
+    What a delay or a limit leaves has steps: its slope has no information on where the bottom is.
     """
 
     def deviance(c: Candidate, theta: float) -> float:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.fitting import fit
@@ -18,7 +17,7 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_PLAUSIBLE_SD,
     TIE,
 )
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def holds(problem: Problem, before: Point, model: Model, start: Point) -> bool:
 def wald(problem: Problem, point: Point, index: int) -> float:
     """Return how far a fitted cause lies from its null, as a normal deviation.
 
-    Asked is the share in which all that it changes is there. The slope at the fit would say less of
+    Tested is the share in which all that it changes is there. The slope at the fit holds less on
     a cause that acts in jumps: a robot that nearly missed the edge of a floor turns there
     altogether otherwise. The blocks that separate the cause from the others count, see
     `screen.normal`.
@@ -111,17 +110,17 @@ def wald(problem: Problem, point: Point, index: int) -> float:
     return float(normal(cov[-1, -1] ** -0.5, freedom_of(information[not_alone(information)]))[()])
 
 
-def not_alone(said: Array) -> NDArray[np.bool_]:
-    """Return which blocks count: one that says more than all others together is no evidence.
+def not_alone(information: Array) -> Mask:
+    """Return which blocks count: one with more information than all others together is no evidence.
 
-    It would hide what the others say.
+    It would hide that of the others.
 
     Parameters
     ----------
-    said : ndarray, shape (blocks,)
-        Information of each block.
+    information : ndarray, shape (blocks,)
+        Of each block.
     """
-    used = np.ones(len(said), dtype=bool)
-    while 2.0 * said[used].max() > said[used].sum() and np.count_nonzero(said[used]) > 1:
-        used &= said < said[used].max()
+    used = np.ones(len(information), dtype=bool)
+    while 2.0 * (left := information[used]).max() > left.sum() and np.count_nonzero(left) > 1:
+        used &= information < left.max()
     return used

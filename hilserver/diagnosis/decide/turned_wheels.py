@@ -1,4 +1,4 @@
-"""How wheels turn: what the causes of the drive say of it, and what the pose makes of that."""
+"""How wheels turn: by the causes of the drive, and what follows for the pose."""
 
 from collections.abc import Mapping
 
@@ -18,9 +18,9 @@ from hilserver.measured.data import MeasuredLog
 def with_wheels(
     p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, report: Report
 ) -> Prepared | None:
-    """Return the pose, moved by the wheels as the drive's causes say that they turn.
+    """Return the pose, moved by the wheels as they turn with the drive's causes.
 
-    Between their samples, and where they have none, they turn as the drive's model says. None where
+    Between their samples, and where they have none, they turn as in the drive's model. None where
     what its causes change of that is too little for any sensor of the pose to show.
     """
     terms = drive.lasting.terms
@@ -37,7 +37,7 @@ def disproved(
 
     A wheel whose encoder shows too much and one whose motor pulls too well take the same duty.
     Where the pose needs no cause with wheels that turn as measured, and misses the data with wheels
-    that turn as a cause says, that cause is the wrong one.
+    that turn as with a cause, that cause is the wrong one.
     """
     named: set[str] = set()
     for f in drive.lasting.fitted:

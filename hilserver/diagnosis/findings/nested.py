@@ -1,4 +1,4 @@
-"""The honest gain: selection, noise and fit are repeated without the blocks that judge them.
+"""The cross-validated gain: selection, noise and fit leave out the blocks that judge them.
 
 Parameters alone, refitted, would flatter: a selection that has seen a block has chosen causes for
 what is chance there, too.
@@ -24,14 +24,14 @@ Halves = Sequence[Judged | None]
 
 
 def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answer]:
-    """Return what each stage of one member says."""
+    """Return the answer of each stage of one member."""
     halves, answers = judged_by_halves(judged, seed, jobs), []
     for name, j in judged.items():
         mine, problem = halves.get(name, ()), j.prepared.problem
         before = problem.point(Model(), j.point.poses).predicted
-        whole = named = honest(j, mine, before)
+        whole = named = cross_validated(j, mine, before)
         if any(half is not None and half.whole is not half.point for half in mine):
-            named = honest(j, mine, before, named=True)
+            named = cross_validated(j, mine, before, named=True)
         estimate = estimate_of(problem, j.point)
         answers.append(Answer(whole, named, j.point.model, named_findings(j), estimate))
     return answers
@@ -40,7 +40,7 @@ def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answe
 def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:
     """Return for every stage with a cause what is found in it without each half of its blocks.
 
-    The wheels that move the pose turn as the drive's causes of the whole log say.
+    The wheels that move the pose turn as the drive's causes of the whole log have it.
     """
     found: dict[str, list[Judged | None]] = {
         name: [] for name, j in judged.items() if j.whole.model.fitted
@@ -60,7 +60,7 @@ def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict
     return dict(found)
 
 
-def honest(j: Judged, halves: Halves, before: Array, *, named: bool = False) -> Explained:
+def cross_validated(j: Judged, halves: Halves, before: Array, *, named: bool = False) -> Explained:
     """Return what the causes of a stage explain of blocks that had no part in choosing them.
 
     Parameters

@@ -103,7 +103,7 @@ def without_causes(model: Model, causes: Iterable[int]) -> Model:
 
 @dataclass(frozen=True)
 class Answer:
-    """What one stage of all members says.
+    """The answer of one stage of all members.
 
     Attributes
     ----------

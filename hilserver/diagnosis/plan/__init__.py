@@ -2,5 +2,5 @@
 
 ``manoeuvre`` holds set-points over time, ``null_log`` what the sensors would show of them if the
 model were right, ``outlook`` what a diagnosis could find in that, ``pieces`` and ``search`` make
-the better manoeuvre, ``planning`` puts them together, ``text`` says it.
+the better manoeuvre, ``planning`` puts them together, ``text`` prints it.
 """

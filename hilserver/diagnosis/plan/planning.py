@@ -91,7 +91,7 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
     if not better:
         spans, then = given.spans, now
     leaves = f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when begun in the middle"
-    text = f"what a diagnosis sees best in {sum(s.duration_s for s in spans):.0f} s"
+    text = f"what a diagnosis finds best in {sum(s.duration_s for s in spans):.0f} s"
     document = PlanDocument(
         version=__version__,
         config_sha256=assembly.config.sha256,

@@ -20,7 +20,7 @@ LEAST_BETTER = 0.01
 
 @dataclass(frozen=True)
 class Information:
-    """What every piece says to one stage; shapes (pieces, k, k)."""
+    """The information of every piece on one stage; shapes (pieces, k, k)."""
 
     directions: list[Direction]
     grams: Array
@@ -50,10 +50,10 @@ def information_of(
 def choose(
     found: Sequence[Piece], known: Sequence[Information], duration_s: float, report: Report
 ) -> list[Piece]:
-    """Return the pieces that say most; repetitions are allowed.
+    """Return the pieces with the most information; repetitions are allowed.
 
-    They are added where a second says most as long as one fits; then each is exchanged for a
-    better one until none is left.
+    They are added where a second has the most information as long as one fits; then each is
+    exchanged for a better one until none is left.
     """
     search = _Search([p.manoeuvre.duration_s for p in found], known, duration_s)
     search.add()

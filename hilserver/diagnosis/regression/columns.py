@@ -3,12 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
-from hilserver.measured.arrays import Array, Indices, Mask
+from hilserver.measured.arrays import Array, Columns, Indices, Mask
 
 RIDGE = 1e-3
 
@@ -33,10 +32,10 @@ class Library:
 
     problem: Problem
     candidates: list[Candidate]
-    raw: list[NDArray[np.float32]]
+    raw: list[Columns]
     blocks: Blocks = field(init=False)
     owner: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    columns: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     norms: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -98,7 +98,7 @@ def _attempted(
     used: Mask,
     steering: Mask,
 ) -> tuple[Point | None, float, Mask]:
-    """Return the same for the step that some blocks ask for, and where it diverged."""
+    """Return the same for the step that some blocks give, and where it diverged."""
     low, high = point.model.borders()
     keep = steering[problem.stack.block]
     step, expected = ridge(white[keep], point.left[keep], DAMPED), 0.0

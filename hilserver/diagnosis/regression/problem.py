@@ -67,7 +67,7 @@ class Problem:
     ----------
     stage : Stage
     noise : mapping of str to NoiseModel
-        By channel; learned anew it is another one.
+        By channel; estimated again it is another one.
     weights : ndarray, shape (n,)
         1, or 0 for outliers; likewise.
     ripples : bool
@@ -98,7 +98,7 @@ class Problem:
 
     @property
     def weighs_by_model(self) -> bool:
-        """Whether a sample counts by how far the model misses it from which the noise was learned.
+        """Whether a sample counts by how far the model of the noise estimate misses it.
 
         Such weights take the side of that model against any other.
         """
@@ -107,7 +107,7 @@ class Problem:
     def under_noise_of(self, point: Point) -> "Problem":
         """Return the same stage under the noise that a model leaves."""
         other = replace(self)
-        other.learn_noise(other.residual(point.predicted))
+        other.estimate_noise(other.residual(point.predicted))
         return other
 
     def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
@@ -237,10 +237,10 @@ class Problem:
         return out
 
     # --- noise ------------------------------------------------------------------------------------
-    def learn_noise(self, raw: Array) -> None:
+    def estimate_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
         if self.weighs_by_model:
-            self._learn_short_noise(raw)
+            self._estimate_short_noise(raw)
             return
         self.noise = {name: self._noise_of(name, raw) for name in self.stack.channels}
         weights = np.ones(len(self.stack))
@@ -275,7 +275,7 @@ class Problem:
         # what stands still shows one value; no reading is truer than its rounding
         return noise_of_readings(readings, reading) or NoiseModel(rounding)
 
-    def _learn_short_noise(self, raw: Array) -> None:
+    def _estimate_short_noise(self, raw: Array) -> None:
         noise, weights = {}, np.ones(len(self.stack))
         for name in self.stack.channels:
             mine = [part for n, _, part in self._runs if n == name]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_STEP
 from hilserver.diagnosis.checks.comb import coarse_step
@@ -20,7 +19,7 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import BLOCK_S, GROSS, HALF, SAME
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Columns
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -106,7 +105,7 @@ def prepare_all(
 def prepare(
     stage: Stage, jobs: int, report: Report, barred: frozenset[str] = frozenset()
 ) -> tuple[Prepared | None, dict[str, str]]:
-    """Learn a stage's noise and compute the columns of all causes that are not barred."""
+    """Estimate a stage's noise and compute the columns of all causes that are not barred."""
     if len(stage.stack) == 0:
         return None, {}
     candidates, reasons = judged_candidates(stage)
@@ -117,9 +116,9 @@ def prepare(
     if coarse_rpm is not None:
         candidates = [c for c in candidates if c.cause != SPEED_STEP]
         problem.ripples = True
-        problem.learn_noise(problem.residual(base.predicted))
+        problem.estimate_noise(problem.residual(base.predicted))
         base = problem.point(Model(), base.poses)
-    raw: list[NDArray[np.float32]] = []
+    raw: list[Columns] = []
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
         for i, column in enumerate(pool.map(lambda c: problem.column(base, c), candidates)):
             raw.append(column.astype(np.float32))
@@ -130,8 +129,8 @@ def prepare(
 def without(p: Prepared, half: int) -> Prepared | None:
     """Return a stage that has never seen one half of its blocks; None where nothing is left.
 
-    Only what the plant does to the columns is the same: noise and all that hangs on it are learned
-    anew.
+    Only what the plant does to the columns is the same: noise and all that depends on it are
+    estimated again.
     """
     stack, rows = p.problem.stack.without(half)
     if not len(stack) or len(rows) == len(p.problem.stack):
@@ -142,11 +141,11 @@ def without(p: Prepared, half: int) -> Prepared | None:
 
 
 def _as_configured(problem: Problem) -> Point:
-    """Learn a first noise; return the model without any cause."""
+    """Estimate a first noise; return the model without any cause."""
     poses = problem.start_poses({})
-    problem.learn_noise(problem.residual(problem.predict({}, poses)))
+    problem.estimate_noise(problem.residual(problem.predict({}, poses)))
     base = problem.point(Model(), poses, pose_steps=2)
-    problem.learn_noise(problem.residual(base.predicted))
+    problem.estimate_noise(problem.residual(base.predicted))
     return problem.point(Model(), base.poses)
 
 
@@ -195,7 +194,7 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:
-    """Learn the noise from what no cause at all can explain, so that no effect hides in it."""
+    """Estimate the noise from what no cause at all can explain, so that no effect hides in it."""
     library.rewhiten(point)
     raw = library.effect(library.ridge(point), slice(None))
     left = problem.residual(point.predicted) - raw
@@ -203,4 +202,4 @@ def clean(problem: Problem, library: Library, point: Point) -> None:
     if nuisance is not None:
         step = problem.pose_step(problem.whiten(left), nuisance)
         left = left - (nuisance * step[problem.stack.segment]).sum(axis=1)
-    problem.learn_noise(left)
+    problem.estimate_noise(left)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
@@ -16,7 +15,7 @@ from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_proc
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import NO_POSES, Stage
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST, VOLTAGE
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -144,7 +143,7 @@ class DriveStage(Stage):
     ) -> Array:
         """Return what the stack's samples would be.
 
-        Where the log itself is rounded, its steps are not those that the loop sees; what the loop
+        Where the log itself is rounded, its steps are not those of the loop; what the loop
         makes of them shows these.
         """
         del poses, keep
@@ -193,7 +192,7 @@ class DriveStage(Stage):
         )
         return seen
 
-    def stepped(self, wheel: int) -> NDArray[np.bool_]:
+    def stepped(self, wheel: int) -> Mask:
         """Return at which ticks an input of a wheel changes, shape (ticks,)."""
         others = [INPUTS[name] for w, name in enumerate(SETPOINTS) if w != wheel]
         own = np.delete(self._inputs, others, axis=1)
@@ -202,7 +201,7 @@ class DriveStage(Stage):
         changed[self.segments.first[:-1]] = False
         return np.asarray(changed)
 
-    def since(self, happens: NDArray[np.bool_]) -> Array:
+    def since(self, happens: Mask) -> Array:
         """Return the time since something happened last, or infinity, at every tick; in seconds."""
         tick = np.arange(self.segments.ticks)
         last = np.maximum.accumulate(np.where(happens, tick, -1))
@@ -257,7 +256,7 @@ class DriveStage(Stage):
             start[i, 4:] = start[i, :4] / gain
         return start
 
-    def _latched(self) -> tuple[Array, NDArray[np.int64]]:
+    def _latched(self) -> tuple[Array, Indices]:
         """Return the distinct inputs and which of them is latched at every tick."""
         rows: list[Array] = []
         index = np.zeros(self.segments.ticks, dtype=np.int64)
@@ -285,7 +284,7 @@ class DriveStage(Stage):
                     rows.append(now.copy())
         return np.array(rows), index
 
-    def _placed(self) -> tuple[Array, NDArray[np.int64]]:
+    def _placed(self) -> tuple[Array, Indices]:
         """Return the inputs, changes moved to the tick that fits the wheels best."""
         ticks = self.segments.ticks
         is_row, measured = np.zeros(ticks, dtype=np.bool_), np.full((ticks, 8), np.nan)

@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import (
@@ -24,7 +23,7 @@ from hilserver.diagnosis.replay.positions import begins_anew, driven_place, pair
 from hilserver.diagnosis.replay.stack import Stack, make_stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
-from hilserver.measured.arrays import Array
+from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog
@@ -125,7 +124,7 @@ class PoseStage(Stage):
         self._tag_rows()
 
     def _settling_s(self) -> Array:
-        """Return how long in each segment the wheels between their samples hang on a guess.
+        """Return how long in each segment the wheels depend on how they were interpolated.
 
         What the wheels' loops remember at the start of a recording is not in it. Beside noise that
         does not matter, but a simulation without any shows it.
@@ -375,7 +374,7 @@ class PoseStage(Stage):
         low = np.concatenate([stack.low[stack.edges[n]] for n in names])
         high = np.concatenate([stack.high[stack.edges[n]] for n in names])
         self._tag_at, self._tag_low, self._tag_high = unique, low[first], high[first]
-        self._tag_index: dict[str, NDArray[np.int64]] = {}
+        self._tag_index: dict[str, Indices] = {}
         begin = 0
         for name in names:
             end = begin + stack.edges[name].stop - stack.edges[name].start

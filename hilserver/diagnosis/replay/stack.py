@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.measured.arrays import Array, Indices
+from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 
@@ -38,7 +38,7 @@ class Stack:
         0 or 1: which half a block belongs to in held-out tests; a log's own blocks, else runs,
         segments or stretches, in turn.
     half : ndarray of int64, shape (n_blocks,)
-        The same, but long stretches of few segments: those that selection never sees are as long as
+        The same, but long stretches of few segments: those that selection leaves out are as long as
         a free run.
     stretch : ndarray of int64, shape (n,)
         What lies in one is continuous in time.
@@ -132,7 +132,7 @@ def make_stack(
     *,
     block_s: float,
     skip_s: float | Array = 0.0,
-    usable: NDArray[np.bool_] | None = None,
+    usable: Mask | None = None,
 ) -> Stack:
     """Collect the samples of some channels.
 

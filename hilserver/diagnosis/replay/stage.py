@@ -1,4 +1,4 @@
-"""What a regression asks of a replay, whichever part of the machine it replays."""
+"""What a regression needs of a replay, whichever part of the machine it replays."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

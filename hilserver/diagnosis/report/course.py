@@ -18,7 +18,7 @@ FEWEST_SEGMENTS: Final = 6
 """So many segments are windows of their own, or share them: what moves a pose moves it to the end
 of its segment."""
 LEAST_SHARE: Final = 0.05
-"""Of the windows' mean information on a parameter: a window with less says nothing."""
+"""Of the windows' mean information on a parameter: a window with less is left out."""
 
 
 def courses(problem: Problem, point: Point, causes: set[str]) -> list[Course]:

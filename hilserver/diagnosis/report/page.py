@@ -111,7 +111,7 @@ def _contents(main: str) -> list[tuple[str, Markup]]:
 
 
 def _headed(cells: str, head: Sequence[str]) -> Markup:
-    """Tell every cell of a row what its column is: a phone shows rows as blocks."""
+    """Label every cell of a row with its column: a phone shows rows as blocks."""
     heads = iter(head)
     text = _CELL.sub(lambda _: f'<td data-head="{escape(next(heads))}"', cells)
     return Markup(text)  # noqa: S704 - escaped already

@@ -1,4 +1,4 @@
-"""What the first page says: the headline, the gains, in which block, and what to do."""
+"""The text of the first page: the headline, the gains, in which block, and what to do."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", 
 
 
 def headline(findings: Findings) -> str:
-    """Return what the page says first, one sentence."""
+    """Return the headline, one sentence."""
     if not findings.findings and not findings.smallest_detectable and findings.not_judged:
         return "Nothing could be judged: channels are missing. See what was not judged, and why."
     silent = [f for f in findings.findings if f.verdict is Verdict.INSUFFICIENT_EXCITATION]
@@ -86,13 +86,13 @@ class Gained:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the whole interval says that the error is much smaller."""
+        """Whether the error is much smaller over the whole interval."""
         return (self.gain.ci95 or (self.gain.ratio,))[0] > LARGE
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A ratio of errors as it is said: so many times better, or worse, never 0.5 times better."""
+    """A ratio of errors in words: so many times better, or worse, never 0.5 times better."""
 
     factor: float
     is_better: bool

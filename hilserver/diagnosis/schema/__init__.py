@@ -1,1 +1,1 @@
-"""What a diagnosis says, and the evidence behind it, as plain data with a JSON Schema."""
+"""The findings of a diagnosis and their evidence, as plain data with a JSON Schema."""

@@ -212,7 +212,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a diagnosis returns: what it says, and what stands behind it."""
+    """What a diagnosis returns: the findings, and the evidence for them."""
 
     findings: Findings
     evidence: Evidence = field(default_factory=Evidence)

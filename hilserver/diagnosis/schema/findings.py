@@ -1,4 +1,4 @@
-"""What a diagnosis says: the models of ``findings.json``."""
+"""The findings of a diagnosis: the models of ``findings.json``."""
 
 from collections.abc import Iterable
 from enum import StrEnum

@@ -82,7 +82,7 @@ def test_one_block_is_no_evidence_and_hides_none(elsewhere, own, names):
 
 
 @pytest.mark.parametrize(
-    ("told", "heard"),
+    ("information", "used"),
     [
         ([9.0, 1.0, 2.0, 1.0], [0, 1, 1, 1]),
         ([9.0, 4.0, 3.0, 3.0], [1, 1, 1, 1]),
@@ -91,8 +91,8 @@ def test_one_block_is_no_evidence_and_hides_none(elsewhere, own, names):
         ([0.0, 0.0], [1, 1]),
     ],
 )
-def test_a_block_that_says_more_than_all_others_does_not_count(told, heard):
-    assert not_alone(np.array(told)).tolist() == [bool(h) for h in heard]
+def test_a_block_with_more_information_than_all_others_does_not_count(information, used):
+    assert not_alone(np.array(information)).tolist() == [bool(u) for u in used]
 
 
 def rival(problem, point, name, theta, prior):

@@ -1,4 +1,4 @@
-"""The honest gain: nothing that a half of the blocks judges was chosen, weighed or fitted by it."""
+"""The cross-validated gain: what a half of the blocks judges was found without that half."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from hilserver.diagnosis.decide.revision import revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings import nested
-from hilserver.diagnosis.findings.nested import honest, judged_by_halves
+from hilserver.diagnosis.findings.nested import cross_validated, judged_by_halves
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import Prepared, without
@@ -44,7 +44,7 @@ def drawn(sizes=(1.0, 1.0)):
 def after(j):
     halves = judged_by_halves({"drive": j}, SEED, 1)["drive"]
     before = np.zeros(len(j.prepared.problem.stack))
-    return honest(j, halves, before).parts[0].after
+    return cross_validated(j, halves, before).parts[0].after
 
 
 def no_prediction_saw_its_half():
@@ -67,7 +67,7 @@ def test_a_half_is_predicted_by_what_was_selected_and_fitted_without_it():
 
 
 def test_nested_halves_off():
-    """Causes and sizes of the whole log are no honest gain."""
+    """Causes and sizes of the whole log are no cross-validated gain."""
     line = "halves.append(revised(p, selected, rng))"
     whole = "halves.append(judged[name])"
     with (
@@ -85,7 +85,7 @@ def test_a_cause_of_one_half_gains_nothing_in_the_other():
     j = judged(values + 0.5 * columns["lure"], columns)
     assert "lure" in j.point.model.causes
     halves = judged_by_halves({"drive": j}, SEED, 1)["drive"]
-    whole = honest(j, halves, np.zeros(N))
+    whole = cross_validated(j, halves, np.zeros(N))
     index = j.point.model.causes.index("lure")
     rows = stack.half[stack.block] == 0
     unseen = whole.without(frozenset({index}))[0]
@@ -123,8 +123,8 @@ def test_a_column_without_a_name_predicts_and_is_in_no_patch():
     assert set(j.point.model.causes) == {"c0", "c1"}
     less = fit(problem, j.point.model.without(0), j.point)
     nameless = replace(j, point=less, whole=j.point)
-    whole = honest(nameless, (nameless, nameless), base)
-    patch = honest(nameless, (nameless, nameless), base, named=True)
+    whole = cross_validated(nameless, (nameless, nameless), base)
+    patch = cross_validated(nameless, (nameless, nameless), base, named=True)
     assert np.allclose(whole.parts[0].after, j.point.predicted)
     assert np.allclose(patch.parts[0].after, less.predicted)
     assert whole.gains(5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5

@@ -22,7 +22,7 @@ def drive():
     recipe = Recipe(seed=5, duration_s=40.0)
     problem = Problem(stages_of(measured(make(recipe)[0], recipe), assembly().robot)["pose"])
     poses = problem.start_poses({})
-    problem.learn_noise(problem.residual(problem.predict({}, poses)))
+    problem.estimate_noise(problem.residual(problem.predict({}, poses)))
     return problem, problem.point(Model(), poses)
 
 

@@ -21,7 +21,7 @@ def test_no_reading_is_truer_than_its_rounding(seed):
     still = {name: log[name].with_values(np.zeros(len(log[name]))) for name in SPEEDS}
     log = log.with_channels(still)
     problem = Problem(stages_of(log, RobotParameters())["pose"])
-    problem.learn_noise(problem.residual(problem.predict({}, problem.start_poses({}))))
+    problem.estimate_noise(problem.residual(problem.predict({}, problem.start_poses({}))))
     step, true_sd = recipe.sensors["gyro_z"].step, recipe.noise.gyro_rad_s
     whole = math.hypot(true_sd, step / math.sqrt(12.0))
     assert problem.noise[GYRO].sd == pytest.approx(whole, rel=0.2)
