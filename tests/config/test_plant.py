@@ -30,7 +30,8 @@ def test_every_quantity_has_its_key_with_default_and_meaning(section, part):
             continue
         key = section.model_fields[item.name]
         assert key.default == item.default
-        assert key.description == item.metadata["meaning"]
+        unit = item.metadata["unit"]
+        assert key.description == item.metadata["meaning"] + (f" [{unit}]" if unit else "")
         assert len(key.metadata) == len(item.metadata["bounds"])
 
 

@@ -159,6 +159,11 @@ async def a_fault(robot):
     robot.daemon.faults.inject({"fault": "bias", "signal": "nav.x_m", "offset": 1.0})
 
 
+async def another_gain(robot):
+    parameters = robot.daemon.core.parameters
+    await parameters.taken(parameters.apply(parameters.checked({"plant.controller.k_p": 0.6})))
+
+
 async def another_task(robot):
     robot.sleeper = asyncio.create_task(asyncio.sleep(2.0))
 
@@ -205,6 +210,7 @@ STIMULI = [
     ("hil_end_to_end_seconds", "_count", {}, setpoint_change, 1),
     ("hil_state", "", {"state": "paused"}, pause, 1),
     ("hil_faults", "", {"kind": "injected"}, a_fault, 1),
+    ("hil_parameters_changed", "", {}, another_gain, 1),
     ("hil_asyncio_tasks", "", {}, another_task, 1),
     ("hil_peer_round_trip_seconds", "_count", PEER, heartbeat, 1),
     ("hil_peer_interval_seconds", "_count", PEER, heartbeat, 10),
