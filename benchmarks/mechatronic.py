@@ -13,11 +13,10 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-import hilserver.body.layout as at
 from hilserver.bench.report import Result
 from hilserver.body.engine import Engine
+from hilserver.body.layout import Addresses, Constants, Motion
 from hilserver.body.parameters import BodyParameters
 from hilserver.body.step import advance
 from hilserver.compiled import kernel
@@ -42,15 +41,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @kernel()
-def _ours(p: Array, b: Array, a: NDArray[np.int64], slices: int) -> None:
+def _ours(p: Constants, b: Array, a: Addresses, slices: int) -> None:
     for _ in range(slices):
         advance(p, b, a)
 
 
 @kernel()
-def _plain(a: NDArray[np.int64], steps: int) -> None:
+def _plain(a: Addresses, steps: int) -> None:
     for _ in range(steps):
-        call(a[at.A_STEP], a[at.A_MODEL], a[at.A_DATA], 0, 0)
+        call(a.step, a.model, a.memory, 0, 0)
 
 
 def _block_us(run: Callable[[], None]) -> float:
@@ -63,7 +62,7 @@ def _cost() -> Result:
     body = BodyParameters(robot=RobotParameters())
     engine = Engine(body)
     p, b, a = engine.parameters, engine.initial, engine.addresses
-    b[at.B_ASKED : at.B_ASKED + 4] = (3.0, 3.0, 5.0, 5.0)
+    Motion.of(b).asked[:] = 3.0, 3.0, 5.0, 5.0
     _ours(p, b, a, 100)
     _plain(a, 100)
     ours, plain = [], []

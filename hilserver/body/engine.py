@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-import hilserver.body.layout as at
+from hilserver.body.layout import MUJOCO, N_WARNINGS, Addresses
 from hilserver.body.mjcf import mjcf
 from hilserver.body.parameters import BodyParameters
 from hilserver.body.step import place_body
@@ -38,11 +38,11 @@ class Engine:
     ----------
     body : BodyParameters
         What it was made from.
-    parameters : ndarray of float64
+    parameters : Constants
         `p` of the kernel.
     initial : ndarray of float64
         `b` of the kernel: at rest in the origin.
-    addresses : ndarray of int64
+    addresses : Addresses
         `a` of the kernel, of this process.
     """
 
@@ -63,7 +63,7 @@ class Engine:
         xml = mjcf(self.body, self.body.robot.solids)
         return xml.encode() + self.parameters.tobytes()
 
-    def _addresses(self, library: ModuleType, signature: int) -> NDArray[np.int64]:
+    def _addresses(self, library: ModuleType, signature: int) -> Addresses:
         (path,) = Path(library.__file__ or "").parent.glob("libmujoco.so*")
         symbols = ctypes.CDLL(str(path))  # the copy that the bindings have loaded
         _silence(symbols)
@@ -72,28 +72,28 @@ class Engine:
             return ctypes.cast(getattr(of, name), ctypes.c_void_p).value or 0
 
         data, counters = self.data, self.data.warning.number
-        if len(counters) != at.N_WARNINGS or counters.strides != (8,):
+        if len(counters) != N_WARNINGS or counters.strides != (8,):
             raise PlantError(
                 f"mechatronic: MuJoCo {library.__version__} counts warnings otherwise."
             )
         first = counters.ctypes.data - counters.itemsize  # what a warning was about stands before
-        a = np.zeros(at.N_A, dtype=np.int64)
-        a[at.A_STEP] = function("mj_step")
-        a[at.A_SET_STATE] = function("mj_setState")
-        a[at.A_GET_STATE] = function("mj_getState")
-        a[at.A_COPY] = function("memcpy", ctypes.CDLL(None))
-        a[at.A_MODEL], a[at.A_DATA] = self.model._address, data._address
-        a[at.A_SENSORS], a[at.A_WARNINGS] = data.sensordata.ctypes.data, first
-        a[at.A_SIGNATURE] = signature
+        a = Addresses.of(np.zeros(Addresses.n_words, dtype=np.int64))
+        a.step = function("mj_step")
+        a.set_state = function("mj_setState")
+        a.get_state = function("mj_getState")
+        a.copy_bytes = function("memcpy", ctypes.CDLL(None))
+        a.model, a.memory = self.model._address, data._address
+        a.sensors, a.warnings = data.sensordata.ctypes.data, first
+        a.signature = signature
         before = signature & (int(library.mjtState.mjSTATE_XFRC_APPLIED) - 1)
-        a[at.A_PUSH] = library.mj_stateSize(self.model, before) + 6 * self.model.body("robot").id
+        a.push = library.mj_stateSize(self.model, before) + 6 * self.model.body("robot").id
         return a
 
     def _initial(self, library: ModuleType, length: int, signature: int) -> NDArray[np.float64]:
-        b = np.zeros(at.B_MUJOCO + length)
-        library.mj_getState(self.model, self.data, b[at.B_MUJOCO :], signature)
-        place_body(self.parameters, b, 0.0, 0.0, 0.0)
-        return b
+        numbers = np.zeros(MUJOCO + length)
+        library.mj_getState(self.model, self.data, numbers[MUJOCO:], signature)
+        place_body(self.parameters, numbers, 0.0, 0.0, 0.0)
+        return numbers
 
 
 _Handler = ctypes.CFUNCTYPE(None, ctypes.c_char_p)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-import hilserver.body.layout as at
+from hilserver.body.layout import Constants
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.quantity import quantity, refused
@@ -125,27 +125,27 @@ class BodyParameters:
         x, y, z = (size * size / 12.0 * self.mass_kg for size in PLATES_M)
         return y + z, x + z, x + y
 
-    def pack(self) -> NDArray[np.float64]:
-        """Return the parameters as the kernel reads them, shape (N_P,)."""
-        robot, process, p = self.robot, self.robot.process, np.zeros(at.N_P)
-        p[at.P_STEP] = self.step_s
-        p[at.P_STEPS] = self.steps
-        p[at.P_TICKS] = round(self.slice_s / robot.period_s)
-        p[at.P_TORQUE] = self.torque
-        p[at.P_RADIUS] = robot.wheel_radius_m
-        p[at.P_INERTIA] = self.wheel_inertia_kg_m2
+    def pack(self) -> Constants:
+        """Return the parameters as the kernel reads them."""
+        robot, process, p = self.robot, self.robot.process, Constants.zeros()
+        p.dt = self.step_s
+        p.steps = self.steps
+        p.ticks = round(self.slice_s / robot.period_s)
+        p.torque = self.torque
+        p.radius = robot.wheel_radius_m
+        p.inertia = self.wheel_inertia_kg_m2
         lag_s = self.wheel_inertia_kg_m2 * self.no_load_rad_s / self.stall_torque_nm
-        p[at.P_RATE] = -math.expm1(-self.step_s / lag_s) / self.step_s
-        p[at.P_SPEED_PER_DUTY] = self.no_load_rad_s / 100.0
-        p[at.P_DUTY_KEEP] = math.exp(-self.step_s / process.t2_s)
-        p[at.P_GRIP] = self.tyre.mu_long
-        p[at.P_RATIO] = 0.0 if robot.is_mecanum else self.tyre.mu_lat / self.tyre.mu_long
-        p[at.P_V0] = self.tyre.v0_m_s
-        p[at.P_ROLLING] = self.tyre.rolling
-        p[at.P_AIR] = self.air_n_s2_m2
-        p[at.P_REST_HEIGHT] = self.centre_of_mass_m[2]
+        p.rate = -math.expm1(-self.step_s / lag_s) / self.step_s
+        p.speed_per_duty = self.no_load_rad_s / 100.0
+        p.duty_keep = math.exp(-self.step_s / process.t2_s)
+        p.grip = self.tyre.mu_long
+        p.ratio = 0.0 if robot.is_mecanum else self.tyre.mu_lat / self.tyre.mu_long
+        p.v0 = self.tyre.v0_m_s
+        p.rolling = self.tyre.rolling
+        p.air = self.air_n_s2_m2
+        p.rest_height = self.centre_of_mass_m[2]
         angle = 0.25 * math.pi * np.array(_GRIP_ANGLE) * robot.is_mecanum
-        p[at.P_COS : at.P_COS + 4], p[at.P_SIN : at.P_SIN + 4] = np.cos(angle), np.sin(angle)
+        p.cos[:], p.sin[:] = np.cos(angle), np.sin(angle)
         return p
 
 

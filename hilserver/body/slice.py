@@ -3,9 +3,18 @@
 import math
 from typing import Any
 
-import hilserver.body.layout as at
+from hilserver.body.layout import (
+    MOTION,
+    STATUS,
+    Addresses,
+    Constants,
+    Motion,
+    Signals,
+    SignalStatus,
+)
 from hilserver.body.step import advance, body_axes, place_body, to_body
 from hilserver.body.wheels import vector
+from hilserver.compiled.records import record_at
 from hilserver.plant.imu import show_imu
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import (
@@ -28,130 +37,134 @@ MIRROR = (1.0, 1.0, -1.0, -1.0)
 
 
 @part
-def _show_motion(b: Any, pose: Any, out: Any) -> None:
-    axes = body_axes(b, at.B_QPOS + 3)
+def _show_motion(b: Motion, pose: Any, out: Signals) -> None:
+    axes = body_axes(b.orientation)
     for i in range(3):
-        out[at.M_POSITION + i] = b[at.B_QPOS + i]
-        out[at.M_GYRO + i] = b[at.B_QVEL + 3 + i]
-        out[at.M_ACCEL + i] = b[at.B_ACCEL + i]
+        out.position[i] = b.position[i]
+        out.gyro[i] = b.turning[i]
+        out.accel[i] = b.accel[i]
     ahead, left, up = axes
-    out[at.M_ANGLES] = math.atan2(left[2], up[2])
-    out[at.M_ANGLES + 1] = math.asin(min(max(-ahead[2], -1.0), 1.0))
+    out.roll = math.atan2(left[2], up[2])
+    out.pitch = math.asin(min(max(-ahead[2], -1.0), 1.0))
     yaw = math.atan2(ahead[1], ahead[0])
-    out[at.M_ANGLES + 2] = yaw
-    velocity = to_body(axes, vector(b, at.B_QVEL))
-    out[at.M_VELOCITY], out[at.M_VELOCITY + 1] = velocity[0], velocity[1]
-    out[at.M_VELOCITY + 2] = b[at.B_QVEL + 5]
-    out[at.M_GAP] = math.hypot(b[at.B_QPOS] - pose[0], b[at.B_QPOS + 1] - pose[1])
-    out[at.M_GAP + 1] = wrap(yaw - pose[2])
+    out.yaw = yaw
+    velocity = to_body(axes, vector(b.velocity))
+    out.linear, out.lateral = velocity[0], velocity[1]
+    out.angular = b.turning[2]
+    out.gap = math.hypot(b.position[0] - pose[0], b.position[1] - pose[1])
+    out.gap_yaw = wrap(yaw - pose[2])
 
 
 @part
-def _show_wheels(b: Any, out: Any) -> None:
+def _show_wheels(b: Motion, out: Signals) -> None:
     for i in range(4):
-        out[at.M_SPEED + i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_S_PER_RPM
-        out[at.M_NORMAL + i] = b[at.B_NORMAL + i]
-        out[at.M_SLIP + i] = b[at.B_SLIP + i]
-        out[at.M_TORQUE + i] = MIRROR[i] * b[at.B_TORQUE + i]
+        out.speed[i] = MIRROR[i] * b.speed[i] / RAD_S_PER_RPM
+        out.normal[i] = b.normal[i]
+        out.slip[i] = b.slip[i]
+        out.torque[i] = MIRROR[i] * b.torque[i]
 
 
 @part
-def _show_ranges(b: Any, plant: Parameters, hall: Any, out: Any, status: Any) -> None:
-    x, y, yaw = b[at.B_QPOS], b[at.B_QPOS + 1], out[at.M_ANGLES + 2]
+def _show_ranges(
+    b: Motion, plant: Parameters, hall: Any, out: Signals, status: SignalStatus
+) -> None:
+    x, y, yaw = b.position[0], b.position[1], out.yaw
     for k in range(4):
         distance = seen_by(plant, hall, k, x, y, yaw)
-        out[at.M_TOF + k] = min(max(distance, NEAREST_M), FARTHEST_M)
+        out.tof[k] = min(max(distance, NEAREST_M), FARTHEST_M)
         if distance > FARTHEST_M:
-            status[at.M_TOF + k] = UNCERTAIN
+            status.tof[k] = UNCERTAIN
 
 
 @part
 def run_slice(
-    p: Any,
-    b: Any,
-    a: Any,
+    p: Constants,
+    numbers: Any,
+    a: Addresses,
     plant: Parameters,
     x: State,
     u: Inputs,
     y: Outputs,
     hall: Any,
-    out: Any,
-    status: Any,
+    out: Signals,
+    codes: Any,
 ) -> int:
     """Show the body of t_k, then compute the next slice; return 0, or `faults.BODY`.
 
     Parameters
     ----------
-    p, b, a : ndarray
-        Of the body, see `hilserver.body.layout`.
+    p, numbers, a
+        Of the body, see `advance`.
     plant, x, u, y, hall
         The planar plant's parameters, state, inputs and outputs, after its step of this tick.
-    out : ndarray of float64, shape (N_M,)
+    out : Signals
         Outputs ``mech.*`` in the working frame.
-    status : ndarray of int64, shape (N_M,)
+    codes : ndarray of int64, shape (Signals.n_words,)
         Their OPC UA status codes.
     """
-    if u.pose_request != b[at.B_POSE_REQUEST]:
-        b[at.B_POSE_REQUEST] = u.pose_request
-        place_body(p, b, u.pose[0], u.pose[1], u.pose[2])
+    b = record_at(numbers, 0, MOTION)
+    if u.pose_request != b.pose_request:
+        b.pose_request = u.pose_request
+        place_body(p, numbers, u.pose[0], u.pose[1], u.pose[2])
     good = UNCERTAIN if u.command == COMMAND_SAFE else GOOD
-    if b[at.B_FAILED] != 0.0:
+    if b.failed != 0.0:
         good = BAD_OUT_OF_SERVICE
-    for i in range(at.N_M):
-        status[i] = good
+    for i in range(codes.shape[0]):
+        codes[i] = good
     _show_motion(b, y.pose, out)
     _show_wheels(b, out)
-    _show_ranges(b, plant, hall, out, status)
-    if b[at.B_FAILED] != 0.0:
+    _show_ranges(b, plant, hall, out, record_at(codes, 0, STATUS))
+    if b.failed != 0.0:
         return BODY
     for i in range(4):
-        rpm_or_duty = x.motor[i] if p[at.P_TORQUE] != 0.0 else x.speed[i] * RAD_S_PER_RPM
-        b[at.B_ASKED + i] = MIRROR[i] * rpm_or_duty
-    b[at.B_WAIT] = p[at.P_TICKS]
-    if not advance(p, b, a):
-        stand_still(b)
+        rpm_or_duty = x.motor[i] if p.torque != 0.0 else x.speed[i] * RAD_S_PER_RPM
+        b.asked[i] = MIRROR[i] * rpm_or_duty
+    b.wait = p.ticks
+    if not advance(p, numbers, a):
+        stand_still(numbers)
         return BODY
     return 0
 
 
 @part
-def stand_still(b: Any) -> None:
+def stand_still(numbers: Any) -> None:
     """Give a body up whose numbers are no longer good: all that is shown stays finite."""
-    for i in range(b.shape[0]):
-        if not math.isfinite(b[i]):
-            b[i] = 0.0
-    for i in range(6):
-        b[at.B_QVEL + i] = 0.0
+    for i in range(numbers.shape[0]):
+        if not math.isfinite(numbers[i]):
+            numbers[i] = 0.0
+    b = record_at(numbers, 0, MOTION)
+    for i in range(3):
+        b.velocity[i] = b.turning[i] = 0.0
     for i in range(4):
-        b[at.B_SPEED + i] = 0.0
-    b[at.B_FAILED] = 1.0
+        b.speed[i] = 0.0
+    b.failed = 1.0
 
 
 @part
-def hand_over_wheels(b: Any, x: State) -> None:
+def hand_over_wheels(b: Motion, x: State) -> None:
     """Before the plant's tick: let the wheels turn as the body computed a slice ago."""
-    if b[at.B_WAIT] > 0.0:
-        b[at.B_WAIT] -= 1.0
-        if b[at.B_WAIT] == 0.0:
+    if b.wait > 0.0:
+        b.wait -= 1.0
+        if b.wait == 0.0:
             for i in range(4):
-                x.speed[i] = MIRROR[i] * b[at.B_SPEED + i] / RAD_S_PER_RPM
+                x.speed[i] = MIRROR[i] * b.speed[i] / RAD_S_PER_RPM
 
 
 @part
-def body_imu(b: Any, p: Parameters, x: State, y: Outputs, q: Status) -> None:
+def body_imu(b: Motion, p: Parameters, x: State, y: Outputs, q: Status) -> None:
     """Show what the inertial unit measures in the body, with its noise and errors."""
-    ahead, _, _ = body_axes(b, at.B_QPOS + 3)
+    ahead, _, _ = body_axes(b.orientation)
     yaw = math.atan2(ahead[1], ahead[0])
-    show_imu(p, x, b[at.B_QVEL + 5], yaw, b[at.B_ACCEL], b[at.B_ACCEL + 1], y, q)
+    show_imu(p, x, b.turning[2], yaw, b.accel[0], b.accel[1], y, q)
 
 
 @part
-def body_ranges(b: Any, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
+def body_ranges(b: Motion, p: Parameters, y: Outputs, q: Status, hall: Any) -> None:
     """Show the ranges from where the body is."""
     if p.tof_enabled == 0.0:
         for k in range(4):
             q.tof[k] = BAD_OUT_OF_SERVICE
         return
-    ahead, _, _ = body_axes(b, at.B_QPOS + 3)
+    ahead, _, _ = body_axes(b.orientation)
     yaw = math.atan2(ahead[1], ahead[0])
-    show_ranges(p, hall, b[at.B_QPOS], b[at.B_QPOS + 1], yaw, y, q)
+    show_ranges(p, hall, b.position[0], b.position[1], yaw, y, q)

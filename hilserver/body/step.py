@@ -6,19 +6,23 @@ What is computed from tick k is shown, and acts, exactly one slice later.
 import math
 from typing import Any
 
-import hilserver.body.layout as at
+from hilserver.body.layout import MOTION, MUJOCO, N_WARNINGS, Addresses, Constants, Motion
 from hilserver.body.wheels import Vector, dot, turn_wheels, vector
 from hilserver.compiled.foreign import call
+from hilserver.compiled.records import record_at
 from hilserver.plant.kernels import part
 
+POSE_REQUEST = Motion.where("pose_request").start
+TOUCH = Motion.where("touch").start
+END = Motion.n_words
 GRAZING = 0.01
 """A contact that leans further over than this, as share of its normal, carries no tyre force."""
 
 
 @part
-def body_axes(q: Any, first: int) -> tuple[Vector, Vector, Vector]:
+def body_axes(q: Any) -> tuple[Vector, Vector, Vector]:
     """Return the body's axes in the world's frame, from a unit quaternion."""
-    w, x, y, z = q[first], q[first + 1], q[first + 2], q[first + 3]
+    w, x, y, z = q[0], q[1], q[2], q[3]
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
         (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
@@ -44,12 +48,12 @@ def to_world(axes: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
 
 
 @part
-def _push(p: Any, b: Any, push: int) -> None:
+def _push(p: Constants, b: Motion, push: Any) -> None:
     """Step the wheels and let their forces, and the air's, act in MuJoCo's next step."""
-    axes = body_axes(b, at.B_QPOS + 3)
-    velocity, turning = to_body(axes, vector(b, at.B_QVEL)), vector(b, at.B_QVEL + 3)
+    axes = body_axes(b.orientation)
+    velocity, turning = to_body(axes, vector(b.velocity)), vector(b.turning)
     force, moment = turn_wheels(p, b, velocity, turning)
-    drag = p[at.P_AIR] * math.sqrt(dot(velocity, velocity))
+    drag = p.air * math.sqrt(dot(velocity, velocity))
     force = (
         force[0] - drag * velocity[0],
         force[1] - drag * velocity[1],
@@ -57,80 +61,77 @@ def _push(p: Any, b: Any, push: int) -> None:
     )
     force, moment = to_world(axes, force), to_world(axes, moment)
     for i in range(3):
-        b[push + i], b[push + 3 + i] = force[i], moment[i]
+        push[i], push[3 + i] = force[i], moment[i]
 
 
 @part
-def _read_contacts(b: Any, place: Vector, axes: tuple[Vector, Vector, Vector]) -> None:
+def _read_contacts(b: Motion, place: Vector, axes: tuple[Vector, Vector, Vector]) -> None:
     """Keep normal force, point and direction of every wheel's contact, in the body's frame.
 
     `place` and `axes` are those that the sensors were computed with, before the step moved them.
     """
     for i in range(4):
-        first = at.B_SENSORS + at.S_CONTACT + 6 * i
-        up = to_body(axes, vector(b, first))
+        up, where = to_body(axes, vector(b.touch[i, 0])), vector(b.touch[i, 1])
         size = math.sqrt(dot(up, up))
         sign = 1.0 if up[2] >= 0.0 else -1.0
-        b[at.B_NORMAL + i] = size if up[0] * up[0] + up[2] * up[2] > GRAZING * size * size else 0.0
-        if b[at.B_NORMAL + i] == 0.0:
+        b.normal[i] = size if up[0] * up[0] + up[2] * up[2] > GRAZING * size * size else 0.0
+        if b.normal[i] == 0.0:
             continue
-        where = vector(b, first + 3)
         where = to_body(axes, (where[0] - place[0], where[1] - place[1], where[2] - place[2]))
         for k in range(3):
-            b[at.B_UP + 3 * i + k] = sign * up[k] / size
-            b[at.B_CONTACT + 3 * i + k] = where[k]
+            b.up[i, k] = sign * up[k] / size
+            b.contact[i, k] = where[k]
 
 
 @part
-def _is_finite(b: Any) -> bool:
+def _is_finite(numbers: Any) -> bool:
     total = 0.0
-    for i in range(at.B_QVEL + 6):
-        total += abs(b[i])
+    for i in range(END):
+        total += abs(numbers[i])
     return math.isfinite(total)
 
 
 @part
-def place_body(p: Any, b: Any, x: float, y: float, yaw: float) -> None:
-    """Stand the body at rest on the floor."""
-    for i in range(at.B_POSE_REQUEST):
-        b[i] = 0.0
-    for i in range(at.B_MUJOCO + 1, b.shape[0]):
-        b[i] = 0.0
-    b[at.B_FAILED] = 0.0
-    b[at.B_QPOS], b[at.B_QPOS + 1], b[at.B_QPOS + 2] = x, y, p[at.P_REST_HEIGHT]
-    b[at.B_QPOS + 3], b[at.B_QPOS + 6] = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    b[at.B_ACCEL + 2] = 9.81
+def place_body(p: Constants, numbers: Any, x: float, y: float, yaw: float) -> None:
+    """Stand the body at rest on the floor; what it was driven by, and MuJoCo's time, go on."""
+    for i in range(POSE_REQUEST):
+        numbers[i] = 0.0
+    for i in range(MUJOCO + 1, numbers.shape[0]):
+        numbers[i] = 0.0
+    b = record_at(numbers, 0, MOTION)
+    b.failed = 0.0
+    b.position[0], b.position[1], b.position[2] = x, y, p.rest_height
+    b.orientation[0], b.orientation[3] = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    b.accel[2] = 9.81
 
 
 @part
-def advance(p: Any, b: Any, a: Any) -> bool:
-    """Compute one slice, driven by ``b[B_ASKED:]``; return whether the state is still good.
+def advance(p: Constants, numbers: Any, a: Addresses) -> bool:
+    """Compute one slice, driven by `Motion.asked`; return whether the state is still good.
 
     Parameters
     ----------
-    p : ndarray of float64, shape (N_P,)
-    b : ndarray of float64
+    numbers : ndarray of float64
         State, changed in place; all that MuJoCo knows is set from it and read back.
-    a : ndarray of int64, shape (N_A,)
     """
-    model, data, signature = a[at.A_MODEL], a[at.A_DATA], a[at.A_SIGNATURE]
-    state, sensors = b[at.B_MUJOCO :].ctypes.data, b[at.B_SENSORS :].ctypes.data
-    counters = b[at.B_WARNINGS :].ctypes.data
-    for i in range(at.N_WARNINGS):
-        b[at.B_WARNINGS + i] = 0.0
-    call(a[at.A_COPY], a[at.A_WARNINGS], counters, 8 * at.N_WARNINGS, 0)
-    for _ in range(int(p[at.P_STEPS])):
-        _push(p, b, at.B_MUJOCO + a[at.A_PUSH])
-        place, axes = vector(b, at.B_QPOS), body_axes(b, at.B_QPOS + 3)
-        call(a[at.A_SET_STATE], model, data, state, signature)
-        call(a[at.A_STEP], model, data, 0, 0)
-        call(a[at.A_GET_STATE], model, data, state, signature)
-        call(a[at.A_COPY], sensors, a[at.A_SENSORS], 8 * at.N_SENSORS, 0)
+    b = record_at(numbers, 0, MOTION)
+    state, sensors, counters = numbers[MUJOCO:], numbers[TOUCH:].ctypes.data, b.warnings.ctypes.data
+    push = state[a.push :]
+    for i in range(N_WARNINGS):
+        b.warnings[i] = 0.0
+    call(a.copy_bytes, a.warnings, counters, 8 * N_WARNINGS, 0)
+    for _ in range(int(p.steps)):
+        _push(p, b, push)
+        place, axes = vector(b.position), body_axes(b.orientation)
+        call(a.set_state, a.model, a.memory, state.ctypes.data, a.signature)
+        call(a.step, a.model, a.memory, 0, 0)
+        call(a.get_state, a.model, a.memory, state.ctypes.data, a.signature)
+        call(a.copy_bytes, sensors, a.sensors, 8 * (MUJOCO - TOUCH), 0)
         _read_contacts(b, place, axes)
-    call(a[at.A_COPY], counters, a[at.A_WARNINGS], 8 * at.N_WARNINGS, 0)
-    for k in range(3):
-        b[at.B_ACCEL + k] = b[at.B_SENSORS + at.S_ACCEL + k]
+    call(a.copy_bytes, counters, a.warnings, 8 * N_WARNINGS, 0)
     warned = False
-    for i in range(at.N_WARNINGS):
-        warned |= b[at.B_WARNINGS + i] != 0.0
-    return _is_finite(b) and not warned
+    for k in range(3):
+        b.accel[k] = b.felt[k]
+    for i in range(N_WARNINGS):
+        warned |= b.warnings[i] != 0.0
+    return _is_finite(numbers) and not warned

@@ -63,8 +63,8 @@ def _fill(composition: Composition, image: ProcessImage) -> None:
     put("hall", composition.hall.ravel())
     if composition.body is not None:
         put("body", composition.body.initial)
-        put("body_p", composition.body.parameters)
-        put("body_a", composition.body.addresses.view(np.float64))
+        put("body_p", composition.body.parameters.numbers)
+        put("body_a", composition.body.addresses.numbers)
     for block in composition.blocks:
         if block.foreign is None:
             put(f"{block.name}.x", list(block.declaration.state.values()))

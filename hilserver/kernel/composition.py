@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.body.engine import Engine
+from hilserver.body.layout import Addresses, Constants
 from hilserver.image import changes
 from hilserver.image.layout import padded
 from hilserver.kernel.fitted import N_LIMITS, fitted_limits
@@ -219,7 +220,7 @@ class Composition:
         packed = sum(map(padded, self.parameter_regions.values()))
         regions[changes.REGION] = changes.words_needed(packed)
         if self.body is not None:
-            regions |= {"body_p": self.body.parameters.size, "body_a": self.body.addresses.size}
+            regions |= {"body_p": Constants.n_words, "body_a": Addresses.n_words}
         for block in self.blocks:
             if block.foreign is not None:
                 regions[f"{block.name}.a"] = block.foreign.addresses.size

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-import hilserver.body.layout as at
 from hilserver.body.engine import Engine
+from hilserver.body.layout import Motion
 from hilserver.body.parameters import BodyParameters, Tyre
 from hilserver.body.step import advance
 from hilserver.plant.parameters import RobotParameters
@@ -25,13 +25,14 @@ class Body:
         self.robot = RobotParameters(solids=tuple(solids), **(robot or {}))
         self.parameters = BodyParameters(robot=self.robot, tyre=Tyre(**(tyre or {})), **changes)
         self.engine = Engine(self.parameters)
-        self.b = self.engine.initial.copy()
+        self.numbers = self.engine.initial.copy()
+        self.b = Motion.of(self.numbers)
 
     def run(self, seconds, *asked):
         """Run with `asked` of each wheel: rad/s or %, forward positive."""
-        self.b[at.B_ASKED : at.B_ASKED + 4] = asked
+        self.b.asked = asked
         for _ in range(round(seconds / self.parameters.slice_s)):
-            assert advance(self.engine.parameters, self.b, self.engine.addresses)
+            assert advance(self.engine.parameters, self.numbers, self.engine.addresses)
         return self
 
     def measured(self, seconds, *asked):
@@ -44,29 +45,26 @@ class Body:
 
     @property
     def place(self):
-        return self.b[at.B_QPOS : at.B_QPOS + 3].copy()
+        return self.b.position.copy()
 
     @property
     def yaw(self):
-        w, x, y, z = self.b[at.B_QPOS + 3 : at.B_QPOS + 7]
+        w, x, y, z = self.b.orientation
         return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
     @property
     def velocity(self):
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
-        vx, vy = self.b[at.B_QVEL : at.B_QVEL + 2]
-        return cos * vx + sin * vy, cos * vy - sin * vx, self.b[at.B_QVEL + 5]
+        vx, vy, _ = self.b.velocity
+        return cos * vx + sin * vy, cos * vy - sin * vx, self.b.turning[2]
 
     @property
     def energy_j(self):
         """Kinetic energy of body and wheels, and potential energy."""
         p = self.parameters
-        moments, turning = np.array(p.moments_kg_m2), self.b[at.B_QVEL + 3 : at.B_QVEL + 6]
-        speed = self.b[at.B_QVEL : at.B_QVEL + 3]
-        wheels = self.b[at.B_SPEED : at.B_SPEED + 4]
+        moments, turning = np.array(p.moments_kg_m2), self.b.turning
+        speed = self.b.velocity
+        wheels = self.b.speed
         kinetic = p.mass_kg * speed @ speed + moments @ turning**2
         kinetic += p.wheel_inertia_kg_m2 * wheels @ wheels
-        return 0.5 * kinetic + p.mass_kg * 9.81 * self.b[at.B_QPOS + 2]
-
-    def __getitem__(self, first):
-        return self.b[first : first + 4]
+        return 0.5 * kinetic + p.mass_kg * 9.81 * self.b.position[2]

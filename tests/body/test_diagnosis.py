@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-import hilserver.body.layout as at
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.checks import blocked
@@ -145,7 +144,7 @@ def test_the_body_at_a_wall_is_seen_to_be_blocked(mass_kg):
     for duty in [50.0] * 700 + [-50.0] * 600:
         body.run(0.02, *[duty] * 4)
         asked = 55.0 * np.sign(duty) * MIRROR
-        speeds = body[at.B_SPEED] * MIRROR * 30.0 / math.pi
+        speeds = body.b.speed * MIRROR * 30.0 / math.pi
         rows.append([*asked, *speeds, body.velocity[2], *body.place[:2], body.yaw])
     columns = dict(zip((*SETPOINTS, *SPEEDS, GYRO, *TAG), np.array(rows).T, strict=True))
     log, found = blocked.find(log_of(GRID_S * np.arange(len(rows)), columns), RobotParameters())

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-import hilserver.body.layout as at
 from hilserver.plant.hall import Solid, wall_solids
 from tests.body.rig import MECANUM, Body
 
@@ -28,10 +27,10 @@ def step_response(t):
 def test_a_lifted_wheel_follows_the_process():
     stand = Solid((0.0, 0.0, 0.07), (0.1, 0.1, 0.07))
     body = Body(torque=True, sensors=True, solids=[stand])
-    body.b[at.B_QPOS + 2] += 0.1
+    body.b.position[2] += 0.1
     body.run(1.0, 0.0, 0.0, 0.0, 0.0)
-    assert body[at.B_NORMAL].tolist() == [0.0] * 4
-    seen = [body.run(0.002, *FULL)[at.B_SPEED].copy() for _ in range(300)]
+    assert body.b.normal.tolist() == [0.0] * 4
+    seen = [body.run(0.002, *FULL).b.speed.copy() for _ in range(300)]
     wanted = step_response(np.arange(1, 301) * 0.002)[:, None]
     assert np.max(np.abs(np.array(seen) - wanted)) < 0.01 * NO_LOAD
 
@@ -39,9 +38,9 @@ def test_a_lifted_wheel_follows_the_process():
 def test_on_the_floor_the_robot_has_to_be_accelerated():
     body = Body(torque=True, sensors=True).run(0.1, *FULL)
     lifted = step_response(0.1)
-    assert np.all(body[at.B_SPEED] < 0.95 * lifted)
+    assert np.all(body.b.speed < 0.95 * lifted)
     body.run(2.0, *FULL)
-    assert body[at.B_SPEED] == pytest.approx([NO_LOAD] * 4, rel=0.03)
+    assert body.b.speed == pytest.approx([NO_LOAD] * 4, rel=0.03)
     assert body.velocity[0] == pytest.approx(0.085 * NO_LOAD, rel=0.03)
 
 
@@ -49,23 +48,23 @@ def test_blocked_by_a_wall_the_robot_stops_and_its_wheels_slip():
     body = Body(torque=True, sensors=True, solids=WALL).run(4.0, *FULL)
     assert front(body) == pytest.approx(0.975, abs=0.01)  # the wall is 50 mm thick
     assert body.velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
-    slip = body[at.B_SLIP]
+    slip = body.b.slip
     assert np.all(slip > 0.1)
-    grip = 0.8 * body[at.B_NORMAL] * slip / np.hypot(slip, 0.03)
-    assert body[at.B_TORQUE] == pytest.approx(grip * 0.085, rel=0.02)
+    grip = 0.8 * body.b.normal * slip / np.hypot(slip, 0.03)
+    assert body.b.torque == pytest.approx(grip * 0.085, rel=0.02)
 
 
 def test_blocked_under_load_the_drives_stall():
     heavy = {"mass_kg": 50.0, "tyre": {"v0_m_s": 0.05}}
     body = Body(torque=True, sensors=True, solids=WALL, **heavy).run(6.0, *FULL)
-    assert np.all(body[at.B_SPEED] < 0.05 * NO_LOAD)
-    assert body[at.B_TORQUE] == pytest.approx([2.0] * 4, rel=0.05)
+    assert np.all(body.b.speed < 0.05 * NO_LOAD)
+    assert body.b.torque == pytest.approx([2.0] * 4, rel=0.05)
 
 
 def test_driven_by_speed_the_wheels_turn_on_whatever_blocks_them():
     body = Body(solids=WALL).run(4.0, *[7.0] * 4)
-    assert body[at.B_SPEED].tolist() == [7.0] * 4
-    assert body[at.B_SLIP] == pytest.approx([7.0 * 0.085] * 4, rel=0.01)
+    assert body.b.speed.tolist() == [7.0] * 4
+    assert body.b.slip == pytest.approx([7.0 * 0.085] * 4, rel=0.01)
 
 
 @pytest.mark.parametrize("speed", [2.0, 12.0, 40.0])
@@ -76,9 +75,9 @@ def test_nothing_passes_a_wall(speed):
 
 def test_a_free_roll_loses_what_rolling_and_air_take():
     body = Body(torque=True, sensors=True)
-    body.engine.parameters[at.P_RATE] = 0.0  # an open circuit: no torque
-    body.b[at.B_QVEL] = 0.5
-    body[at.B_SPEED][:] = 0.5 / 0.085
+    body.engine.parameters.rate = 0.0  # an open circuit: no torque
+    body.b.velocity[0] = 0.5
+    body.b.speed[:] = 0.5 / 0.085
     body.run(0.2, 0.0, 0.0, 0.0, 0.0)
     before, x = body.energy_j, body.place[0]
     speed = body.velocity[0]

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import hilserver.body.layout as at
 from hilserver.body.engine import Engine
 from hilserver.body.parameters import BodyParameters, Tyre
 from hilserver.body.step import advance
@@ -27,20 +26,20 @@ def test_a_copy_of_the_state_goes_on_with_the_same_bits_in_another_engine():
     )
     one.run(0.4, 90.0, 90.0, 60.0, 60.0)
     other.run(1.0, -50.0, 20.0, 60.0, 60.0)  # leaves what it likes in MuJoCo's memory
-    other.b[:] = one.b
+    other.numbers[:] = one.numbers
     one.run(0.5, 90.0, 90.0, 60.0, 60.0)
     other.run(0.5, 90.0, 90.0, 60.0, 60.0)
     assert one.place[0] < 0.3  # it stands at the wall
-    assert one.b.tobytes() == other.b.tobytes()
+    assert one.numbers.tobytes() == other.numbers.tobytes()
 
 
 def test_a_bad_number_ends_the_run_and_is_no_silent_reset(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     body = Body().run(0.1, 3.0, 3.0, 3.0, 3.0)
-    body.b[at.B_QVEL] = 1e12
-    assert not advance(body.engine.parameters, body.b, body.engine.addresses)
-    assert body.b[at.B_QVEL] != 0.0
-    assert np.any(body.b[at.B_WARNINGS : at.B_WARNINGS + at.N_WARNINGS] != 0.0)
+    body.b.velocity[0] = 1e12
+    assert not advance(body.engine.parameters, body.numbers, body.engine.addresses)
+    assert body.b.velocity[0] != 0.0
+    assert np.any(body.b.warnings != 0.0)
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
 
 
@@ -61,8 +60,8 @@ def test_whatever_stands_there_all_numbers_stay_finite_and_energy_bounded(solids
     body = Body(solids=[*WALL, *solids])
     for asked in commands:
         body.run(0.4, *asked)  # asserts that every slice was good
-    assert np.all(np.isfinite(body.b))
-    assert np.linalg.norm(body.b[at.B_QVEL : at.B_QVEL + 3]) < 2.0 * 12.0 * 0.085
+    assert np.all(np.isfinite(body.numbers))
+    assert np.linalg.norm(body.b.velocity) < 2.0 * 12.0 * 0.085
     assert body.place[2] < 0.5
 
 
@@ -75,9 +74,9 @@ def test_a_million_random_steps_make_no_energy():
     for _ in range(2000):
         asked, work_j = random.uniform(-100.0, 100.0, 4), 0.0
         for _ in range(500):
-            speeds = body[at.B_SPEED].copy()
+            speeds = body.b.speed.copy()
             body.run(STEP_S, *asked)
-            work_j += body[at.B_TORQUE] @ (0.5 * (speeds + body[at.B_SPEED])) * STEP_S
+            work_j += body.b.torque @ (0.5 * (speeds + body.b.speed)) * STEP_S
         assert body.energy_j - before_j < work_j
         before_j = body.energy_j
 

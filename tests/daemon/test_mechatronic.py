@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import hilserver.body.layout as at
+from hilserver.body.layout import Motion, Signals
 from hilserver.commands import main
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
@@ -46,19 +46,20 @@ def test_signals_lie_in_the_order_of_the_model():
     table = assembled().table
     first = table.slot("mech.x_m")
     begin = {
-        "mech.roll_rad": at.M_ANGLES,
-        "mech.linear_m_s": at.M_VELOCITY,
-        "mech.tof.fl_m": at.M_TOF,
-        "mech.imu.gyro_x_rad_s": at.M_GYRO,
-        "mech.imu.accel_x_m_s2": at.M_ACCEL,
-        "mech.wheel.fl.speed_rpm": at.M_SPEED,
-        "mech.wheel.fl.normal_force_n": at.M_NORMAL,
-        "mech.wheel.fl.slip_m_s": at.M_SLIP,
-        "mech.wheel.fl.torque_nm": at.M_TORQUE,
-        "mech.gap_m": at.M_GAP,
-        "mech.gap_yaw_rad": at.N_M - 1,
+        "mech.roll_rad": "roll",
+        "mech.linear_m_s": "linear",
+        "mech.tof.fl_m": "tof",
+        "mech.imu.gyro_x_rad_s": "gyro",
+        "mech.imu.accel_x_m_s2": "accel",
+        "mech.wheel.fl.speed_rpm": "speed",
+        "mech.wheel.fl.normal_force_n": "normal",
+        "mech.wheel.fl.slip_m_s": "slip",
+        "mech.wheel.fl.torque_nm": "torque",
+        "mech.gap_m": "gap",
+        "mech.gap_yaw_rad": "gap_yaw",
     }
-    assert {name: table.slot(name) - first for name in begin} == begin
+    places = {name: Signals.where(field).start for name, field in begin.items()}
+    assert {name: table.slot(name) - first for name in begin} == places
     assert "mech.x_m" not in assemble_config(Config()).table
 
 
@@ -151,7 +152,7 @@ async def test_a_bad_state_is_the_safe_state_and_says_so():
     async with build(assembled()) as core:
         await core.scheduler.advance(10)
         values, _ = core.image.region("body")
-        values[at.B_QVEL] = np.nan
+        Motion.of(values).velocity[0] = np.nan
         await core.scheduler.advance(10)
         assert core.image.control.fault == faults.SLICE + faults.BODY
         assert "mechatronic" in faults.fault_of(core.image.control.fault).text
