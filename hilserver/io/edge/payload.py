@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
+from pydantic_core import from_json
+
 from hilserver import __version__
 from hilserver.config.edge import EdgeConfig, EdgeGroup
 from hilserver.errors import ConfigError
@@ -177,8 +179,8 @@ def written(collection: Collection, data: bytes) -> Mapping[str, object]:
     if len(data) > MOST_BYTES:
         raise ValueError(f"{len(data)} bytes are more than a group has")
     try:
-        message = json.loads(data)
-    except (ValueError, RecursionError):
+        message = from_json(data)  # Python's own would recurse as deeply as a stranger nests
+    except ValueError:
         raise ValueError("is no JSON") from None
     points = message.get("vals") if isinstance(message, dict) else None
     if not isinstance(points, list):

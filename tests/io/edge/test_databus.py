@@ -81,10 +81,11 @@ async def test_the_metadata_alone_say_how_to_read_and_to_drive(tmp_path):
             assert daemon.part("edge").status.state is LinkState.CONNECTED
 
 
-async def test_a_hundred_thousand_malformed_writes_lose_nothing(tmp_path):
+async def test_malformed_writes_lose_nothing(tmp_path):
     port = free_port()
     bad = [
-        b"", b"{", b"[" * 5000, b"\xff", b"[]", b'{"vals":1}', b'{"vals":[1]}', b'{"vals":[{}]}',
+        b"", b"{", b"[" * 5000, b'{"a":' * 5000, b"\xff", b"[]",
+        b'{"vals":1}', b'{"vals":[1]}', b'{"vals":[{}]}',
         b'{"vals":[{"id":"9999","val":1}]}', b'{"vals":[{"id":[],"val":1}]}', b"x" * 70_000,
     ]  # fmt: skip
     with broker(tmp_path, port, "allow_anonymous true", "max_queued_messages 0"):
