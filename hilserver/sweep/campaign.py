@@ -25,6 +25,7 @@ AHEAD: Final = 3
 """Batches on their way for each worker."""
 LIVES: Final = 3
 """A machine that was alone with so many workers that died has failed."""
+STARTS: Final = 30
 Result = tuple[str, list[Outcome]]
 
 
@@ -158,6 +159,7 @@ def _taken(
 def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
     """Drive a machine that may have ended a worker, with nobody beside it."""
     for _ in range(LIVES):
+        _awake(job, workers)
         future = workers.submit(job, [machine])
         error = future.exception()
         if error is None:
@@ -170,6 +172,24 @@ def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
         f" {job.limits.time_s:g} s, needs too much memory, or crashes"
     )
     return fingerprint(), [Outcome(machine.index, error=text)]
+
+
+def _awake(job: Job, workers: Workers) -> None:
+    """Wait for a worker that is ready: one that is killed while it starts is no machine's fault.
+
+    Raises
+    ------
+    FailedError
+        If none gets so far.
+    """
+    for _ in range(STARTS):
+        error = workers.submit(job, []).exception()
+        if error is None:
+            return
+        if not workers.means_death(error):
+            raise error
+        workers.renew()
+    raise FailedError(f"{STARTS} workers died while they started; is there enough memory?")
 
 
 def _checked(result: Result, mixed: bool) -> Result:
