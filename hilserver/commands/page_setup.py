@@ -1,9 +1,12 @@
 """From an assembly to what the operator page has to know of it."""
 
 from dataclasses import replace
+from math import isnan
 from pathlib import Path
+from typing import Any
 
 from hilserver.config.server import OpcUaConfig
+from hilserver.core.parameters import Start
 from hilserver.daemon.assembly import Assembly
 from hilserver.faults.model import FORMS
 from hilserver.io.page.setup import OpcUaAccess, Setup
@@ -55,11 +58,30 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
             {"name": name, "text": f.text, "needs": f.needs, "takes": f.takes, "on": f.on}
             for name, f in FORMS.items()
         ],
+        parameters=_parameters(assembly),
         mappings=list(builtin_mappings()),
         folders={name: str((folder / path).absolute()) for name, path in paths.items()},
         config_file="" if assembly.path is None else str(assembly.path.absolute()),
         base_folder=str(folder),
     )
+
+
+def _parameters(assembly: Assembly) -> list[dict[str, Any]]:
+    start = Start(assembly.robot, assembly.configured, assembly.composition)
+    configured = start.values
+    return [
+        {
+            "name": p.name,
+            "unit": "" if p.unit == "1" else p.unit,
+            "low": p.low,
+            "high": p.high,
+            "configured": None if isnan(configured[p.name]) else configured[p.name],
+            "nullable": p.nullable,
+            "fixed": p.when == "restart",
+            "meaning": p.meaning,
+        }
+        for p in start.table.values()
+    ]
 
 
 def _access(opcua: OpcUaConfig, folder: Path, endpoint: str, secret: str) -> OpcUaAccess:

@@ -11,6 +11,7 @@ import { diagnosisView } from "./views/diagnosis";
 import { driveView } from "./views/drive";
 import { signalsView } from "./views/signals";
 import { timeView } from "./views/time";
+import { tuneView } from "./views/tune";
 import { watchView } from "./views/watch";
 
 const VIEWS: { id: string; name: string; icon: string; make: (context: Context) => View }[] = [
@@ -19,6 +20,7 @@ const VIEWS: { id: string; name: string; icon: string; make: (context: Context) 
   { id: "signals", name: "Signals", icon: "M4 6h16M4 12h16M4 18h16M8 4v4M15 10v4M10 16v4", make: signalsView },
   { id: "time", name: "Time", icon: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18m0 4v5l4 2", make: timeView },
   { id: "diagnosis", name: "Diagnosis", icon: "M11 4a7 7 0 1 0 0 14 7 7 0 0 0 0-14m5 12l5 5M8 11h2l1-3 2 5 1-2", make: diagnosisView },
+  { id: "tune", name: "Tune", icon: "M4 6h9M17 6h3M4 12h3M11 12h9M4 18h11M19 18h1M15 4v4M9 10v4M17 16v4", make: tuneView },
 ];
 
 function icon(path: string): SVGElement {
@@ -205,7 +207,7 @@ function show(context: Context): void {
 function keys(event: KeyboardEvent): void {
   const target = event.target as HTMLElement;
   if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input, textarea, select")) return;
-  const place = "12345".indexOf(event.key);
+  const place = "123456".indexOf(event.key);
   if (place >= 0) location.hash = VIEWS[place]!.id;
 }
 

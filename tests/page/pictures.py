@@ -34,7 +34,7 @@ scheduler:
   communication_timeout_ms: 0
 """
 SIZES = {"": (1280, 800, "light"), "-phone": (390, 844, "light"), "-dark": (1280, 800, "dark")}
-VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis")
+VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis", "Tune")
 SAFE = 3
 CLOSER = """const canvas = document.querySelector("canvas");
 for (let i = 0; i < 12; i++) canvas.dispatchEvent(

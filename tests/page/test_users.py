@@ -23,6 +23,8 @@ OPERATOR = {
 CALLS = {
     "LoadPatch": ["no-such.yaml"],
     "RemovePatch": [],
+    "ResetParameters": [],
+    "SaveParameters": ["../no-such"],
     "StartScenario": ["no-such.yaml"],
     "StopScenario": [],
     "StartRecording": ["no-such.txt"],
@@ -184,6 +186,10 @@ async def test_roles_are_those_of_opcua(visit, secured, name):
     assert status == (409 if name == "olga" else 200), answer
     _, answer = await visitor.call("write", "lights.command", 3)
     assert answer["ok"] == (name != "olga")
+    _, answer = await visitor.call("set", {"plant.max_rpm": 91.0})
+    assert answer["ok"] == (name == "emma"), answer
+    for wrong in ([], {}, {"plant.max_rpm": "1"}, {"plant.maxrpm": 1.0}, {"plant.max_rpm": None}):
+        assert not (await visitor.call("set", wrong))[1]["ok"], wrong
     await socket.close()
     assert plant.command() == 0.0
 

@@ -7,7 +7,7 @@ from hilserver.faults.model import FORMS
 from tests.diagnosis.sample import evidence, findings
 
 pytestmark = pytest.mark.page
-VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis")
+VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis", "Tune")
 _CONTROLS = """
 window.controls = new Set([...document.querySelectorAll(
     "a[href], button, input, select, textarea, [tabindex='0']")].filter((e) =>
@@ -46,7 +46,7 @@ def test_no_report_has_a_serious_fault_of_accessibility(browser, tmp_path, schem
     assert browser.do("axe") == []
 
 
-@pytest.mark.parametrize(("key", "view"), list(zip("12345", VIEWS, strict=True)))
+@pytest.mark.parametrize(("key", "view"), list(zip("123456", VIEWS, strict=True)))
 def test_every_control_is_reached_and_seen_by_the_tab_key(browser, url, key, view):
     browser.do("open", url=url)
     browser.do("take")
@@ -143,3 +143,25 @@ def test_a_view_fits_a_phone(browser, url):
         browser.do("view", name=name)
         wide = "document.scrollingElement.scrollWidth - innerWidth"
         assert browser.do("run", script=wide) <= 0, name
+
+
+def test_a_gain_is_tuned_by_keyboard_alone_and_undone(browser, url, plant):
+    """Every answer of the daemon is waited for, so that each key acts on what is shown."""
+    browser.do("open", url=url)
+    browser.do("press", key="6")
+    slider = "input[type='range'][aria-label='plant.controller.k_p']"
+    browser.do("wait", selector=f"main[data-view='tune'] {slider}")
+    said = "document.querySelector('[aria-label=Changes] [role=status]').textContent"
+
+    def waits_for(text):
+        done = f"new Promise((r) => {{ const look = () => {said} === {text!r} ? r(true) :"
+        assert browser.do("run", script=f"{done} setTimeout(look, 50); look(); }})")
+
+    waits_for("As configured.")
+    browser.do("run", script=f'document.querySelector("{slider}").focus()')
+    browser.do("press", key="ArrowRight")
+    waits_for("1 differ from the configuration.")
+    browser.do("run", script="document.querySelector(\"[aria-keyshortcuts='Control+Z']\").focus()")
+    browser.do("press", key="Enter")
+    waits_for("As configured.")
+    assert browser.do("errors") == []

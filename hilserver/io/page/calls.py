@@ -1,12 +1,14 @@
 """What a browser may call by name: the page's own methods, and the daemon's."""
 
+import math
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 import structlog
 
 from hilserver.io.opcua_server.method_table import METHODS, STRING
-from hilserver.io.page.arguments import ANY, check, check_value
+from hilserver.io.opcua_server.model import PARAMETERS
+from hilserver.io.page.arguments import ANY, WrongTypeError, check, check_value
 from hilserver.io.page.browsers import Browser, Browsers
 from hilserver.io.page.driving import Driving
 from hilserver.io.page.hand import RefusedError
@@ -59,6 +61,7 @@ class Calls:
             "take": (self._take, ("Int64", "Int64")),
             "give": (self._give, (STRING,)),
             "write": (self._write, (STRING, ANY)),
+            "set": (self._set, (ANY,)),
             "diagnose": (self._diagnose, (STRING, STRING)),
             "map": (self._map, (STRING, STRING)),
             "cancel": (self._cancel, ("Int64",)),
@@ -147,6 +150,19 @@ class Calls:
             raise RefusedError(f"'{name!s:.60}' cannot be written")
         check_value(name, value, known["type"])
         await browser.hand.write({name: value})
+
+    async def _set(self, browser: Browser, values: Any) -> None:
+        """Change parameters, all in one tick; null as in config.yaml."""
+        known = {row["name"] for row in self._setup.parameters}
+        if not isinstance(values, dict) or not values:
+            raise WrongTypeError("set takes parameters by name, with their values")
+        for name, value in values.items():
+            if name not in known:
+                raise RefusedError(f"there is no parameter '{name:.60}'")
+            if value is not None:
+                check_value(name, value, "Double")
+        numbers = {PARAMETERS + n: math.nan if v is None else v for n, v in values.items()}
+        await browser.hand.write(numbers)
 
     async def _diagnose(self, browser: Browser, log: str, mapping: str = "") -> int:
         may_work(browser)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import resource
 import socket
 import ssl
@@ -10,6 +11,7 @@ from pathlib import Path
 from aiohttp import web
 
 from hilserver.image import ImageReader
+from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.io.page import bundle
 from hilserver.io.page.arguments import WrongTypeError
 from hilserver.io.page.browsers import COOKIE, Browser, Browsers
@@ -45,6 +47,7 @@ class PageServer:
         self._setup = setup
         self._assets = bundle.load()
         types = {signal["name"]: signal["type"] for signal in setup.signals}
+        types |= {PARAMETERS + row["name"]: "Double" for row in setup.parameters}
         self._browsers = Browsers(
             lambda: Hand(setup.opcua, types), anonymous_may_stop=setup.opcua.anonymous_may_stop
         )
@@ -111,6 +114,7 @@ class PageServer:
                 web.get("/", self._index),
                 web.get("/api/signals", self._signals),
                 web.get("/api/hall", self._hall),
+                web.get("/api/parameters", self._parameters),
                 web.get("/api/logs", self._logs),
                 web.get("/api/logs/{name}", self._download),
                 web.post("/api/logs/{name}", self._upload),
@@ -176,6 +180,15 @@ class PageServer:
     async def _signals(self, request: web.Request) -> web.Response:
         self._reader(request)
         return web.json_response({"signals": self._setup.signals})
+
+    async def _parameters(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        values = self._image.region("parameters")[0].tolist()
+        rows = [
+            {**row, "value": value if math.isfinite(value) else None}
+            for row, value in zip(self._setup.parameters, values, strict=False)
+        ]
+        return web.json_response({"parameters": rows})
 
     async def _hall(self, request: web.Request) -> web.Response:
         self._reader(request)

@@ -58,6 +58,8 @@ class Setup:
         Absolute paths: recordings, scenarios, patches, reports, snapshots.
     faults : list of dict
         Every kind of fault: name, description, parameters that it needs and takes, what it acts on.
+    parameters : list of dict
+        Name, unit, low, high, configured value, nullable, fixed and meaning of every parameter.
     mappings : list of str
         Names of the built-in mappings for logs of others.
     config_file : str
@@ -74,6 +76,7 @@ class Setup:
     walls: list[list[float]]
     folders: dict[str, str]
     faults: list[dict[str, Any]] = field(default_factory=list)
+    parameters: list[dict[str, Any]] = field(default_factory=list)
     mappings: list[str] = field(default_factory=list)
     config_file: str = ""
     base_folder: str = "."

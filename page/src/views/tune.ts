@@ -1,0 +1,167 @@
+/** Tune: parameters as sliders while the wheels turn, and how one wheel answers. */
+
+import { may, WHEELS, type Context, type View } from "../context";
+import { call, get, live } from "../net";
+import { action, field, h, number, setText, svg, toast } from "../ui";
+
+interface Parameter {
+  name: string;
+  unit: string;
+  low: number;
+  high: number;
+  /** What the configuration has; null as there. */
+  configured: number | null;
+  value: number | null;
+  nullable: boolean;
+  fixed: boolean;
+  meaning: string;
+}
+
+/** Groups of sliders, by the beginning of the names; the first is shown at first. */
+const GROUPS: [string, string[]][] = [
+  ["Controller", ["plant.controller."]],
+  ["Geometry", ["plant.wheel_radius_m", "plant.wheelbase_m", "plant.track_m", "plant.icr_offset_m", "plant.max_rpm", "kinematics."]],
+  ["Process", ["plant.process."]],
+  ["Terms", ["terms."]],
+  ["Sensors", ["sensors."]],
+  ["Own blocks", ["blocks."]],
+];
+const SHOWN_S = 5;
+const CURVES = ["setpoint_rpm", "speed_rpm", "duty_pct"] as const;
+const POLL_MS = 1000;
+
+/** Ends of a slider: as far as one tunes by hand; the number beside it takes the whole range. */
+function ends(p: Parameter): [number, number] {
+  const start = p.configured ?? 0;
+  const reach = start === 0 ? Math.min(1, Math.max(p.high, -p.low)) : 2 * Math.abs(start);
+  return [Math.max(p.low, start - reach), Math.min(p.high, start + reach)];
+}
+
+export function tuneView(context: Context): View {
+  const allowed = may(context, "ResetParameters");
+  const rows = new Map<string, { show: (p: Parameter) => void }>();
+  const undone: [string, number | null][] = [];
+  const changed = h("p", { class: "hint", role: "status" });
+  const undo = action("Undo", async () => {
+    const last = undone.pop();
+    if (last) await call("set", { [last[0]]: last[1] });
+    await load();
+  }, { "aria-keyshortcuts": "Control+Z" });
+  const reset = action("Reset all", async () => {
+    await call("ResetParameters");
+    undone.length = 0;
+    await load();
+  }, { disabled: !allowed });
+  const name = h("input", { value: "tuned", pattern: "[A-Za-z0-9_][A-Za-z0-9_.\\-]*", "aria-label": "Name of the patch" });
+  const save = action("Save as patch", async () => {
+    await call("SaveParameters", name.value);
+    toast(`Saved as ${name.value}: the diagnosis view loads it.`);
+  }, { disabled: !may(context, "SaveParameters") });
+
+  async function change(p: Parameter, value: number | null): Promise<void> {
+    const before = p.value;
+    try {
+      await call("set", { [p.name]: value });
+      undone.push([p.name, before]);
+    } catch (error) {
+      toast((error as Error).message, "error");
+    }
+    await load();
+  }
+
+  function row(first: Parameter): HTMLElement {
+    let p = first;
+    const [low, high] = ends(p);
+    const short = p.name.replace(/^(plant\.controller|plant\.process|plant|terms|sensors|kinematics|blocks)\./, "");
+    const attributes = { disabled: !allowed || p.fixed, step: "any" };
+    const slider = h("input", { type: "range", min: low, max: high, ...attributes, step: (high - low) / 200, "aria-label": p.name });
+    const exact = h("input", { type: "number", min: p.low, max: p.high, ...attributes, "aria-label": `${p.name}, exactly`, placeholder: "null" });
+    const back = h("button", { type: "button", class: "quiet", disabled: !allowed || p.fixed, title: "As configured" }, number(p.configured));
+    slider.addEventListener("change", () => void change(p, Number(slider.value)));
+    exact.addEventListener("change", () => void change(p, exact.value === "" ? null : Number(exact.value)));
+    back.addEventListener("click", () => void change(p, p.configured));
+    const element = h("li", { class: "parameter", title: p.meaning },
+      h("label", {}, h("b", {}, short), h("small", {}, p.unit), slider), exact, back);
+    rows.set(p.name, {
+      show(now) {
+        p = now;
+        element.classList.toggle("changed", now.value !== now.configured);
+        if (document.activeElement !== slider) slider.value = String(now.value ?? now.configured ?? 0);
+        if (document.activeElement !== exact) exact.value = now.value === null ? "" : String(now.value);
+      },
+    });
+    return element;
+  }
+
+  const group = h("select", { "aria-label": "Group of parameters" });
+  const lists = h("section", { class: "panel", "aria-label": "Parameters" }, field("Group", group));
+  group.addEventListener("change", () => {
+    for (const list of lists.querySelectorAll<HTMLElement>("ul")) list.hidden = list.dataset.group !== group.value;
+  });
+  async function load(): Promise<void> {
+    const { parameters } = await get<{ parameters: Parameter[] }>("parameters");
+    if (!rows.size) {
+      for (const [title, begins] of GROUPS) {
+        const own = parameters.filter((p) => begins.some((begin) => p.name.startsWith(begin)));
+        if (!own.length) continue;
+        lists.append(h("ul", { class: "list parameters", "data-group": title, hidden: group.childElementCount > 0 }, ...own.map(row)));
+        group.append(h("option", {}, title));
+      }
+    }
+    for (const p of parameters) rows.get(p.name)?.show(p);
+    const n = parameters.filter((p) => p.value !== p.configured).length;
+    setText(changed, n === 0 ? "As configured." : `${n} differ from the configuration.`);
+    undo.disabled = !undone.length;
+    save.disabled = n === 0 || !may(context, "SaveParameters");
+  }
+  const poll = window.setInterval(() => void load().catch(() => undefined), POLL_MS);
+  load().catch((error: Error) => toast(error.message, "error"));
+
+  // --- how one wheel answers --------------------------------------------------------------------
+
+  const wheel = h("select", { "aria-label": "Wheel" }, ...WHEELS.map((each) => h("option", { value: each }, each)));
+  const lines = CURVES.map((curve) => svg("polyline", { class: `curve ${curve}`, fill: "none" }));
+  const chart = svg("svg", { viewBox: "0 0 500 200", preserveAspectRatio: "none", class: "response", role: "img", "aria-label": "Set-point, speed and duty of one wheel" },
+    svg("line", { x1: 0, x2: 500, y1: 100, y2: 100, class: "zero" }), ...lines);
+  const legend = h("p", { class: "hint" });
+  let samples: [number, number[]][] = [];
+  const signal = (curve: string): string => `wheel.${wheel.value}.${curve}`;
+  function watch(): void {
+    samples = [];
+    live.want("tune", ["sim.time_s", ...CURVES.map(signal)]);
+  }
+  wheel.addEventListener("change", watch);
+  watch();
+  const stopFrames = live.onFrame(() => {
+    const t = live.value("sim.time_s");
+    if (!Number.isFinite(t)) return;
+    if (samples.length && t < samples[samples.length - 1]![0]) samples = [];
+    samples.push([t, CURVES.map((curve) => live.value(signal(curve)))]);
+    samples = samples.filter(([then]) => then > t - SHOWN_S);
+    const largest = Math.max(10, ...samples.flatMap(([, values]) => values.filter(Number.isFinite).map(Math.abs)));
+    for (const [index, line] of lines.entries()) {
+      line.setAttribute("points", samples.filter(([, values]) => Number.isFinite(values[index]))
+        .map(([then, values]) => `${(500 * (1 + (then - t) / SHOWN_S)).toFixed(1)},${(100 - 95 * values[index]! / largest).toFixed(1)}`).join(" "));
+    }
+    setText(legend, `set-point, speed [rpm] and duty [%] of the last ${SHOWN_S} s; full height ±${number(largest)}`);
+  });
+  function undoByKey(event: KeyboardEvent): void {
+    if (event.ctrlKey && event.key === "z" && !(event.target instanceof HTMLInputElement && event.target.type === "number")) undo.click();
+  }
+  window.addEventListener("keydown", undoByKey);
+
+  const element = h("div", { class: "time tune" }, lists,
+    h("div", { class: "column" },
+      h("section", { class: "panel", "aria-label": "Response" }, h("h2", {}, "Response"), field("Wheel", wheel), chart as unknown as HTMLElement, legend),
+      h("section", { class: "panel", "aria-label": "Changes" }, h("h2", {}, "Changes"), changed, h("div", { class: "buttons" }, undo, reset),
+        h("div", { class: "buttons" }, field("Name", name), save))));
+  return {
+    element,
+    close() {
+      window.clearInterval(poll);
+      window.removeEventListener("keydown", undoByKey);
+      stopFrames();
+      live.want("tune", []);
+    },
+  };
+}
