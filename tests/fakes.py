@@ -5,7 +5,7 @@ import os
 
 from hilserver.core.inputs import InputGate
 from hilserver.core.leases import Leases
-from hilserver.image import ProcessImage, leases
+from hilserver.image import ProcessImage, changes, leases
 from hilserver.image.leases import show_outcome
 from hilserver.image.queues import latch_rows
 from hilserver.signals import Ranges, robot_table
@@ -23,7 +23,8 @@ def image_name():
 
 
 def make_image(table=None, **options):
-    fixed = {leases.REGION: leases.words_needed(8)}
+    fixed = {leases.REGION: leases.words_needed(8), changes.REGION: changes.words_needed(1)}
+    fixed["edition"] = 1  # what a recorder looks for
     settings = {"live": {}, "fixed": fixed, "base_period_ns": 1_000_000, "ring_length": 16}
     return ProcessImage(image_name(), table or make_table(), **(settings | options))
 
