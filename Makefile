@@ -14,7 +14,8 @@ NPM_FOLDERS := $(patsubst %/package.json,%,$(wildcard tests/*/package.json)) pag
 TOOLS := cyclictest:rt-tests nft:nftables ip:iproute2 cc:gcc \
     systemd-analyze:systemd debootstrap:debootstrap systemd-nspawn:systemd-container \
     nsenter:util-linux promtool:prometheus mosquitto:mosquitto mosquitto_sub:mosquitto-clients \
-    chromium:chromium g++:g++ idlc:cyclonedds-tools \
+    chromium:chromium g++:g++ idlc:cyclonedds-tools qemu-aarch64:qemu-user \
+    aarch64-linux-gnu-gcc:gcc-aarch64-linux-gnu /usr/aarch64-linux-gnu/include/stdio.h:libc6-dev-arm64-cross \
     /usr/include/dds/dds.h:cyclonedds-dev /usr/include/fastdds/rtps/rtps_all.h:libfastrtps-dev
 export PATH := $(PATH):/usr/sbin:/sbin
 
