@@ -12,6 +12,7 @@ that waits longest. So nobody is kept out by others, and Stop finds a place.
 """
 
 import asyncio
+import socket
 import ssl
 import time
 from collections import Counter
@@ -26,6 +27,7 @@ MOST = 256
 HEAD_S = 5.0
 IDLE_S = 20.0
 YIELDS_AFTER_S = 5.0
+ACCEPT_AGAIN_S = 0.05
 
 
 class Use(IntEnum):
@@ -37,50 +39,22 @@ class Use(IntEnum):
 
 
 class Place(asyncio.Protocol):
-    """One connection; hands everything on to the protocol behind."""
+    """One connection, from before its encryption is agreed on; hands on to the protocol behind."""
 
-    def __init__(self, door: "Door", behind: Any) -> None:
-        self.behind = behind
-        self.address = ""
-        self.use, self.since_s = Use.WAITS, time.monotonic()
-        self._door = door
-        self._transport: Any = None
-        self._early: list[bytes] | None = []
+    def __init__(self, door: "Door", behind: Any, address: str) -> None:
+        self.behind, self.address = behind, address
+        self.handshake: asyncio.Task[None] | None = None
+        self._door, self._transport, self._is_over = door, None, False
         self._timer: asyncio.TimerHandle | None = None
-        self._securing: asyncio.Task[None] | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Come in if there is a place, and agree on encryption."""
-        self._transport = transport
-        self.address = (transport.get_extra_info("peername") or ("",))[0]
-        if not self._door.enter(self):
-            self.end()
-        elif self._door.tls is None:
-            self._begin(transport)
-        else:
-            self._transport.pause_reading()  # until the hello of TLS has its reader
-            self._securing = asyncio.ensure_future(self._secure(self._door.tls))
         self.uses(Use.WAITS, HEAD_S)
 
-    async def _secure(self, tls: ssl.SSLContext) -> None:
-        loop = asyncio.get_running_loop()
-        try:
-            secured = await loop.start_tls(
-                self._transport, self, tls, server_side=True, ssl_handshake_timeout=HEAD_S
-            )
-        except (OSError, TimeoutError):
-            secured = None
-        if secured is None:
-            self.end()
+    def connection_made(self, transport: Any) -> None:
+        """Let the protocol behind begin, unless the place has been given back meanwhile."""
+        if self._is_over:
+            transport.abort()
         else:
-            self._begin(secured)
-
-    def _begin(self, transport: Any) -> None:
-        early, self._early = self._early, None
-        self._transport = transport
-        self.behind.connection_made(transport)
-        for data in early or ():
-            self.behind.data_received(data)
+            self._transport = transport
+            self.behind.connection_made(transport)
 
     def uses(self, use: Use, limit_s: float | None = None) -> None:
         """Note what it is used for from now on, and how long at most."""
@@ -88,29 +62,33 @@ class Place(asyncio.Protocol):
         if self._timer is not None:
             self._timer.cancel()
         loop = asyncio.get_running_loop()
-        self._timer = None if limit_s is None else loop.call_later(limit_s, self._out_of_time)
+        is_limited = limit_s is not None and not self._is_over
+        self._timer = loop.call_later(limit_s, self._out_of_time) if is_limited else None
 
     def _out_of_time(self) -> None:
-        if self._transport.get_write_buffer_size():  # a slow line takes a large file
-            self.uses(Use.WAITS, IDLE_S)
+        if self._transport is not None and self._transport.get_write_buffer_size():
+            self.uses(Use.WAITS, IDLE_S)  # a slow line takes a large file
         else:
             self.end()
 
     def end(self) -> None:
         """Give the place back."""
+        self._is_over = True
         self._door.leave(self)
-        self._transport.abort()
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._transport is not None:
+            self._transport.abort()
+        elif self.handshake is not None:
+            self.handshake.cancel()
 
     def data_received(self, data: bytes) -> None:
         """Hand on."""
-        if self._early is None:
-            self.behind.data_received(data)
-        else:
-            self._early.append(data)
+        self.behind.data_received(data)
 
     def eof_received(self) -> bool | None:
         """Hand on."""
-        return self.behind.eof_received() if self._early is None else None
+        return self.behind.eof_received()  # type: ignore[no-any-return]
 
     def pause_writing(self) -> None:
         """Hand on."""
@@ -122,15 +100,13 @@ class Place(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Hand on."""
-        self._door.leave(self)
-        if self._timer is not None:
-            self._timer.cancel()
-        if self._early is None:
+        if self._transport is not None:
             self.behind.connection_lost(exc)
+        self.end()
 
 
 class Door:
-    """Makes a place of every connection; an `asyncio` protocol factory.
+    """Accepts connections, and gives each a place before it has said anything.
 
     Parameters
     ----------
@@ -149,19 +125,42 @@ class Door:
         self._most = most
         self._places: dict[Any, Place] = {}
 
-    def __call__(self) -> Place:
-        """Return the protocol of a new connection."""
-        return Place(self, self.behind())
+    async def let_in(self, listener: socket.socket) -> None:
+        """Accept connections for ever."""
+        listener.setblocking(False)
+        loop = asyncio.get_running_loop()
+        async with asyncio.TaskGroup() as handshakes:
+            while True:
+                try:
+                    connection, address = await loop.sock_accept(listener)
+                except OSError:  # no more files may be open for now
+                    await asyncio.sleep(ACCEPT_AGAIN_S)
+                    continue
+                place = self.place(address[0])
+                if place is None:
+                    connection.close()
+                else:
+                    place.handshake = handshakes.create_task(self._connect(place, connection))
 
-    def enter(self, newcomer: Place) -> bool:
-        """Give it a place; another one yields if all are taken."""
+    async def _connect(self, place: Place, connection: socket.socket) -> None:
+        limit_s = None if self.tls is None else HEAD_S
+        try:
+            await asyncio.get_running_loop().connect_accepted_socket(
+                lambda: place, connection, ssl=self.tls, ssl_handshake_timeout=limit_s
+            )
+        except (OSError, TimeoutError, RuntimeError):  # it is gone, or speaks no TLS
+            place.end()
+
+    def place(self, address: str) -> Place | None:
+        """Return a place for a newcomer; another one yields if all are taken, None if none does."""
         if len(self._places) >= self._most:
             first = self._first_to_yield()
             if first is None:
-                return False
+                return None
             first.end()
-        self._places[newcomer.behind] = newcomer
-        return True
+        place = Place(self, self.behind(), address)
+        self._places[place.behind] = place
+        return place
 
     def _first_to_yield(self) -> Place | None:
         crowd = Counter(place.address for place in self._places.values())

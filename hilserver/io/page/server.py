@@ -77,18 +77,17 @@ class PageServer:
             self._application(), access_log=None, handle_signals=False, keepalive_timeout=20.0
         )
         await runner.setup()
-        loop = asyncio.get_running_loop()
         if runner.server is None:
             return
         self._door.behind = runner.server
-        server = await loop.create_server(self._door, sock=listener)
         try:
             async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._door.let_in(listener), name="door")
                 tasks.create_task(self._live.run(), name="frames")
                 tasks.create_task(self._driving.run(), name="commands")
                 tasks.create_task(self._sweep(), name="sweep")
         finally:
-            server.close()
+            listener.close()
             await self._live.close()
             await self._jobs.close()
             await self._browsers.close()

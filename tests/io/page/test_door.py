@@ -1,11 +1,17 @@
 """Connections: half-open ones yield, live sockets and fresh requests stay."""
 
 import asyncio
+import socket
+import ssl
 
 import pytest
+import uvloop
 
+from hilserver.config.page import PageTlsConfig
 from hilserver.io.page import door as door_module
 from hilserver.io.page.door import YIELDS_AFTER_S, Door, Use
+from hilserver.io.page.listening import listen, tls_context
+from tests.page.test_users import make_tls
 
 MOST = 8
 
@@ -31,7 +37,9 @@ async def come_in():
     door, made = Door(most=MOST), []
 
     def come_in(address, use=Use.WAITS, age_s=0.0):
-        place, transport = door(), Transport(address)
+        place, transport = door.place(address), Transport(address)
+        if place is None:
+            return None
         place.connection_made(transport)
         place.uses(use)
         place.since_s -= age_s
@@ -57,7 +65,7 @@ async def test_nobody_who_is_served_yields_before_its_time(come_in):
     for _ in range(MOST - 1):
         come_in("192.0.2.1", Use.WORKS)
     come_in("192.0.2.1", Use.LIVE, 10 * YIELDS_AFTER_S)
-    assert not come_in("192.0.2.5").is_open
+    assert come_in("192.0.2.5") is None
 
 
 async def test_a_request_that_never_ends_yields(come_in):
@@ -70,8 +78,66 @@ async def test_a_request_that_never_ends_yields(come_in):
 
 async def test_who_sends_no_whole_request_is_gone_in_time(monkeypatch):
     monkeypatch.setattr(door_module, "HEAD_S", 0.01)
-    place, transport = Door(most=MOST)(), Transport("192.0.2.1")
+    place, transport = Door(most=MOST).place("192.0.2.1"), Transport("192.0.2.1")
     place.connection_made(transport)
     async with asyncio.timeout(60):
         while transport.is_open:  # noqa: ASYNC110 - a transport tells nobody
             await asyncio.sleep(0.01)
+
+
+class Echo(asyncio.Protocol):
+    def connection_made(self, transport):
+        self.transport = transport
+
+    def data_received(self, data):
+        self.transport.write(data)
+
+
+def says_hello(port):
+    trusting = ssl.create_default_context()
+    trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
+    with (
+        socket.create_connection(("127.0.0.1", port), timeout=60) as plain,
+        trusting.wrap_socket(plain) as secured,
+    ):
+        secured.sendall(b"hello")
+        return secured.recv(5)
+
+
+@pytest.mark.parametrize("make_loop", [uvloop.new_event_loop, asyncio.new_event_loop])
+def test_whoever_begins_with_encryption_at_once_is_understood(tmp_path, make_loop):
+    """The first words may be there before the connection is accepted."""
+    make_tls(tmp_path)
+    tls = tls_context(PageTlsConfig(certificate="page.pem", key="page.key"), tmp_path)
+
+    async def greet():
+        listener, door = listen("127.0.0.1", 0), Door(tls)
+        door.behind = Echo
+        port = listener.getsockname()[1]
+        greetings = [asyncio.to_thread(says_hello, port) for _ in range(60)]
+        letting_in = asyncio.create_task(door.let_in(listener))
+        try:
+            return await asyncio.gather(*greetings)
+        finally:
+            letting_in.cancel()
+            await asyncio.gather(letting_in, return_exceptions=True)
+            listener.close()
+
+    with asyncio.Runner(loop_factory=make_loop) as runner:
+        assert set(runner.run(greet())) == {b"hello"}
+
+
+async def test_whoever_never_says_hello_gives_its_place_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(door_module, "HEAD_S", 0.2)
+    make_tls(tmp_path)
+    tls = tls_context(PageTlsConfig(certificate="page.pem", key="page.key"), tmp_path)
+    listener, door = listen("127.0.0.1", 0), Door(tls)
+    letting_in = asyncio.create_task(door.let_in(listener))
+    reader, writer = await asyncio.open_connection(*listener.getsockname())
+    async with asyncio.timeout(60):
+        assert await reader.read() == b""
+    assert not door._places
+    writer.close()
+    letting_in.cancel()
+    await asyncio.gather(letting_in, return_exceptions=True)
+    listener.close()
