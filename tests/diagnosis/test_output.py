@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 
 import pytest
+import yaml
 
 from hilserver.config.patch import FittedIn, load_patch
 from hilserver.diagnosis.checks.standstill import too_little_motion
@@ -32,6 +33,11 @@ def test_the_patch_can_be_loaded_and_names_the_findings(tmp_path):
     assert term.fitted_in.speed_m_s == (0.0, 0.4)
     assert term.fitted_in.conditions == "hall <3>.csv: carpet"
     assert term.fitted_in.wheel_speed_rpm is None
+
+
+def test_a_patch_has_no_key_of_the_second_schema():
+    text = documents(Diagnosis(findings(), FITTED))["model_patch.yaml"]
+    assert set(yaml.safe_load(text)) == {"schema", "made_from", "terms"}
 
 
 def test_the_findings_come_back_as_they_were(tmp_path):
