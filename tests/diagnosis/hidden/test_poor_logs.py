@@ -96,7 +96,7 @@ def test_the_stamps_of_two_logs_are_not_mixed(later_s):
     both = diagnose(pooled(first, sound()), assembly(), jobs=1)
     nothing_is_found(both.findings)
     assert "report.html" in documents(both)
-    moments = {row.horizon_s for row in both.evidence.gain_by_horizon}
+    moments = {row.gain.horizon_s for row in both.evidence.gain_by_horizon}
     assert any(h > 0.0 for h in moments)
     assert all(h >= 0.0 for h in moments)
 
