@@ -36,6 +36,17 @@ PROTOCOLS: Final = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.Protocol
 _log = structlog.get_logger(__name__)
 
 
+class _Socket(ssl.SSLSocket):
+    """One that is closed when its handshake fails; the client library would forget it open."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except OSError:
+            self.close()
+            raise
+
+
 class EdgeFault(StrEnum):
     """What can be wrong with the databus."""
 
@@ -243,6 +254,7 @@ class EdgeLink(Part):
             return None
         try:
             context = ssl.create_default_context(cafile=tls.ca and folder / tls.ca)
+            context.sslsocket_class = _Socket
             if tls.certificate is not None and tls.key is not None:
                 context.load_cert_chain(folder / tls.certificate, folder / tls.key)
         except (OSError, ssl.SSLError) as error:

@@ -44,7 +44,8 @@ class Place(asyncio.Protocol):
     def __init__(self, door: "Door", behind: Any, address: str) -> None:
         self.behind, self.address = behind, address
         self.handshake: asyncio.Task[None] | None = None
-        self._door, self._transport, self._is_over = door, None, False
+        self._door, self._is_over = door, False
+        self._transport: Any = None
         self._timer: asyncio.TimerHandle | None = None
         self.uses(Use.WAITS, HEAD_S)
 
@@ -62,8 +63,9 @@ class Place(asyncio.Protocol):
         if self._timer is not None:
             self._timer.cancel()
         loop = asyncio.get_running_loop()
-        is_limited = limit_s is not None and not self._is_over
-        self._timer = loop.call_later(limit_s, self._out_of_time) if is_limited else None
+        self._timer = None
+        if limit_s is not None and not self._is_over:
+            self._timer = loop.call_later(limit_s, self._out_of_time)
 
     def _out_of_time(self) -> None:
         if self._transport is not None and self._transport.get_write_buffer_size():
