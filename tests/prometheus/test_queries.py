@@ -73,6 +73,14 @@ async def inject_a_fault(rig: Rig) -> None:
     rig.daemon.faults.clear()
 
 
+async def tune(rig: Rig) -> None:
+    """Change a gain for a while."""
+    parameters = rig.daemon.core.parameters
+    await parameters.taken(parameters.apply(parameters.checked({"plant.controller.k_p": 12.0})))
+    await asyncio.sleep(HOLD_S)
+    await parameters.taken(parameters.reset())
+
+
 async def put_far_away(rig: Rig) -> None:
     rig.daemon.control.set_pose(100.0, 50.0, 1.0)
     await asyncio.sleep(HOLD_S)
@@ -204,6 +212,7 @@ STIMULI = (
     Stimulus(command_out_of_range, up=("Refused values",)),
     Stimulus(measure, appears=("Model gap",)),
     Stimulus(inject_a_fault, up=("Faults at work",)),
+    Stimulus(tune, up=("Parameters changed",)),
     Stimulus(put_far_away, up=("Pose",)),
     Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),
     Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True),
