@@ -4,26 +4,22 @@ Signal table, slices, packed parameters, own blocks. `hilserver check` and the d
 through here, so that what `check` accepts, `run` can start.
 """
 
-import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from hilserver import __version__
 from hilserver.body.engine import Engine
-from hilserver.body.parameters import BodyParameters
-from hilserver.compiled import kernel_hash
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
 from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
-from hilserver.config.root import Config, load_config, without_passwords
+from hilserver.config.root import Config, load_config
 from hilserver.config.timing import COMMUNICATION_SLICES
+from hilserver.daemon.assembled import Assembly
 from hilserver.errors import ConfigError
 from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
@@ -38,108 +34,11 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
 from hilserver.signals import MEASURED, BlockOutput, Ranges, SignalTable, robot_table
 
+__all__ = ["Assembly", "assemble", "assemble_config"]
+
 T = TypeVar("T")
 NS_PER_MS = 1_000_000
 _ONE = {"inputs": "input", "parameters": "parameter", "drives": "output"}
-
-
-@dataclass(frozen=True)
-class Assembly:
-    """What a daemon is built from.
-
-    Attributes
-    ----------
-    config : Config
-        What is in force: `from_file` and what options of the command line changed in it.
-    path : Path or None
-        The configuration file; relative paths in it are relative to its folder.
-    base_period_ns : int
-    slices : sequence of Slice
-        Compiled ones first, in the order in which they run in a tick.
-    patch : Patch or None
-        Laid over the plant of `config`, which stays as it was read.
-    configured : RobotParameters
-        The plant of `config` alone.
-    """
-
-    config: Config
-    from_file: Config
-    path: Path | None
-    robot: RobotParameters
-    table: SignalTable
-    base_period_ns: int
-    slices: Sequence[Slice]
-    composition: Composition
-    configured: RobotParameters
-    patch: Patch | None = None
-
-    @property
-    def folder(self) -> Path:
-        """Folder that relative paths of the configuration start from."""
-        return Path.cwd() if self.path is None else self.path.resolve().parent
-
-    @property
-    def body(self) -> BodyParameters:
-        """The robot's body, whether or not the mechatronic model runs.
-
-        Raises
-        ------
-        ConfigError
-            If it could not stand.
-        """
-        try:
-            return self.config.mechatronic.body(self.robot, DEFAULT_PERIOD_MS * 1e-3)
-        except PlantError as error:
-            raise ConfigError(str(error)) from None
-
-    @contextmanager
-    def at(self, *location: str | int) -> Iterator[None]:
-        """Add the place in the file to complaints about what stands there."""
-        try:
-            yield
-        except ConfigError as error:
-            raise ConfigError(place(self.path, location) + str(error)) from None
-
-    @property
-    def identity(self) -> dict[str, str]:
-        """What two runs must share for one to continue the other."""
-        c = self.composition
-        digest = hashlib.sha256(pack(self.configured).numbers.tobytes() + c.hall.tobytes())
-        if c.body is not None:
-            digest.update(c.body.identity)
-        for block in c.blocks:
-            wiring: tuple[object, ...] = (block.name, block.slice, dict(block.inputs))
-            wiring += (dict(block.parameters), *([dict(block.drives)] if block.drives else ()))
-            own = block.model
-            source = block.declaration.source.read_bytes() if own is None else own.identity
-            digest.update(repr(wiring).encode() + source)
-        periods = {s.name: s.period_ticks for s in self.slices if s.compiled}
-        return {
-            "parameters": digest.hexdigest(),
-            "base_period_ns": str(self.base_period_ns),
-            "slices": repr(periods),
-        }
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """What every recording says about the run that made it."""
-        return {
-            "version": __version__,
-            "kernels": kernel_hash(),
-            "configuration": without_passwords(self.config),
-            "config_sha256": self.config.sha256,
-            "config_folder": str(self.folder),
-            "patch": None if self.patch is None else self.patch.provenance,
-            "seed": self.config.plant.seed,
-            "base_period_ns": self.base_period_ns,
-            "parameters": list(self.composition.settings),
-        } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
-
-    @property
-    def not_replayable(self) -> list[str]:
-        """Why a recording of this run cannot be replayed; empty if it can."""
-        models = [b.model for b in self.composition.blocks if b.model is not None]
-        return [model.not_replayable for model in models if model.not_replayable]
 
 
 def assemble(path: Path | None, patch: Path | None = None, group: str | None = None) -> Assembly:

@@ -1,4 +1,4 @@
-"""A daemon with an FMU that goes astray: it is named, the robot is safe, the plant goes on."""
+"""A daemon with an FMU that fails: it is named, the robot is safe, the plant goes on."""
 
 import pytest
 
