@@ -73,17 +73,8 @@ format: $(VENV)/.dev ## Bring all code into the project's form
 
 .PHONY: reference
 reference: $(VENV)/.run ## Write the generated reference pages anew
-	@$(BIN)/python -m hilserver.daemon.metrics_reference > docs/reference/metrics.md
-	@$(BIN)/python -m hilserver.daemon.step_reference > docs/reference/step.md
-	@$(BIN)/python -m hilserver.config.reference > docs/reference/configuration.md
-	@$(BIN)/python -m hilserver.measured.mapping_reference > docs/reference/mapping.md
-	@$(BIN)/python -m hilserver.parameters.reference > docs/reference/parameters.md
-	@$(BIN)/hilserver signals --format markdown > docs/reference/signals.md
-	@$(BIN)/python -m hilserver.faults.reference > docs/reference/faults.md
-	@$(BIN)/python -m hilserver.core.transitions > docs/reference/states.md
-	@$(BIN)/python -m hilserver.core.handover > docs/reference/control.md
+	@$(BIN)/python -m reference
 	@$(BIN)/python -m tests.control.table > docs/reference/control-matrix.md
-	@$(BIN)/python -m hilserver.diagnosis.findings.reference > docs/reference/findings.md
 	@$(BIN)/python -m hilserver.diagnosis.schema.json_schema findings > hilserver/diagnosis/schema/findings.schema.json
 	@$(BIN)/python -m hilserver.diagnosis.schema.json_schema patch > hilserver/diagnosis/schema/model_patch.schema.json
 	@$(BIN)/hilserver check --schema config.schema.json

@@ -24,7 +24,9 @@ AVOIDED = {
 WORD = re.compile(rf"\b({'|'.join(AVOIDED)})\b", re.IGNORECASE)
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("deploy/**/*.md")]
 TEXTS = [path for kind in ("yaml", "csv", "j2") for path in ROOT.glob(f"hilserver/**/*.{kind}")]
-MODULES = sorted([*ROOT.glob("hilserver/**/*.py"), *ROOT.glob("benchmarks/*.py")])
+MODULES = sorted(
+    [*ROOT.glob("hilserver/**/*.py"), *ROOT.glob("benchmarks/*.py"), *ROOT.glob("reference/*.py")]
+)
 
 
 def texts(path: Path) -> Iterator[str]:

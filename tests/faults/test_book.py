@@ -1,7 +1,6 @@
 """Injecting, listing and ending; what is refused, and in which words."""
 
 import json
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -9,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.faults.model import FORMS, Fault, parse_fault, parse_faults
-from hilserver.faults.reference import as_markdown
 from hilserver.faults.scenario import json_schema
 from tests.faults.rig import Rig
 
@@ -138,8 +136,3 @@ def test_the_schema_agrees_with_the_model():
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate({"faults": [wrong]}, schema)
     assert json.dumps(schema)
-
-
-def test_the_reference_is_up_to_date():
-    page = Path(__file__).parents[2] / "docs" / "reference" / "faults.md"
-    assert page.read_text(encoding="utf-8") == as_markdown(), "run 'make reference'"

@@ -1,18 +1,9 @@
-"""Mapping files: units, and the reference page."""
-
-from pathlib import Path
+"""Mapping files: units."""
 
 import pytest
 
 from hilserver.measured.mapping import LogMapping
-from hilserver.measured.mapping_reference import as_markdown
 from hilserver.measured.names import conversion, known_signals, units_of
-
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "mapping.md"
-
-
-def test_the_reference_is_up_to_date():
-    assert PAGE.read_text(encoding="utf-8") == as_markdown()
 
 
 @pytest.mark.parametrize("signal", known_signals())

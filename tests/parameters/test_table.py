@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from hilserver.config.root import Config
 from hilserver.parameters import PLANT, check, named, read, with_values
-from hilserver.parameters.reference import as_markdown
 from hilserver.parameters.table import table_of
 from hilserver.plant.blocks import BlockDeclaration, Output
 from hilserver.plant.errors import PlantError
@@ -19,11 +18,6 @@ from hilserver.plant.terms import TERMS
 
 ROOT = Path(__file__).parents[2]
 AT_A_TICK = [name for name, p in PLANT.items() if p.when == "tick"]
-
-
-def test_the_reference_page_is_up_to_date():
-    page = (ROOT / "docs/reference/parameters.md").read_text(encoding="utf-8")
-    assert page == as_markdown(), "run: make reference"
 
 
 def test_every_name_is_a_key_of_the_configuration_with_its_default():

@@ -8,7 +8,6 @@ import pytest
 import yaml
 
 from hilserver.config.patch import json_schema as patch_schema
-from hilserver.diagnosis.findings.reference import as_markdown
 from hilserver.diagnosis.output import documents, findings_text
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
@@ -45,11 +44,6 @@ def test_the_shipped_schemas_are_up_to_date(name, made):
     shipped = ROOT / "hilserver" / "diagnosis" / "schema" / name
     assert json.loads(shipped.read_text(encoding="utf-8")) == made(), "run: make reference"
     jsonschema.Draft202012Validator.check_schema(made())
-
-
-def test_the_reference_page_is_up_to_date():
-    page = (ROOT / "docs/reference/findings.md").read_text(encoding="utf-8")
-    assert page == as_markdown(), "run: make reference"
 
 
 def test_the_example_of_the_specification_fits_schema_and_model():

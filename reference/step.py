@@ -1,6 +1,5 @@
-"""The reference page that shows one generated step: ``make reference``."""
+"""The page that shows one generated step."""
 
-import sys
 import tempfile
 from pathlib import Path
 
@@ -28,7 +27,7 @@ blocks:
 _PAGE = """\
 # The step
 
-<!-- Written by `make reference` from hilserver/daemon/step_reference.py. -->
+Made from the code by `make reference`; a test keeps it up to date.
 
 In every tick the pacing back end calls one compiled function, the step. Everything it does is a
 named function in a file; only the list of calls is generated, because compiled code cannot loop
@@ -99,10 +98,6 @@ def _block_lines() -> str:
     return "".join([*slots, "\n", *lines[first : lines.index("        return fault\n") + 1]])
 
 
-def markdown() -> str:
+def as_markdown() -> str:
     """Return the whole page."""
     return _PAGE.format(default=_source(assemble(None)), block=_block_lines())
-
-
-if __name__ == "__main__":
-    sys.stdout.write(markdown())

@@ -1,4 +1,4 @@
-"""The reference of config.yaml, made from the models: ``python -m hilserver.config.reference``."""
+"""The page of config.yaml, made from the models."""
 
 import enum
 import types
@@ -13,7 +13,7 @@ from hilserver.config.root import Config
 
 HEAD = """# Configuration: every key of config.yaml
 
-Made from the code by `python -m hilserver.config.reference`; a test keeps it up to date. A key that
+Made from the code by `make reference`; a test keeps it up to date. A key that
 is missing has its default. Names end in their units.
 
 | key | type | default | meaning |
@@ -95,7 +95,3 @@ def _default(field: FieldInfo) -> str:
 
 def _text(field: FieldInfo) -> str:
     return (field.description or "").replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    print(as_markdown(), end="")

@@ -1,12 +1,12 @@
-"""The reference of mapping files: ``python -m hilserver.measured.mapping_reference``."""
+"""The page of mapping files."""
 
-from hilserver.config.reference import rows_of
 from hilserver.measured.mapping import ChannelMap, ColumnMap, TimeMap, builtin_mappings
 from hilserver.measured.names import known_signals, units_of
+from reference.configuration import rows_of
 
 HEAD = """# Mapping files: foreign logs
 
-Made from the code by `python -m hilserver.measured.mapping_reference`; a test keeps it up to date.
+Made from the code by `make reference`; a test keeps it up to date.
 A mapping says which column of a table, or which topic and field of a ROS 2 bag, is which signal:
 `hilserver diagnose LOG --mapping map.yaml`. Columns that it does not name are ignored. How to
 write one: [Read foreign logs](../how-to/read-foreign-logs.md).
@@ -47,7 +47,3 @@ def as_markdown() -> str:
         for name, signal in known_signals().items()
     )
     return HEAD.format(builtin=builtin) + "".join(keys) + TAIL + signals
-
-
-if __name__ == "__main__":
-    print(as_markdown(), end="")

@@ -1,11 +1,11 @@
-"""The reference of all faults, made from the model: ``python -m hilserver.faults.reference``."""
+"""The page of all faults, made from the model."""
 
 from hilserver.faults.model import FORMS, PARAMETERS, Fault
 from hilserver.kernel.modifier_layout import MAX_DELAY_TICKS, MAX_MODIFIERS, MAX_RINGS
 
 HEAD = """# Faults: every kind and every key
 
-Made from the code by `python -m hilserver.faults.reference`; a test keeps it up to date. How to use
+Made from the code by `make reference`; a test keeps it up to date. How to use
 them: [faults and scenarios](../how-to/faults-and-scenarios.md).
 
 | fault | acts on | needs | takes | what happens |
@@ -66,7 +66,3 @@ def _default(name: str) -> str:
     if field.is_required():
         return "needed"
     return "" if field.default is None else f"`{field.default}`"
-
-
-if __name__ == "__main__":
-    print(as_markdown(), end="")

@@ -1,4 +1,4 @@
-"""The reference page of the parameters: ``python -m hilserver.parameters.reference``."""
+"""The page of the parameters."""
 
 from collections.abc import Iterable
 from math import isnan
@@ -7,7 +7,7 @@ from hilserver.parameters.table import BODY, JUMPS, PLANT, Parameter
 
 HEAD = """# Parameters: what changes while the robot runs
 
-Made from the code by `python -m hilserver.parameters.reference`; a test keeps it up to date. Names
+Made from the code by `make reference`; a test keeps it up to date. Names
 are those of [config.yaml](configuration.md), where these values are set for the start; the terms
 of `plant.terms` begin with `terms.`, and a bare cause stands for its first part. Parameters of own
 blocks are `blocks.<block>.<parameter>`.
@@ -51,7 +51,3 @@ def _row(p: Parameter) -> str:
     jumps = "needs a restart" if p.name.startswith(BODY) else ", ".join(p.jumps.split())
     meaning = p.meaning.replace("|", "\\|")
     return f"| `{p.name}` | {unit} | {bounds} | {default} | {meaning} | {jumps} |\n"
-
-
-if __name__ == "__main__":
-    print(as_markdown(), end="")

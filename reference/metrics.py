@@ -1,6 +1,5 @@
-"""The reference page of all metrics, written from their rows: ``make reference``."""
+"""The page of all metrics, written from their rows."""
 
-import sys
 from typing import Any
 
 from hilserver.compiled.histogram import BOUNDS_NS
@@ -10,7 +9,7 @@ from hilserver.metrics import Kind, Metric
 _INTRODUCTION = """\
 # Metrics
 
-<!-- Written by `make reference` from the rows in hilserver/daemon/metrics.py. -->
+Made from the rows of the code by `make reference`; a test keeps it up to date.
 
 `http://127.0.0.1:9464/metrics` serves these names in Prometheus' text format, and in OpenMetrics to
 clients that ask for it. All times are in seconds. A metric that has nothing to report (no peer, no
@@ -49,10 +48,6 @@ def _row(metric: Metric[Any]) -> str:
     return f"| `{metric.name}` | {labels} | {kind} | {metric.help} |\n"
 
 
-def markdown() -> str:
+def as_markdown() -> str:
     """Return the whole page."""
     return _INTRODUCTION + "".join(map(_row, METRICS)) + _HEALTH
-
-
-if __name__ == "__main__":
-    sys.stdout.write(markdown())
