@@ -30,8 +30,8 @@ from hilserver.plant.layout import (
 )
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.reference.cases import cases
 from hilserver.plant.reference.library import FLAGS, ReferencePlant, build
-from hilserver.plant.reference.vectors import cases
 from hilserver.plant.robot import robot_step
 
 BLOCKS: Final = 21

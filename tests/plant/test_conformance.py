@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from hilserver.plant.packing import initial_state
-from hilserver.plant.reference import library, vectors
+from hilserver.plant.reference import library
+from hilserver.plant.reference.cases import cases
 from hilserver.plant.terms import TERMS
+from tests.plant import vectors
 
-CASES = list(vectors.cases())
+CASES = list(cases())
 
 
 def assert_close(name, found, wanted, relative):
@@ -25,7 +27,7 @@ def test_every_term_has_a_vector():
 @pytest.mark.parametrize("name", CASES)
 def test_plant_reproduces(name):
     terms, ticks, wanted = vectors.read(name)
-    assert terms == vectors.cases()[name]
+    assert terms == cases()[name]
     found = dict(vectors.drive(vectors.robot_of(terms)))
     assert_close(name, np.array([found[t] for t in ticks]), wanted, 1e-12)
 

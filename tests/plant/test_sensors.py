@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hilserver.plant.battery import open_circuit_voltage
 from hilserver.plant.layout import BAD_OUT_OF_SERVICE, GOOD, UNCERTAIN
 from hilserver.plant.parameters import Imu, Navigation, RangeFinders
-from hilserver.plant.reference.vectors import cases
+from hilserver.plant.reference.cases import cases
 from hilserver.plant.sensors import tof_step
 from tests.plant.rig import Rig
 

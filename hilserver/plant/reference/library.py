@@ -20,70 +20,6 @@ N_STATES: Final = 12
 N_SENSORS: Final = 7
 FLAGS: Final = ("-std=gnu11", "-O3", "-march=native", "-fPIC", "-shared")
 
-FIELDS: Final = {
-    "process_gain": "a_gain",
-    "time_constant": "a_t1",
-    "saturation_limit": "limit",
-    "coulomb_friction": "coulomb",
-    "viscous_load": "viscous",
-    "dead_zone": "dead_zone",
-    "stribeck_friction.f_s": "f_s",
-    "stribeck_friction.n_s": "n_s",
-    "wheel_load.f": "load",
-    "wheel_load.wheel": "load_wheel",
-    "battery_sag": "sag_k",
-    "actuation_delay": "actuation_delay",
-    "setpoint_rate_limit": "rate_limit",
-    "control_period": "control_period",
-    "controller_gains.p": "a_p",
-    "controller_gains.i": "a_i",
-    "encoder_scale.a": "encoder_a",
-    "encoder_scale.wheel": "encoder_wheel",
-    "encoder_filter": "encoder_filter",
-    "encoder_quantization": "quantum",
-    "backlash": "backlash",
-    "wheel_radius": "a_radius",
-    "wheel_radius_difference": "a_diff",
-    "rotation_gain": "a_k",
-    "rotation_gain_speed": "a_kv",
-    "rotation_gain_radius": "a_kq",
-    "traction_slip": "traction",
-    "roller_slip": "roller",
-    "body_lag": "lag",
-    "longitudinal_slip": "long_slip",
-    "acceleration_slip": "acc_slip",
-    "side_slip": "side_slip",
-    "icr_offset": "icr_d",
-    "wheel_misalignment": "misalign",
-    "floor_slope.x": "slope_x",
-    "floor_slope.y": "slope_y",
-    "surface_change.k_om": "surf_k",
-    "surface_change.v": "surf_v",
-    "surface_change.x_min": "x_min",
-    "surface_change.x_max": "x_max",
-    "surface_change.y_min": "y_min",
-    "surface_change.y_max": "y_max",
-    "wheel_runout.amplitude": "runout",
-    "wheel_runout.phase": "runout_phase",
-    "nav_frame_yaw": "frame_yaw",
-    "nav_lever_arm.x": "lever_x",
-    "nav_lever_arm.y": "lever_y",
-    "nav_latency": "nav_latency",
-    "yaw_latency": "yaw_latency",
-    "nav_scale": "nav_scale",
-    "nav_position_bias.amplitude": "bias",
-    "nav_position_bias.wavelength": "bias_length",
-    "nav_outliers.share": "outlier_share",
-    "nav_outliers.size": "outlier_size",
-    "heading_distortion.a1": "dist_a1",
-    "heading_distortion.phase1": "dist_p1",
-    "heading_distortion.a2": "dist_a2",
-    "heading_distortion.phase2": "dist_p2",
-    "gyro_bias": "gyro_bias",
-    "gyro_scale": "gyro_a",
-    "imu_latency": "imu_latency",
-}
-
 
 def build(folder: Path) -> Path:
     """Compile the C reference into `folder` and return the shared library.
@@ -165,11 +101,10 @@ class ReferencePlant:
         self._handle = ctypes.c_void_p(self._library.plant_new())
         values = _physical(robot)
         terms = complete(robot.terms)
-        for name, value in terms.items():
-            if name in FIELDS and value is not None:
-                values[FIELDS[name]] = value
+        balance = ("friction_anisotropy.ratio", "friction_anisotropy.offset")
+        values |= {k: v for k, v in terms.items() if v is not None and k not in balance}
         if robot.wheelbase_m is not None:
-            ratio, offset = (terms[f"friction_anisotropy.{part}"] for part in ("ratio", "offset"))
+            ratio, offset = (terms[name] for name in balance)
             factor, shift_m = anisotropy(
                 robot.wheelbase_m, robot.track_m, float(ratio or 0.0), float(offset or 0.0)
             )

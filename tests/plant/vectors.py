@@ -1,19 +1,21 @@
 """The conformance vectors: one manoeuvre, the base robot, and one robot per term.
 
-`vectors/inputs.csv` holds the ticks at which the set-points change; every other file starts with
-the terms it was made with and holds every `EVERY`-th tick: outputs of t_k, state of t_k, sensors.
+`inputs.csv` of `hilserver/plant/reference/vectors` holds the ticks at which the set-points change;
+every other file starts with the terms it was made with and holds every `EVERY`-th tick: outputs of
+t_k, state of t_k, sensors.
 """
 
 import csv
 import io
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib.resources import files
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.plant import reference
 from hilserver.plant.layout import WHEELS, Inputs, Outputs, Status
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import (
@@ -22,10 +24,11 @@ from hilserver.plant.parameters import (
     Navigation,
     RobotParameters,
 )
+from hilserver.plant.reference.cases import cases
 from hilserver.plant.robot import robot_step
 from hilserver.plant.sensors import imu_step, nav_step
-from hilserver.plant.terms import TERMS
 
+FOLDER: Final = Path(reference.__file__).parent / "vectors"
 TICKS: Final = 600
 EVERY: Final = 20
 SENSOR_TICKS: Final = 10
@@ -36,22 +39,6 @@ _SETPOINTS: Final = (
     (330, (0.0, 0.0, 0.0, 0.0)),
     (420, (10.0, 12.0, -40.0, -38.0)),
 )
-_UNSET_REFERENCE: Final = {
-    "controller_gains.i": 0.4,
-    "backlash": 0.02,
-    "acceleration_slip": 0.05,
-    "traction_slip": 0.1,
-    "roller_slip": 0.1,
-    "body_lag": 0.05,
-    "floor_slope.y": 0.02,
-    "surface_change.v": -0.2,
-    "wheel_runout.amplitude": 0.01,
-    "friction_anisotropy.ratio": 2.24,
-    "friction_anisotropy.offset": 0.01,
-    "nav_lever_arm.y": -0.05,
-    "nav_position_bias.amplitude": 0.2,
-    "heading_distortion.a2": 0.05,
-}
 WHEEL_COLUMNS: Final = [
     f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct", "angle_rad") for w in WHEELS
 ]
@@ -64,27 +51,6 @@ COLUMNS: Final = [
     *("imu.gyro_z_rad_s", "imu.yaw_rad", "imu.accel_x_m_s2", "imu.accel_y_m_s2"),
     *("nav.x_m", "nav.y_m", "nav.yaw_rad"),
 ]
-
-
-def cases() -> dict[str, dict[str, float]]:
-    """Return the terms of every vector file, by its name; the base has none."""
-    result: dict[str, dict[str, float]] = {"base": {}}
-    for term in TERMS.values():
-        if not term.shape:
-            size = _UNSET_REFERENCE.get(term.name, term.reference)
-            if size is None:
-                msg = f"term {term.name} has no size for its conformance vector"
-                raise ValueError(msg)
-            result[term.name] = {term.name: size}
-    result["nav_outliers.share"] = {"nav_outliers.share": 0.3}  # a few of the 12 samples
-    result["battery_sag_viscous"] = {"battery_sag": 1.0, "viscous_load": 0.05}
-    result["everything"] = {
-        name: size
-        for terms in list(result.values())
-        for name, size in terms.items()
-        if name not in ("saturation_limit", "setpoint_rate_limit", *FOR_MECANUM_ALONE)
-    }
-    return result
 
 
 def robot_of(terms: dict[str, float]) -> RobotParameters:
@@ -143,10 +109,20 @@ def inputs_csv() -> str:
 
 def read(name: str) -> tuple[dict[str, float], NDArray[np.int64], NDArray[np.float64]]:
     """Return terms, ticks and numbers of a shipped vector file."""
-    resource = files("hilserver.plant.reference").joinpath(f"vectors/{name}.csv")
-    head, *lines = resource.read_text(encoding="utf-8").splitlines()
+    head, *lines = (FOLDER / f"{name}.csv").read_text(encoding="utf-8").splitlines()
     terms = dict(item.split("=") for item in head.lstrip("# ").split())
     rows = list(csv.reader(lines))[1:]
     ticks = np.array([int(row[0]) for row in rows])
     numbers = np.array([[float(v) for v in row[1:]] for row in rows])
     return {key: float(value) for key, value in terms.items()}, ticks, numbers
+
+
+def main() -> None:
+    """Write all files anew: after a deliberate change that the C reference agrees with."""
+    (FOLDER / "inputs.csv").write_text(inputs_csv(), encoding="utf-8")
+    for name, terms in cases().items():
+        (FOLDER / f"{name}.csv").write_text(to_csv(terms), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
