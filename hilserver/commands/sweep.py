@@ -15,6 +15,7 @@ from hilserver.commands.options import add_config, number_within
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
+from hilserver.sweep.batch import rig_for
 from hilserver.sweep.campaign import DaskWorkers, LocalWorkers, outcomes
 from hilserver.sweep.compare import compare
 from hilserver.sweep.journal import Journal
@@ -22,7 +23,6 @@ from hilserver.sweep.junit import write_junit
 from hilserver.sweep.only import drive_again
 from hilserver.sweep.prepare import Prepared, prepare
 from hilserver.sweep.report import write_report
-from hilserver.sweep.rig import Rig
 from hilserver.sweep.table import Table, read_table, table_of, write_table
 from hilserver.sweep.words import details, headline, plan
 
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     prepared = prepare(args.sweep, args.config)
     if args.only is not None:
         return _only(prepared, args.only, args.out)
-    rig = Rig(prepared.job)  # compiles once, and says what is wrong, before any worker begins
+    rig = rig_for(prepared.job)  # compiles once, and says what is wrong, before any worker begins
     if args.dry_run:
         began_s = time.monotonic()
         outcome = rig.drive(prepared.machine(0))

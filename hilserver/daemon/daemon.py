@@ -82,6 +82,7 @@ class Daemon:
         self._play = play
         self._resources = AsyncExitStack()
         self._begun: list[Part] = []
+        self._shown_head = 0
         self.core = build(assembly, Pace.configured(assembly, paused=paused))
         self._resources.callback(self.core.close)
         try:
@@ -178,6 +179,7 @@ class Daemon:
         self.scheduler.on_slice("publish", self._publish)
         self.scheduler.on_slice("supervise", self._supervise)
         self.scheduler.on_overrun(self.supervision.on_overrun)
+        self.scheduler.after_batch.append(self._show_halt)
         if self._play is not None:
             self.stage.play(self._play.scenario)
         await self.scheduler.start()
@@ -286,6 +288,12 @@ class Daemon:
             if self.scheduler.paused:
                 self._publish(self.scheduler.tick, 0)
                 self._supervise(self.scheduler.tick, 0)
+
+    def _show_halt(self) -> None:
+        """Publish the last tick of a step at once: in virtual time, whoever steps waits for it."""
+        if self.scheduler.paused and (head := self.image.head) != self._shown_head:
+            self._shown_head = head
+            self._publish(self.scheduler.tick, 0)
 
     # --- what the parts tell each other -----------------------------------------------------------
 

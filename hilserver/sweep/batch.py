@@ -14,6 +14,7 @@ from hilserver.program.workers import end_with_parent
 from hilserver.sweep.limits import limit_memory
 from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome, Rig
+from hilserver.sweep.stepped import Stepped
 
 _PROBES = np.linspace(-3.0, 3.0, 41)
 
@@ -36,13 +37,19 @@ def begin_worker(parent: int, memory_mb: float) -> None:
     limit_memory(memory_mb)
 
 
-_rigs: dict[str, Rig] = {}
+def rig_for(job: Job) -> Rig | Stepped:
+    """Return what drives the machines of a job."""
+    given = job.controller
+    return Rig(job) if given is None or not given.command else Stepped(job)
+
+
+_rigs: dict[str, Rig | Stepped] = {}
 
 
 def run_batch(job: Job, machines: Sequence[Machine]) -> tuple[str, list[Outcome]]:
     """Drive machines one after the other; return the fingerprint and what became of them."""
     if job.key not in _rigs:
         _rigs.clear()
-        _rigs[job.key] = Rig(job)
+        _rigs[job.key] = rig_for(job)
     rig = _rigs[job.key]
     return fingerprint(), [rig.drive(machine) for machine in machines]

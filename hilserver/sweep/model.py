@@ -14,7 +14,7 @@
 """
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
@@ -101,7 +101,7 @@ class DriveConfig(Section):
 
 
 class ControllerConfig(Section):
-    """The controller under test: a block or a Python object."""
+    """The controller under test: a block, a Python object or a process."""
 
     block: str | None = Field(None, description="file.py:function, compiled into a slice")
     name: str | None = Field(None, description="of the block; null: that of its function")
@@ -111,22 +111,35 @@ class ControllerConfig(Section):
     parameters: dict[str, float] = Field({}, description="of the block")
     python: str | None = Field(None, description="file.py:Class, made anew for each machine")
     every_ms: float | None = Field(None, gt=0, le=10_000, description="period of python")
+    command: tuple[str, ...] = Field(
+        (),
+        max_length=100,
+        description="a program, started in the folder of the sweep for each machine; {endpoint}"
+        " stands for the robot's address, {seed} for the machine's seed",
+    )
+    lockstep: Literal["opcua"] | None = Field(None, description="how the program steps the robot")
 
     @model_validator(mode="after")
     def _is_one_kind(self) -> Self:
-        given = [k for k in ("block", "python") if getattr(self, k) is not None]
+        given = [k for k in _KINDS if getattr(self, k)]
         if len(given) != 1:
-            raise ValueError("write block or python")
-        kind = given[0]
-        needs = {"block": "drives", "python": "every_ms"}[kind]
-        if not getattr(self, needs):
-            raise ValueError(f"{kind} needs {needs}")
-        of = {"block": ("name", "inputs", "drives", "parameters"), "python": ("every_ms",)}
-        for other, keys in of.items():
-            for key in keys:
+            raise ValueError("write one of block, python and command")
+        (kind,) = given
+        for other, (needs, *more) in _KINDS.items():
+            if other == kind and not getattr(self, needs):
+                raise ValueError(f"{kind} needs {needs}")
+            for key in (needs, *more):
                 if other != kind and getattr(self, key):
                     raise ValueError(f"{key} goes with {other}, not with {kind}")
         return self
+
+
+_KINDS: Final = {
+    "block": ("drives", "inputs", "name", "parameters"),
+    "python": ("every_ms",),
+    "command": ("lockstep",),
+}
+"""What each kind of controller needs, and what else belongs to it alone."""
 
 
 class Limits(Section):

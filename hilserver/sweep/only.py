@@ -6,7 +6,6 @@ that ``hilserver run`` takes.
 
 import asyncio
 import json
-from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +13,17 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hilserver.config.root import without_passwords
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import MAX_STEPS, Play, Scenario, Step, as_yaml
 from hilserver.logs import open_writer
 from hilserver.logs.provenance import make_run
-from hilserver.parameters.table import BLOCK, TERM
-from hilserver.plant.terms import TERMS, complete
 from hilserver.replay.simulation import Simulation
 from hilserver.requirements import Drive, Judge
+from hilserver.sweep.batch import rig_for
+from hilserver.sweep.configuration import machine_config
 from hilserver.sweep.prepare import PATH_ERROR, Machine, Prepared
-from hilserver.sweep.rig import Outcome, Rig, scenario_of, with_way
+from hilserver.sweep.rig import Outcome, scenario_of, with_way
 
 CONFIG, SCENARIO, RECORDING, MARGINS = (
     "config.yaml",
@@ -46,12 +44,12 @@ def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
     machine = prepared.machine(index)
     if machine.p is None:
         raise FailedError(f"machine {index} cannot be built: {machine.refused}")
-    rig = Rig(prepared.job)
+    rig = rig_for(prepared.job)
     outcome = rig.drive(machine)
     folder.mkdir(parents=True, exist_ok=True)
-    _write_config(prepared, machine, folder / CONFIG)
-    written = [] if rig.driver is None else rig.driver.written
-    scenario = _scenario(prepared, machine, written)
+    data = machine_config(prepared.user_config, prepared.job.folder, machine)
+    (folder / CONFIG).write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    scenario = _scenario(prepared, machine, rig.written)
     text = as_yaml(scenario.model_dump(mode="json", exclude_defaults=True))
     (folder / SCENARIO).write_text(text, encoding="utf-8")
     margins = asyncio.run(_record(prepared, machine, scenario, folder))
@@ -98,7 +96,7 @@ async def _record(
 def _scenario(
     prepared: Prepared, machine: Machine, written: list[tuple[int, dict[str, Any]]]
 ) -> Scenario:
-    """Return what was played, with what a Python controller commanded as steps."""
+    """Return what was played, with what a controller commanded as steps."""
     base, period_s = prepared.job.scenario, prepared.assembly.base_period_ns * 1e-9
     steps = [
         Step(at_s=tick * period_s, write={n: _plain(v) for n, v in values.items()})
@@ -119,30 +117,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
-
-
-def _write_config(prepared: Prepared, machine: Machine, path: Path) -> None:
-    data = without_passwords(prepared.user_config)
-    folder, robot = prepared.job.folder, prepared.robot_with(machine.values)
-    terms = {n: v for n, v in complete(robot.terms).items() if v != TERMS[n].null}
-    data["peers"] = []  # the scenario drives
-    data["plant"] |= {"terms": terms, "seed": machine.seed}
-    for name, value in machine.values.items():
-        if name.startswith(BLOCK):
-            block, _, key = name.removeprefix(BLOCK).partition(".")
-            use = next(one for one in data["blocks"] if one["name"] == block)
-            use["parameters"][key] = value
-        elif not name.startswith(TERM):
-            *sections, key = name.split(".")
-            place = data
-            for section in sections:
-                place = place[section]
-            place[key] = None if isnan(value) else value
-    for use in data["blocks"]:
-        file, colon, function = (use["function"] or "").rpartition(":")
-        if file.endswith(".py"):
-            use["function"] = f"{(folder / file).resolve()}{colon}{function}"
-    hall = data["sensors"]["tof"]
-    if hall["hall"] != "default":
-        hall["hall"] = str((folder / hall["hall"]).resolve())
-    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")

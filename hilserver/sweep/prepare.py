@@ -45,6 +45,8 @@ class Machine:
         What was drawn, by full names.
     faults : tuple of (int, Fault)
         With their numbers in the file.
+    terms : mapping of float or None
+        All terms of its plant, drawn or not.
     p : ndarray of float64 or None
         Packed parameters; None for one that cannot be built, `refused` says why.
     state : mapping of int to float
@@ -55,6 +57,7 @@ class Machine:
     seed: int
     values: Mapping[str, float]
     faults: tuple[tuple[int, Fault], ...] = ()
+    terms: Mapping[str, float | None] = field(default_factory=dict)
     p: Array | None = None
     state: Mapping[int, float] = field(default_factory=dict)
     refused: str = ""
@@ -121,7 +124,7 @@ class Prepared:
         except PlantError as error:
             return Machine(index, seed, values, faults, refused=str(error))
         state = {int(i): float(x[i]) for i in np.flatnonzero(x)}
-        return Machine(index, seed, values, faults, np.array(p), state)
+        return Machine(index, seed, values, faults, dict(robot.terms), np.array(p), state)
 
     def machines(self, indices: Iterator[int]) -> Iterator[Machine]:
         """Yield machines as they are asked for."""
@@ -235,6 +238,11 @@ def _drive(sweep: Sweep, path: Path, assembly: Assembly) -> tuple[Scenario, int]
                 raise ConfigError(
                     f"{place(file, ('steps', index, 'set'))}a sweep draws the parameters of its"
                     " machines for the whole drive; leave 'set' out"
+                )
+            if sweep.controller is not None and sweep.controller.command:
+                raise ConfigError(
+                    f"{place(file, ('steps', index))}the controller is a program and alone"
+                    " commands; keep the faults and leave 'steps' out"
                 )
     duration_s = sweep.drive.duration_s or scenario.lasts_s
     return scenario, max(round(duration_s * 1e9 / assembly.base_period_ns), 1)
@@ -358,8 +366,11 @@ def _key(
     controller = sweep.controller
     own = [r.python for r in sweep.require if r.python is not None]
     own += [] if controller is None else [c for c in (controller.block, controller.python) if c]
-    for reference in own:
-        file = path.parent / reference.rpartition(":")[0]
-        if file.suffix == ".py" and file.is_file():
+    files = [
+        name for name in (reference.rpartition(":")[0] for reference in own) if name[-3:] == ".py"
+    ]
+    files += [] if controller is None else controller.command
+    for file in (path.parent / name for name in files):
+        if file.is_file():
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -3,7 +3,9 @@
 Every machine begins with the same bytes in the image, so nothing of the one before is left.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +73,7 @@ class Rig:
         self._image.control.state = State.RUNNING
         derived = () if job.way is None else (PATH_ERROR,)
         self._judge = Judge(job.requirements, self._table, job.path, derived)
-        self._kept = _kept(self._judge.signals, job)
+        self._kept = kept_signals(self._judge.signals, job)
         self._slots = np.array([self._table.slot(name) for name in self._kept], dtype=np.int64)
         self._values = np.zeros((len(self._kept), job.n_ticks))
         self._periods = np.array(
@@ -99,7 +101,9 @@ class Rig:
             with limited(self.job.limits.time_s):
                 self._begin(machine, machine.p)
                 self._run()
-                return Outcome(machine.index, self._margins())
+                columns = dict(zip(self._kept, self._values, strict=True))
+                margins = margins_of(self.job, self._judge, self._period_ns, columns)
+                return Outcome(machine.index, margins)
         except OutOfTime:
             error = f"took longer than {self.job.limits.time_s:g} s"
         except MemoryError:
@@ -192,10 +196,18 @@ class Rig:
             return f"the block '{blocks[fault - 1].name}' raised an exception at {at_s:.3f} s"
         return f"{fault_of(SLICE + fault).text} at {at_s:.3f} s"
 
-    def _margins(self) -> tuple[float, ...]:
-        columns: dict[str, Floats] = dict(zip(self._kept, self._values, strict=True))
-        drive = with_way(Drive(self._period_ns * 1e-9, columns), self.job.way)
-        return tuple(self._judge.margins(drive).values())
+    @property
+    def written(self) -> list[tuple[int, dict[str, Any]]]:
+        """What a Python controller commanded of the last machine, by the tick that latched it."""
+        return [] if self.driver is None else self.driver.written
+
+
+def margins_of(
+    job: Job, judge: Judge, period_ns: int, columns: Mapping[str, Floats]
+) -> tuple[float, ...]:
+    """Return the margins of a drive from the values of every tick, in the requirements' order."""
+    drive = with_way(Drive(period_ns * 1e-9, columns), job.way)
+    return tuple(judge.margins(drive).values())
 
 
 def with_way(drive: Drive, way: tuple[tuple[float, float], ...] | None) -> Drive:
@@ -212,7 +224,7 @@ def scenario_of(scenario: Scenario, machine: Machine) -> Scenario:
     return scenario.model_copy(update={"faults": (*scenario.faults, *own)}) if own else scenario
 
 
-def _kept(signals: tuple[str, ...], job: Job) -> tuple[str, ...]:
+def kept_signals(signals: tuple[str, ...], job: Job) -> tuple[str, ...]:
     """Return the signals to keep: those judged, and what they derive from."""
     names = [name for name in signals if name != PATH_ERROR or job.way is None]
     if job.way is not None:

@@ -127,7 +127,7 @@ POPULATION = BASIC["from"]["population"]
         ({"controller": {"python": "my.py:Controller"}}, "python needs every_ms"),
         ({"controller": {"block": "limit.py:limit"}}, "block needs drives"),
         ({"controller": {"block": "my.py:Controller", "drives": {"a": "b"}}}, "not declared|free"),
-        ({"controller": {"python": "a:b", "block": "c:d", "every_ms": 5}}, "write block or python"),
+        ({"controller": {"python": "a:b", "block": "c:d", "every_ms": 5}}, "write one of block"),
         ({"faults": [{"share": 2, "fault": {"fault": "stuck", "signal": "pose.x_m"}}]}, "share"),
     ],
 )

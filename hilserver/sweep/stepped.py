@@ -1,0 +1,276 @@
+"""A controller that is a process: an OPC UA client that steps the robot, which waits for it.
+
+Every machine is a daemon of its own in virtual time that stands still; the process is started with
+its address, writes commands and calls Step. Whatever it does, a machine ends: with the drive, with
+the process, or when its time is over.
+"""
+
+import asyncio
+import contextlib
+import os
+import signal
+from collections import deque
+from collections.abc import AsyncIterator
+from functools import partial
+from resource import RLIMIT_DATA, prlimit
+from typing import Any, Final
+
+import numpy as np
+
+from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.daemon import Daemon
+from hilserver.faults.scenario import Play
+from hilserver.image import read_frames
+from hilserver.io.opcua_server import server as opcua_server
+from hilserver.monitoring.logging_setup import setup_logging
+from hilserver.program.children import end
+from hilserver.program.workers import end_with_parent
+from hilserver.requirements import CheckError, Judge
+from hilserver.scheduler.faults import fault_of
+from hilserver.signals import Signal, State, ValueType
+from hilserver.sweep.configuration import machine_config
+from hilserver.sweep.prepare import PATH_ERROR, Job, Machine
+from hilserver.sweep.rig import Outcome, kept_signals, margins_of, scenario_of
+
+ENDPOINT, SEED = "{endpoint}", "{seed}"
+"""What stands for the robot's address and the machine's seed in a command."""
+_ADDRESS: Final = "opc.tcp://127.0.0.1:0/hilserver"
+_LAST_LINES: Final = 20
+
+
+class _Failed(Exception):
+    """The machine fails; the words say why."""
+
+
+class Stepped:
+    """Drives machines one after the other, each with a process of its own.
+
+    Attributes
+    ----------
+    written : list of (int, dict)
+        What the last machine's process commanded, by the tick that latched it.
+    """
+
+    def __init__(self, job: Job) -> None:
+        setup_logging("ERROR")
+        self.job = job
+        self.written: list[tuple[int, dict[str, Any]]] = []
+        assembly = assemble_config(job.config, job.folder)
+        derived = () if job.way is None else (PATH_ERROR,)
+        self._judge = Judge(job.requirements, assembly.table, job.path, derived)
+        self._kept = kept_signals(self._judge.signals, job)
+
+    def drive(self, machine: Machine) -> Outcome:
+        """Drive one machine and judge it; whatever its controller does, this returns."""
+        self.written = []
+        if machine.p is None:
+            return Outcome(machine.index, refused=machine.refused)
+        try:
+            return Outcome(machine.index, asyncio.run(self._margins(machine)))
+        except (_Failed, CheckError) as problem:
+            return Outcome(machine.index, error=str(problem))
+
+    async def _margins(self, machine: Machine) -> tuple[float, ...]:
+        """Drive; return the margins.
+
+        Raises
+        ------
+        _Failed
+            If there are none.
+        """
+        job = self.job
+        config = Config.model_validate(machine_config(job.config, job.folder, machine))
+        assembly = assemble_config(_heard(config), job.folder)
+        play = Play(scenario_of(job.scenario, machine), job.scenario_path)
+        daemon = Daemon(assembly, play=play, paused=True, links=(opcua_server.parts,))
+        async with daemon:
+            daemon.control.pause()
+            watch = _Watch(daemon, self._kept, job.n_ticks)
+            async with self._process(daemon, machine) as process:
+                await self._wait(process, watch)
+        self.written = watch.written
+        columns = dict(zip(self._kept, watch.values, strict=True))
+        return margins_of(job, self._judge, assembly.base_period_ns, columns)
+
+    @contextlib.asynccontextmanager
+    async def _process(
+        self, daemon: Daemon, machine: Machine
+    ) -> "AsyncIterator[asyncio.subprocess.Process]":
+        """Run the controller while the context lasts; what it has started ends with it."""
+        given = self.job.controller
+        assert given is not None
+        own = {ENDPOINT: daemon.part("opcua").url, SEED: str(machine.seed)}
+        words = [_filled(word, own) for word in given.command]
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *words,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.DEVNULL,
+                stderr=asyncio.subprocess.PIPE,
+                cwd=self.job.path.parent,
+                start_new_session=True,
+                preexec_fn=partial(end_with_parent, os.getpid()),
+            )
+        except OSError as error:
+            why = (error.strerror or "refused").lower()
+            raise _Failed(f"the controller '{words[0]}' cannot be started: {why}") from None
+        try:
+            most = int(self.job.limits.memory_mb * 1e6)
+            with contextlib.suppress(OSError):  # it has ended already
+                prlimit(process.pid, RLIMIT_DATA, (most, most))
+            yield process
+        finally:
+            with contextlib.suppress(OSError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await end(process, words[0], 0)
+
+    async def _wait(self, process: asyncio.subprocess.Process, watch: "_Watch") -> None:
+        """Wait for the drive's last tick.
+
+        Raises
+        ------
+        _Failed
+            If it does not come.
+        """
+        lines: deque[str] = deque(maxlen=_LAST_LINES)
+        reading = asyncio.create_task(_keep(process, lines))
+        over = asyncio.create_task(watch.over.wait())
+        try:
+            await asyncio.wait(
+                (over, reading),
+                timeout=self.job.limits.time_s,
+                return_when=asyncio.FIRST_COMPLETED,
+            )
+            if reading.done() and not over.done():
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(1.0):
+                        await process.wait()
+        finally:
+            over.cancel()
+            reading.cancel()
+        if watch.problem:
+            raise _Failed(watch.problem)
+        if watch.is_complete:
+            return
+        if process.returncode is None:
+            raise _Failed(
+                f"took longer than {self.job.limits.time_s:g} s: {watch.place}, the controller does"
+                " not step any more"
+            )
+        raise _Failed(f"the controller {_ending(process.returncode, lines)}; {watch.place}")
+
+
+class _Watch:
+    """Takes the values of every tick, and notes what the controller commanded.
+
+    Attributes
+    ----------
+    values : ndarray, shape (k, n)
+        Of the signals to keep.
+    over : asyncio.Event
+        Set by the last tick, or by a problem.
+    """
+
+    def __init__(self, daemon: Daemon, kept: tuple[str, ...], n_ticks: int) -> None:
+        self._daemon, self._n, self._done = daemon, n_ticks, 0
+        self._slots = [daemon.table.slot(name) for name in kept]
+        self._inputs = [s for s in daemon.table if s.writable and not s.is_array and not s.hidden]
+        self._newest = np.array([s.initial for s in self._inputs])
+        self._next = daemon.image.head
+        self.values = np.zeros((len(kept), n_ticks))
+        self.written: list[tuple[int, dict[str, Any]]] = []
+        self.over, self.problem = asyncio.Event(), ""
+        daemon.scheduler.after_batch.append(self._look)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the drive is over."""
+        return self._done >= self._n
+
+    @property
+    def place(self) -> str:
+        """How far the drive has got, in words."""
+        period_s = self._daemon.assembly.base_period_ns * 1e-9
+        return f"the drive has come to {self._done * period_s:g} s of {self._n * period_s:g} s"
+
+    def _look(self) -> None:
+        image, control = self._daemon.image, self._daemon.control
+        if n := image.head - self._next:
+            frames = read_frames(image, self._next, n)
+            self._next += n
+            self._take(frames.ticks, frames.values)
+        if self.is_complete:
+            self.over.set()
+        elif code := image.control.fault:
+            self._fail(f"{fault_of(code).text}; {self.place}")
+        elif control.state not in (State.PAUSED, State.STOPPING):
+            self._fail(
+                f"the controller let the robot run by itself ({control.reason}); one in lockstep"
+                f" calls Step and nothing else that moves it; {self.place}"
+            )
+
+    def _fail(self, why: str) -> None:
+        self.problem = self.problem or why
+        self.over.set()
+
+    def _take(self, ticks: Any, values: Any) -> None:
+        inside = ticks < self._n
+        ticks, values = ticks[inside], values[inside]
+        if not len(ticks):
+            return
+        if ticks[0] == 0:  # a Reset begins anew
+            self.written, self._newest = [], np.array([s.initial for s in self._inputs])
+        self.values[:, ticks] = values[:, self._slots].T
+        inputs = values[:, [s.slots[0] for s in self._inputs]]
+        before = np.vstack((self._newest, inputs[:-1]))
+        for row in np.flatnonzero((inputs != before).any(axis=1)).tolist():
+            changed = np.flatnonzero(inputs[row] != before[row]).tolist()
+            signals = ((self._inputs[k], float(inputs[row, k])) for k in changed)
+            self.written.append((int(ticks[row]), {s.name: _typed(s, v) for s, v in signals}))
+        self._newest, self._done = inputs[-1], int(ticks[-1]) + 1
+
+
+def _heard(config: Config) -> Config:
+    """Return the robot with a server that programs of this computer reach and nobody else."""
+    update = {
+        "opcua": type(config.opcua)(endpoint=_ADDRESS),
+        "control": config.control.model_copy(update={"source": "opcua"}),
+    }
+    return config.model_copy(update=update)
+
+
+def _filled(word: str, values: dict[str, str]) -> str:
+    for name, value in values.items():
+        word = word.replace(name, value)
+    return word
+
+
+def _typed(signal: Signal, value: float) -> bool | int | float:
+    if signal.type is ValueType.BOOLEAN:
+        return bool(value)
+    return value if signal.type is ValueType.DOUBLE else int(value)
+
+
+async def _keep(process: asyncio.subprocess.Process, lines: "deque[str]") -> None:
+    """Read what a process says of its errors and keep the end, until it closes its output."""
+    assert process.stderr is not None
+    rest = b""
+    while piece := await process.stderr.read(4096):
+        *whole, rest = (rest + piece).split(b"\n")
+        rest = rest[-4096:]
+        lines.extend(line.decode("utf-8", "replace").strip() for line in whole if line.strip())
+    if rest.strip():
+        lines.append(rest.decode("utf-8", "replace").strip())
+
+
+def _ending(code: int, lines: "deque[str]") -> str:
+    """Return how a process ended, with what it said of it."""
+    how = f"ended with exit code {code}"
+    if code == 0:
+        return how
+    if code < 0:
+        with contextlib.suppress(ValueError):
+            how = f"was ended by {signal.Signals(-code).name}"
+    said = [line for line in lines if "rror" in line] or list(lines)
+    return f"{how}: {said[-1]:.200}" if said else how
