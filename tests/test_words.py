@@ -23,9 +23,18 @@ AVOIDED = {
 }
 WORD = re.compile(rf"\b({'|'.join(AVOIDED)})\b", re.IGNORECASE)
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("deploy/**/*.md")]
-TEXTS = [path for kind in ("yaml", "csv", "j2") for path in ROOT.glob(f"hilserver/**/*.{kind}")]
+TEXTS = [
+    path
+    for kind in ("yaml", "csv", "j2")
+    for house in ("hilserver", "reference")
+    for path in ROOT.glob(f"{house}/**/*.{kind}")
+]
 MODULES = sorted(
-    [*ROOT.glob("hilserver/**/*.py"), *ROOT.glob("benchmarks/*.py"), *ROOT.glob("reference/*.py")]
+    [
+        *ROOT.glob("hilserver/**/*.py"),
+        *ROOT.glob("benchmarks/*.py"),
+        *ROOT.glob("reference/**/*.py"),
+    ]
 )
 
 

@@ -5,13 +5,10 @@ What needs peers and rivals of hilserver is not installed with it; in a checkout
 
 import argparse
 import importlib
-import os
-import sys
-from pathlib import Path
 from typing import Any
 
-import hilserver
 from hilserver.bench.report import as_table, write_json
+from hilserver.commands.checkout import beside
 from hilserver.commands.options import out_file
 from hilserver.errors import EXIT_DONE, FailedError
 
@@ -31,7 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one sub-command per bench."""
     benches = parser.add_subparsers(title="benches", metavar="BENCH", required=True)
     modules = {name: (f"hilserver.bench.{name}", text) for name, text in BENCHES.items()}
-    others = _of_checkout()
+    benchmarks = beside("benchmarks")
+    others: dict[str, str] = {} if benchmarks is None else benchmarks.BENCHES
     modules |= {name: (f"benchmarks.{name}", text) for name, text in others.items()}
     for name, (path, text) in modules.items():
         module = importlib.import_module(path)
@@ -48,19 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
         absent.add_argument("words", nargs="*")
         absent.set_defaults(measure=_absent, bench=name, json=None)
-
-
-def _of_checkout() -> dict[str, str]:
-    """Return the benches beside the package, which are imported from there; none if installed."""
-    root = str(Path(hilserver.__file__).parents[1])
-    if not Path(root, "benchmarks", "__main__.py").is_file():
-        return {}
-    if root not in sys.path:
-        sys.path.insert(0, root)
-        known = os.environ.get("PYTHONPATH")  # for the processes that they start
-        os.environ["PYTHONPATH"] = f"{root}{os.pathsep}{known}" if known else root
-    benches: dict[str, str] = importlib.import_module("benchmarks").BENCHES
-    return benches
 
 
 def _absent(args: argparse.Namespace) -> Any:

@@ -7,11 +7,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from hilserver.errors import EXIT_DONE
+from hilserver.commands.checkout import beside
+from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.program.progress import Progress
 from hilserver.scenarios import SCENARIOS, scenario
 from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, SEALED, write
-from hilserver.scenarios.page import PAGE, make_entry, write_page
 
 EXAMPLE = "hilserver scenarios make pulls_aside -o pulls_aside"
 
@@ -62,13 +62,16 @@ def _make(args: argparse.Namespace) -> None:
 
 
 def _page(args: argparse.Namespace) -> None:
+    page = beside("reference.scenarios.page")
+    if page is None:
+        raise FailedError("'scenarios page' writes a page of the source: run it in a checkout")
     chosen = [scenario(name) for name in args.names] or list(SCENARIOS.values())
     progress = Progress()
     try:
         for k, one in enumerate(chosen):
             progress(one.name, k / len(chosen))
-            write_page(args.out, {one.name: make_entry(one)})
+            page.write_page(args.out, {one.name: page.make_entry(one)})
             progress.say(one.name, sys.stdout)
     finally:
         progress.end()
-    print(f"The page is {args.out / PAGE}")
+    print(f"The page is {args.out / page.PAGE}")

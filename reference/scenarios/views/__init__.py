@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from typing import Final
 
 from hilserver.measured.channels import GYRO, NAV_X, SPEEDS, YAW
-from hilserver.scenarios.views.case import Case, View
-from hilserver.scenarios.views.over_time import AsRecorded, OverTime
-from hilserver.scenarios.views.summaries import (
+from reference.scenarios.views.case import Case, View
+from reference.scenarios.views.over_time import AsRecorded, OverTime
+from reference.scenarios.views.summaries import (
     AgainstHeading,
     DutyOverSpeed,
     OverHorizon,
     TurnGains,
 )
-from hilserver.scenarios.views.way import Way
+from reference.scenarios.views.way import Way
 
 __all__ = ["VIEWS", "Case"]
 

@@ -6,12 +6,13 @@ from xml.etree import ElementTree
 
 import pytest
 
+import hilserver
 from hilserver.commands import main
 from hilserver.diagnosis.schema.findings import Finding, Findings, Parameter
 from hilserver.scenarios import SCENARIOS
-from hilserver.scenarios.page import PAGE, PLOTS, sections
-from hilserver.scenarios.telling import COLUMNS, hidden_value, section, words
-from hilserver.scenarios.views import VIEWS
+from reference.scenarios.page import PAGE, PLOTS, sections
+from reference.scenarios.telling import COLUMNS, hidden_value, section, words
+from reference.scenarios.views import VIEWS
 
 DOCS = Path(__file__).parents[2] / "docs" / "explanation"
 SVG = "{http://www.w3.org/2000/svg}"
@@ -110,3 +111,9 @@ def test_truth_of_a_comparison_is_that_of_both_sides():
     ]
     assert values == [0.0, 0.08, 0.08]
     assert hidden_value("dead_zone.b", told, drive) is None
+
+
+def test_what_is_installed_says_where_the_page_is_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(hilserver, "__file__", str(tmp_path / "hilserver" / "__init__.py"))
+    assert main(["scenarios", "page", "-o", str(tmp_path)]) == 1
+    assert "run it in a checkout" in capsys.readouterr().err

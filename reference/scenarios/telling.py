@@ -31,7 +31,7 @@ class Words:
 @cache
 def words() -> Mapping[str, Words]:
     """Return the words of every scenario."""
-    text = files("hilserver.scenarios").joinpath("words.yaml").read_text(encoding="utf-8")
+    text = files("reference.scenarios").joinpath("words.yaml").read_text(encoding="utf-8")
     return {name: Words(**entry) for name, entry in yaml.safe_load(text).items()}
 
 
@@ -60,7 +60,7 @@ def section(scenario: Scenario, drive: Drive, findings: Findings, picture: str) 
 @cache
 def _template() -> Template:
     environment = Environment(  # noqa: S701 - Markdown, of our own words and names
-        loader=PackageLoader("hilserver.scenarios"),
+        loader=PackageLoader("reference.scenarios"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

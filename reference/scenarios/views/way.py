@@ -10,8 +10,8 @@ from hilserver.diagnosis.schema.evidence import Path
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import NAV_X
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.scenarios.views.case import PICTURE_WIDTH, POINTS, Case, Legend
-from hilserver.scenarios.views.stretch import stretch
+from reference.scenarios.views.case import PICTURE_WIDTH, POINTS, Case, Legend
+from reference.scenarios.views.stretch import stretch
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from hilserver.identify.rotation import identify_rotation
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
-from hilserver.scenarios.views.case import HEIGHT, PICTURE_WIDTH, Case, Legend, axes
+from reference.scenarios.views.case import HEIGHT, PICTURE_WIDTH, Case, Legend, axes
 
 
 @dataclass(frozen=True, slots=True)

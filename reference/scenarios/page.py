@@ -16,8 +16,8 @@ from hilserver.measured.reading import read_measured
 from hilserver.scenarios.drives import SCENARIOS
 from hilserver.scenarios.expectation import Scenario
 from hilserver.scenarios.making import AGAINST, CONFIG, LOGS, write
-from hilserver.scenarios.telling import section, words
-from hilserver.scenarios.views import VIEWS, Case
+from reference.scenarios.telling import section, words
+from reference.scenarios.views import VIEWS, Case
 
 PAGE, PLOTS = "scenarios.md", "scenarios"
 SEED: Final = 0

@@ -7,7 +7,7 @@ import numpy as np
 from hilserver.measured.arrays import Array
 from hilserver.measured.clock import cut
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
-from hilserver.scenarios.views.case import Case
+from reference.scenarios.views.case import Case
 
 NEARLY_LARGEST: Final = 0.98
 """Of stretches whose difference is so nearly the largest the middle one is shown."""

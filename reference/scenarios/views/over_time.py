@@ -11,8 +11,8 @@ from hilserver.diagnosis.report.svg import Plot
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import MeasuredLog
-from hilserver.scenarios.views.case import HEIGHT, POINTS, Case, Legend, axes
-from hilserver.scenarios.views.stretch import stretch
+from reference.scenarios.views.case import HEIGHT, POINTS, Case, Legend, axes
+from reference.scenarios.views.stretch import stretch
 
 UPPER, LOWER = 280.0, 190.0
 OVERLAP: Final = 20.0
