@@ -19,9 +19,11 @@ import pytest
 
 from hilserver.program.shared_memory import path_of
 from tests.fakes import image_name
-from tests.helpers.daemons import NO_LIMITS, announced, running_daemon
+from tests.helpers.daemons import NO_LIMITS, running_daemon
 
-END_WITHIN_S = 3.0
+END_WITHIN_S = 10.0
+"""What hangs takes 30 s. The 3 s that are promised are measured by the campaign of 100 moments."""
+PROMISED_S = 3.0
 LATEST_S = 20.0
 FIRST_LINE_S = 0.3
 SILENT_AT_MOST_S = 10.0
@@ -50,7 +52,7 @@ def is_alive(pid):
     return False
 
 
-def ended_at(folder, number, feature, demo, moment_s):
+def ended_at(folder, number, feature, demo, moment_s, within_s):
     """Start a daemon, end it at a moment; return what is wrong with how it ended."""
     folder.mkdir()
     image = image_name()
@@ -80,7 +82,7 @@ def ended_at(folder, number, feature, demo, moment_s):
         took_s = time.monotonic() - asked_s
     wrong = {
         "code": code if code != 0 else None,
-        "took_s": took_s if took_s > END_WITHIN_S else None,
+        "took_s": took_s if took_s > within_s else None,
         "children": [pid for pid in born if is_alive(pid)],
         "image": path_of(image).exists(),
         "traceback": "Traceback" in log.read_text(),
@@ -90,7 +92,7 @@ def ended_at(folder, number, feature, demo, moment_s):
     return found and (feature, demo, number, round(moment_s, 2), found, log.read_text()[-2000:])
 
 
-def campaign(folder, n, workers, seed):
+def campaign(folder, n, workers, seed, within_s=END_WITHIN_S):
     draw = random.Random(seed)
     latest_s = LATEST_S if n > 20 else LATEST_S / 3
     jobs = []
@@ -98,7 +100,8 @@ def campaign(folder, n, workers, seed):
         feature = list(FEATURES)[index % len(FEATURES)]
         number = draw.choice([signal.SIGINT, signal.SIGTERM])
         demo = bool(index % 2) and feature != "peer"
-        jobs.append((folder / str(index), number, feature, demo, draw.uniform(0.05, latest_s)))
+        moment_s = draw.uniform(0.05, latest_s)
+        jobs.append((folder / str(index), number, feature, demo, moment_s, within_s))
     with ThreadPoolExecutor(workers) as pool:
         return [wrong for wrong in pool.map(lambda job: ended_at(*job), jobs) if wrong]
 
@@ -109,7 +112,7 @@ def test_a_signal_ends_it_at_any_moment(tmp_path):
 
 @pytest.mark.long
 def test_a_signal_ends_it_at_a_hundred_moments(tmp_path):
-    assert not campaign(tmp_path, 100, 2, seed=2)
+    assert not campaign(tmp_path, 100, 2, seed=2, within_s=PROMISED_S)
 
 
 @contextlib.contextmanager
@@ -206,7 +209,9 @@ supervise, runs = Daemon._supervise, []
 def _supervise(self, *arguments):
     supervise(self, *arguments)
     runs.append(1)
-    while len(runs) > 5: pass
+    if len(runs) > 5:
+        print('standing still', file=sys.stderr, flush=True)
+        while True: pass
 Daemon._supervise = _supervise
 from hilserver.commands import main
 sys.exit(main(['run', '-c', 'config.yaml']))
@@ -219,9 +224,8 @@ def test_a_blocked_event_loop_does_not_hold_up_the_end(tmp_path):
     (tmp_path / "config.yaml").write_text(text + "opcua: {enabled: false}\n")
     command = [sys.executable, "-c", BLOCKED]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
-        while not announced([line := process.stderr.readline()]):
+        while (line := process.stderr.readline()) != "standing still\n":
             assert line
-        time.sleep(1.5)
         born = children(process.pid)
         process.terminate()
         start_s = time.monotonic()
