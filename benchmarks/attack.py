@@ -39,8 +39,8 @@ from benchmarks.attack_target import (
     running_control,
     running_target,
 )
+from benchmarks.wire import Wire
 from hilserver.bench.report import Result
-from hilserver.bench.wire import Wire
 
 _ATTACKER_NICENESS = 10
 _AT_ONCE = 60

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 
 from asyncua import ua
 
-from hilserver.bench.wire import Wire, frame
+from benchmarks.wire import Wire, frame
 
 N_SOCKETS, N_SESSIONS = 300, 150
 _PAUSE_S = 0.05

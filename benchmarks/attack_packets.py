@@ -10,7 +10,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.ua.ua_binary import struct_to_binary
 
-from hilserver.bench.wire import frame, hello, open_channel
+from benchmarks.wire import frame, hello, open_channel
 
 STAGES = ("raw", "hello", "channel", "session")
 """What goes before the packet: nothing, Hello, an open channel, an activated session."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from hilserver.bench.target import running_daemon
+from benchmarks.target import running_daemon
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hilserver.bench.target import DAEMON, free_port
+from hilserver.bench.own_daemon import DAEMON, free_port
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python

@@ -14,13 +14,13 @@ from hilserver.errors import EXIT_DONE, FailedError
 
 EXAMPLE = "hilserver bench plant --json plant.json"
 BENCHES = {
-    "start": "to the first tick and in memory, against the import of the libraries",
     "plant": "one step of four wheels and pose against the same recurrence in C",
     "jitter": "wake latency under OPC UA load against cyclictest",
-    "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
     "loop": "set-point to pose and back over TCP, two processes",
 }
-ELSEWHERE = ("attack", "diagnose", "mechatronic", "page", "ros2", "shield", "stop")
+ELSEWHERE = (
+    "attack", "diagnose", "mechatronic", "opcua", "page", "ros2", "shield", "start", "stop",
+)  # fmt: skip
 """Those of a checkout, in its folder ``benchmarks``."""
 
 

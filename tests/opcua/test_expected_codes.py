@@ -12,7 +12,7 @@ from asyncua import ua
 from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import struct_from_binary, struct_to_binary
 
-from hilserver.bench.wire import Wire, frame, open_channel
+from benchmarks.wire import Wire, frame, open_channel
 from hilserver.opcua.encoding import ReadItem
 from tests.io.opcua_server.rig import Rig
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from asyncua.common.utils import ServiceError
 
-from hilserver.bench.wire import Wire
+from benchmarks.wire import Wire
 from hilserver.opcua import transport
 from hilserver.opcua.application import Visitor
 from hilserver.opcua.places import YIELDS_AFTER_S, Places

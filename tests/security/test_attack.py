@@ -17,7 +17,7 @@ from benchmarks.attack_figures import ATTACK, CONTROL, IDLE, Block, Campaign, re
 from benchmarks.attack_floods import FLOODS
 from benchmarks.attack_packets import STAGES, captures, packets
 from benchmarks.poisson import block_ratio_interval, rate_ratio_interval
-from hilserver.bench.wire import Wire
+from benchmarks.wire import Wire
 from tests.io.opcua_server.rig import Rig
 
 

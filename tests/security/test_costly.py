@@ -18,7 +18,7 @@ from asyncua import ua
 from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import nodeid_from_binary, struct_from_binary
 
-from hilserver.bench.wire import Wire
+from benchmarks.wire import Wire
 from hilserver.signals import State
 from tests.helpers.daemons import running_daemon
 from tests.security.costly import Requests, bytes_of, chunks

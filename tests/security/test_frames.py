@@ -12,7 +12,7 @@ from asyncua.ua.ua_binary import variant_from_binary, variant_to_binary
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.bench.wire import Wire, frame, hello
+from benchmarks.wire import Wire, frame, hello
 from hilserver.opcua.decoding import bound_decoder, within_bounds
 from hilserver.opcua.frames import FrameReader, Stage, TransportError, check_order
 from tests.io.opcua_server.rig import Rig, RobotClient

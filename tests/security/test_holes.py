@@ -12,7 +12,7 @@ from collections.abc import Callable
 import pytest
 from asyncua import Client, ua
 
-from hilserver.bench.wire import Wire, frame
+from benchmarks.wire import Wire, frame
 from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig, RobotClient
 from tests.security.pki import Pki

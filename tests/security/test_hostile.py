@@ -11,7 +11,7 @@ from asyncua import ua
 from asyncua.common.utils import Buffer
 from asyncua.ua.ua_binary import struct_from_binary
 
-from hilserver.bench.wire import Wire, frame
+from benchmarks.wire import Wire, frame
 from hilserver.core.snapshot import MOST_SNAPSHOTS
 from hilserver.faults.model import parse_faults
 from hilserver.opcua.settings import OpcUaLimits, Role

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import socket
 import subprocess
 import tempfile
 import time
@@ -13,13 +12,12 @@ from typing import Any
 import yaml
 from asyncua import ua
 
-from hilserver.bench.wire import Wire
+from benchmarks.wire import Wire
+from hilserver.bench.own_daemon import DAEMON, free_port
 from hilserver.errors import FailedError
 from hilserver.program.children import piped, python
 
 START_WITHIN_S = 300.0
-DAEMON = "import sys; from hilserver.commands import main; sys.exit(main(sys.argv[1:]))"
-"""What a process of Python runs to be the command line."""
 
 
 @contextlib.asynccontextmanager
@@ -42,13 +40,6 @@ async def running_daemon(
         with piped(command, name="hilserver run") as daemon:
             await _wait_for_server(url, daemon)
             yield url, daemon
-
-
-def free_port() -> int:
-    """Return a TCP port that nobody uses now."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 async def _wait_for_server(url: str, daemon: "subprocess.Popen[str]") -> None:

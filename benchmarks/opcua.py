@@ -19,10 +19,11 @@ from pathlib import Path
 
 from asyncua import ua
 
-from hilserver.bench.opcua_clients import Clients, Delivered, build
+from benchmarks.opcua_clients import Clients, Delivered, build
+from benchmarks.target import running_daemon
+from benchmarks.wire import Wire
+from hilserver.bench.own_daemon import free_port
 from hilserver.bench.report import Result
-from hilserver.bench.target import free_port, running_daemon
-from hilserver.bench.wire import Wire
 from hilserver.program.children import piped, python
 
 _RATE_HZ = 50.0
@@ -128,7 +129,7 @@ async def _ours() -> AsyncIterator[Subject]:
 @contextlib.asynccontextmanager
 async def _stock() -> AsyncIterator[Subject]:
     port = free_port()
-    arguments = ["-m", "hilserver.bench.opcua_stock", str(port), str(len(CHANGING)), str(_RATE_HZ)]
+    arguments = ["-m", "benchmarks.opcua_stock", str(port), str(len(CHANGING)), str(_RATE_HZ)]
     with piped(python(*arguments), name="the stock server") as process:
         assert process.stdout is not None
         await asyncio.to_thread(process.stdout.readline)

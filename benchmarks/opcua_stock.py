@@ -1,6 +1,6 @@
 """asyncua's own server with Doubles that change at a fixed rate: the reference of `bench opcua`.
 
-``python -m hilserver.bench.opcua_stock PORT NODES RATE_HZ`` prints a line when it listens and
+``python -m benchmarks.opcua_stock PORT NODES RATE_HZ`` prints a line when it listens and
 serves until its standard input ends.
 """
 

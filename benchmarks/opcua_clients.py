@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from asyncua import ua
 from asyncua.ua.ua_binary import nodeid_to_binary
 
-from hilserver.bench.wire import Wire
+from benchmarks.wire import Wire
 from hilserver.errors import FailedError
 
 _PUBLISH_REQUESTS = 3
@@ -34,7 +34,7 @@ def build(folder: Path) -> Path:
     if compiler is None:
         raise FailedError("the bench needs a C compiler (Debian: apt-get install gcc)")
     program = folder / "opcua_clients"
-    with as_file(files("hilserver.bench") / "opcua_clients.c") as source:
+    with as_file(files("benchmarks") / "opcua_clients.c") as source:
         subprocess.run([compiler, *_FLAGS, "-o", program, source], check=True)  # noqa: S603
     return program
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import yaml
 
+from hilserver.bench.own_daemon import DAEMON, free_port
 from hilserver.bench.report import Result
-from hilserver.bench.target import DAEMON, free_port
 from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
