@@ -1,0 +1,112 @@
+"""`recalibration.jsonl`: a line for every look, proposal and decision; none is ever changed.
+
+Each line carries the hash of the one before, so that a line that was changed or removed shows. A
+daemon that is killed may leave half a line; it is cut off at the next start, and the chain goes on.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from hilserver.errors import FailedError
+
+FILE: Final = "recalibration.jsonl"
+LARGEST_BYTES: Final = 100_000_000
+_FIRST: Final = "0" * 64
+
+
+class History:
+    """The file; appends are on disk when they return.
+
+    Raises
+    ------
+    FailedError
+        If it cannot be read or is none.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / FILE
+        self._size, self._last, self.number = 0, _FIRST, 0
+        self.lines: list[dict[str, Any]] = []
+        """Those of earlier runs, for whoever restores what they left."""
+        try:
+            content = self.path.read_bytes() if self.path.exists() else b""
+        except OSError as error:
+            raise FailedError(f"{self.path}: {(error.strerror or str(error)).lower()}") from None
+        for text in content.splitlines(keepends=True):
+            line = _parsed(text)
+            if line is None and self._size + len(text) < len(content):
+                raise FailedError(
+                    f"{self.path}: line {self.number + 1} is damaged; move the file away, or remove"
+                    " the line and all that follow"
+                )
+            if line is None:
+                break  # the last one: half of it was written when somebody pulled the plug
+            self.lines.append(line)
+            self._size += len(text)
+            self._last, self.number = str(line.get("hash", _FIRST)), self.number + 1
+
+    def append(self, kind: str, **fields: Any) -> dict[str, Any]:
+        """Append a line; whole or not at all.
+
+        Raises
+        ------
+        FailedError
+            If the disk does not take it.
+        """
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        line = {"number": self.number + 1, "time": now, "kind": kind, **fields}
+        line["before"] = self._last
+        line["hash"] = _hash(line)
+        data = (json.dumps(line, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        self._write(data)
+        self._size += len(data)
+        self._last, self.number = line["hash"], self.number + 1
+        return line
+
+    def _write(self, data: bytes) -> None:
+        if self._size + len(data) > LARGEST_BYTES:
+            raise FailedError(f"{self.path}: is full at {LARGEST_BYTES / 1e6:.0f} MB; move it away")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
+            try:
+                os.ftruncate(fd, self._size)  # half a line of before
+                os.lseek(fd, self._size, os.SEEK_SET)
+                if os.write(fd, data) < len(data):
+                    os.ftruncate(fd, self._size)
+                    raise OSError(28, "no space is left")
+                os.fsync(fd)
+            finally:
+                os.close(fd)
+        except OSError as error:
+            raise FailedError(
+                f"{self.path}: cannot be written: {(error.strerror or str(error)).lower()}"
+            ) from None
+
+
+def _parsed(text: bytes) -> dict[str, Any] | None:
+    try:
+        line = json.loads(text)
+    except ValueError:
+        return None
+    return line if text.endswith(b"\n") and isinstance(line, dict) else None
+
+
+def _hash(line: Mapping[str, Any]) -> str:
+    own = {key: value for key, value in line.items() if key != "hash"}
+    return hashlib.sha256(json.dumps(own, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def broken(lines: Iterator[Mapping[str, Any]] | list[dict[str, Any]]) -> int | None:
+    """Return the number of the first line that does not fit the one before; None if all do."""
+    last = _FIRST
+    for count, line in enumerate(lines, 1):
+        if line.get("before") != last or line.get("hash") != _hash(line):
+            return count
+        last = str(line["hash"])
+    return None

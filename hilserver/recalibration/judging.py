@@ -1,0 +1,172 @@
+"""A look: what is named on one window, and how two models explain another.
+
+The base is the configuration with what differs from it besides terms. Terms are estimated as
+totals, whatever runs now, so that a proposal can also take back what an earlier one has brought.
+"""
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble_config
+from hilserver.diagnosis.catalogue.candidate import several
+from hilserver.diagnosis.checks import check
+from hilserver.diagnosis.engine import HORIZON_S, judge
+from hilserver.diagnosis.output import documents, write
+from hilserver.diagnosis.regression.gain import gains
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.stages import stages_of
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import Finding, Overall, Verdict
+from hilserver.errors import UserError
+from hilserver.measured.data import MeasuredLog
+from hilserver.measured.frames import Sampling
+from hilserver.measured.reading import read_measured
+from hilserver.parameters import geometric_gain, with_values
+from hilserver.plant.parameters import RobotParameters
+from hilserver.recalibration import flips
+from hilserver.recalibration.orders import Compared, Looked, Order, Result, Values
+from hilserver.recalibration.proposals import Quantity, Term
+from hilserver.recalibration.spending import NAMED_LEVEL
+
+REFINED: Final = 3
+"""The same for both models: what is left to refine must not make a difference."""
+PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
+Array = flips.Array
+
+
+class Judge:
+    """Does what an order asks for; reads the window once."""
+
+    def __init__(self, order: Order) -> None:
+        self._order, self._todo = order, order.todo
+        config = Config.model_validate(order.config)
+        assembly = assemble_config(config, Path(order.folder))
+        self._config_sha256, self._sampling = config.sha256, Sampling.of(config)
+        robot = assembly.robot
+        if order.parameters:
+            robot = with_values(robot, order.parameters, geometric_gain(robot))
+        self.robot = robot
+
+    @cached_property
+    def log(self) -> MeasuredLog:
+        """The window.
+
+        Raises
+        ------
+        LogError
+            If it is damaged, or holds nothing to judge.
+        """
+        return read_measured([Path(self._order.path)], None, self._sampling)
+
+    def result(self) -> Result:
+        """Return what came of the order; what is wrong with a window is a sentence."""
+        todo, measure, confirm, look = self._todo, None, None, None
+        try:
+            if todo.measure is not None:
+                measure = compared(self.log, self.robot, todo.measure, todo.loaded)
+            if todo.confirm is not None:
+                confirm = compared(self.log, self.robot, todo.loaded, todo.confirm)
+            is_confirmed = confirm is not None and confirm.flips.holds(todo.level)
+            if todo.look and not is_confirmed:
+                look = self._look()
+        except UserError as error:
+            return Result(measure, confirm, error=str(error))
+        return Result(measure, confirm, look)
+
+    def _look(self) -> Looked:
+        diagnosis = judge(self.log, self.robot, config_sha256=self._config_sha256, jobs=1)
+        looked = self._looked(diagnosis)
+        if looked.verdict == "named" and self._order.report:
+            write(Path(self._order.report), documents(diagnosis))
+        return looked
+
+    def _looked(self, diagnosis: Diagnosis) -> Looked:
+        found, loaded = diagnosis.findings.findings, self._todo.loaded
+        faults = tuple(f.explanation for f in found if f.verdict is Verdict.DATA_FAULT)
+        if faults:
+            return Looked("data_fault", faults=faults)
+        named = [f for f in found if f.verdict in PROPOSABLE]
+        others = [f for f in found if f not in named]
+        if others and not named:
+            return Looked("unexplained", sentence_of(others))
+        if diagnosis.findings.verdict is Overall.NOT_JUDGED:
+            return Looked("not_judged")
+        terms = proposed(diagnosis, loaded)
+        values = {name: term.value for name, term in terms.items()}
+        if values == dict(loaded):
+            return Looked("as_running" if loaded else "nothing")
+        again = compared(self.log, self.robot, loaded, values)
+        if not again.flips.holds(NAMED_LEVEL / (2 * max(len({*values, *loaded}), 1))):
+            return Looked("as_running" if loaded else "nothing", p=again.p)
+        gone = {name: value for name, value in loaded.items() if name not in values}
+        return Looked(
+            "named",
+            sentence_of(named) or f"No longer there: {', '.join(sorted(gone))}.",
+            tuple(cause for f in named for cause in f.causes) or tuple(sorted(gone)),
+            terms,
+            gone,
+            loaded,
+            diagnosis.evidence.fitted.model_dump(mode="json", exclude_none=True),
+            p=again.p,
+        )
+
+
+def sentence_of(findings: list[Finding]) -> str:
+    """Return what findings say."""
+    return " ".join(f.explanation for f in findings)
+
+
+def proposed(diagnosis: Diagnosis, loaded: Values) -> dict[str, Term]:
+    """Return the terms of a diagnosis; one whose interval holds its present value keeps that."""
+    terms: dict[str, Term] = {}
+    for fitted in diagnosis.evidence.extension:
+        p = fitted.parameter
+        term = Term(p.value, p.unit, p.ci95, loaded.get(fitted.name))
+        stays = term.stays and term.present is not None
+        terms[fitted.name] = replace(term, value=term.present or 0.0) if stays else term
+    return terms
+
+
+def fixed(values: Values) -> Model:
+    """Return the model with these terms, and nothing that is fitted."""
+    if not values:
+        return Model()
+    return Model((Fitted(several("patch", "patch", "pose", (), (), 0.0, values), ()),))
+
+
+def compared(log: MeasuredLog, robot: RobotParameters, before: Values, after: Values) -> Compared:
+    """Compare two models, neither of which has seen a log, block by block.
+
+    The noise is that which the model before leaves: it may hide a gain, and never makes one.
+    """
+    log, rng = check(log, robot).log, np.random.default_rng(0)
+    differences: list[Array] = []
+    gain: dict[str, Quantity] = {}
+    for stage in stages_of(log, robot, drive_terms=after).values():
+        problem = Problem(stage.uncut())
+        if not len(problem.stack):
+            continue
+        first, second = _points(problem, fixed(before), fixed(after))
+        differences.append(first.loss - second.loss)
+        found = gains(problem, first.predicted, second.predicted, HORIZON_S, rng)
+        gain |= {n: Quantity(g.before, g.after, g.ratio, g.ci95) for n, g in found.items()}
+    answer = flips.gains(np.concatenate(differences) if differences else np.zeros(0), rng)
+    return Compared(answer.p, answer.resolution, answer.blocks, gain)
+
+
+def _points(problem: Problem, before: Model, after: Model) -> tuple[Point, Point]:
+    poses = problem.start_poses(before.terms)
+    problem.estimate_noise(problem.residual(problem.predict(before.terms, poses)))
+    first = problem.point(before, poses, pose_steps=REFINED)
+    problem.estimate_noise(problem.residual(first.predicted))
+    first, second = (
+        problem.point(model, problem.start_poses(model.terms), pose_steps=REFINED)
+        for model in (before, after)
+    )
+    return first, second

@@ -1,0 +1,274 @@
+"""Which window is looked at, and what follows from what was seen: no clock, no file, no process.
+
+A cause is named on one window. The next one, which took no part, is compared under both models:
+only if the new one gains there, at the level that the budget has for it, there is a proposal.
+"""
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from hilserver.errors import ControlRefused
+from hilserver.recalibration.orders import Compared, Looked, Result, Todo, Values
+from hilserver.recalibration.proposals import Proposal, Quantity, Stage, Step, Term
+from hilserver.recalibration.spending import Spending
+
+EFFECT_LEVEL: Final = 0.05
+"""Of the gain after a decision: it is reported, and offers the former model back."""
+REMEMBERED: Final = 50
+"""Rejected proposals that are not made again."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """A line for the history; with a sentence it is an event, too."""
+
+    kind: str
+    fields: Mapping[str, Any]
+    sentence: str = ""
+    severity: int = 200
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What was named on a window and waits for the next."""
+
+    window: int
+    loaded: Values
+    looked: Looked
+    level: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Its terms."""
+        return {name: term.value for name, term in self.looked.terms.items()}
+
+
+class Loop:
+    """The rules.
+
+    Parameters
+    ----------
+    every_s : float or None
+        Look at least so often.
+    now_s : float
+        Start of the first window.
+
+    Attributes
+    ----------
+    proposal : Proposal or None
+        The newest.
+    changed : str or None
+        Channel whose gap has left its usual range since the last look.
+    """
+
+    def __init__(self, every_s: float | None, spending: Spending, now_s: float) -> None:
+        self._every_s, self._spending, self._looked_s = every_s, spending, now_s
+        self._candidate: Candidate | None = None
+        self._rejected: list[Proposal] = []
+        self._accepted_in: int | None = None
+        self.proposal: Proposal | None = None
+        self.changed: str | None = None
+        self.count = 0
+
+    # --- windows ----------------------------------------------------------------------------------
+
+    def todo(self, window: int, loaded: Values, now_s: float) -> Todo | None:
+        """Return what to do with a window that is complete; None if nothing is."""
+        candidate, proposal = self._candidate, self.proposal
+        if candidate is not None and (candidate.window + 1, candidate.loaded) != (window, loaded):
+            candidate = self._candidate = None
+        measure = None
+        if proposal is not None and proposal.stage is Stage.ACCEPTED and self._began_after(window):
+            measure = present(proposal)
+        is_due = self._every_s is not None and now_s - self._looked_s >= self._every_s
+        found = Todo(
+            window,
+            dict(loaded),
+            measure=measure,
+            confirm=None if candidate is None else candidate.values,
+            level=0.0 if candidate is None else candidate.level,
+            look=is_due or self.changed is not None,
+        )
+        return found if found.look or candidate is not None or measure is not None else None
+
+    def _began_after(self, window: int) -> bool:
+        return self._accepted_in is not None and window > self._accepted_in
+
+    def take(self, todo: Todo, result: Result, now_s: float) -> list[Note]:
+        """Take what came of a window; return what has to be written down and said."""
+        notes: list[Note] = []
+        if result.error:
+            self._candidate = None
+            text = f"window {todo.window} was not judged: {result.error}"
+            notes.append(Note("failed", {"window": todo.window, "error": result.error}, text, 500))
+        if result.measure is not None:
+            notes += self._measured(todo, result.measure)
+        if result.confirm is not None:
+            notes += self._confirmed(todo, result.confirm)
+        if result.look is not None:
+            notes.append(self._seen(todo, result.look, now_s))
+            notes += [
+                Note("data_fault", {"window": todo.window, "sentence": one}, one, 500)
+                for one in result.look.faults
+            ]
+        return notes
+
+    def _seen(self, todo: Todo, look: Looked, now_s: float) -> Note:
+        since_s, self._looked_s = now_s - self._looked_s, now_s
+        self.changed = None
+        level = self._spending.confirmation(since_s)
+        if look.verdict == "named":
+            self._candidate = Candidate(todo.window, todo.loaded, look, level)
+        spent = {"joint": self._spending.joint(since_s), "confirmation": level}
+        found = {"verdict": look.verdict, "causes": look.causes, "sentence": look.sentence}
+        return Note("look", {"window": todo.window, **found, "p": look.p, "spent": spent})
+
+    def _confirmed(self, todo: Todo, compared: Compared) -> list[Note]:
+        candidate, self._candidate = self._candidate, None
+        if candidate is None:
+            return []
+        flips, looked = compared.flips, candidate.looked
+        fields = {
+            "window": todo.window,
+            "named_on": candidate.window,
+            "level": candidate.level,
+            "p": flips.p,
+            "resolution": flips.resolution,
+            "blocks": flips.blocks,
+        }
+        if not flips.holds(candidate.level):
+            verdict = "not_confirmed" if flips.resolves(candidate.level) else "no_test"
+            return [Note("confirmation", {**fields, "verdict": verdict})]
+        made = Proposal(
+            number=self.count + 1,
+            causes=looked.causes,
+            sentence=looked.sentence,
+            terms=looked.terms,
+            gone=looked.gone,
+            fitted=looked.fitted,
+            patch=file_of(self.count + 1, looked.terms),
+            former=file_of(self.count + 1, looked.former, "-former"),
+            gain=compared.gain,
+            p=flips.p,
+            level=candidate.level,
+            windows=(candidate.window, todo.window),
+        )
+        known = [*self._rejected, *([self.proposal] if self._waits else [])]
+        if any(made.resembles(other) for other in known if other is not None):
+            return [Note("confirmation", {**fields, "verdict": "known"})]
+        notes = [Note("confirmation", {**fields, "verdict": "confirmed"})]
+        return notes + self._propose(made)
+
+    def _propose(self, made: Proposal) -> list[Note]:
+        notes: list[Note] = []
+        if self.proposal is not None and self._waits:
+            self.proposal = self.proposal.after(Step.REPLACE)
+            notes.append(Note("decision", {"who": "", "proposal": self.proposal.as_json()}))
+        self.count, self.proposal = made.number, made
+        return [*notes, Note("proposal", {"proposal": made.as_json()}, announced(made), 400)]
+
+    @property
+    def _waits(self) -> bool:
+        return self.proposal is not None and self.proposal.waits
+
+    def _measured(self, todo: Todo, compared: Compared) -> list[Note]:
+        before = self.proposal
+        if before is None or before.stage is not Stage.ACCEPTED:
+            return []
+        self._accepted_in = None
+        is_better = compared.flips.holds(EFFECT_LEVEL)
+        after = before.after(Step.GAINED if is_better else Step.LOST)
+        self.proposal = replace(after, effect=compared.gain)
+        fields = {"window": todo.window, "p": compared.p, "proposal": self.proposal.as_json()}
+        if is_better:
+            text = f"proposal {before.number} was right: {gained(compared.gain)}"
+            return [Note("effect", {**fields, "verdict": "better"}, text)]
+        text = f"proposal {before.number} has not made the gap smaller; the former model is offered"
+        notes = [Note("effect", {**fields, "verdict": "not_better"}, text, 500)]
+        return notes + self._propose(back(before, self.count + 1, todo.window))
+
+    # --- decisions --------------------------------------------------------------------------------
+
+    def decided(self, step: Step, number: int) -> Proposal:
+        """Return the proposal as a decision leaves it; nothing has changed until `adopt`.
+
+        Raises
+        ------
+        ControlRefused
+            If there is none of that number, or it is decided.
+        """
+        if self.proposal is None or self.proposal.number != number:
+            newest = "there is none" if self.proposal is None else f"it is {self.proposal.number}"
+            raise ControlRefused(f"{step}: {number} is not the newest proposal: {newest}")
+        return self.proposal.after(step)
+
+    def adopt(self, decided: Proposal, recording: int) -> None:
+        """Go on from a decision.
+
+        Parameters
+        ----------
+        recording : int
+            Window that is being written: it holds the gap of both models.
+        """
+        self.proposal, self._candidate = decided, None
+        if decided.stage is Stage.REJECTED:
+            self._rejected = [*self._rejected, decided][-REMEMBERED:]
+        if decided.stage is Stage.ACCEPTED:
+            self._accepted_in, self.changed = recording, None
+
+    def restore(self, lines: Iterable[Mapping[str, Any]]) -> None:
+        """Take over what an earlier run has left: the newest proposal, and those rejected.
+
+        One that was accepted is open again: a daemon starts with its configuration.
+        """
+        for line in lines:
+            try:
+                found = Proposal.from_json(line["proposal"])
+            except (TypeError, ValueError, KeyError):
+                continue  # of another kind, or of another version
+            self.proposal, self.count = found, max(self.count, found.number)
+            if found.stage is Stage.REJECTED:
+                self._rejected = [*self._rejected, found][-REMEMBERED:]
+        if self.proposal is not None and self.proposal.stage is Stage.ACCEPTED:
+            self.proposal = self.proposal.after(Step.REOPEN)
+
+
+def file_of(number: int, terms: Collection[str], kind: str = "") -> str:
+    """Return the name of a patch file; empty where there is nothing to lay over the plant."""
+    return f"recalibrated-{number:04d}{kind}.yaml" if terms else ""
+
+
+def present(proposal: Proposal) -> dict[str, float]:
+    """Return the terms of the model before a proposal."""
+    kept = {name: term.present for name, term in proposal.terms.items()}
+    return {n: v for n, v in {**kept, **proposal.gone}.items() if v is not None}
+
+
+def back(proposal: Proposal, number: int, window: int) -> Proposal:
+    """Return the proposal that takes one back that was accepted."""
+    now = {name: term.value for name, term in proposal.terms.items()}
+    before = present(proposal)
+    units = {name: term.unit for name, term in proposal.terms.items()}
+    return Proposal(
+        number=number,
+        causes=proposal.causes,
+        sentence=f"Proposal {proposal.number} has not made the gap smaller: go back to the model"
+        " before it.",
+        terms={n: Term(v, units.get(n, "1"), None, now.get(n)) for n, v in before.items()},
+        gone={name: value for name, value in now.items() if name not in before},
+        windows=(*proposal.windows, window),
+        patch=proposal.former,
+        former=proposal.patch,
+    )
+
+
+def gained(gain: Mapping[str, Quantity]) -> str:
+    """Return the gap before and after in words, the quantity that gains most first."""
+    rows = sorted(gain.items(), key=lambda row: -row[1].ratio)
+    return ", ".join(f"{n} {q.before:.3g} to {q.after:.3g} ({q.ratio:.2g} times)" for n, q in rows)
+
+
+def announced(proposal: Proposal) -> str:
+    """Return the sentence of the event."""
+    return f"proposal {proposal.number}: {proposal.sentence} AcceptProposal or RejectProposal"

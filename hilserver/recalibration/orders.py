@@ -1,0 +1,164 @@
+"""What a look is asked, and what it answers: plain data between two processes."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Self
+
+from hilserver.recalibration.flips import Answer
+from hilserver.recalibration.proposals import Quantity, Term, quantities_of, terms_of
+
+Values = Mapping[str, float]
+"""Terms of the plant by name; those that are off are left out."""
+
+
+@dataclass(frozen=True)
+class Todo:
+    """What to do with one window, in this order.
+
+    Attributes
+    ----------
+    loaded : mapping of float
+        The terms of the model that runs.
+    measure : mapping of float or None
+        Terms of the model before: is the one that runs better?
+    confirm : mapping of float or None
+        Terms that were named on the window before: are they better than the one that runs?
+    level : float
+        Of the confirmation.
+    look : bool
+        Diagnose the window; not after a confirmation that holds.
+    """
+
+    window: int
+    loaded: Values
+    measure: Values | None = None
+    confirm: Values | None = None
+    level: float = 0.0
+    look: bool = False
+
+
+@dataclass(frozen=True)
+class Order:
+    """A `Todo` with all that a process needs for it.
+
+    Attributes
+    ----------
+    config : mapping
+        The configuration, without passwords; relative paths in it start from `folder`.
+    parameters : mapping of float
+        What differs from it besides terms, by full name; NaN is null.
+    report : str
+        Folder for the report of a diagnosis.
+    """
+
+    todo: Todo
+    path: str
+    config: Mapping[str, Any]
+    folder: str
+    parameters: Values
+    report: str
+    parent: int = 0
+
+    def text(self) -> str:
+        """Return it as text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return the order of a text."""
+        data = json.loads(text)
+        return cls(**{**data, "todo": Todo(**data["todo"])})
+
+
+@dataclass(frozen=True)
+class Compared:
+    """How two models explain a window.
+
+    Attributes
+    ----------
+    p, resolution, blocks
+        See `flips.Answer`.
+    gain : mapping of Quantity
+        By quantity.
+    """
+
+    p: float
+    resolution: float
+    blocks: int
+    gain: Mapping[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def flips(self) -> Answer:
+        """The test."""
+        return Answer(self.p, self.resolution, self.blocks)
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What a diagnosis of a window has found.
+
+    Attributes
+    ----------
+    verdict : str
+        named, nothing, data_fault, unexplained or not_judged; as_running: what is named is what
+        runs already.
+    terms : mapping of Term
+        All of the model that would be proposed.
+    gone : mapping of float
+        Terms that run now and are not among them.
+    former : mapping of float
+        All terms that run now.
+    fitted : mapping
+        Where the terms were fitted, as in a patch.
+    faults : sequence of str
+        A sentence for each fault of the data.
+    """
+
+    verdict: str
+    sentence: str = ""
+    causes: tuple[str, ...] = ()
+    terms: Mapping[str, Term] = field(default_factory=dict)
+    gone: Values = field(default_factory=dict)
+    former: Values = field(default_factory=dict)
+    fitted: Mapping[str, Any] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    p: float = 1.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of an order; what was not asked for is None."""
+
+    measure: Compared | None = None
+    confirm: Compared | None = None
+    look: Looked | None = None
+    error: str = ""
+
+    def text(self) -> str:
+        """Return it as text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return the result of a text.
+
+        Raises
+        ------
+        TypeError, ValueError, KeyError
+            If it is none.
+        """
+        data = json.loads(text)
+        compared = {key: _compared(data[key]) for key in ("measure", "confirm")}
+        return cls(**compared, look=_looked(data["look"]), error=str(data["error"]))
+
+
+def _compared(data: Mapping[str, Any] | None) -> Compared | None:
+    return None if data is None else Compared(**{**data, "gain": quantities_of(data["gain"])})
+
+
+def _looked(data: Mapping[str, Any] | None) -> Looked | None:
+    if data is None:
+        return None
+    lists = {key: tuple(data[key]) for key in ("causes", "faults")}
+    return Looked(**{**data, **lists, "terms": terms_of(data["terms"])})

@@ -1,0 +1,186 @@
+"""A proposal and its way from open to measured, as a table."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Final, Self
+
+from hilserver.errors import ControlRefused
+
+Interval = tuple[float, float]
+
+
+class Stage(StrEnum):
+    """Where a proposal is."""
+
+    OPEN = "open"
+    POSTPONED = "postponed"
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+    REPLACED = "replaced"
+    BETTER = "better"
+    NOT_BETTER = "not_better"
+
+
+class Step(StrEnum):
+    """What moves it: methods first, then what the loop does by itself."""
+
+    ACCEPT = "AcceptProposal"
+    REJECT = "RejectProposal"
+    POSTPONE = "PostponeProposal"
+    REPLACE = "replace"
+    REOPEN = "reopen"
+    GAINED = "gained"
+    LOST = "lost"
+
+
+_WAITING: Final = (Stage.OPEN, Stage.POSTPONED)
+FOLLOWING: Final[Mapping[Step, tuple[tuple[Stage, ...], Stage]]] = {
+    Step.ACCEPT: (_WAITING, Stage.ACCEPTED),
+    Step.REJECT: (_WAITING, Stage.REJECTED),
+    Step.POSTPONE: ((Stage.OPEN,), Stage.POSTPONED),
+    Step.REPLACE: (_WAITING, Stage.REPLACED),
+    Step.REOPEN: ((Stage.ACCEPTED,), Stage.OPEN),
+    Step.GAINED: ((Stage.ACCEPTED,), Stage.BETTER),
+    Step.LOST: ((Stage.ACCEPTED,), Stage.NOT_BETTER),
+}
+"""In which stages a step is possible, and which follows."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One value of a proposal.
+
+    Attributes
+    ----------
+    value : float
+        Total: what the term has once it is accepted.
+    ci95 : tuple of float or None
+    present : float or None
+        What it has now; None: it is off.
+    """
+
+    value: float
+    unit: str
+    ci95: Interval | None = None
+    present: float | None = None
+
+    @property
+    def stays(self) -> bool:
+        """Whether the present value is as good as any."""
+        low, high = self.ci95 or (self.value, self.value)
+        return self.present is not None and low <= self.present <= high
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """The gap in one quantity on a window: with the model at work, and with the other."""
+
+    before: float
+    after: float
+    ratio: float
+    ci95: Interval | None = None
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What an engineer decides on.
+
+    Attributes
+    ----------
+    terms : mapping of Term
+        All that the patch has.
+    gone : mapping of float
+        Terms that are off once it is accepted, with what they have now.
+    fitted : mapping
+        Where the terms were fitted, as in a patch.
+    patch, former : str
+        File names in folders.patches; empty: the configuration alone.
+    windows : tuple of int
+        Named on the first, confirmed on the second.
+    """
+
+    number: int
+    causes: tuple[str, ...]
+    sentence: str
+    terms: Mapping[str, Term]
+    gone: Mapping[str, float] = field(default_factory=dict)
+    gain: Mapping[str, Quantity] = field(default_factory=dict)
+    p: float = 1.0
+    level: float = 0.0
+    fitted: Mapping[str, Any] = field(default_factory=dict)
+    patch: str = ""
+    former: str = ""
+    report: str = ""
+    windows: tuple[int, ...] = ()
+    stage: Stage = Stage.OPEN
+    effect: Mapping[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def waits(self) -> bool:
+        """Whether somebody still has to decide."""
+        return self.stage in _WAITING
+
+    def after(self, step: Step) -> Self:
+        """Return it one step further.
+
+        Raises
+        ------
+        ControlRefused
+            If that is not possible where it is.
+        """
+        possible, following = FOLLOWING[step]
+        if self.stage not in possible:
+            raise ControlRefused(f"{step}: proposal {self.number} is {self.stage}, not open")
+        return replace(self, stage=following)
+
+    def within(self, ranges: Mapping[str, Interval]) -> bool:
+        """Whether all that changes lies within ranges, and nothing changes that has none."""
+        changed = {n: t.value for n, t in self.terms.items() if t.value != t.present}
+        if not {*changed, *self.gone} <= ranges.keys():
+            return False
+        return all(ranges[n][0] <= value <= ranges[n][1] for n, value in changed.items())
+
+    def resembles(self, other: "Proposal") -> bool:
+        """Whether it says nothing that another has not said: same terms, values in intervals."""
+        if self.terms.keys() != other.terms.keys() or set(self.gone) != set(other.gone):
+            return False
+        return all(_meet(term, other.terms[name]) for name, term in self.terms.items())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Return what `as_json` has written.
+
+        Raises
+        ------
+        TypeError, ValueError, KeyError
+            If it is something else.
+        """
+        own: dict[str, Any] = {key: quantities_of(data[key]) for key in ("gain", "effect")}
+        own |= {key: tuple(data[key]) for key in ("causes", "windows")}
+        own |= {"terms": terms_of(data["terms"]), "stage": Stage(data["stage"])}
+        return cls(**{**data, **own})
+
+
+def terms_of(data: Mapping[str, Any]) -> dict[str, Term]:
+    """Return terms from plain data."""
+    return {name: Term(**_tupled(term)) for name, term in data.items()}
+
+
+def quantities_of(data: Mapping[str, Any]) -> dict[str, Quantity]:
+    """Return quantities from plain data."""
+    return {name: Quantity(**_tupled(quantity)) for name, quantity in data.items()}
+
+
+def _tupled(data: Mapping[str, Any]) -> dict[str, Any]:
+    ci = data.get("ci95")
+    return {**data, "ci95": None if ci is None else (float(ci[0]), float(ci[1]))}
+
+
+def _meet(one: Term, other: Term) -> bool:
+    a, b = (t.ci95 or (t.value, t.value) for t in (one, other))
+    return a[0] <= b[1] and b[0] <= a[1]

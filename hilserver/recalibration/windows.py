@@ -1,0 +1,75 @@
+"""The rolling window on disk: which files are complete, which are damaged, which may go."""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+STEM: Final = "window"
+SUFFIX: Final = ".mcap"
+KEPT: Final = 3
+"""Two to compare, and the one that is being written."""
+SIGNALS: Final = (
+    "wheel.*.setpoint_rpm",
+    "wheel.*.duty_command_pct",
+    "twist.*",
+    "control.mode",
+    "drive.enable",
+    "internal.command",
+    "internal.pose_request",
+    "measured.*",
+    "sim.tick",
+)
+"""What a diagnosis of a window needs: set-points as they were in force, and what was measured."""
+_NAME: Final = re.compile(rf"{STEM}_(\d{{4,6}}){re.escape(SUFFIX)}")
+
+
+@dataclass(frozen=True)
+class Window:
+    """One window."""
+
+    number: int
+    path: Path
+
+    @property
+    def sha256(self) -> str:
+        """Hash of its file; empty if it cannot be read."""
+        try:
+            with self.path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError:
+            return ""
+
+
+def first_file(folder: Path) -> Path:
+    """Return the name that the recorder is given; it adds numbers."""
+    return folder / f"{STEM}{SUFFIX}"
+
+
+def complete(folder: Path) -> Sequence[Window]:
+    """Return the complete windows, the oldest first: the newest file is still being written."""
+    try:
+        names = [path for path in folder.iterdir() if _NAME.fullmatch(path.name)]
+    except OSError:
+        return ()
+    found = [Window(int(path.stem.rpartition("_")[2]), path) for path in names]
+    return sorted(found, key=lambda window: window.number)[:-1]
+
+
+class News:
+    """Says of every window once that it is complete."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        found = complete(folder)
+        self._last = found[-1].number + 1 if found else 0  # of a run before: not ours
+
+    def next(self) -> Window | None:
+        """Return the newest window that has become complete; those before it are too late."""
+        found = complete(self._folder)
+        if not found or found[-1].number <= self._last:
+            return None
+        self._last = found[-1].number
+        return found[-1]

@@ -1,0 +1,1 @@
+"""Recalibration: its rules in virtual time, its process, and its doors."""

@@ -1,0 +1,93 @@
+"""A look at windows that another program has made."""
+
+import pytest
+from hilserver_injector.make import make
+from hilserver_injector.recipe import Recipe
+
+from hilserver.recalibration.judging import Judge
+from hilserver.recalibration.orders import Todo
+from tests.recalibration.windows import order, write
+
+HIDDEN = {"rotation_gain": 0.06}
+
+
+def judged(path, todo, **fields):
+    return Judge(order(path, todo, **fields)).result()
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("window") / "window.csv", HIDDEN, seed=5)
+
+
+def test_the_right_model_gains_where_it_should(window):
+    result = judged(window, Todo(2, {}, confirm=HIDDEN, level=0.001))
+    assert result.error == ""
+    assert result.look is None
+    assert result.confirm.flips.holds(0.001)
+    assert result.confirm.gain["yaw_rad"].ratio > 3.0
+
+
+@pytest.mark.parametrize("wrong", [{"rotation_gain": -0.06}, {"nav_latency": 0.2}])
+def test_a_wrong_model_does_not_gain(window, wrong):
+    assert not judged(window, Todo(2, {}, confirm=wrong, level=0.01)).confirm.flips.holds(0.01)
+
+
+def test_a_model_is_no_better_than_itself(window):
+    compared = judged(window, Todo(2, HIDDEN, measure=HIDDEN)).measure
+    assert (compared.p, compared.blocks) == (1.0, 0)
+
+
+def test_a_repaired_robot_takes_the_patch_back(window):
+    result = judged(window, Todo(2, {**HIDDEN, "nav_scale": 0.1}, confirm=HIDDEN, level=0.001))
+    assert result.confirm.flips.holds(0.001)
+
+
+def test_a_damaged_window_is_named(tmp_path):
+    path = tmp_path / "window_0001.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(200))
+    result = judged(path, None)
+    assert result.look is None
+    assert "window_0001.mcap" in result.error
+
+
+def test_a_window_that_is_gone_is_named(tmp_path):
+    assert "window_0002.mcap" in judged(tmp_path / "window_0002.mcap", None).error
+
+
+@pytest.mark.long
+def test_a_look_names_the_cause_and_the_next_window_holds_it(window, tmp_path):
+    look = judged(window, None, report=str(tmp_path / "report")).look
+    assert (look.verdict, look.causes) == ("named", ("rotation_gain",))
+    assert look.terms["rotation_gain"].value == pytest.approx(0.06, abs=0.005)
+    assert (tmp_path / "report" / "report.html").is_file()
+    after = write(tmp_path / "next.csv", HIDDEN, seed=6)
+    values = {name: term.value for name, term in look.terms.items()}
+    again = judged(after, Todo(2, values, look=True)).look
+    assert again.verdict == "as_running"
+
+
+@pytest.mark.long
+def test_what_runs_and_is_no_longer_there_goes(tmp_path):
+    path = write(tmp_path / "window.csv", {}, seed=7)
+    look = judged(path, Todo(2, HIDDEN, look=True)).look
+    assert (look.verdict, look.terms, look.gone) == ("named", {}, HIDDEN)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("present", [0.0595, 0.03])
+def test_a_value_stays_where_its_interval_holds_it(window, present):
+    look = judged(window, Todo(2, {"rotation_gain": present}, look=True)).look
+    assert look.verdict == ("as_running" if present == 0.0595 else "named")
+
+
+@pytest.mark.long
+def test_a_sensor_that_is_stuck_is_a_fault_and_no_patch(tmp_path):
+
+    table, _ = make(Recipe(seed=8, causes=HIDDEN, duration_s=120.0))
+    table.columns["imu.gyro_z_rad_s"][:] = 0.125
+    path = tmp_path / "window.csv"
+    table.write_csv(path)
+    look = judged(path, None).look
+    assert (look.verdict, look.terms) == ("data_fault", {})
+    assert "gyro" in look.faults[0]

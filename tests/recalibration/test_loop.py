@@ -1,0 +1,269 @@
+"""The rules in virtual time: named, confirmed on the next window, decided, measured."""
+
+from dataclasses import replace
+
+import hypothesis
+import pytest
+from hypothesis import strategies as st
+
+from hilserver.errors import ControlRefused
+from hilserver.recalibration.loop import Loop, present
+from hilserver.recalibration.orders import Compared, Looked, Order, Result, Todo
+from hilserver.recalibration.proposals import (
+    FOLLOWING,
+    Proposal,
+    Quantity,
+    Stage,
+    Step,
+    Term,
+)
+from hilserver.recalibration.spending import Spending
+
+WINDOW_S = 1800.0
+GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
+BETTER = Compared(1e-5, 1e-5, 72, GAIN)
+NO_BETTER = Compared(0.4, 1e-5, 72, {"yaw_rad": Quantity(0.01, 0.01, 1.0)})
+TERM = Term(0.03, "1", (0.028, 0.032))
+NAMED = Looked(
+    "named", "The robot turns 3 % too little.", ("rotation_gain",), {"rotation_gain": TERM}
+)
+NOTHING = Looked("nothing")
+
+
+class Robot:
+    """A loop and its clock; windows are answered as they are asked."""
+
+    def __init__(self, every_s=WINDOW_S):
+        self.loop = Loop(every_s, Spending(), 0.0)
+        self.window, self.loaded, self.notes = 0, {}, []
+
+    def next(self, look=NOTHING, confirm=NO_BETTER, measure=NO_BETTER):
+        self.window += 1
+        now_s = self.window * WINDOW_S
+        todo = self.loop.todo(self.window, self.loaded, now_s)
+        if todo is None:
+            return None
+        is_confirmed = todo.confirm is not None and confirm.flips.holds(todo.level)
+        result = Result(
+            measure if todo.measure is not None else None,
+            confirm if todo.confirm is not None else None,
+            look if todo.look and not is_confirmed else None,
+        )
+        self.notes += self.loop.take(todo, result, now_s)
+        return todo
+
+    def proposed(self):
+        self.next(NAMED)
+        self.next(confirm=BETTER)
+        assert self.loop.proposal.stage is Stage.OPEN
+        return self.loop.proposal
+
+    def decide(self, step):
+        decided = self.loop.decided(step, self.loop.proposal.number)
+        self.loop.adopt(decided, self.window + 1)
+        if step is Step.ACCEPT:
+            self.loaded = {name: term.value for name, term in decided.terms.items()}
+
+    @property
+    def kinds(self):
+        return [note.kind for note in self.notes]
+
+
+def test_named_on_one_window_and_confirmed_on_the_next():
+    robot = Robot()
+    robot.next(NAMED)
+    assert robot.loop.proposal is None
+    todo = robot.next(confirm=BETTER)
+    assert todo.confirm == {"rotation_gain": 0.03}
+    proposal = robot.loop.proposal
+    assert proposal.windows == (1, 2)
+    assert proposal.gain == GAIN
+    assert proposal.patch == "recalibrated-0001.yaml"
+    assert proposal.former == ""
+    assert robot.kinds == ["look", "confirmation", "proposal"]
+
+
+def test_named_twice_and_never_confirmed_is_no_proposal():
+    robot = Robot()
+    for _ in range(20):
+        robot.next(NAMED, confirm=NO_BETTER)
+    assert robot.loop.proposal is None
+    verdicts = {n.fields["verdict"] for n in robot.notes if n.kind == "confirmation"}
+    assert verdicts == {"not_confirmed"}
+
+
+def test_too_few_blocks_are_no_test_and_the_history_says_so():
+    robot = Robot()
+    robot.next(NAMED)
+    robot.next(confirm=Compared(2.0**-6, 2.0**-6, 6, GAIN))
+    assert robot.loop.proposal is None
+    assert robot.notes[1].fields["verdict"] == "no_test"
+    assert robot.notes[1].fields["resolution"] == 2.0**-6
+
+
+def test_a_window_between_takes_the_confirmation_away():
+    robot = Robot()
+    robot.next(NAMED)
+    robot.window += 1
+    assert robot.next(confirm=BETTER).confirm is None
+
+
+def test_a_model_that_changed_meanwhile_takes_it_away():
+    robot = Robot()
+    robot.next(NAMED)
+    robot.loaded = {"wheel_radius": 0.01}
+    assert robot.next(confirm=BETTER).confirm is None
+
+
+def test_without_a_change_it_looks_as_seldom_as_configured():
+    robot = Robot(every_s=10 * WINDOW_S)
+    assert [robot.next() is not None for _ in range(20)].count(True) == 2
+    robot.loop.changed = "nav.x_m"
+    assert robot.next().look
+    assert robot.loop.changed is None
+
+
+def test_the_gap_after_a_decision_is_measured_on_a_window_of_its_own():
+    robot = Robot(every_s=None)
+    robot.loop.changed = "nav.x_m"
+    robot.proposed()
+    robot.decide(Step.ACCEPT)
+    assert robot.next() is None  # it began before
+    todo = robot.next(measure=BETTER)
+    assert todo.measure == {}
+    assert robot.loop.proposal.stage is Stage.BETTER
+    assert robot.loop.proposal.effect == GAIN
+
+
+def test_a_decision_that_did_not_help_offers_the_former_model():
+    robot = Robot(every_s=None)
+    robot.loop.changed = "nav.x_m"
+    robot.loaded = {"rotation_gain": 0.01, "nav_latency": 0.1}
+    terms = {"rotation_gain": replace(TERM, present=0.01)}
+    robot.next(replace(NAMED, terms=terms, gone={"nav_latency": 0.1}, former=robot.loaded))
+    robot.next(confirm=BETTER)
+    robot.decide(Step.ACCEPT)
+    robot.next()
+    assert robot.next(measure=NO_BETTER).measure == {"rotation_gain": 0.01, "nav_latency": 0.1}
+    offered = robot.loop.proposal
+    assert offered.stage is Stage.OPEN
+    assert {n: t.value for n, t in offered.terms.items()} == {
+        "rotation_gain": 0.01,
+        "nav_latency": 0.1,
+    }
+    assert offered.patch == "recalibrated-0001-former.yaml"
+    assert present(offered) == {"rotation_gain": 0.03}
+
+
+def test_what_was_rejected_is_not_proposed_again():
+    robot = Robot()
+    robot.proposed()
+    robot.decide(Step.REJECT)
+    robot.next(NAMED)
+    robot.next(confirm=BETTER)
+    assert robot.loop.proposal.stage is Stage.REJECTED
+    other = replace(NAMED, terms={"rotation_gain": Term(0.06, "1", (0.05, 0.07))})
+    robot.next(other)
+    robot.next(confirm=BETTER)
+    assert robot.loop.proposal.stage is Stage.OPEN
+
+
+def test_a_newer_proposal_replaces_an_open_one():
+    robot = Robot()
+    robot.proposed()
+    robot.next(replace(NAMED, terms={"rotation_gain": Term(0.06, "1", (0.05, 0.07))}))
+    robot.next(confirm=BETTER)
+    assert robot.loop.proposal.number == 2
+    assert robot.kinds[-3:] == ["confirmation", "decision", "proposal"]
+
+
+def test_faults_of_the_data_are_said_and_never_proposed():
+    robot = Robot()
+    robot.next(Looked("data_fault", faults=("nav.x_m has stood still.",)))
+    assert robot.next(confirm=BETTER).confirm is None
+    assert ("data_fault", "nav.x_m has stood still.") in [(n.kind, n.sentence) for n in robot.notes]
+
+
+def test_a_look_that_failed_is_said_and_forgotten():
+    robot = Robot()
+    robot.next(NAMED)
+    todo = robot.loop.todo(2, {}, 2 * WINDOW_S)
+    notes = robot.loop.take(todo, Result(error="it was killed"), 2 * WINDOW_S)
+    assert notes[0].sentence == "window 2 was not judged: it was killed"
+    assert robot.loop.todo(3, {}, 3 * WINDOW_S).confirm is None
+
+
+def test_a_restart_restores_what_waits_and_what_was_rejected():
+    robot = Robot()
+    robot.proposed()
+    lines = [note.fields for note in robot.notes]
+    after = Loop(WINDOW_S, Spending(), 0.0)
+    after.restore(lines)
+    assert after.proposal == robot.loop.proposal
+    robot.decide(Step.ACCEPT)
+    after.restore([*lines, {"proposal": robot.loop.proposal.as_json()}])
+    assert after.proposal.stage is Stage.OPEN  # the daemon runs the configuration again
+
+
+@pytest.mark.parametrize("step", [Step.ACCEPT, Step.REJECT, Step.POSTPONE])
+def test_only_the_newest_can_be_decided_on_and_once(step):
+    robot = Robot()
+    number = robot.proposed().number
+    with pytest.raises(ControlRefused, match=r"7 is not the newest proposal: it is 1"):
+        robot.loop.decided(step, 7)
+    robot.decide(step)
+    with pytest.raises(ControlRefused, match=r"proposal 1 is"):
+        robot.loop.decided(step, number)
+
+
+STEPS = st.lists(st.sampled_from(Step), max_size=8)
+
+
+@hypothesis.given(steps=STEPS)
+def test_no_way_leads_from_rejected_to_accepted(steps):
+    proposal, been = Proposal(1, (), "", {}), set()
+    for step in steps:
+        try:
+            proposal = proposal.after(step)
+        except ControlRefused:
+            assert proposal.stage not in FOLLOWING[step][0]
+        been.add(proposal.stage)
+    assert not {Stage.REJECTED, Stage.ACCEPTED} <= been
+
+
+TERMS = st.dictionaries(
+    st.sampled_from(["rotation_gain", "wheel_radius", "nav_latency"]),
+    st.builds(Term, st.floats(-1, 1), st.just("1"), st.none(), st.none() | st.floats(-1.0, 1.0)),
+    max_size=3,
+)
+
+
+@hypothesis.given(terms=TERMS, gone=st.dictionaries(st.just("gyro_bias"), st.floats(-1, 1)))
+def test_a_proposal_survives_its_file(terms, gone):
+    proposal = Proposal(3, ("a", "b"), "text", terms, gone, GAIN, windows=(1, 2))
+    assert Proposal.from_json(proposal.as_json()) == proposal
+
+
+def test_orders_and_results_survive_the_pipe():
+    todo = Todo(3, {"rotation_gain": 0.1}, {}, None, 0.001, look=True)
+    order = Order(todo, "/w", {"plant": {}}, "/", {"plant.track_m": 0.3}, "/r", 7)
+    assert Order.of(order.text()) == order
+    result = Result(BETTER, None, NAMED)
+    assert Result.of(result.text()) == result
+
+
+@pytest.mark.parametrize(
+    ("ranges", "is_within"),
+    [({"a": (0.0, 0.1)}, False), ({"a": (0.0, 0.1), "gone": (0, 0)}, True), ({}, False)],
+)
+def test_what_acts_by_itself_lies_within_ranges(ranges, is_within):
+    terms = {"a": Term(0.03, "1"), "kept": Term(0.5, "1", None, 0.5)}
+    proposal = Proposal(1, (), "", terms, {"gone": 0.1})
+    assert proposal.within(ranges) == is_within
+    assert not Proposal(1, (), "", {"a": Term(0.2, "1")}).within({"a": (0.0, 0.1)})
+
+
+def test_a_value_whose_interval_holds_the_present_one_stays():
+    assert Term(0.03, "1", (0.02, 0.04), 0.025).stays
+    assert not Term(0.03, "1", (0.02, 0.04), 0.05).stays
+    assert not Term(0.03, "1", (0.02, 0.04)).stays
