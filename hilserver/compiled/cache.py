@@ -20,7 +20,7 @@ from numba.core import config
 from hilserver.cache import cache_folder
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_KERNEL_ROOMS = ("compiled", "plant", "body", "scheduler", "image", "kernel")
+_KERNEL_ROOMS = ("compiled", "plant", "body", "observer", "scheduler", "image", "kernel")
 
 
 def kernel_sources() -> list[Path]:

@@ -1,0 +1,82 @@
+"""How well a model's parameters are known: directions in which all of them move together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.observer.layout import MOST_DIRECTIONS, N_FIGURES, N_PARAMETERS, Figures
+from hilserver.plant.errors import PlantError
+from hilserver.plant.layout import Parameters
+from hilserver.plant.packing import pack
+from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.terms import TERMS
+
+BLOCKS: Final = ("kinematics", "navigation", "inertial")
+ENCODERS: Final = ("encoder_scale.a", "encoder_scale.wheel")
+"""Terms that the observer sees: those of these blocks, and of the encoders."""
+LEAST_SHARE: Final = 1e-6
+"""Share of the largest variance below which a direction is left out."""
+
+
+def _is_seen(name: str) -> bool:
+    return name in TERMS and (TERMS[name].block in BLOCKS or name in ENCODERS)
+
+
+def directions(
+    robot: RobotParameters, names: Sequence[str], covariance: NDArray[np.float64]
+) -> list[Parameters]:
+    """Return the parameters of a robot at one standard deviation of each direction.
+
+    Parameters
+    ----------
+    robot : RobotParameters
+        With the terms of the model.
+    names : sequence of str
+        What was fitted together; what is no term that the observer sees is left out.
+    covariance : ndarray, shape (n, n)
+        Of these, in their units.
+    """
+    seen = [i for i, n in enumerate(names) if _is_seen(n)]
+    if not seen:
+        return []
+    part = covariance[np.ix_(seen, seen)]
+    sd = np.sqrt(np.diag(part))
+    seen_sd = np.where(sd > 0.0, sd, 1.0)
+    sizes, axes = np.linalg.eigh(part / np.outer(seen_sd, seen_sd))
+    kept = np.flatnonzero(sizes > LEAST_SHARE * sizes[-1])[-MOST_DIRECTIONS:]
+    found = []
+    for k in kept:
+        move = np.sqrt(sizes[k]) * axes[:, k] * sd
+        found.append(_moved(robot, dict(zip((names[i] for i in seen), move, strict=True))))
+    return found
+
+
+def _moved(robot: RobotParameters, by: Mapping[str, float]) -> Parameters:
+    """Return the parameters with terms moved; what lies outside its range moves the other way."""
+    last: PlantError | None = None
+    for sign in (1.0, -1.0):
+        terms = dict(robot.terms)
+        for name, step in by.items():
+            term = TERMS[name]
+            at = terms.get(name)
+            value = (term.null if at is None else at) or 0.0
+            terms[name] = min(max(value + sign * float(step), term.low), term.high)
+        try:
+            return pack(replace(robot, terms=terms))
+        except PlantError as error:
+            last = error
+    raise PlantError(f"the uncertainty of the parameters does not fit the robot: {last}")
+
+
+def constants(figures: Figures, moved: Sequence[Parameters]) -> NDArray[np.float64]:
+    """Return what the filter's kernels take as `c`."""
+    c = np.zeros(N_FIGURES + len(moved) * N_PARAMETERS)
+    c[:N_FIGURES] = figures.numbers
+    Figures.of(c).directions = len(moved)
+    for j, other in enumerate(moved):
+        first = N_FIGURES + j * N_PARAMETERS
+        c[first : first + N_PARAMETERS] = other.numbers
+    return c

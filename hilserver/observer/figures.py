@@ -1,0 +1,140 @@
+"""How noisy the sensors are: what a diagnosis has found, or what the configured sensors say.
+
+Nobody sets a covariance by hand: every number here is a sensor's own, or the size of a cause at
+which a diagnosis has to name it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from hilserver.observer.layout import Figures
+from hilserver.plant.layout import WHEELS
+from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.terms import TERMS
+from hilserver.plant.units import RAD_S_PER_RPM
+
+WANDER_S: Final = 60.0
+"""Time in which slip, rotation gain and gyro bias may wander by what a diagnosis has to name."""
+READMIT_AFTER: Final = 10
+"""Samples refused one after another until the robot counts as carried."""
+OF_SPEED: Final = ("wheel_radius", "traction_slip", "longitudinal_slip", "acceleration_slip")
+OF_TURNING: Final = ("rotation_gain", "rotation_gain_speed", "friction_anisotropy.ratio")
+"""Terms that say how the robot slips: where a model has one of them, nothing wanders beside it."""
+_LEAST_RPM: Final = 0.01
+_LEAST_M: Final = 1e-3
+_LEAST_RAD: Final = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What a channel shows beside its quantity, in its unit.
+
+    Attributes
+    ----------
+    white : float
+        Standard deviation of what is new in every sample.
+    slow : float
+        Of what is correlated in time, over `tau_s`.
+    step : float
+        Readings are multiples of it; 0: not rounded.
+    """
+
+    white: float = 0.0
+    slow: float = 0.0
+    tau_s: float = 1.0
+    step: float = 0.0
+
+    @property
+    def of_a_sample(self) -> float:
+        """Standard deviation of what is not correlated in time, rounding included."""
+        return math.hypot(self.white, self.step / math.sqrt(12.0))
+
+    @property
+    def drift(self) -> float:
+        """What is correlated in time, as variance of its integral per second."""
+        return 2.0 * self.slow * self.slow * self.tau_s
+
+
+def configured(robot: RobotParameters) -> dict[str, Noise]:
+    """Return the figures of the sensors of a configuration, by channel."""
+    nav, terms = robot.nav, robot.terms
+    place = Noise(nav.white_noise_m, nav.correlated_noise_m, nav.correlation_s)
+    speed = Noise(step=terms.get("encoder_quantization") or 0.0)
+    return {
+        **{f"wheel.{wheel}.speed_rpm": speed for wheel in WHEELS},
+        "imu.gyro_z_rad_s": Noise(robot.imu.gyro_noise_rad_s),
+        "nav.x_m": place,
+        "nav.y_m": place,
+        "nav.yaw_rad": Noise(0.0, nav.yaw_noise_rad, nav.yaw_correlation_s),
+    }
+
+
+def _mean(*found: Noise) -> Noise:
+    """Return the noise whose variance is the mean of several."""
+    n = len(found)
+
+    def rms(values: list[float]) -> float:
+        return math.sqrt(sum(value * value for value in values) / n)
+
+    slow = rms([one.slow for one in found])
+    tau = sum(one.slow * one.slow * one.tau_s for one in found)
+    return Noise(
+        rms([one.white for one in found]),
+        slow,
+        tau / (n * slow * slow) if slow > 0.0 else 1.0,
+        rms([one.step for one in found]),
+    )
+
+
+def figures(
+    robot: RobotParameters,
+    noise: Mapping[str, Noise],
+    *,
+    unknown: Mapping[str, float] | None = None,
+    readmit_after: int = READMIT_AFTER,
+) -> Figures:
+    """Return the figures of the filter.
+
+    Parameters
+    ----------
+    noise : mapping of Noise
+        By channel; what is missing has the figures of the configured sensors.
+    unknown : mapping of float, optional
+        Largest size of a cause that a diagnosis has left unseen, by cause. Without a diagnosis all
+        may have the size at which one has to name them, and wander.
+    """
+    shown = configured(robot) | dict(noise)
+    c = Figures.zeros()
+    c.nav_period, c.imu_period = robot.nav.period_s, robot.imu.period_s
+    c.readmit_after = readmit_after
+    wheels = _mean(*(shown[f"wheel.{wheel}.speed_rpm"] for wheel in WHEELS))
+    c.wheel_sd = max(wheels.of_a_sample, _LEAST_RPM) / math.sqrt(2.0) * RAD_S_PER_RPM
+    c.wheel_drift = 0.5 * wheels.drift * RAD_S_PER_RPM**2
+    gyro = shown["imu.gyro_z_rad_s"]
+    c.gyro_sd, c.gyro_drift = max(gyro.of_a_sample, _LEAST_RAD), gyro.drift
+    place, yaw = _mean(shown["nav.x_m"], shown["nav.y_m"]), shown["nav.yaw_rad"]
+    c.position_sd = max(place.of_a_sample, _LEAST_M)
+    c.position_ou, c.position_tau = place.slow, place.tau_s
+    c.yaw_sd = max(yaw.of_a_sample, _LEAST_RAD)
+    c.yaw_ou, c.yaw_tau = yaw.slow, yaw.tau_s
+    _leave_unknown(c, robot, unknown)
+    return c
+
+
+def _leave_unknown(c: Figures, robot: RobotParameters, unknown: Mapping[str, float] | None) -> None:
+    """Say how far gyro bias, slip and rotation gain may be off, and how they wander."""
+    on = {name for name, value in robot.terms.items() if value not in (None, TERMS[name].null)}
+    for name, cause, covered_by in (
+        ("bias", "gyro_bias", ("gyro_bias",)),
+        ("slip", "wheel_radius", OF_SPEED),
+        ("gain", "rotation_gain", OF_TURNING),
+    ):
+        if unknown is None:
+            sd = TERMS[cause].reference or 0.0
+            walk = 0.0 if on.intersection(covered_by) else sd * sd / WANDER_S
+        else:
+            sd, walk = 0.5 * unknown.get(cause, 0.0), 0.0
+        c[f"{name}_sd"] = 0.0 if on.intersection(covered_by) else sd
+        c[f"{name}_walk"] = walk

@@ -1,0 +1,126 @@
+"""The filter: one moment after another, and what comes late at its place among them.
+
+A sample that is older than the newest moment is put to the moment that it belongs to, and what
+followed is done again, so that the estimate is the one that a filter without latency would have.
+"""
+
+from typing import Any
+
+from hilserver.compiled.records import record_at
+from hilserver.observer.correction import begin, take_gyro, take_position, take_yaw
+from hilserver.observer.layout import (
+    FIGURES,
+    HEAD,
+    MOMENT,
+    MOMENTS,
+    N_HEAD,
+    N_MOMENT,
+    OLDEST_S,
+)
+from hilserver.observer.motion import predict
+from hilserver.plant.kernels import part
+from hilserver.plant.layout import Parameters
+
+_SAME_S = 1e-9
+BEND = 0.2
+"""Of the second difference, as error of a chord: between a kink (1/8) and a jump (1/sqrt(12))."""
+
+
+@part
+def moment(f: Any, age: int) -> Any:
+    """Return the moment that lies `age` steps behind the newest."""
+    row = (int(record_at(f, 0, HEAD).newest) - age) % MOMENTS
+    return record_at(f, N_HEAD + row * N_MOMENT, MOMENT)
+
+
+@part
+def open_moment(c: Any, f: Any, time: float, left: float, right: float, angle: float) -> None:
+    """Begin a moment: its time [s], the mean speeds of both sides [rad/s], the left angle [rad]."""
+    h = record_at(f, 0, HEAD)
+    if h.count > 0.0:
+        h.newest = (h.newest + 1.0) % MOMENTS
+    h.count = min(h.count + 1.0, MOMENTS)
+    h.redo = 0.0
+    m = moment(f, 0)
+    m.time, m.left, m.right, m.angle_left = time, left, right, angle
+    m.has_gyro = m.has_position = m.has_yaw = m.bend_left = m.bend_right = 0.0
+    if h.count > 2.0:
+        a, b = moment(f, 1), moment(f, 2)
+        m.bend_left = (left - 2.0 * a.left + b.left) * BEND
+        m.bend_right = (right - 2.0 * a.right + b.right) * BEND
+    if h.count == 1.0:
+        m.fixed_position = m.fixed_yaw = m.refused_position = m.refused_yaw = m.last_fix = 0.0
+        begin(record_at(c, 0, FIGURES), m)
+
+
+@part
+def age_of(f: Any, time: float) -> int:
+    """Return how many steps back the moment of a sample lies, the first one not before it.
+
+    -1 if it is too old, or newer than the newest moment; too old is counted.
+    """
+    h = record_at(f, 0, HEAD)
+    newest = moment(f, 0).time
+    if time > newest + _SAME_S:
+        return -1
+    age, last = 0, int(h.count) - 1
+    while age < last and moment(f, age + 1).time >= time - _SAME_S:
+        age += 1
+    if newest - time > OLDEST_S or (age == last and last > 0):
+        h.late += 1.0
+        return -1
+    h.redo = max(h.redo, float(age))
+    return age
+
+
+@part
+def add_gyro(f: Any, time: float, rate: float) -> None:
+    """Add what the gyro showed at a time [s, rad/s]."""
+    age = age_of(f, time)
+    if age >= 0:
+        m = moment(f, age)
+        m.has_gyro, m.gyro = 1.0, rate
+
+
+@part
+def add_position(f: Any, time: float, x: float, y: float) -> None:
+    """Add a position of the tag [m] and when it was there [s]."""
+    age = age_of(f, time)
+    if age >= 0:
+        m = moment(f, age)
+        m.has_position, m.position_back = 1.0, m.time - time
+        m.position[0], m.position[1] = x, y
+
+
+@part
+def add_yaw(f: Any, time: float, yaw: float) -> None:
+    """Add a heading of the tag [rad] and when the robot had it [s]."""
+    age = age_of(f, time)
+    if age >= 0:
+        m = moment(f, age)
+        m.has_yaw, m.yaw_back, m.yaw = 1.0, m.time - time, yaw
+
+
+@part
+def close_moment(p: Parameters, c: Any, f: Any) -> None:
+    """Compute the newest moment, and before it again what a late sample has changed."""
+    h = record_at(f, 0, HEAD)
+    for age in range(int(h.redo), -1, -1):
+        now = moment(f, age)
+        dt = 1.0
+        if age < int(h.count) - 1:
+            before = moment(f, age + 1)
+            dt = now.time - before.time
+            predict(p, c, h, before, now)
+            now.fixed_position, now.fixed_yaw = before.fixed_position, before.fixed_yaw
+            now.refused_position, now.refused_yaw = before.refused_position, before.refused_yaw
+            now.last_fix, now.nis = before.last_fix, before.nis
+        if now.has_gyro != 0.0:
+            take_gyro(p, c, h, now, dt)
+        if now.has_yaw != 0.0:
+            take_yaw(p, c, h, now, now.has_yaw == 1.0)
+            now.has_yaw = 2.0
+        if now.has_position != 0.0:
+            take_position(p, c, h, now, now.has_position == 1.0)
+            now.has_position = 2.0
+    h.redo = 0.0

@@ -1,0 +1,116 @@
+"""Where the numbers of the observer lie: what it knows `c`, and all that its future depends on.
+
+`c` is `Figures`, followed by one `plant.layout.Parameters` for each direction in which the
+parameters are uncertain. The filter's own numbers are a `Head`, followed by a ring of `Moment`s,
+the newest over the oldest; a copy is a snapshot.
+"""
+
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.records import Record
+from hilserver.plant.layout import Parameters
+
+X, Y, YAW, V, OM, BIAS, OU_X, OU_Y, OU_YAW, SLIP, GAIN = range(11)
+"""States: pose [m, m, rad, not wrapped], speed [m/s], turn rate [rad/s], what the gyro shows too
+much [rad/s], the navigation's correlated errors [m, m, rad], and what speed and turn rate have too
+much by the wheels, relative."""
+N_ESTIMATED: Final = 11
+MOST_DIRECTIONS: Final = 12
+"""Directions in which uncertain parameters are considered."""
+MOMENTS: Final = 128
+"""Past states that are kept: what is older than they are cannot be taken in."""
+OLDEST_S: Final = 1.0
+"""What is older is not taken in either."""
+
+NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)
+STATES: Final = ("no fix", "converging", "tracking", "dead reckoning")
+"""What `estimate.state` says."""
+
+Vector = Annotated[NDArray[np.float64], N_ESTIMATED]
+Square = Annotated[NDArray[np.float64], (N_ESTIMATED, N_ESTIMATED)]
+Directions = Annotated[NDArray[np.float64], MOST_DIRECTIONS]
+Cross = Annotated[NDArray[np.float64], (N_ESTIMATED, MOST_DIRECTIONS)]
+
+
+class Figures(Record):
+    """How noisy the sensors are and how well what is estimated is known beforehand."""
+
+    directions: float  # of uncertain parameters in use
+    nav_period: float  # [s] of the slice that its latency is counted in
+    imu_period: float  # [s]
+    readmit_after: float  # samples refused one after another until the robot counts as carried
+    wheel_sd: float  # [rad/s] of the mean speed of a side, one sample
+    wheel_drift: float  # [rad2/s]: the part correlated in time, as variance of the angle per second
+    gyro_sd: float  # [rad/s]
+    gyro_drift: float  # [rad2/s]
+    position_sd: float  # [m] of one sample
+    position_ou: float  # [m] correlated in time
+    position_tau: float  # [s]
+    yaw_sd: float  # [rad]
+    yaw_ou: float  # [rad]
+    yaw_tau: float  # [s]
+    bias_sd: float  # [rad/s] at the start
+    bias_walk: float  # [rad2/s3]
+    slip_sd: float  # at the start
+    slip_walk: float  # [1/s]
+    gain_sd: float
+    gain_walk: float  # [1/s]
+
+
+class Head(Record):
+    """What is newest, what was counted, and room to compute in."""
+
+    newest: float  # row of the ring
+    count: float  # moments in the ring
+    redo: float  # moments that a late sample makes due again
+    accepted: float  # samples of position and yaw
+    rejected: float  # by their innovation
+    readmitted: float  # times that the robot was found elsewhere
+    late: float  # samples too old to be taken in
+    rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]  # of a sensor by state
+    shared: Annotated[NDArray[np.float64], (2, MOST_DIRECTIONS)]  # and by direction
+    weight: Vector  # covariance of the state with one reading
+    weight_shared: Directions
+    noise: Annotated[NDArray[np.float64], (4, N_ESTIMATED)]  # what the wheels' noise does to a step
+    push: Cross  # what a direction does to a step
+
+
+class Moment(Record):
+    """The robot at one moment: what was read for it, and what is known with that."""
+
+    time: float  # [s]
+    left: float  # mean speed that the left wheels' encoders show [rad/s]
+    right: float
+    angle_left: float  # [rad]
+    bend_left: float  # [rad/s]: how far the mean speed of the step may be off a chord
+    bend_right: float
+    has_gyro: float
+    gyro: float  # [rad/s]
+    has_position: float
+    position: Annotated[NDArray[np.float64], 2]  # [m]
+    position_back: float  # [s]: the sample is so much older than the moment
+    has_yaw: float
+    yaw: float  # [rad]
+    yaw_back: float  # [s]
+    fixed_position: float  # flag: a position has been taken in
+    fixed_yaw: float
+    refused_position: float  # samples one after another
+    refused_yaw: float
+    last_fix: float  # [s] of the last sample that was taken in
+    nis: float  # of the last sample by its number of values: 1 on average
+    estimate: Vector
+    covariance: Square
+    cross: Cross  # covariance of the state with the directions, of which each has variance 1
+
+
+FIGURES: Final = Figures.layout
+HEAD: Final = Head.layout
+MOMENT: Final = Moment.layout
+N_FIGURES: Final = Figures.n_words
+N_PARAMETERS: Final = Parameters.n_words
+N_HEAD: Final = Head.n_words
+N_MOMENT: Final = Moment.n_words
+N_FILTER: Final = N_HEAD + MOMENTS * N_MOMENT

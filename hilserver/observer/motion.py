@@ -1,0 +1,277 @@
+"""From one moment to the next: the plant's kinematics, driven by the wheels' measured speeds.
+
+Speed and turn rate are those of a moment; the pose moves with the means of two of them.
+`transition` is the exact derivative of `move_on` by the state.
+"""
+
+import math
+from typing import Any
+
+from hilserver.compiled.records import record_at
+from hilserver.observer.layout import (
+    BIAS,
+    FIGURES,
+    GAIN,
+    N_ESTIMATED,
+    N_FIGURES,
+    N_PARAMETERS,
+    OM,
+    OU_X,
+    OU_Y,
+    OU_YAW,
+    SLIP,
+    YAW,
+    Figures,
+    Head,
+    Moment,
+    V,
+    X,
+    Y,
+)
+from hilserver.plant.kernels import part
+from hilserver.plant.kinematics import across, velocity_terms
+from hilserver.plant.layout import PARAMETERS, Parameters
+from hilserver.plant.pose import sinc
+from hilserver.plant.robot import SLOPE_REST_RAD_S
+
+_FLAT_RAD = 1e-3  # below, the derivative of sinc is its first term
+
+
+@part
+def _dsinc(half: float) -> float:
+    if abs(half) < _FLAT_RAD:
+        return -half / 3.0
+    return (math.cos(half) - math.sin(half) / half) / half
+
+
+@part
+def is_inside(p: Parameters, x: float, y: float) -> bool:
+    """Return whether a place [m] lies on the patch of `surface_change`."""
+    return bool(p.region_x_min <= x <= p.region_x_max and p.region_y_min <= y <= p.region_y_max)
+
+
+@part
+def side_gains(p: Parameters) -> tuple[float, float]:
+    """Return what the encoders of both sides show of 1 rad/s."""
+    gain = p.encoder_gain
+    return 0.5 * (gain[0] + gain[1]), 0.5 * (gain[2] + gain[3])
+
+
+@part
+def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, float]:
+    """Return speed [m/s] and turn rate [rad/s] that the wheels of a moment make."""
+    inside = is_inside(p, before.estimate[X], before.estimate[Y])
+    dt, (show_left, show_right) = now.time - before.time, side_gains(p)
+    left, right = now.left / show_left, now.right / show_right
+    dleft = (left - before.left / show_left) / dt
+    dright = (right - before.right / show_right) / dt
+    v, om, _, _ = velocity_terms(p, inside, now.angle_left, left, right, dleft, dright)
+    return v, om
+
+
+@part
+def share_closed(p: Parameters, dt: float) -> float:
+    """Return how far the body follows its wheels in `dt` [s]; 1 without `body_lag`."""
+    return 1.0 if p.body_lag == 0.0 else -math.expm1(-dt / p.body_lag)
+
+
+@part
+def shift(p: Parameters, yaw: float, v: float, om: float, dt: float) -> tuple[float, float]:
+    """Return how far [m] the robot moves in `dt` [s] with constant speed and turn rate."""
+    vy, _ = across(p, v, om, 0.0, 0.0)
+    half = 0.5 * om * dt
+    chord, heading = dt * sinc(half), yaw + half
+    cos, sin = math.cos(heading), math.sin(heading)
+    return chord * (v * cos - vy * sin), chord * (v * sin + vy * cos)
+
+
+@part
+def shift_by(
+    p: Parameters, yaw: float, v: float, om: float, dt: float
+) -> tuple[float, float, float, float]:
+    """Return the derivatives of `shift` by speed (x, y) and by turn rate (x, y)."""
+    vy, _ = across(p, v, om, 0.0, 0.0)
+    vy_v, vy_om = p.side_slip * om + p.misalignment, p.side_slip * v - p.icr
+    half = 0.5 * om * dt
+    chord, heading = dt * sinc(half), yaw + half
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead_x, ahead_y = v * cos - vy * sin, v * sin + vy * cos
+    grow = 0.5 * dt * dt * _dsinc(half)
+    turn = 0.5 * dt * chord
+    return (
+        chord * (cos - vy_v * sin),
+        chord * (sin + vy_v * cos),
+        grow * ahead_x - turn * ahead_y - chord * vy_om * sin,
+        grow * ahead_y + turn * ahead_x + chord * vy_om * cos,
+    )
+
+
+@part
+def move_on(p: Parameters, c: Figures, before: Moment, now: Moment, out: Any) -> None:
+    """Write the state that follows from the moment before to `out`, shape (N_ESTIMATED,)."""
+    x, dt = before.estimate, now.time - before.time
+    v_wheels, om_wheels = wheel_velocity(p, before, now)
+    closed = share_closed(p, dt)
+    v = x[V] + closed * (v_wheels * (1.0 + x[SLIP]) - x[V])
+    om = x[OM] + closed * (om_wheels * (1.0 + x[GAIN]) - x[OM])
+    v_mean, om_mean = 0.5 * (x[V] + v), 0.5 * (x[OM] + om)
+    dx, dy = shift(p, x[YAW], v_mean, om_mean, dt)
+    if abs(now.left) + abs(now.right) > SLOPE_REST_RAD_S:
+        dx += p.slope_x * dt
+        dy += p.slope_y * dt
+    out[X], out[Y], out[YAW] = x[X] + dx, x[Y] + dy, x[YAW] + om_mean * dt
+    out[V], out[OM], out[BIAS] = v, om, x[BIAS]
+    out[OU_X] = x[OU_X] * _kept(dt, c.position_tau)
+    out[OU_Y] = x[OU_Y] * _kept(dt, c.position_tau)
+    out[OU_YAW] = x[OU_YAW] * _kept(dt, c.yaw_tau)
+    out[SLIP], out[GAIN] = x[SLIP], x[GAIN]
+
+
+@part
+def _kept(dt: float, tau: float) -> float:
+    return math.exp(-dt / tau) if tau > 0.0 else 0.0
+
+
+@part
+def _transform(m: Any, k: int, n: int, f: Any) -> None:
+    """Replace columns k to n of `m` by F times them; `f` as `predict` makes it."""
+    for j in range(k, n):
+        v, om, slip, gain = m[V, j], m[OM, j], m[SLIP, j], m[GAIN, j]
+        m[X, j] += f[0] * m[YAW, j] + f[1] * v + f[2] * om + f[3] * slip + f[4] * gain
+        m[Y, j] += f[5] * m[YAW, j] + f[6] * v + f[7] * om + f[8] * slip + f[9] * gain
+        m[YAW, j] += f[10] * om + f[11] * gain
+        m[V, j] = f[12] * v + f[13] * slip
+        m[OM, j] = f[12] * om + f[14] * gain
+        m[OU_X, j] *= f[15]
+        m[OU_Y, j] *= f[15]
+        m[OU_YAW, j] *= f[16]
+
+
+@part
+def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
+    """Return the entries of F = d `move_on` / d state that are neither 0 nor 1, and of the mean.
+
+    Returns
+    -------
+    tuple of float
+        Rows x and y by yaw, v, om, slip, gain; yaw by om, gain; v and om by themselves, by slip, by
+        gain; the correlated errors of position and yaw by themselves; then x, y by the speed of the
+        moment, and by its turn rate.
+    """
+    x, dt = before.estimate, now.time - before.time
+    v_wheels, om_wheels = wheel_velocity(p, before, now)
+    closed = share_closed(p, dt)
+    keep = 1.0 - closed
+    v = x[V] + closed * (v_wheels * (1.0 + x[SLIP]) - x[V])
+    om = x[OM] + closed * (om_wheels * (1.0 + x[GAIN]) - x[OM])
+    v_mean, om_mean = 0.5 * (x[V] + v), 0.5 * (x[OM] + om)
+    dx, dy = shift(p, x[YAW], v_mean, om_mean, dt)
+    x_v, y_v, x_om, y_om = shift_by(p, x[YAW], v_mean, om_mean, dt)
+    half, by_slip, by_gain = 0.5 * (1.0 + keep), closed * v_wheels, closed * om_wheels
+    return (
+        -dy, half * x_v, half * x_om, 0.5 * by_slip * x_v, 0.5 * by_gain * x_om,
+        dx, half * y_v, half * y_om, 0.5 * by_slip * y_v, 0.5 * by_gain * y_om,
+        half * dt, 0.5 * dt * by_gain,
+        keep, by_slip, by_gain,
+        _kept(dt, c.position_tau), _kept(dt, c.yaw_tau),
+        0.5 * x_v, 0.5 * y_v, 0.5 * x_om, 0.5 * y_om,
+    )  # fmt: skip
+
+
+@part
+def _wheel_noise(p: Parameters, c: Figures, now: Moment, dt: float, f: Any, h: Head) -> None:
+    """Write what one standard deviation of the wheels' noise does to the step.
+
+    Rows 0 and 1: noise of either side's reading. Rows 2 and 3: what the wheels did between two
+    readings, which changes the means of speed and of turn rate alone.
+    """
+    sd = math.sqrt(c.wheel_sd * c.wheel_sd + c.wheel_drift / dt) * share_closed(p, dt)
+    show_left, show_right = side_gains(p)
+    left, right = p.radius_left / show_left, p.radius_right / show_right
+    v_left, v_right = 0.5 * p.traction * left, -0.5 * p.traction * right
+    om_left, om_right = p.yaw_gain * left, p.yaw_gain * right
+    _noise_row(h.noise[0], f, dt, sd * v_left, sd * om_left)
+    _noise_row(h.noise[1], f, dt, sd * v_right, sd * om_right)
+    h.noise[0, V], h.noise[0, OM] = sd * v_left, sd * om_left
+    h.noise[1, V], h.noise[1, OM] = sd * v_right, sd * om_right
+    bend_v = v_left * now.bend_left + v_right * now.bend_right
+    bend_om = om_left * now.bend_left + om_right * now.bend_right
+    _noise_row(h.noise[2], f, dt, 2.0 * bend_v, 0.0)
+    _noise_row(h.noise[3], f, dt, 0.0, 2.0 * bend_om)
+
+
+@part
+def _noise_row(row: Any, f: Any, dt: float, dv: float, dom: float) -> None:
+    """Write what a change of the newer of both velocities does to the pose."""
+    row[X], row[Y] = f[17] * dv + f[19] * dom, f[18] * dv + f[20] * dom
+    row[YAW], row[V], row[OM] = 0.5 * dt * dom, 0.0, 0.0
+
+
+@part
+def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
+    """Write what each direction of uncertain parameters does to the step, one deviation of it."""
+    figures = record_at(c, 0, FIGURES)
+    for j in range(int(figures.directions)):
+        other = record_at(c, N_FIGURES + j * N_PARAMETERS, PARAMETERS)
+        move_on(other, figures, before, now, h.weight)
+        for i in range(OM + 1):
+            h.push[i, j] = h.weight[i] - now.estimate[i]
+
+
+@part
+def _add_noise(c: Figures, dt: float, h: Head, m: Any) -> None:
+    """Add the covariance of a step's noise to `m`, shape (N_ESTIMATED, N_ESTIMATED)."""
+    for k in range(4):
+        row = h.noise[k]
+        for i in range(OM + 1):
+            for j in range(OM + 1):
+                m[i, j] += row[i] * row[j]
+    position, yaw = _kept(dt, c.position_tau), _kept(dt, c.yaw_tau)
+    m[OU_X, OU_X] += c.position_ou * c.position_ou * (1.0 - position * position)
+    m[OU_Y, OU_Y] += c.position_ou * c.position_ou * (1.0 - position * position)
+    m[OU_YAW, OU_YAW] += c.yaw_ou * c.yaw_ou * (1.0 - yaw * yaw)
+    m[BIAS, BIAS] += c.bias_walk * dt
+    m[SLIP, SLIP] += c.slip_walk * dt
+    m[GAIN, GAIN] += c.gain_walk * dt
+
+
+@part
+def predict(p: Parameters, c: Any, h: Head, before: Moment, now: Moment) -> None:
+    """Carry estimate and covariance to a later moment.
+
+    With the directions z of uncertain parameters, which stay as they are (P_zz = 1), C = P_xz and
+    x' = F x + G z: C' = F C + G and P' = F P F^T + F C G^T + G C'^T + Q.
+
+    Parameters
+    ----------
+    c : ndarray
+        `Figures`, followed by the parameters at one deviation of each direction.
+    before, now : Moment
+        `now` has its time and wheel speeds; the rest is written.
+    """
+    figures, dt = record_at(c, 0, FIGURES), now.time - before.time
+    n = int(figures.directions)
+    m, cross = now.covariance, now.cross
+    move_on(p, figures, before, now, now.estimate)
+    f = transition(p, figures, before, now)
+    for i in range(N_ESTIMATED):
+        for j in range(N_ESTIMATED):
+            m[i, j] = before.covariance[i, j]
+        for j in range(n):
+            cross[i, j] = before.cross[i, j]
+    _transform(m, 0, N_ESTIMATED, f)
+    _transform(m.T, 0, N_ESTIMATED, f)
+    if n > 0:
+        _pushes(c, before, now, h)
+        _transform(cross, 0, n, f)
+        for k in range(n):
+            for i in range(N_ESTIMATED):
+                for j in range(OM + 1):
+                    m[i, j] += cross[i, k] * h.push[j, k]
+            for i in range(OM + 1):
+                cross[i, k] += h.push[i, k]
+            for i in range(OM + 1):
+                for j in range(N_ESTIMATED):
+                    m[i, j] += h.push[i, k] * cross[j, k]
+    _wheel_noise(p, figures, now, dt, f, h)
+    _add_noise(figures, dt, h, m)
