@@ -9,7 +9,7 @@ call that never comes. Here the clock is asked in one place.
 import asyncio
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 _EARLY_S = 0.001
@@ -80,3 +80,27 @@ class Period:
         self._due_s += periods * self._period_s
         self._plan(self._due_s - self._clock())
         self._call()
+
+
+async def every(
+    period_s: float,
+    cycle: Callable[[], Awaitable[None]],
+    skipped: Callable[[int], None] = lambda _count: None,
+) -> None:
+    """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
+
+    Parameters
+    ----------
+    skipped : callable
+        Takes the number of deadlines left out.
+    """
+    loop = asyncio.get_running_loop()
+    deadline = loop.time()
+    while True:
+        await cycle()
+        deadline += period_s
+        late = int((loop.time() - deadline) / period_s)
+        if late > 0:
+            deadline += late * period_s
+            skipped(late)
+        await asyncio.sleep(max(0.0, deadline - loop.time()))

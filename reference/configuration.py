@@ -49,6 +49,9 @@ def _inner_model(annotation: Any) -> tuple[type[BaseModel] | None, str]:
     if get_origin(annotation) in (tuple, list) and get_args(annotation):
         inner, _ = _inner_model(get_args(annotation)[0])
         return inner, "[]"
+    if get_origin(annotation) is types.UnionType:
+        found = [_inner_model(inner) for inner in get_args(annotation)]
+        return next((pair for pair in found if pair[0] is not None), (None, ""))
     return None, ""
 
 

@@ -81,16 +81,26 @@ def describe(assembly: Assembly) -> list[str]:
     metrics = config.metrics
     address = f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
     lines.append(f"metrics: {address}")
+    lines += _links(assembly)
+    return lines + [f"warning: {text}" for text in warnings(assembly)]
+
+
+def _links(assembly: Assembly) -> list[str]:
+    config = assembly.config
     page, foxglove, shield, edge = config.page, config.foxglove, config.shield, config.edge
     scheme = "https" if page.tls else "http"
-    lines.append(f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}")
+    lines = [f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}"]
     if foxglove.enabled:
         lines.append(f"foxglove: ws://{foxglove.host}:{foxglove.port}")
     if edge.enabled:
         lines.append(f"databus: mqtt://{edge.host}:{edge.port}")
+    if config.s7.server is not None:
+        server = config.s7.server
+        numbers = ", ".join(f"DB{number}" for number in sorted(server.blocks))
+        lines.append(f"S7: s7://{server.host}:{server.port}, {numbers}")
     if shield.enabled:
         lines.append(f"shield: {shield.device or assembly.folder / shield.link}")
-    return lines + [f"warning: {text}" for text in warnings(assembly)]
+    return lines
 
 
 def _block(block: BlockConfig) -> str:
@@ -131,6 +141,8 @@ def _idle_peers(assembly: Assembly) -> list[str]:
 
 
 def _protection(peer: PeerConfig) -> str:
+    if peer.is_s7:
+        return "unprotected: S7 knows neither users nor encryption"
     security = peer.security
     how = f"{security.policy} {security.effective_mode}" if security.is_secure else "policy None"
     return how if security.user is None else f"{how}, as user '{security.user}'"

@@ -1,6 +1,7 @@
 """Print the signal table: every signal once, as Markdown, CSV or an OPC UA NodeSet2 file.
 
-The table is that of the configuration, own blocks included; without one, that of the defaults.
+The table is that of the configuration, own blocks included; without one, that of the defaults. As
+SCL it prints the data blocks of the configuration, for the project of an S7 controller.
 """
 
 import argparse
@@ -9,10 +10,11 @@ import io
 from collections.abc import Callable
 
 from hilserver.commands.options import add_config, config_path, out_file
-from hilserver.daemon.assembly import assemble
-from hilserver.errors import EXIT_DONE
+from hilserver.daemon.assembly import Assembly, assemble
+from hilserver.errors import EXIT_DONE, ConfigError
 from hilserver.io.opcua_server.nodeset import to_nodeset
 from hilserver.io.opcua_server.units import find_unit
+from hilserver.io.s7.scl import to_scl
 from hilserver.parameters import PLANT
 from hilserver.signals import Signal, SignalTable
 
@@ -43,7 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print or write the table."""
-    text = FORMATS[args.format](assemble(config_path(args)).table)
+    text = FORMATS[args.format](assemble(config_path(args)))
+    if not text:
+        raise ConfigError(
+            "the configuration has no data block: add s7.server, or a peer at s7://; see"
+            " docs/how-to/s7.md"
+        )
     if args.out is None:
         print(text, end="")
         return EXIT_DONE
@@ -85,8 +92,9 @@ def as_csv(table: SignalTable) -> str:
     return text.getvalue()
 
 
-FORMATS: dict[str, Callable[[SignalTable], str]] = {
-    "markdown": as_markdown,
-    "csv": as_csv,
-    "nodeset2": lambda table: to_nodeset(table, PLANT.values()),
+FORMATS: dict[str, Callable[[Assembly], str]] = {
+    "markdown": lambda assembly: as_markdown(assembly.table),
+    "csv": lambda assembly: as_csv(assembly.table),
+    "nodeset2": lambda assembly: to_nodeset(assembly.table, PLANT.values()),
+    "scl": lambda assembly: to_scl(assembly.config),
 }

@@ -1,6 +1,7 @@
-"""The `peers:` section: OPC UA servers whose values we read and to which we write.
+"""The `peers:` section: controllers whose values we read and to which we write.
 
-A node is named ``nsu=<namespace URI>;s=<name>`` (looked up again at every connect, because a server
+What stands at ``opc.tcp://`` has nodes, what stands at ``s7://`` has places in data blocks. A node
+is named ``nsu=<namespace URI>;s=<name>`` (looked up again at every connect, because a server
 may number its namespaces anew after a restart) or ``ns=<index>;s=<name>``.
 """
 
@@ -14,12 +15,15 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
 
+from hilserver.config import s7, s7_peer
 from hilserver.config.peer_security import PeerSecurity
 from hilserver.config.section import Driver, LinkSection
 from hilserver.errors import meant
 from hilserver.opcua.settings import check_endpoint, is_loopback
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
+_BLOCK = re.compile(r"^DB\d", re.IGNORECASE)
+S7 = "s7://"
 _NAMESPACE_MAX = 2**16 - 1
 _NUMBER_MAX = 2**32 - 1
 
@@ -83,11 +87,16 @@ class NodeAddress:
 
 
 def _check_node(text: str) -> str:
+    if _BLOCK.match(text):
+        return s7.check_address(text)
     NodeAddress.parse(text)
     return text
 
 
 def _check_peer(text: str) -> str:
+    if text.startswith(S7):
+        s7.Endpoint.parse(text)
+        return text
     if urlsplit(check_endpoint(text)).port == 0:
         raise ValueError(f"'{text}' needs the port that the peer listens on")
     return text
@@ -116,6 +125,8 @@ class PeerConfig(LinkSection):
         What happens to the set-points then.
     read : dict
         Their node -> our input signal, or several of them that get the same value.
+    heartbeat : Heartbeat
+        Of an S7 controller: counters at both ends of the blocks.
     sequence_node : str or None
         Their counter; tells a living controller from a server that merely answers.
     write : dict
@@ -128,7 +139,10 @@ class PeerConfig(LinkSection):
         str,
         Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in log, metrics and OPC UA"),
     ]
-    endpoint: Annotated[Endpoint, Field(description="opc.tcp://<host>:<port>/<path>")]
+    endpoint: Annotated[
+        Endpoint,
+        Field(description="opc.tcp://<host>:<port>/<path>, or s7://<host>/<rack>/<slot>"),
+    ]
     security: PeerSecurity = Field(default_factory=PeerSecurity)
     mode: Literal["auto", "subscribe", "poll"] = Field(
         "auto", description="subscribe, poll, or auto: poll when the peer grants too slow a rate"
@@ -147,6 +161,7 @@ class PeerConfig(LinkSection):
     read: Annotated[dict[NodeId, str | Inputs], Field(max_length=1000)] = Field(
         {}, description="their node: our input signal, or a list of them that get the same value"
     )
+    heartbeat: s7_peer.Heartbeat = Field(default_factory=s7_peer.Heartbeat)
     sequence_node: NodeId | None = Field(
         None, description="their counter: shows whether the controller runs, not only its server"
     )
@@ -172,13 +187,59 @@ class PeerConfig(LinkSection):
             twice = _first_duplicate(names)
             if twice is not None:
                 raise ValueError(f"{what} of peer '{self.name}' names '{twice}' twice")
-        slowest_ms = self.poll_ms if self.mode == "poll" else self.publishing_ms
+        polls = self.is_s7 or self.mode == "poll"
+        slowest_ms = self.poll_ms if polls else self.publishing_ms
         if self.read and self.stale_after_ms < 2 * slowest_ms:
             raise ValueError(
                 f"stale_after_ms of peer '{self.name}' must be at least twice the interval at which"
                 f" values come ({slowest_ms:g} ms), so at least {2 * slowest_ms:g}"
             )
         return self
+
+    @model_validator(mode="after")
+    def _fits_transport(self) -> "PeerConfig":
+        named = [*self.read, *self.write.values()]
+        wrong = next((text for text in named if bool(_BLOCK.match(text)) != self.is_s7), None)
+        if wrong is not None:
+            how = "DB1,REAL4" if self.is_s7 else "nsu=<namespace URI>;s=<name>"
+            raise ValueError(f"peer '{self.name}' has no '{wrong}': write {how}")
+        if not self.is_s7:
+            if self.heartbeat != s7_peer.Heartbeat():
+                raise ValueError(f"heartbeat of peer '{self.name}' is for s7://: use sequence_node")
+            return self
+        for key, given, default in (
+            ("security", self.security, PeerSecurity()),
+            ("sequence_node", self.sequence_node, None),
+            ("mode", "poll" if self.mode == "auto" else self.mode, "poll"),
+        ):
+            if given != default:
+                raise ValueError(f"{key} of peer '{self.name}' is for opc.tcp://: leave it out")
+        try:
+            s7_peer.check_blocks(named[: len(self.read)], self.write.values(), self.heartbeat)
+        except ValueError as error:
+            raise ValueError(f"peer '{self.name}': {error}") from None
+        return self
+
+    @property
+    def is_s7(self) -> bool:
+        """Whether it is an S7 controller."""
+        return self.endpoint.startswith(S7)
+
+    @property
+    def counter(self) -> str | None:
+        """Address of their counter."""
+        return self.heartbeat.read[0] if self.heartbeat.read else self.sequence_node
+
+    @property
+    def counter_modulus(self) -> int:
+        """Where their counter begins anew."""
+        pair = self.heartbeat.read
+        return 2**32 if pair is None else 1 << 8 * s7.Address.parse(pair[0]).place.size
+
+    @property
+    def blocks(self) -> tuple[s7_peer.Block | None, s7_peer.Block | None]:
+        """Of an S7 controller: the data blocks that are read and written."""
+        return s7_peer.check_blocks(self.read, self.write.values(), self.heartbeat)
 
     def inputs_of(self, node: str) -> tuple[str, ...]:
         """Return the inputs that the value of `node` goes to; none for a node that is not read."""

@@ -18,6 +18,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.ros2 import Ros2Config
+from hilserver.config.s7 import S7Config
 from hilserver.config.section import Driver, LinkSection, Section
 from hilserver.config.server import OpcUaConfig
 from hilserver.config.shadow import ShadowConfig
@@ -42,6 +43,7 @@ class Config(Section):
     shield: ShieldConfig = Field(default_factory=ShieldConfig)
     ros2: Ros2Config = Field(default_factory=Ros2Config)
     edge: EdgeConfig = Field(default_factory=EdgeConfig)
+    s7: S7Config = Field(default_factory=S7Config)
     blocks: tuple[BlockConfig, ...] = ()
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
@@ -89,7 +91,7 @@ class Config(Section):
         """Kind of source that has control at the start."""
         if self.control.source is not None:
             return self.control.source
-        if self.peers or self.edge.drives:
+        if self.peers or self.edge.drives or self.s7.drives:
             return "peer"
         if self.shield.enabled:
             return "shield"

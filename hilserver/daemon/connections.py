@@ -18,11 +18,11 @@ from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
-from hilserver.io import edge, foxglove, peer_metrics, ros2
-from hilserver.io.opcua_client import link as opcua_client
+from hilserver.io import edge, foxglove, peer_metrics, ros2, s7
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.part import Part
 from hilserver.io.peer_status import PeerStatus
+from hilserver.io.peers import parts as peer_parts
 from hilserver.io.shield import link as shield
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.io.shield.status import ShieldStatus
@@ -42,7 +42,8 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
     shield.parts,
     foxglove.parts,
     edge.parts,
-    opcua_client.parts,
+    s7.parts,
+    peer_parts,
 )
 """Every link, in the order of the banner; a new one is a line here."""
 

@@ -1,8 +1,8 @@
 """The book of faults: told once, kept while it lasts."""
 
 from hilserver.core.events import Event
-from hilserver.io.opcua_client.validation import FaultKind
 from hilserver.io.peer_faults import FAULTS_MAX, HOLD_NS, FaultBook
+from hilserver.io.peer_samples import FaultKind
 from hilserver.io.peer_status import PeerStatus
 
 LOG_IN, CERTIFICATE = FaultKind.LOG_IN, FaultKind.CERTIFICATE

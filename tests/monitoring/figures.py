@@ -14,7 +14,7 @@ from hilserver.daemon import metrics as daemon
 from hilserver.daemon.outputs import EXPORTED
 from hilserver.faults import metrics as faults
 from hilserver.io import peer_metrics
-from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.peer_samples import FaultKind
 from hilserver.io.peer_status import PeerStatus
 from hilserver.io.shield import ShieldStatus
 from hilserver.io.shield import metrics as shield_metrics

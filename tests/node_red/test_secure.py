@@ -6,7 +6,8 @@ import socket
 import pytest
 
 from hilserver.config.server import OpcUaConfig
-from hilserver.io.opcua_client import LinkSecurity, refusal
+from hilserver.io import peer_errors
+from hilserver.io.opcua_client import LinkSecurity
 from hilserver.opcua.certificate import (
     key_to_pem,
     make_certificate,
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.node_red
 
 
 async def test_the_shipped_flow_over_basic256sha256(node_red, tmp_path, monkeypatch):
-    monkeypatch.setattr(refusal, "SECURITY_PAUSE_S", 0.2)
+    monkeypatch.setattr(peer_errors, "REFUSED_PAUSE_S", 0.2)
     flow = json.loads((DEPLOY / "flows.json").read_text(encoding="utf-8"))
     robot = await node_red(flow).start()
     trust = TrustList(tmp_path / "certificates")

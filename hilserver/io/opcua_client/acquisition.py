@@ -5,19 +5,20 @@ more than a twentieth of the sequence numbers do not arrive within two seconds. 
 the next connect.
 """
 
-import asyncio
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import structlog
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
-from hilserver.io.opcua_client.intake import Taker
 from hilserver.io.opcua_client.session import Session, read_request
 from hilserver.io.opcua_client.subscription import Grant, Subscription
+from hilserver.io.opcua_client.validation import judge
+from hilserver.io.peer_intake import Taker
 from hilserver.io.peer_status import PeerStatus
+from hilserver.period import every
 
 WINDOW_S = 2.0
 MISSED_SHARE_MAX = 0.05
@@ -147,8 +148,8 @@ class Acquisition:
                 look_again_at = float("inf") if complete else time.monotonic() + LOOK_AGAIN_S
             if names:
                 values = await self.session.read(request)
-                samples = zip(names, values, strict=True)
-                self.intake.receive(samples, time.monotonic_ns())
+                now_ns, judged = time.monotonic_ns(), map(judge, values)
+                self.intake.receive(zip(names, judged, strict=True), now_ns)
 
         await every(self.config.poll_ms / 1000, cycle, self._skipped)
 
@@ -166,27 +167,3 @@ class Acquisition:
 
 def _split(pairs: Sequence[tuple[str, ua.NodeId]]) -> tuple[list[str], list[ua.NodeId]]:
     return [name for name, _ in pairs], [node for _, node in pairs]
-
-
-async def every(
-    period_s: float,
-    cycle: Callable[[], Awaitable[None]],
-    skipped: Callable[[int], None] = lambda _count: None,
-) -> None:
-    """Run `cycle` on absolute deadlines, one at a time; those that passed meanwhile are skipped.
-
-    Parameters
-    ----------
-    skipped : callable
-        Takes the number of deadlines left out.
-    """
-    loop = asyncio.get_running_loop()
-    deadline = loop.time()
-    while True:
-        await cycle()
-        deadline += period_s
-        late = int((loop.time() - deadline) / period_s)
-        if late > 0:
-            deadline += late * period_s
-            skipped(late)
-        await asyncio.sleep(max(0.0, deadline - loop.time()))

@@ -5,17 +5,14 @@ from collections.abc import Iterable, Sequence
 from asyncua import ua
 from cryptography import x509
 
-from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.peer_errors import RefusedError
+from hilserver.io.peer_samples import FaultKind
 from hilserver.opcua.certificate import (
     host_names,
     parse_certificate,
     thumbprint,
 )
 from hilserver.opcua.trust_list import Verdict
-
-SECURITY_PAUSE_S = 2.0
-LOG_IN_PAUSE_S = 20.0
-"""Servers lock an account after a few failures a minute."""
 
 _SHOWN = 5
 _LONGEST = 100
@@ -25,25 +22,6 @@ _POLICY_CODES = {
     "BadSecurityModeRejected",
     "BadSecurityModeInsufficient",
 }
-
-
-class RefusedError(Exception):
-    """There is no session, and another attempt without a change would not make one.
-
-    Attributes
-    ----------
-    kind : FaultKind
-    subject : str
-        Tells reasons of one kind apart.
-    pause_s : float
-        Shortest time to the next attempt [s].
-    """
-
-    def __init__(self, kind: FaultKind, subject: str, sentence: str) -> None:
-        super().__init__(sentence)
-        self.kind = kind
-        self.subject = subject
-        self.pause_s = LOG_IN_PAUSE_S if kind is FaultKind.LOG_IN else SECURITY_PAUSE_S
 
 
 def certificate_refused(

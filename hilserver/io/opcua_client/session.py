@@ -14,8 +14,9 @@ from typing import Any
 from asyncua import Client, ua
 
 from hilserver.config.peers import NodeAddress
-from hilserver.io.opcua_client.refusal import RefusedError, hung_up, refused_by_peer
+from hilserver.io.opcua_client.refusal import hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
+from hilserver.io.peer_errors import LinkLostError, RefusedError
 
 CONNECT_TIMEOUT_S = 2.0
 """For the TCP connection and for each request."""
@@ -36,10 +37,6 @@ _CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
 
 RECEIVE_MAX = 16 * 1024 * 1024
 """Bytes of one incomplete message; the library would collect as many as a header announces."""
-
-
-class LinkLostError(Exception):
-    """The session ended; the message says why in words."""
 
 
 def quieten_asyncua() -> None:

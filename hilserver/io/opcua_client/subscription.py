@@ -12,8 +12,10 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.io.opcua_client.intake import Taker
-from hilserver.io.opcua_client.session import LinkLostError, Session
+from hilserver.io.opcua_client.session import Session
+from hilserver.io.opcua_client.validation import judge
+from hilserver.io.peer_errors import LinkLostError
+from hilserver.io.peer_intake import Taker
 
 QUEUE_MAX = 1000
 SILENT_AFTER_S = 2.0
@@ -168,7 +170,7 @@ class Subscription:
                 for item in notification.MonitoredItems:
                     node = self._handles.get(item.ClientHandle)
                     if node is not None:
-                        samples.append((node, item.Value))
+                        samples.append((node, judge(item.Value)))
         self._intake.receive(samples, now_ns)
 
     async def watch(self, duration_s: float) -> None:

@@ -9,7 +9,6 @@ from asyncua import ua
 from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
 from hilserver.image.status import GOOD, is_bad
-from hilserver.io.opcua_client.acquisition import every
 from hilserver.io.opcua_client.outgoing import (
     Form,
     UnfitError,
@@ -17,15 +16,15 @@ from hilserver.io.opcua_client.outgoing import (
     variant,
     variant_type,
 )
-from hilserver.io.opcua_client.session import LinkLostError, Session
-from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.opcua_client.session import Session
+from hilserver.io.peer import Output
+from hilserver.io.peer_errors import LinkLostError
 from hilserver.io.peer_faults import FaultBook
+from hilserver.io.peer_samples import FaultKind
 from hilserver.io.peer_status import PeerStatus
+from hilserver.period import every
 
 LOOK_AGAIN_S = 1.0
-
-Output = tuple[object, int, int]
-"""Value, OPC UA status code, CLOCK_MONOTONIC [ns] of the tick that made it."""
 
 
 class Writer:

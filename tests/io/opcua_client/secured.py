@@ -12,7 +12,8 @@ from cryptography import x509
 
 from hilserver.config.peers import PeerConfig
 from hilserver.config.server import OpcUaConfig
-from hilserver.io.opcua_client import LinkSecurity, refusal
+from hilserver.io import peer_errors
+from hilserver.io.opcua_client import LinkSecurity
 from hilserver.opcua.certificate import (
     make_certificate,
     to_der,
@@ -86,8 +87,8 @@ async def running(harness: Harness) -> AsyncIterator[Harness]:
 
 
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refusal, "SECURITY_PAUSE_S", 0.05)
-    monkeypatch.setattr(refusal, "LOG_IN_PAUSE_S", 0.05)
+    monkeypatch.setattr(peer_errors, "REFUSED_PAUSE_S", 0.05)
+    monkeypatch.setattr(peer_errors, "LOG_IN_PAUSE_S", 0.05)
 
 
 def written(rig: Rig) -> float:

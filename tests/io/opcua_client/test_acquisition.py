@@ -5,8 +5,9 @@ import asyncio
 import pytest
 
 from hilserver.core.inputs import Refusal
-from hilserver.io.opcua_client.acquisition import every, too_many_missed, too_slow
+from hilserver.io.opcua_client.acquisition import too_many_missed, too_slow
 from hilserver.io.opcua_client.subscription import Grant
+from hilserver.period import every
 from tests.io.opcua_client.conftest import make_harness, peer_config, wait_until
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus
-from hilserver.io.opcua_client.intake import Intake
-from hilserver.io.opcua_client.validation import FaultKind
+from hilserver.io.opcua_client.validation import judge
 from hilserver.io.peer_faults import HOLD_NS
+from hilserver.io.peer_intake import Intake
+from hilserver.io.peer_samples import FaultKind
 from hilserver.io.peer_status import PeerStatus
 from hilserver.io.source import Source
 from tests.io.opcua_client.conftest import URI, RecordingGate, peer_config
@@ -38,7 +39,7 @@ class Bench:
 
     def receive(self, *samples):
         self.now_ns += 10_000_000
-        self.intake.receive([(n, ua.DataValue(v)) for n, v in samples], self.now_ns)
+        self.intake.receive([(n, judge(ua.DataValue(v))) for n, v in samples], self.now_ns)
         self.staleness.check(self.now_ns)
 
 

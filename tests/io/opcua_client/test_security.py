@@ -13,7 +13,8 @@ from asyncua import Server, ua
 
 from hilserver.config.server import OpcUaConfig
 from hilserver.errors import ConfigError
-from hilserver.io.opcua_client import link, refusal, session
+from hilserver.io import peer_errors
+from hilserver.io.opcua_client import session
 from hilserver.opcua.access import Access
 from hilserver.opcua.certificate import (
     key_to_pem,
@@ -357,7 +358,7 @@ async def test_a_wrong_password_is_named_and_not_tried_in_haste(
         await wait_until(lambda: harness.heard("refuses user 'otto': check user and password_file"))
         await asyncio.sleep(1.0)
         assert log_ins == [b"wrong"]
-    attempts_per_minute = 60 / refusal.LOG_IN_PAUSE_S
+    attempts_per_minute = 60 / peer_errors.LOG_IN_PAUSE_S
     assert attempts_per_minute < OpcUaConfig().max_failed_logins
     assert "wrong" not in harness.status.last_error
 
@@ -429,4 +430,4 @@ async def test_a_link_is_never_less_protected_than_configured(station: Station) 
     harness = station.link("opc.tcp://127.0.0.1:4840/")
     with pytest.raises(ValueError, match="asks for a protected link"):
         make_harness(harness.link.config)
-    assert link.refusal_in(ValueError()) is None
+    assert peer_errors.refusal_in(ValueError()) is None

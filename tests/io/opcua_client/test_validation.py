@@ -7,10 +7,12 @@ from asyncua import ua
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.io.opcua_client.link import Backoff, describe
-from hilserver.io.opcua_client.session import LinkLostError
-from hilserver.io.opcua_client.validation import FaultKind, SequenceWatch, judge
+from hilserver.io.opcua_client.link import PeerLink
+from hilserver.io.opcua_client.validation import judge
 from hilserver.io.opcua_client.writer import variant
+from hilserver.io.peer import Backoff
+from hilserver.io.peer_errors import LinkLostError
+from hilserver.io.peer_samples import FaultKind, SequenceWatch
 
 
 def sample(value: object, kind: ua.VariantType | None = None, status: int = 0) -> ua.DataValue:
@@ -95,7 +97,7 @@ def test_backoff_doubles_up_to_its_limit_and_begins_anew():
     ],
 )
 def test_every_end_has_words(error, text):
-    assert describe(error) == text
+    assert PeerLink.describe(error) == text
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,11 @@ import asyncio
 import time
 from collections.abc import Iterable
 
-from asyncua import ua
-
 from hilserver.faults.links import Lane, Line
-from hilserver.io.opcua_client.intake import Intake
+from hilserver.io.peer_intake import Intake
+from hilserver.io.peer_samples import Verdict
 
-Batch = list[tuple[str, ua.DataValue]]
+Batch = list[tuple[str, Verdict]]
 
 
 class FaultyIntake:
@@ -24,7 +23,7 @@ class FaultyIntake:
         """Name a node that the peer does not have."""
         self._intake.missing(node, why, now_ns)
 
-    def receive(self, samples: Iterable[tuple[str, ua.DataValue]], now_ns: int) -> None:
+    def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
         """Take one batch; what is not late is handed on here and now."""
         self._lane.put(list(samples))
         for batch in self._lane.take():

@@ -8,12 +8,9 @@ peer has a counter, a batch without a newer number brings nothing in.
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from asyncua import ua
-
 from hilserver.config.peers import PeerConfig
-from hilserver.io.opcua_client.latency import ClockOffset, StampWatch, one_way_ns
-from hilserver.io.opcua_client.stamps import utc_ns_of
-from hilserver.io.opcua_client.validation import FaultKind, SequenceWatch, Verdict, judge
+from hilserver.io.peer_latency import ClockOffset, StampWatch, one_way_ns
+from hilserver.io.peer_samples import FaultKind, SequenceWatch, Verdict
 from hilserver.io.source import Source
 
 SEQUENCE_SIGNAL = "input.sequence"
@@ -25,7 +22,7 @@ REPEATS_TOLERATED = 3
 class Taker(Protocol):
     """The intake, as acquisition and subscription see it."""
 
-    def receive(self, samples: Iterable[tuple[str, ua.DataValue]], now_ns: int) -> None:
+    def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
         """Take one batch."""
 
     def missing(self, node: str, why: str, now_ns: int) -> None:
@@ -43,8 +40,9 @@ class Intake:
 
     def __init__(self, config: PeerConfig, source: Source, utc_ns: Callable[[int], int]) -> None:
         self._inputs = {node: config.inputs_of(node) for node in config.read}
-        self._sequence_node = config.sequence_node
-        self._stamped_node = config.sequence_node
+        self._counter = config.counter
+        self._stamped_node = config.counter
+        self._modulus = config.counter_modulus
         self._sends_sequence = SEQUENCE_SIGNAL not in config.inputs
         self._source, self._status = source, source.status
         self._staleness, self._faults = source.staleness, source.faults
@@ -53,7 +51,7 @@ class Intake:
 
     def begin_session(self) -> None:
         """Forget what only holds within one session: counters, stamps and values start anew."""
-        self.sequence = SequenceWatch()
+        self.sequence = SequenceWatch(self._modulus)
         self.offset = ClockOffset()
         self._stamps = StampWatch()
         self._picture: dict[str, object] = {}
@@ -72,20 +70,19 @@ class Intake:
         self._faults.report(FaultKind.MISSING_NODE, node, f"{node} is not there: {why}", now_ns)
         self._drop(node, now_ns)
 
-    def receive(self, samples: Iterable[tuple[str, ua.DataValue]], now_ns: int) -> None:
+    def receive(self, samples: Iterable[tuple[str, Verdict]], now_ns: int) -> None:
         """Take one batch that arrived at `now_ns` (CLOCK_MONOTONIC).
 
         Parameters
         ----------
-        samples : iterable of (node, DataValue)
+        samples : iterable of (node, Verdict)
             Oldest first; empty for a keep-alive, which attests that nothing changed.
         """
-        advanced = self._sequence_node is None
+        advanced = self._counter is None
         news = changed = False
-        for node, sample in samples:
-            verdict = judge(sample)
-            is_new, has_changed = self._compare(node, sample, verdict.value)
-            self._judge_stamp(node, sample, verdict, now_ns)
+        for node, verdict in samples:
+            is_new, has_changed = self._compare(node, verdict)
+            self._judge_stamp(node, verdict, now_ns)
             news |= is_new
             if verdict.fault is not None:
                 sentence = f"{node}: {verdict.detail}"
@@ -94,7 +91,7 @@ class Intake:
                 continue
             for name in self._inputs.get(node, (node,)):
                 self._staleness.usable(name)
-            if node == self._sequence_node:
+            if node == self._counter:
                 advanced |= self._count(verdict, now_ns)
             else:
                 changed |= has_changed
@@ -108,10 +105,10 @@ class Intake:
         elif changed:
             self._watch_repeats(now_ns)
 
-    def _compare(self, node: str, sample: ua.DataValue, value: object) -> tuple[bool, bool]:
+    def _compare(self, node: str, verdict: Verdict) -> tuple[bool, bool]:
         """Return (value or stamp is new, value has changed) and remember both."""
-        before = self._last_values.get(node)
-        now = (sample.SourceTimestamp, value)
+        before, value = self._last_values.get(node), verdict.value
+        now = (verdict.stamp_ns, value)
         self._last_values[node] = now
         if not isinstance(before, tuple):
             return True, False
@@ -135,14 +132,14 @@ class Intake:
     def _count(self, verdict: Verdict, now_ns: int) -> bool:
         value = verdict.value
         if not isinstance(value, int | float) or value != int(value):
-            sentence = f"{self._sequence_node}: {value!r} is no counter"
-            self._faults.report(FaultKind.SEQUENCE_JUMP, str(self._sequence_node), sentence, now_ns)
+            sentence = f"{self._counter}: {value!r} is no counter"
+            self._faults.report(FaultKind.SEQUENCE_JUMP, str(self._counter), sentence, now_ns)
             return False
         before = self.sequence.last
-        step = self.sequence.observe(int(value) % 2**32)
+        step = self.sequence.observe(int(value) % self._modulus)
         if step.fault is not None:
             sentence = f"the sequence counter jumped from {before} to {int(value)}"
-            self._faults.report(step.fault, str(self._sequence_node), sentence, now_ns)
+            self._faults.report(step.fault, str(self._counter), sentence, now_ns)
         if step.advanced:
             self._status.sequence_received += 1
             self._status.sequence_missed += step.missed
@@ -150,8 +147,8 @@ class Intake:
                 self._picture[SEQUENCE_SIGNAL] = int(value) % 2**32
         return step.advanced
 
-    def _judge_stamp(self, node: str, sample: ua.DataValue, verdict: Verdict, now_ns: int) -> None:
-        stamp_ns = utc_ns_of(sample.SourceTimestamp)
+    def _judge_stamp(self, node: str, verdict: Verdict, now_ns: int) -> None:
+        stamp_ns = verdict.stamp_ns
         stamp = self._stamps.observe(node, stamp_ns, verdict.value)
         if stamp.fault is not None:
             sentence = {
@@ -188,6 +185,6 @@ class Intake:
     def _watch_repeats(self, now_ns: int) -> None:
         self._repeats += 1
         if self._repeats > REPEATS_TOLERATED:
-            sentence = f"values change while {self._sequence_node} repeats {self.sequence.last}"
-            node = str(self._sequence_node)
+            sentence = f"values change while {self._counter} repeats {self.sequence.last}"
+            node = str(self._counter)
             self._faults.report(FaultKind.SEQUENCE_REPEATS, node, sentence, now_ns)

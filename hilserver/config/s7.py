@@ -1,0 +1,249 @@
+"""The section ``s7:``, and how data blocks of S7 controllers are written in a configuration.
+
+A place in a block has its type and its offset as TIA Portal shows it: ``at: 4`` and ``type: REAL``,
+``at: 6.1`` and ``type: BOOL``. In `peers` one text names both, as Node-RED's S7 nodes have it:
+``DB1,REAL4`` and ``DB1,X6.1``.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated, Final, Literal, NamedTuple, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from hilserver.config.section import Driver, LinkSection, Section
+from hilserver.opcua.settings import is_loopback
+
+BLOCK_BYTES: Final = 8192
+"""Longest block; a controller's may have eight times as many, which nobody reads at 100 Hz."""
+
+
+class Form(NamedTuple):
+    """How a type stands in memory: the code of `struct` and its bytes, big-endian."""
+
+    code: str
+    size: int
+
+
+FORMS: Final[Mapping[str, Form]] = {
+    "BOOL": Form("?", 1),
+    "BYTE": Form("B", 1),
+    "SINT": Form("b", 1),
+    "USINT": Form("B", 1),
+    "WORD": Form("H", 2),
+    "INT": Form("h", 2),
+    "UINT": Form("H", 2),
+    "DWORD": Form("I", 4),
+    "DINT": Form("i", 4),
+    "UDINT": Form("I", 4),
+    "LWORD": Form("Q", 8),
+    "LINT": Form("q", 8),
+    "ULINT": Form("Q", 8),
+    "REAL": Form("f", 4),
+    "LREAL": Form("d", 8),
+}
+_SHORT: Final = {"X": "BOOL", "B": "BYTE", "W": "WORD", "I": "INT", "DI": "DINT", "R": "REAL"} | {
+    "DW": "DWORD",
+    "LR": "LREAL",
+}
+_ADDRESS = re.compile(r"^DB(?P<block>\d{1,5}),(?P<type>[A-Z]+)(?P<at>\d{1,5}(?:\.[0-7])?)$")
+_ENDPOINT = re.compile(
+    r"^s7://(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::(?P<port>\d{1,5}))?"
+    r"/(?P<rack>[0-7])/(?P<slot>\d{1,2})$"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a value stands in a block.
+
+    Attributes
+    ----------
+    byte : int
+        Of its first byte.
+    bit : int
+        Of a BOOL, else 0.
+    """
+
+    type: str
+    byte: int
+    bit: int = 0
+
+    @classmethod
+    def parse(cls, kind: str, at: str) -> Self:
+        """Return the place of a type and an offset; ValueError with one sentence if it is none."""
+        byte, _, bit = at.partition(".")
+        if not (byte.isdecimal() and bit in ("", *"01234567")) or len(byte) > 5:
+            raise ValueError(f"at '{at}': write the byte, and for a BOOL byte.bit, as 6.1")
+        if (kind == "BOOL") != bool(bit):
+            what = "a BOOL has a bit, as 6.1" if kind == "BOOL" else f"a {kind} has no bit"
+            raise ValueError(f"at '{at}': {what}")
+        place = cls(kind, int(byte), int(bit or 0))
+        if place.size > 1 and place.byte % 2:
+            raise ValueError(f"at '{at}': a {kind} stands at an even byte")
+        if place.end > BLOCK_BYTES:
+            raise ValueError(f"at '{at}': a block has {BLOCK_BYTES} bytes at most")
+        return place
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return FORMS[self.type].size
+
+    @property
+    def end(self) -> int:
+        """Byte after the last one."""
+        return self.byte + self.size
+
+    @property
+    def bits(self) -> range:
+        """Every bit that it takes, counted from the beginning of the block."""
+        first = 8 * self.byte + self.bit
+        return range(first, first + (1 if self.type == "BOOL" else 8 * self.size))
+
+
+class Address(NamedTuple):
+    """A place in one of a controller's data blocks."""
+
+    block: int
+    place: Place
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Parse ``DB1,REAL4``; ValueError with one sentence when it is no address."""
+        match = _ADDRESS.match(text.upper())
+        kind = "" if match is None else _SHORT.get(match["type"], match["type"])
+        if match is None or kind not in FORMS:
+            raise ValueError(
+                f"'{text}' is no place in a data block: write DB1,REAL4 or DB1,X6.1; types are"
+                f" X, {', '.join(list(FORMS)[1:])}"
+            )
+        try:
+            return cls(int(match["block"]), Place.parse(kind, match["at"]))
+        except ValueError as error:
+            raise ValueError(f"'{text}' is no place in a data block: {error}") from None
+
+
+class Endpoint(NamedTuple):
+    """Where a controller is reached."""
+
+    host: str
+    port: int
+    rack: int
+    slot: int
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Parse ``s7://host:port/rack/slot``; ValueError with one sentence when it is none."""
+        match = _ENDPOINT.match(text)
+        if match is None or int(match["slot"]) > 31 or not 0 < int(match["port"] or 102) < 65536:
+            raise ValueError(
+                f"'{text}' is no S7 controller: write s7://<host>/<rack>/<slot>, as"
+                " s7://192.0.2.20/0/1 for an S7-1500"
+            )
+        port, rack, slot = int(match["port"] or 102), int(match["rack"]), int(match["slot"])
+        return cls(match["host"].strip("[]"), port, rack, slot)
+
+
+def check_address(text: str) -> str:
+    """Return an address as it was given."""
+    Address.parse(text)
+    return text
+
+
+def overlap(places: Sequence[Place]) -> tuple[Place, Place] | None:
+    """Return the first two places that share a bit."""
+    ordered = sorted(places, key=lambda place: place.bits.start)
+    for before, after in pairwise(ordered):
+        if after.bits.start < before.bits.stop:
+            return before, after
+    return None
+
+
+class S7Field(Section):
+    """A signal in a block."""
+
+    signal: str = Field(min_length=1, max_length=100, description="Its name")
+    at: int | float | str = Field(description="Byte, for a BOOL byte.bit")
+    type: Literal[
+        "BOOL", "BYTE", "SINT", "USINT", "WORD", "INT", "UINT", "DWORD", "DINT", "UDINT",
+        "LWORD", "LINT", "ULINT", "REAL", "LREAL",
+    ] = Field("REAL", description="Type in the controller")  # fmt: skip
+
+    @property
+    def place(self) -> Place:
+        """Where it stands."""
+        return Place.parse(self.type, str(self.at))
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        _ = self.place
+        return self
+
+
+def _check_layout(fields: tuple[S7Field, ...]) -> tuple[S7Field, ...]:
+    twice = overlap([field.place for field in fields])
+    if twice is not None:
+        names = {field.place: field.signal for field in fields}
+        raise ValueError(f"'{names[twice[0]]}' and '{names[twice[1]]}' stand on the same bytes")
+    return fields
+
+
+Layout = Annotated[
+    tuple[S7Field, ...], Field(min_length=1, max_length=1000), AfterValidator(_check_layout)
+]
+Number = Annotated[int, Field(ge=1, le=65535)]
+
+
+class S7Server(Section):
+    """Data blocks of ours that controllers and panels read and write by put and get."""
+
+    host: str = Field("127.0.0.1", min_length=1, max_length=253, description="Address to listen on")
+    port: int = Field(102, ge=0, le=65535, description="ISO on TCP; below 1024 it needs rights")
+    blocks: Annotated[dict[Number, Layout], Field(min_length=1, max_length=100)] = Field(
+        description="Number of a data block: its signals"
+    )
+    pdu_bytes: int = Field(480, ge=240, le=960, description="Longest message that is agreed on")
+    max_clients: int = Field(16, ge=1, le=200, description="Connections at the same time")
+    allow_insecure_network: bool = Field(
+        False, description="Listen elsewhere than on loopback; S7 has neither users nor encryption"
+    )
+    stale_after_ms: float = Field(
+        500.0, ge=10, le=3_600_000, description="Values older than this are stale"
+    )
+    on_stale: Literal["hold", "zero", "ramp"] = Field(
+        "ramp", description="What happens then to what a client commands"
+    )
+
+    @model_validator(mode="after")
+    def _closed_to_network(self) -> Self:
+        if not is_loopback(self.host) and not self.allow_insecure_network:
+            raise ValueError(
+                f"host '{self.host}' is reachable from the network, and S7 knows no password:"
+                " listen on 127.0.0.1, or set allow_insecure_network: true"
+            )
+        return self
+
+
+class S7Config(LinkSection):
+    """S7 controllers and panels as clients of ours; controllers as servers are `peers`."""
+
+    server: S7Server | None = Field(None, description="null: no server")
+
+    @property
+    def driver(self) -> Driver:
+        """Whoever writes into a block."""
+        server = self.server
+        limit_ms, on_stale = (500.0, "ramp") if server is None else (
+            server.stale_after_ms, server.on_stale
+        )  # fmt: skip
+        who = ("s7", "peer:s7", "the S7 client")
+        return Driver(*who, limit_ms, on_stale, server is not None, has_faults=False)
+
+    @property
+    def drives(self) -> bool:
+        """Whether a client can command: whether a set-point stands in a block."""
+        layouts = () if self.server is None else self.server.blocks.values()
+        return any("setpoint" in field.signal for layout in layouts for field in layout)

@@ -1,0 +1,224 @@
+"""A controller that is reached as a client: connect, work, wait, as long as the daemon runs.
+
+One `Peer` protocol, several transports: what a transport adds is `converse`, a conversation that
+lasts until the connection ends. Silence, faults, back-off and figures are the same for all.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import structlog
+
+from hilserver.config.peers import PeerConfig
+from hilserver.core.clock import UtcClock
+from hilserver.core.events import EventBus
+from hilserver.faults.links import Line
+from hilserver.io.part import Part
+from hilserver.io.peer_errors import LinkLostError, RefusedError, refusal_in
+from hilserver.io.peer_faulty_intake import FaultyIntake
+from hilserver.io.peer_intake import Intake
+from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.source import Gate, Source
+from hilserver.signals import MEASURED
+
+WATCH_S = 0.02
+SETTLED_S = 2.0
+"""A session that lived so long resets the back-off."""
+
+Output = tuple[object, int, int]
+"""Value, OPC UA status code, CLOCK_MONOTONIC [ns] of the tick that made it."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Backoff:
+    """Pauses between attempts, measured from start to start, doubling up to a limit [s]."""
+
+    def __init__(self, first_s: float = 0.1, limit_s: float = 0.5) -> None:
+        self._first_s = first_s
+        self._limit_s = limit_s
+        self._next_s = first_s
+
+    def settled(self) -> None:
+        """Begin anew: the last session worked."""
+        self._next_s = self._first_s
+
+    def next_s(self) -> float:
+        """Return the time from the start of this attempt to the start of the next one."""
+        pause_s = self._next_s
+        self._next_s = min(2 * pause_s, self._limit_s)
+        return pause_s
+
+
+class Peer(Part):
+    """Reads set-points from one peer and writes outputs back, whatever the peer does.
+
+    Parameters
+    ----------
+    config : PeerConfig
+    gate : Gate
+        Takes the groups of inputs.
+    events : EventBus
+    read_output : callable
+        ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
+    clock : UtcClock
+        Turns ticks into SourceTimestamps and arrivals into UTC.
+    line : Line or None
+        Injected faults of this link.
+
+    Attributes
+    ----------
+    status : PeerStatus
+        Always up to date.
+    """
+
+    section = "peers"
+    status: PeerStatus
+
+    def __init__(
+        self,
+        config: PeerConfig,
+        *,
+        gate: Gate,
+        events: EventBus,
+        read_output: Callable[[str], Output],
+        clock: UtcClock,
+        line: Line | None = None,
+    ) -> None:
+        self.config, self.label = config, config.name
+        self.status = PeerStatus(config.name, config.endpoint)
+        self._read_output = read_output
+        self._clock = clock
+        commanding = [name for name in config.inputs if not name.startswith(MEASURED)]
+        self._source = Source(
+            config.driver,
+            f"peer {config.name}",
+            self.status,
+            gate,
+            events.publish,
+            fresh=lambda: f"peer {config.name} delivers fresh values",
+            commanding=commanding,
+        )
+        self._faults = self._source.faults
+        self._intake = Intake(config, self._source, clock.utc_ns)
+        self._line = line or Line(config.name)
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def converse(self) -> None:
+        """Connect, call `enter`, and work until the connection ends; raise why it did."""
+        raise NotImplementedError
+
+    @staticmethod
+    def describe(error: BaseException) -> str:
+        """Return in words why a session or an attempt ended."""
+        return describe(error)
+
+    @property
+    def address(self) -> str:
+        """Whom it reaches."""
+        return self.config.endpoint
+
+    async def start(self) -> None:
+        """Start connecting; returns at once, the peer may come later."""
+        if self._tasks:
+            return
+        self._source.expect(self.config.inputs)
+        self.status.state = LinkState.CONNECTING
+        self._tasks = [
+            asyncio.create_task(self._run(), name=f"peer-{self.config.name}"),
+            asyncio.create_task(self._watch(), name=f"peer-{self.config.name}-watch"),
+        ]
+
+    async def stop(self) -> None:
+        """Close the session and end; limited by the session's close time."""
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self.status.state = LinkState.STOPPED
+
+    async def _watch(self) -> None:
+        while True:
+            now_ns = time.monotonic_ns()
+            if self.config.read:
+                self._source.watch(now_ns)
+            else:
+                self.status.stale = False
+                self._faults.expire(now_ns)
+            await asyncio.sleep(WATCH_S)
+
+    async def _run(self) -> None:
+        backoff = Backoff()
+        loop = asyncio.get_running_loop()
+        while True:
+            started_s = loop.time()
+            self.status.state = LinkState.CONNECTING
+            await self._line.wait_whole()
+            shortest_s = 0.02
+            try:
+                self._intake.begin_session()
+                await self.converse()
+            except Exception as error:  # noqa: BLE001 - a broken peer can make a library raise anything
+                refused = refusal_in(error)
+                if refused is None:
+                    self._note_end(error)
+                else:
+                    self._note_refusal(refused)
+                    shortest_s = refused.pause_s
+            if self.status.connected and loop.time() - started_s > SETTLED_S:
+                backoff.settled()
+            self._leave()
+            if not self._tasks:
+                return  # stopped: an error of the same moment has hidden the cancellation
+            pause_s = started_s + backoff.next_s() - loop.time()
+            await asyncio.sleep(max(shortest_s, pause_s))
+
+    async def wait_cut(self) -> None:
+        """Wait until an injected fault cuts the link."""
+        await self._line.wait_cut()
+        raise LinkLostError("an injected fault cut the link")
+
+    def enter(self) -> FaultyIntake:
+        """Note that there is a session; return what takes its samples."""
+        status = self.status
+        if status.last_connect_ns is not None:
+            status.reconnects += 1
+        status.last_connect_ns = time.monotonic_ns()
+        status.connected, status.state = True, LinkState.CONNECTED
+        self._faults.admit()
+        _log.info("peer connected", peer=self.config.name, endpoint=self.config.endpoint)
+        return FaultyIntake(self._intake, self._line)
+
+    def _leave(self) -> None:
+        status = self.status
+        if not status.connected:
+            status.failed_attempts += 1
+        status.connected, status.state = False, LinkState.HELD_OFF
+        status.mode = status.mode_reason = ""
+
+    def _note_end(self, error: Exception) -> None:
+        why = self.describe(error)
+        if self.status.connected or why != self.status.last_error:
+            _log.warning("peer link ended", peer=self.config.name, why=why)
+        self.status.last_error = why
+
+    def _note_refusal(self, refused: RefusedError) -> None:
+        """Tell the reason once, however often the attempt is repeated."""
+        self.status.last_error = str(refused)
+        self._faults.refuse(refused.kind, refused.subject, str(refused), time.monotonic_ns())
+
+
+def describe(error: BaseException) -> str:
+    """Return in words why a session or an attempt ended."""
+    if isinstance(error, BaseExceptionGroup):
+        return describe(error.exceptions[0])
+    if isinstance(error, LinkLostError):
+        return str(error)
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    if isinstance(error, ConnectionRefusedError):
+        return "nobody listens there"
+    if isinstance(error, OSError):
+        return error.strerror or str(error) or "the connection broke"
+    return f"{error.__class__.__name__}: {error}"

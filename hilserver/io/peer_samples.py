@@ -1,0 +1,115 @@
+"""What samples and sequence numbers of a peer are worth, whatever brought them."""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+SEQUENCE_MODULUS = 2**32
+SEQUENCE_JUMP = 10_000
+"""A larger step is a restart of the controller, not that many lost numbers."""
+
+
+class FaultKind(StrEnum):
+    """Ways in which a peer's data can be wrong."""
+
+    NOT_FINITE = "not_finite"
+    TEXT_IN_NUMBER = "text_in_number"
+    BAD_STATUS = "bad_status"
+    NO_VALUE = "no_value"
+    MISSING_NODE = "missing_node"
+    REFUSED_WRITE = "refused_write"
+    UNFIT_OUTPUT = "unfit_output"
+    FROZEN_STAMP = "frozen_stamp"
+    STAMP_BACKWARDS = "stamp_backwards"
+    STAMP_AHEAD = "stamp_ahead"
+    SEQUENCE_JUMP = "sequence_jump"
+    SEQUENCE_REPEATS = "sequence_repeats"
+    SLOW_RATE = "slow_rate"
+    SECURITY_POLICY = "security_policy"
+    CERTIFICATE = "certificate"
+    LOG_IN = "log_in"
+    TORN_READ = "torn_read"
+    NO_SLOT = "no_slot"
+    NO_S7 = "no_s7"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A usable value, or what is wrong with the sample.
+
+    Attributes
+    ----------
+    value : bool, int, float, list of those, or None
+        None when it cannot be used.
+    fault : FaultKind or None
+        None when it can.
+    detail : str
+        What was seen, for the sentence.
+    stamp_ns : int or None
+        When its source took it, UTC [ns]; None where the protocol does not say.
+    """
+
+    value: object = None
+    fault: FaultKind | None = None
+    detail: str = ""
+    stamp_ns: int | None = None
+
+
+def judge_value(value: object) -> Verdict:
+    """Judge a value, or a list of them, that is called good; only finite numbers pass."""
+    parts = value if isinstance(value, list | tuple) else [value]
+    for part in parts:
+        if isinstance(part, bool):
+            continue
+        if not isinstance(part, int | float):
+            detail = f"{type(part).__name__} '{str(part)[:40]}' with status Good"
+            return Verdict(fault=FaultKind.TEXT_IN_NUMBER, detail=detail)
+        if not math.isfinite(part):
+            detail = f"{part} with status Good (often text written into a number)"
+            return Verdict(fault=FaultKind.NOT_FINITE, detail=detail)
+    return Verdict(value=list(parts) if isinstance(value, list | tuple) else value)
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceStep:
+    """What one sequence number says.
+
+    Attributes
+    ----------
+    advanced : bool
+        It is new: the controller is alive.
+    missed : int
+        Numbers left out since the last one.
+    fault : FaultKind or None
+        A jump.
+    """
+
+    advanced: bool
+    missed: int = 0
+    fault: FaultKind | None = None
+
+
+class SequenceWatch:
+    """Follows a counter that grows by one per cycle.
+
+    Parameters
+    ----------
+    modulus : int
+        Where it begins anew.
+    """
+
+    def __init__(self, modulus: int = SEQUENCE_MODULUS) -> None:
+        self.last: int | None = None
+        self._modulus = modulus
+
+    def observe(self, number: int) -> SequenceStep:
+        """Judge the next sequence number."""
+        last, self.last = self.last, number
+        if last is None:
+            return SequenceStep(advanced=True)
+        step = (number - last) % self._modulus
+        if step == 0:
+            return SequenceStep(advanced=False)
+        if step > SEQUENCE_JUMP:
+            return SequenceStep(advanced=True, fault=FaultKind.SEQUENCE_JUMP)
+        return SequenceStep(advanced=True, missed=step - 1)

@@ -1,0 +1,18 @@
+"""S7 communication (put and get over ISO on TCP): blocks of ours, and controllers as peers.
+
+`wire` are messages as bytes, `values` what stands in them; `server` answers, `blocks` are what it
+answers from, `link` is the part; `connection` asks, `peer` is the part.
+"""
+
+from collections.abc import Iterator
+
+from hilserver.io.part import Part
+from hilserver.io.world import World
+
+
+def parts(world: World) -> Iterator[Part]:
+    """Yield the server, if the configuration has one."""
+    if world.config.s7.server is not None:
+        from hilserver.io.s7.link import S7Link  # noqa: PLC0415 -- only where it is used
+
+        yield S7Link(world.config.s7.server, world)

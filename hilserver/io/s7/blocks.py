@@ -1,0 +1,115 @@
+"""Data blocks of ours: signals at their places, read from a frame, written as a group."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from hilserver.config.s7 import Place, S7Server
+from hilserver.errors import ConfigError, meant
+from hilserver.image import Frame
+from hilserver.io.s7.values import COUNTING, check_type, packed, put, unpacked
+from hilserver.io.s7.wire import Code, Item
+from hilserver.signals import Signal, SignalTable
+
+
+class RefusedItemError(Exception):
+    """A piece of a block that cannot be read or written.
+
+    Attributes
+    ----------
+    code : Code
+    """
+
+    def __init__(self, code: Code) -> None:
+        super().__init__(code.name)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class DataBlock:
+    """One block.
+
+    Attributes
+    ----------
+    fields : tuple
+        Place and signal.
+    size : int
+        Bytes.
+    """
+
+    fields: tuple[tuple[Place, Signal], ...]
+    size: int
+
+    def filled(self, frame: Frame) -> bytes:
+        """Return the block of a frame; a number whose status is Bad is NaN, or 0 if it is whole."""
+        block = bytearray(self.size)
+        for place, signal in self.fields:
+            slot = signal.slots[0]
+            is_bad = bool(int(frame.status[slot]) & 0x8000_0000)
+            value = float("nan") if is_bad else float(frame.values[slot])
+            if place.type == "BOOL" and is_bad:
+                value = 0.0
+            put(block, place, packed(place, value, wraps=signal.type in COUNTING))
+        return bytes(block)
+
+    def read(self, item: Item, content: bytes) -> bytes:
+        """Return the bytes of an item; RefusedItemError if the block is shorter."""
+        byte, bit = divmod(item.bit, 8)
+        if byte + item.size > self.size:
+            raise RefusedItemError(Code.BEYOND)
+        return bytes((content[byte] >> bit & 1,)) if item.is_bit else content[byte:][: item.size]
+
+    def written(self, item: Item, data: bytes) -> Mapping[str, object]:
+        """Return what an item writes, by signal.
+
+        Raises
+        ------
+        RefusedItemError
+            If it hits a part of a number, nothing, or what is no input.
+        """
+        byte = item.bit // 8
+        if byte + item.size > self.size:
+            raise RefusedItemError(Code.BEYOND)
+        if len(data) != item.size:
+            raise RefusedItemError(Code.UNFIT)
+        hit = range(item.bit, item.bit + (1 if item.is_bit else 8 * item.size))
+        values: dict[str, object] = {}
+        for place, signal in self._hit(hit):
+            if place.bits.start < hit.start or place.bits.stop > hit.stop:
+                raise RefusedItemError(Code.UNFIT)
+            if not signal.writable:
+                raise RefusedItemError(Code.DENIED)
+            values[signal.name] = bool(data[0] & 1) if item.is_bit else unpacked(place, data, byte)
+        if not values:
+            raise RefusedItemError(Code.BEYOND)
+        return values
+
+    def _hit(self, bits: range) -> Iterator[tuple[Place, Signal]]:
+        for place, signal in self.fields:
+            if place.bits.start < bits.stop and place.bits.stop > bits.start:
+                yield place, signal
+
+
+def blocks_of(server: S7Server, table: SignalTable) -> dict[int, DataBlock]:
+    """Return the blocks of a configuration by their number.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such signal, or its type does not fit.
+    """
+    scalars = {signal.name: signal for signal in table.scalars if not signal.hidden}
+    blocks = {}
+    for number, layout in server.blocks.items():
+        fields = []
+        for field in layout:
+            signal = scalars.get(field.signal)
+            if signal is None:
+                hint = meant(field.signal, scalars, "see 'hilserver signals'")
+                raise ConfigError(f"block {number}: there is no signal '{field.signal}': {hint}")
+            try:
+                check_type(signal, field.type)
+            except ConfigError as error:
+                raise ConfigError(f"block {number}: {error}") from None
+            fields.append((field.place, signal))
+        blocks[number] = DataBlock(tuple(fields), max(place.end for place, _ in fields))
+    return blocks

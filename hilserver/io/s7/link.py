@@ -1,0 +1,121 @@
+"""The server as a part of the daemon: frames out, groups through the gate."""
+
+import errno
+import time
+from collections.abc import Mapping
+from typing import Final
+
+from hilserver.config.s7 import S7Server
+from hilserver.core.inputs import Refusal
+from hilserver.errors import FailedError
+from hilserver.image import Frame
+from hilserver.io.part import Part
+from hilserver.io.peer_samples import FaultKind
+from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.s7.blocks import blocks_of
+from hilserver.io.s7.server import Answers, Server
+from hilserver.io.s7.wire import Code
+from hilserver.io.source import Source
+from hilserver.io.world import World
+
+CODES: Final[Mapping[Refusal, Code]] = {Refusal.TYPE_MISMATCH: Code.UNFIT}
+"""How a refusal is answered; the others are no matter of the address: denied."""
+
+
+class S7Link(Part):
+    """Data blocks for controllers and panels.
+
+    Attributes
+    ----------
+    status : PeerStatus
+        `connected` while a client is; `writes` counts the jobs that were taken.
+    """
+
+    section, label = "s7", "S7"
+    status: PeerStatus
+
+    def __init__(self, config: S7Server, world: World) -> None:
+        self._config, self._world = config, world
+        driver = world.config.s7.driver
+        self.status = PeerStatus("s7", f"s7://{config.host}:{config.port}", mode="put/get")
+        self.status.stale = world.config.s7.drives
+        with world.at("s7", "server", "blocks"):
+            self._blocks = blocks_of(config, world.table)
+        self._source = Source(
+            driver,
+            "S7",
+            self.status,
+            world.gate,
+            world.events.publish,
+            fresh=lambda: "S7: a client writes",
+        )
+        self._server = Server(config, self._answers, self._report)
+        self._frame: Frame | None = None
+        self._contents: Mapping[int, bytes] = {n: bytes(b.size) for n, b in self._blocks.items()}
+
+    @property
+    def address(self) -> str:
+        """Where it listens."""
+        return f"s7://{self._config.host}:{self._server.port}"
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises
+        ------
+        FailedError
+            If the port cannot be had.
+        """
+        try:
+            await self._server.start()
+        except OSError as error:
+            why = error.strerror or str(error)
+            if error.errno == errno.EACCES:
+                why += "; a port below 1024 needs CAP_NET_BIND_SERVICE: see docs/how-to/s7.md"
+            place = f"s7.server: {self._config.host}, port {self._config.port}"
+            raise FailedError(f"{place}: {why}") from None
+        self.status.endpoint, self.status.state = self.address, LinkState.CONNECTING
+
+    async def stop(self) -> None:
+        """Hang up."""
+        await self._server.stop()
+        self.status.state = LinkState.STOPPED
+
+    def supervise(self) -> None:
+        """Judge the silence of those who write."""
+        status, now_ns = self.status, time.monotonic_ns()
+        status.connected = bool(self._server.clients)
+        status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
+        if self._world.config.s7.drives:
+            self._source.watch(now_ns)
+        else:
+            self._source.faults.expire(now_ns)
+
+    # --- what a client asks -----------------------------------------------------------------------
+
+    def _answers(self) -> Answers:
+        status = self.status
+        status.reconnects += status.last_connect_ns is not None
+        status.last_connect_ns = time.monotonic_ns()
+        return Answers(self._blocks, self._config.pdu_bytes, self._newest, self._write)
+
+    def _newest(self) -> Mapping[int, bytes]:
+        """Return all blocks of the newest frame, which is packed once."""
+        frame = self._world.image.latest()
+        if frame is not None and (self._frame is None or frame.number != self._frame.number):
+            frame.values[self._world.table.slot("sim.state")] = self._world.control.state
+            self._frame = frame
+            self._contents = {n: block.filled(frame) for n, block in self._blocks.items()}
+        return self._contents
+
+    def _write(self, values: Mapping[str, object]) -> Mapping[str, Code]:
+        now_ns = time.monotonic_ns()
+        outcome = self._source.write(values, now_ns)
+        if not outcome.wrong:
+            self._source.staleness.heard(now_ns)
+            self.status.input_received_ns.update(dict.fromkeys(values, now_ns))
+            self.status.writes += 1
+        return {name: CODES.get(why, Code.DENIED) for name, why in outcome.refused.items()}
+
+    def _report(self, host: str, sentence: str) -> None:
+        self._source.faults.report(FaultKind.NO_S7, host, sentence, time.monotonic_ns())

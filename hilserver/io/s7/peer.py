@@ -1,0 +1,151 @@
+"""An S7 controller, or PLCSIM Advanced, as a peer: its block in, ours out, again and again."""
+
+import asyncio
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from hilserver.config.peers import PeerConfig
+from hilserver.config.s7 import Endpoint, Place
+from hilserver.config.s7_peer import Block
+from hilserver.faults.links import Lane
+from hilserver.image.status import is_bad
+from hilserver.io.peer import Peer
+from hilserver.io.peer_faulty_intake import FaultyIntake
+from hilserver.io.peer_samples import FaultKind, judge_value
+from hilserver.io.s7.connection import AnswerError, Connection, Run
+from hilserver.io.s7.values import COUNTING, check_type, packed, unpacked
+from hilserver.io.s7.wire import Item
+from hilserver.period import every
+from hilserver.signals import SignalTable
+
+LOOK_AGAIN_S = 1.0
+"""How long a block is left alone that the controller refuses."""
+
+
+class S7Peer(Peer):
+    """Reads one block of a controller and writes one.
+
+    Parameters
+    ----------
+    config : PeerConfig
+    table : SignalTable
+
+    Raises
+    ------
+    ConfigError
+        If the type of a place does not fit its signal.
+    """
+
+    def __init__(self, config: PeerConfig, table: SignalTable, **around: Any) -> None:
+        super().__init__(config, **around)
+        self._coming, self._going = config.blocks
+        self._beat = 0
+        for text in config.read:
+            for name in config.inputs_of(text):
+                check_type(table[name], self._coming.places[text].type if self._coming else "")
+        self._wraps = {name: table[name].type in COUNTING for name in config.write}
+        for name, text in config.write.items():
+            check_type(table[name], self._going.places[text].type if self._going else "")
+
+    async def converse(self) -> None:
+        """Hold one connection."""
+        async with Connection(Endpoint.parse(self.config.endpoint)) as connection:
+            intake, status = self.enter(), self.status
+            status.mode, status.mode_reason = "poll", f"S7, {connection.pdu_bytes} bytes a message"
+            self._intake.expect(self.config.read, time.monotonic_ns())
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self.wait_cut())
+                group.create_task(intake.run())
+                group.create_task(self._read_on(connection, intake))
+                group.create_task(self._write_on(connection))
+
+    # --- in ---------------------------------------------------------------------------------------
+
+    async def _read_on(self, connection: Connection, intake: FaultyIntake) -> None:
+        block, status = self._coming, self.status
+        if block is None:
+            return
+
+        async def cycle() -> None:
+            sent_ns = time.monotonic_ns()
+            try:
+                data = await connection.read(block.number, block.start, block.end - block.start)
+            except AnswerError as error:
+                await self._refused(FaultKind.MISSING_NODE, block, error)
+                return
+            now_ns = time.monotonic_ns()
+            status.round_trip.observe(now_ns - sent_ns)
+            values = {text: unpacked(p, data, block.start) for text, p in block.places.items()}
+            if len({values[end] for end in block.heartbeat}) > 1:
+                sentence = f"DB{block.number} was read while it was written: dropped"
+                self._faults.report(FaultKind.TORN_READ, f"DB{block.number}", sentence, now_ns)
+                return
+            intake.receive(((text, judge_value(v)) for text, v in values.items()), now_ns)
+
+        def skipped(count: int) -> None:
+            status.polls_skipped += count
+
+        await every(self.config.poll_ms / 1000, cycle, skipped)
+
+    async def _refused(self, kind: FaultKind, block: Block, error: AnswerError) -> None:
+        self._faults.report(kind, f"DB{block.number}", str(error), time.monotonic_ns())
+        await asyncio.sleep(LOOK_AGAIN_S)
+
+    # --- out --------------------------------------------------------------------------------------
+
+    async def _write_on(self, connection: Connection) -> None:
+        block, status, lane = self._going, self.status, Lane[list[Run]](self._line, "out")
+        if block is None:
+            return
+
+        async def cycle() -> None:
+            outgoing = self._outgoing(block)
+            if outgoing is not None:
+                lane.put(list(runs(block.number, outgoing)))
+            try:
+                for due in lane.take():
+                    await connection.write(due)
+                    status.writes += 1
+            except AnswerError as error:
+                await self._refused(FaultKind.REFUSED_WRITE, block, error)
+
+        def skipped(count: int) -> None:
+            status.writes_skipped += count
+
+        await every(self.config.write_every_ms / 1000, cycle, skipped)
+
+    def _outgoing(self, block: Block) -> Mapping[Place, bytes] | None:
+        """Return what is written now; None before the first frame."""
+        found = {}
+        try:
+            outputs = {name: self._read_output(name) for name in self.config.write}
+        except LookupError:
+            return None
+        for name, (value, status, _) in outputs.items():
+            if is_bad(status) or not isinstance(value, int | float):
+                continue  # without a status it would look like a good value
+            place = block.places[self.config.write[name]]
+            found[place] = packed(place, value, wraps=self._wraps[name])
+        self._beat += 1
+        for end in block.heartbeat:
+            place = block.places[end]
+            found[place] = packed(place, self._beat, wraps=True)
+        return found
+
+
+def runs(block: int, pieces: Mapping[Place, bytes]) -> Iterator[Run]:
+    """Yield what is written, ascending: neighbours together, every bit by itself."""
+    data, begin = b"", 0
+    for place in sorted(pieces, key=lambda place: place.bits.start):
+        is_bit = place.type == "BOOL"
+        if data and (is_bit or begin + len(data) != place.byte):
+            yield Run(Item(block, 8 * begin, len(data)), data)
+            data = b""
+        if is_bit:
+            yield Run(Item(block, place.bits.start, 1, kind=1), pieces[place])
+            continue
+        begin = begin if data else place.byte
+        data += pieces[place]
+    if data:
+        yield Run(Item(block, 8 * begin, len(data)), data)

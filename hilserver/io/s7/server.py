@@ -1,0 +1,181 @@
+"""Answers put and get: one conversation for each client, one frame and one group for each job."""
+
+import asyncio
+import socket
+from collections.abc import Callable, Mapping
+
+from hilserver.config.s7 import S7Server
+from hilserver.io.s7 import wire
+from hilserver.io.s7.blocks import DataBlock, RefusedItemError
+from hilserver.io.s7.identity import identified
+from hilserver.io.s7.wire import Code, Function, Job, WireError
+
+HANDSHAKE_S = 5.0
+JOBS = 8
+"""Jobs under way that are agreed on; they are answered in their order."""
+NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
+"""Errors of a whole job: a function that is not there, an answer that would be too long."""
+ALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
+"""A client that is gone without a word gives its place back within half a minute."""
+
+Contents = Callable[[], Mapping[int, bytes]]
+Write = Callable[[Mapping[str, object]], Mapping[str, Code]]
+
+
+class Answers:
+    """What one client is answered: bytes in, bytes out.
+
+    Parameters
+    ----------
+    contents : callable
+        All blocks of one frame.
+    write : callable
+        Takes a group; returns what was refused.
+    """
+
+    def __init__(
+        self, blocks: Mapping[int, DataBlock], pdu_bytes: int, contents: Contents, write: Write
+    ) -> None:
+        self._blocks, self.pdu_bytes = blocks, pdu_bytes
+        self._contents, self._write = contents, write
+
+    def to(self, message: Job) -> bytes:
+        """Return the answer to a job.
+
+        Raises
+        ------
+        WireError
+            If it is none.
+        """
+        if message.kind == wire.USERDATA:
+            return identified(message)
+        if not wire.is_job(message):
+            raise WireError("asks for nothing")
+        function, number = message.parameters[0], message.number
+        if function == Function.SETUP:
+            jobs, pdu_bytes = wire.agreed(message.parameters)
+            self.pdu_bytes = min(self.pdu_bytes, pdu_bytes)
+            return wire.answer(number, wire.setup(self.pdu_bytes, max(1, min(jobs, JOBS))))
+        if function == Function.READ:
+            return self._read(number, message.parameters)
+        if function == Function.WRITE:
+            return self._written(number, message.parameters, message.data)
+        return wire.answer(number, b"", error=NO_FUNCTION)
+
+    def _read(self, number: int, parameters: bytes) -> bytes:
+        items, contents, data = wire.asked(parameters), self._contents(), b""
+        for item in items:
+            try:
+                piece = self._block(item).read(item, contents[item.block])
+                data += b"\0" * (len(data) % 2) + wire.values([(item, piece)])
+            except RefusedItemError as error:
+                data += wire.refusal(data, error.code)
+        if wire.ANSWER_HEAD + 2 + len(data) > self.pdu_bytes:
+            return wire.answer(number, b"", error=NO_ROOM)
+        return wire.answer(number, bytes((Function.READ, len(items))), data)
+
+    def _written(self, number: int, parameters: bytes, data: bytes) -> bytes:
+        items = wire.asked(parameters)
+        codes, named, group = [], [], dict[str, object]()
+        for item, (_, piece) in zip(items, wire.pieces(data, len(items)), strict=True):
+            try:
+                values, code = self._block(item).written(item, piece), Code.DONE
+            except RefusedItemError as error:
+                values, code = {}, error.code
+            codes.append(code)
+            named.append(values)
+            group |= values
+        refused = self._write(group) if group else {}
+        for index, values in enumerate(named):
+            codes[index] = next((refused[n] for n in values if n in refused), codes[index])
+        return wire.answer(number, bytes((Function.WRITE, len(items))), bytes(codes))
+
+    def _block(self, item: wire.Item) -> DataBlock:
+        if item.block == 0:
+            raise RefusedItemError(Code.KIND)
+        block = self._blocks.get(item.block)
+        if block is None:
+            raise RefusedItemError(Code.NO_BLOCK)
+        return block
+
+
+class Server:
+    """Listens, and answers as many clients as it may have.
+
+    Parameters
+    ----------
+    answers : callable
+        Makes `Answers` for a new client.
+    report : callable
+        Takes address and a sentence about a client that says what is no S7.
+
+    Attributes
+    ----------
+    clients : set
+        Connected now.
+    """
+
+    def __init__(
+        self, config: S7Server, answers: Callable[[], Answers], report: Callable[[str, str], None]
+    ) -> None:
+        self._config, self._answers, self._report = config, answers, report
+        self._server: asyncio.Server | None = None
+        self.clients: set[asyncio.Task[None]] = set()
+
+    @property
+    def port(self) -> int:
+        """The port that it listens on."""
+        if self._server is None:
+            return self._config.port
+        port: int = self._server.sockets[0].getsockname()[1]
+        return port
+
+    async def start(self) -> None:
+        """Listen; OSError if that is impossible."""
+        config = self._config
+        self._server = await asyncio.start_server(self._take, config.host, config.port)
+
+    async def stop(self) -> None:
+        """Hang up."""
+        if self._server is not None:
+            self._server.close()
+        for task in self.clients:
+            task.cancel()
+        await asyncio.gather(*self.clients, return_exceptions=True)
+
+    async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        if task is None or len(self.clients) >= self._config.max_clients:
+            writer.transport.abort()
+            return
+        self.clients.add(task)
+        host = str(writer.get_extra_info("peername")[0])
+        try:
+            _stay_alive(writer.get_extra_info("socket"))
+            await self._converse(reader, writer)
+        except WireError as error:
+            self._report(host, f"{host}: what it sends {error}")
+        except (OSError, EOFError, TimeoutError):
+            pass  # it is gone
+        except asyncio.CancelledError:
+            pass  # we are
+        finally:
+            self.clients.discard(task)
+            writer.transport.abort()
+
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        answers = self._answers()
+        async with asyncio.timeout(HANDSHAKE_S):
+            writer.write(wire.confirmed(await wire.receive(reader)))
+        while True:
+            message = wire.taken_apart(await wire.receive(reader))
+            writer.write(answers.to(message))
+            await writer.drain()
+            await asyncio.sleep(0)  # one that never waits must not keep the others waiting
+
+
+def _stay_alive(connection: socket.socket) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    for name, value in ALIVE.items():
+        connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

@@ -1,0 +1,297 @@
+"""Messages of S7 communication as bytes: RFC 1006, ISO 8073 class 0, S7 jobs read and write.
+
+Only what put and get need. Numbers are big-endian; an address counts bits from the beginning of a
+block. There is no public standard; the layout is that of the dissectors (Wireshark `s7comm`).
+"""
+
+import asyncio
+import struct
+from collections.abc import Iterable, Sequence
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+LONGEST_MESSAGE: Final = 2048
+"""Of one message with its headers."""
+READ_OVERHEAD, WRITE_OVERHEAD = 18, 28
+"""Bytes of a message beside the data of its only item: answer to a read, job of a write."""
+ITEM_OVERHEAD: Final = 17
+"""Bytes of one more item of a write, without its data: address, header, filling."""
+MOST_ITEMS: Final = 20
+
+_CONNECT, _CONFIRM, _HANG_UP, _DATA = 0xE0, 0xD0, 0x80, 0xF0
+_S7, _JOB, _ERROR, _ANSWER, USERDATA = 0x32, 1, 2, 3, 7
+ANSWER_HEAD: Final = 12
+"""Bytes of an answer before its parameters."""
+SHORTEST_PDU: Final = 128
+_DATA_BLOCK: Final = 0x84
+_ADDRESS = struct.Struct(">BBBBHHB3s")
+_HEAD = struct.Struct(">BBHHHH")
+_SIZES: Final = {1: 1, 2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 4}
+"""Bytes of what an item counts, by its kind: bit, byte, character, word, int, dword, dint, real."""
+_BIT, _BYTE, _REAL = 1, 2, 8
+_AS_BIT, _AS_BYTES, _AS_REAL, _AS_OCTETS = 3, 4, 7, 9
+
+
+class Function(IntEnum):
+    """Of a job."""
+
+    READ = 4
+    WRITE = 5
+    SETUP = 0xF0
+
+
+class Code(IntEnum):
+    """What became of an item."""
+
+    DONE = 0xFF
+    DENIED = 0x03
+    BEYOND = 0x05
+    KIND = 0x06
+    UNFIT = 0x07
+    NO_BLOCK = 0x0A
+
+
+class WireError(ValueError):
+    """Bytes that are none of these messages."""
+
+
+class Item(NamedTuple):
+    """A piece of a block; `block` is 0 for what is none.
+
+    Attributes
+    ----------
+    is_bit : bool
+        One bit; else `size` bytes from `bit` on, which begins a byte.
+    """
+
+    block: int
+    bit: int
+    size: int
+    kind: int = _BYTE
+
+    @property
+    def is_bit(self) -> bool:
+        """Whether it is one bit."""
+        return self.kind == _BIT
+
+    @property
+    def packed(self) -> bytes:
+        """Its address."""
+        at, count = self.bit.to_bytes(3, "big"), self.size // _SIZES[self.kind]
+        return _ADDRESS.pack(0x12, 10, 0x10, self.kind, count, self.block, _DATA_BLOCK, at)
+
+
+class Job(NamedTuple):
+    """A message of either side, taken apart as far as both have it."""
+
+    kind: int
+    number: int
+    parameters: bytes
+    data: bytes
+    error: int = 0
+
+
+# --- frames ---------------------------------------------------------------------------------------
+
+
+def frame(payload: bytes) -> bytes:
+    """Return a message with its headers."""
+    return struct.pack(">BBHBBB", 3, 0, len(payload) + 7, 2, _DATA, 0x80) + payload
+
+
+def connect_request(rack: int, slot: int) -> bytes:
+    """Return what opens a connection to a slot, of the kind that panels use."""
+    body = bytes((0xC0, 1, 10, 0xC1, 2, 1, 0, 0xC2, 2, 3, rack * 32 + slot))
+    return _handshake(_CONNECT, 0, body)
+
+
+def _handshake(kind: int, to: int, body: bytes) -> bytes:
+    head = struct.pack(">BBHHB", 6 + len(body), kind, to, 1, 0)
+    return struct.pack(">BBH", 3, 0, 4 + len(head) + len(body)) + head + body
+
+
+async def receive(reader: asyncio.StreamReader) -> tuple[int, bytes]:
+    """Return kind and payload of the next message.
+
+    Raises
+    ------
+    WireError
+        If it is none.
+    EOFError
+        If there will be none.
+    """
+    payload = b""
+    while True:
+        version, _, length = struct.unpack(">BBH", await reader.readexactly(4))
+        if version != 3 or not 7 <= length <= LONGEST_MESSAGE:
+            raise WireError("is no message of ISO on TCP")
+        body = await reader.readexactly(length - 4)
+        head = body[0] + 1
+        if head > len(body) or head < 3:
+            raise WireError("has no header of ISO 8073")
+        if body[1] & 0xF0 == _HANG_UP:
+            raise EOFError("the other side hung up")
+        if body[1] & 0xF0 != _DATA:
+            return body[1] & 0xF0, body[2:]
+        payload += body[head:]
+        if len(payload) > LONGEST_MESSAGE:
+            raise WireError("is too long")
+        if body[2] & 0x80:
+            return _DATA, payload
+
+
+def confirmed(request: tuple[int, bytes]) -> bytes:
+    """Return what confirms a connection.
+
+    Raises
+    ------
+    WireError
+        If nobody asks for one.
+    """
+    kind, rest = request
+    if kind != _CONNECT or len(rest) < 5:
+        raise WireError("asks for no connection")
+    theirs = struct.unpack(">H", rest[2:4])[0]
+    return _handshake(_CONFIRM, theirs, rest[5:])
+
+
+def is_confirmed(answer: tuple[int, bytes]) -> bool:
+    """Whether a connection was confirmed."""
+    return answer[0] == _CONFIRM
+
+
+# --- jobs -----------------------------------------------------------------------------------------
+
+
+def job(number: int, parameters: bytes, data: bytes = b"") -> bytes:
+    """Return a job, framed."""
+    head = _HEAD.pack(_S7, _JOB, 0, number, len(parameters), len(data))
+    return frame(head + parameters + data)
+
+
+def answer(number: int, parameters: bytes, data: bytes = b"", error: int = 0) -> bytes:
+    """Return the answer to a job, framed."""
+    head = _HEAD.pack(_S7, _ANSWER if parameters else _ERROR, 0, number, len(parameters), len(data))
+    return frame(head + struct.pack(">H", error) + parameters + data)
+
+
+def user_data(number: int, parameters: bytes, data: bytes) -> bytes:
+    """Return user data, framed."""
+    head = _HEAD.pack(_S7, USERDATA, 0, number, len(parameters), len(data))
+    return frame(head + parameters + data)
+
+
+def taken_apart(message: tuple[int, bytes]) -> Job:
+    """Return a message of either side.
+
+    Raises
+    ------
+    WireError
+        If it is none.
+    """
+    kind, payload = message
+    if kind != _DATA or len(payload) < 10 or payload[0] != _S7:
+        raise WireError("is no message of S7")
+    _, what, _, number, n_parameters, n_data = _HEAD.unpack_from(payload)
+    start = ANSWER_HEAD if what in (_ANSWER, _ERROR) else 10
+    if len(payload) != start + n_parameters + n_data:
+        raise WireError("is not as long as it says")
+    error = struct.unpack_from(">H", payload, 10)[0] if start == ANSWER_HEAD else 0
+    middle = start + n_parameters
+    return Job(what, number, payload[start:middle], payload[middle:], error)
+
+
+def is_job(message: Job) -> bool:
+    """Whether something is asked."""
+    return message.kind == _JOB and bool(message.parameters)
+
+
+def setup(pdu_bytes: int, jobs: int = 1) -> bytes:
+    """Return the parameters that agree on a length, of both sides."""
+    return struct.pack(">BBHHH", Function.SETUP, 0, jobs, jobs, pdu_bytes)
+
+
+def agreed(parameters: bytes) -> tuple[int, int]:
+    """Return jobs at a time and length [bytes] of the parameters of a setup.
+
+    Raises
+    ------
+    WireError
+        If they are none, or permit hardly more than a header.
+    """
+    if len(parameters) != 8 or parameters[0] != Function.SETUP:
+        raise WireError("agrees on nothing")
+    jobs, _, pdu_bytes = struct.unpack_from(">HHH", parameters, 2)
+    if pdu_bytes < SHORTEST_PDU:
+        raise WireError(f"permits messages of {pdu_bytes} bytes only")
+    return jobs, pdu_bytes
+
+
+def asks(function: Function, items: Sequence[Item]) -> bytes:
+    """Return the parameters of a job that reads or writes items."""
+    return bytes((function, len(items))) + b"".join(item.packed for item in items)
+
+
+def asked(parameters: bytes) -> list[Item]:
+    """Return the items of a job; one that is no piece of a block has number 0.
+
+    Raises
+    ------
+    WireError
+        If there are fewer than it says, or too many.
+    """
+    count = parameters[1] if len(parameters) > 1 else 0
+    if not 0 < count <= MOST_ITEMS or len(parameters) != 2 + count * _ADDRESS.size:
+        raise WireError("has no items, or too many")
+    items = []
+    for offset in range(2, len(parameters), _ADDRESS.size):
+        spec, _, syntax, kind, n, block, area, at = _ADDRESS.unpack_from(parameters, offset)
+        known = (spec, syntax, area) == (0x12, 0x10, _DATA_BLOCK) and kind in _SIZES
+        bit = int.from_bytes(at, "big")
+        if not known or n == 0 or (kind == _BIT and n != 1) or (kind != _BIT and bit % 8):
+            items.append(Item(0, 0, 0))
+        else:
+            items.append(Item(block, bit, n * _SIZES[kind], kind))
+    return items
+
+
+def values(pieces: Iterable[tuple[Item, bytes]], code: int = Code.DONE) -> bytes:
+    """Return data of items, as an answer to a read has them, or (code 0) a job of a write."""
+    data = b""
+    for item, piece in pieces:
+        data += b"\0" * (len(data) % 2)
+        if item.is_bit:
+            data += struct.pack(">BBH", code, _AS_BIT, 1) + piece
+        elif item.kind == _REAL:
+            data += struct.pack(">BBH", code, _AS_REAL, len(piece)) + piece
+        else:
+            data += struct.pack(">BBH", code, _AS_BYTES, 8 * len(piece)) + piece
+    return data
+
+
+def refusal(data: bytes, code: Code) -> bytes:
+    """Return what stands behind `data` in an answer where an item cannot be read."""
+    return b"\0" * (len(data) % 2) + struct.pack(">BBH", code, 0, 0)
+
+
+def pieces(data: bytes, count: int) -> list[tuple[int, bytes]]:
+    """Return code and bytes of every item, of an answer to a read or of a job of a write.
+
+    Raises
+    ------
+    WireError
+        If there are fewer.
+    """
+    found, at = [], 0
+    for _ in range(count):
+        at += at % 2
+        if at + 4 > len(data):
+            raise WireError("has less data than items")
+        code, kind, length = struct.unpack_from(">BBH", data, at)
+        size = length if kind in (_AS_BIT, _AS_REAL, _AS_OCTETS) else (length + 7) // 8
+        piece = data[at + 4 : at + 4 + size]
+        if len(piece) != size:
+            raise WireError("has less data than it says")
+        found.append((code, piece))
+        at += 4 + size
+    return found

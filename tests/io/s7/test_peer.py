@@ -1,0 +1,108 @@
+"""Our peer against a controller of another make: the server of python-snap7."""
+
+import struct
+
+import pytest
+from snap7.type import SrvArea
+
+from hilserver.config.s7 import Endpoint
+from hilserver.io.peer_status import LinkState
+from hilserver.io.s7.connection import AnswerError, Connection, Run
+from hilserver.io.s7.wire import Item
+from tests.io.s7.rig import Link, controller, free_port
+from tests.loopback.rig import wait_until
+
+TORN = 999.0
+
+
+def newest(link):
+    return link.gate.groups[-1] if link.gate.groups else {}
+
+
+async def test_set_points_come_in_and_outputs_go_back_in_whatever_order_the_sides_start():
+    port = free_port()
+    async with Link(port) as link:
+        await wait_until(lambda: link.status.failed_attempts > 1)
+        assert link.status.last_error == "nobody listens there"
+        for speed in (20.0, -7.5):
+            await come_and_go(link, port, speed)
+        assert link.status.reconnects >= 1
+
+
+async def come_and_go(link, port, speed):
+    link.outputs["wheel.fl.speed_rpm"] = speed
+    with controller(port) as plc:
+        plc.offer(7, 7, speed, -speed)
+        await wait_until(lambda: newest(link).get("wheel.fr.setpoint_rpm") == -speed)
+        assert newest(link)["wheel.fl.setpoint_rpm"] == speed
+        assert newest(link)["input.sequence"] == 7
+        await wait_until(lambda: struct.unpack_from(">f", plc.going, 4) == (speed,))
+        assert link.status.state is LinkState.CONNECTED
+        await wait_until(lambda: not link.status.stale)
+    await wait_until(lambda: link.gate.stale and not link.status.connected)
+    link.gate.stale.clear()
+
+
+async def test_a_block_that_is_half_written_is_dropped_and_counted():
+    port = free_port()
+    with controller(port) as plc:
+        async with Link(port) as link:
+            plc.offer(1, 1, 10.0, 10.0)
+            await wait_until(lambda: newest(link).get("input.sequence") == 1)
+            plc.offer(2, 1, TORN, 10.0)
+            await wait_until(lambda: link.status.fault_counts["torn_read"] > 3)
+            plc.offer(3, 3, 30.0, 30.0)
+            await wait_until(lambda: newest(link).get("input.sequence") == 3)
+        values = {group["wheel.fl.setpoint_rpm"] for group in link.gate.groups}
+        assert values == {10.0, 30.0}
+        assert link.status.faults.keys() == {"torn_read:DB1"}
+
+
+async def test_a_counter_that_stands_still_is_silence_though_the_server_answers():
+    port = free_port()
+    with controller(port) as plc:
+        async with Link(port) as link:
+            plc.offer(1, 1, 10.0, 10.0)
+            await wait_until(lambda: not link.status.stale)
+            await wait_until(lambda: link.status.stale and link.gate.stale)
+            assert link.status.connected
+
+
+async def test_a_counter_of_two_bytes_begins_anew_without_a_jump():
+    port = free_port()
+    ends = ["DB1,UINT0", "DB1,UINT14"]
+    heartbeat = {"read": ends}
+    with controller(port) as plc:
+        async with Link(port, heartbeat=heartbeat) as link:
+            for number in (65534, 65535, 0, 1):
+                struct.pack_into(">H", plc.coming, 14, number)
+                struct.pack_into(">H", plc.coming, 0, number)
+                await wait_until(lambda: newest(link).get("input.sequence") == number)  # noqa: B023
+            assert "sequence_jump" not in link.status.fault_counts
+
+
+async def test_a_block_that_is_not_there_is_named_and_found_once_it_is():
+    port = free_port()
+    with controller(port) as plc:
+        read = {"DB3,REAL4": "wheel.fl.setpoint_rpm"}
+        async with Link(port, read=read, heartbeat={}, write={}) as link:
+            await wait_until(lambda: "missing_node:DB3" in link.status.faults)
+            assert "DB3" in link.status.faults["missing_node:DB3"]
+            block = bytearray(struct.pack(">ff", 0.0, 5.0))
+            plc.server.register_area(SrvArea.DB, 3, block)
+            await wait_until(lambda: newest(link).get("wheel.fl.setpoint_rpm") == 5.0)
+
+
+@pytest.mark.parametrize("size", [1, 221, 222, 223, 461, 462, 463, 464, 900, 925])
+async def test_blocks_of_any_length_travel_in_parts(size):
+    port = free_port()
+    with controller(port, size=1000) as plc:
+        plc.coming[:] = bytes(i * 7 % 251 for i in range(1000))
+        async with Connection(Endpoint("127.0.0.1", port, 0, 1)) as connection:
+            assert await connection.read(1, 3, size) == plc.coming[3 : 3 + size]
+            sent = bytes(i * 5 % 241 for i in range(size))
+            await connection.write([Run(Item(2, 8 * 4, size), sent)])
+            assert plc.going[4 : 4 + size] == sent
+            with pytest.raises(AnswerError, match="DB9: "):
+                await connection.read(9, 0, 4)
+            assert await connection.read(1, 0, 4) == plc.coming[:4]
