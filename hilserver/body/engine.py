@@ -19,13 +19,7 @@ MISSING = "mechatronic.enabled: needs MuJoCo; install it with: pip install 'hils
 
 
 def mujoco() -> ModuleType:
-    """Return the library.
-
-    Raises
-    ------
-    PlantError
-        If it is not installed.
-    """
+    """Return the library; PlantError if it is not installed."""
     if find_spec("mujoco") is None:
         raise PlantError(MISSING)
     return import_module("mujoco")

@@ -55,13 +55,6 @@ class Histogram125:
         """Number of observations."""
         return int(self.counts.sum())
 
-    def quantile_ns(self, share: float) -> float:
-        """Return the upper bound [ns] of the bucket that holds the quantile `share` (0 .. 1)."""
-        if self.count == 0:
-            return float("nan")
-        bucket = int(np.searchsorted(np.cumsum(self.counts), share * self.count))
-        return float(BOUNDS_NS[bucket]) if bucket < len(BOUNDS_NS) else float("inf")
-
     def clear(self) -> None:
         """Forget everything."""
         self.counts[:] = 0

@@ -152,13 +152,7 @@ class Faults:
         self.inject({"fault": FORCE, "signal": signal, "value": value})
 
     def unforce(self, signal: str) -> None:
-        """Let a forced signal go.
-
-        Raises
-        ------
-        ValueError
-            If it is not forced.
-        """
+        """Let a forced signal go; ValueError if it is not forced."""
         name = f"{FORCE}:{signal}"
         if not self._removals(name):
             raise ValueError(f"'{signal}' is not forced; forced are {self.forced or 'none'}")
@@ -208,11 +202,6 @@ class Faults:
     def forced(self) -> str:
         """Forced signals by name."""
         return "; ".join(a.place for a in self.active() if a.fault == FORCE)
-
-    @property
-    def timeout_is_dead(self) -> bool:
-        """Whether the shield's command time-out is defeated now."""
-        return any(a.fault == "shield.dead_command_timeout" and a.is_acting for a in self.active())
 
     def counts(self) -> dict[str, int]:
         """Return the number of acting faults and of forces, for the metric."""

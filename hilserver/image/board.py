@@ -37,13 +37,7 @@ class Board:
 
 
 class BoardReader:
-    """A reader's side, in any process.
-
-    Raises
-    ------
-    KeyError
-        If the image has no board.
-    """
+    """A reader's side, in any process; KeyError if the image has no board."""
 
     def __init__(self, reader: ImageReader) -> None:
         _, self._words = reader.region(REGION)

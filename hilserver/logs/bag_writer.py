@@ -24,13 +24,7 @@ BAG_VERSION: Final = 9
 
 
 class BagWriter:
-    """Writes one bag, a folder; see `LogWriter`.
-
-    Raises
-    ------
-    FailedError
-        If it exists already.
-    """
+    """Writes one bag, a folder; see `LogWriter`; FailedError if it exists already."""
 
     def __init__(
         self,

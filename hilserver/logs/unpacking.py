@@ -32,13 +32,7 @@ class Budget:
         self._kept = 0
 
     def take(self, n_bytes: int) -> None:
-        """Count what was or would be unpacked.
-
-        Raises
-        ------
-        LogError
-            If it is too much.
-        """
+        """Count what was or would be unpacked; LogError if it is too much."""
         self._left -= n_bytes
         if self._left < 0 or n_bytes > PIECE_BYTES:
             size = self._path.stat().st_size
@@ -48,13 +42,7 @@ class Budget:
             )
 
     def keep(self, n_bytes: int) -> None:
-        """Count what stays in memory.
-
-        Raises
-        ------
-        LogError
-            If it is too much.
-        """
+        """Count what stays in memory; LogError if it is too much."""
         self._kept += n_bytes
         if self._kept > KEPT_BYTES or n_bytes > PIECE_BYTES:
             raise LogError(

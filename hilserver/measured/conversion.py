@@ -81,13 +81,7 @@ def _parquet(path: Path) -> Log:
 
 
 def write_parquet(log: Log, path: Path) -> None:
-    """Write a log as Parquet.
-
-    Raises
-    ------
-    LogError
-        When pyarrow is not installed.
-    """
+    """Write a log as Parquet; LogError when pyarrow is not installed."""
     try:
         import pyarrow as pa  # noqa: PLC0415 -- an extra
         from pyarrow import parquet  # noqa: PLC0415

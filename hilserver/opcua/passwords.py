@@ -1,7 +1,6 @@
 """Passwords as scrypt hashes (RFC 7914): ``$scrypt$ln=15,r=8,p=1$<salt>$<hash>``, base64."""
 
 import base64
-import binascii
 import hashlib
 import hmac
 import re
@@ -22,19 +21,6 @@ def hash_password(password: str, log_n: int = _LOG_N) -> str:
     key = _scrypt(password.encode(), salt, log_n, _R, _P)
     texts = (base64.b64encode(part).decode() for part in (salt, key))
     return f"$scrypt$ln={log_n},r={_R},p={_P}$" + "$".join(texts)
-
-
-def check_hash(text: str) -> str:
-    """Return `text` if it is a hash; ValueError with one sentence otherwise."""
-    if _FORM.fullmatch(text) is None:
-        raise ValueError("no scrypt hash; make one with 'hilserver certs password'")
-    try:
-        _parts(text)
-    except binascii.Error:
-        raise ValueError(
-            "the hash is damaged; make it again with 'hilserver certs password'"
-        ) from None
-    return text
 
 
 def is_password(password: bytes, text: str) -> bool:

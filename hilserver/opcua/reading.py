@@ -195,13 +195,7 @@ class Reader:
 
 
 def place_for_items(address_space: Any, item: ua.ReadValueId) -> Any:
-    """Return the place that a monitored item watches.
-
-    Raises
-    ------
-    RefusedError
-        As Read would answer.
-    """
+    """Return the place that a monitored item watches; RefusedError as Read would answer."""
     place = find(address_space, item.NodeId, item.AttributeId)
     part = parse_range(item.IndexRange)
     value = value_at(place, item.NodeId, item.AttributeId)

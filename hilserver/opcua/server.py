@@ -102,13 +102,7 @@ class HardenedServer(Server):  # type: ignore[misc]
         attributes[ua.AttributeIds.Value] = _LiveTime(None)
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises
-        ------
-        FailedError
-            If the address cannot be had.
-        """
+        """Listen; FailedError if the address cannot be had."""
         self._offer()
         host, port = self._get_bind_socket_info()
         self.bserver = Listener(self.iserver, host, port)

@@ -99,11 +99,6 @@ class BlockDeclaration:
     source: Path
     source_function: Callable[..., None]
 
-    @property
-    def n_state(self) -> int:
-        """Length of `x`."""
-        return len(self.state)
-
 
 def block(
     *,

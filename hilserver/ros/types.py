@@ -158,13 +158,7 @@ class Types:
         return bytes(self.store.serialize_cdr(message, message.__msgtype__))
 
     def decode(self, data: bytes, name: str) -> Any:
-        """Return the message that `data` holds.
-
-        Raises
-        ------
-        ValueError
-            If it does not hold one of this type.
-        """
+        """Return the message that `data` holds; ValueError if it does not hold one of this type."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 -- slow to import
 
         try:

@@ -247,13 +247,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = {row[0]: _scenario(*row) for row in _
 
 
 def scenario(name: str) -> Scenario:
-    """Return a scenario by name.
-
-    Raises
-    ------
-    FailedError
-        When there is none of this name.
-    """
+    """Return a scenario by name; FailedError when there is none of this name."""
     if name in SCENARIOS:
         return SCENARIOS[name]
     hint = meant(name, SCENARIOS, f"there are {', '.join(SCENARIOS)}.")

@@ -175,11 +175,6 @@ class Scheduler:
         """The operating system's number of the pacing thread; 0 in virtual time."""
         return self._pacing.thread_id
 
-    @property
-    def overrun_reports_lost(self) -> int:
-        """Overruns that were counted but not reported, because too many came at once."""
-        return self._exchange.get(ex.RECORDS_LOST)
-
     def on_slice(self, name: str, callback: SliceCallback) -> None:
         """Call `callback(tick, planned_ns)` in each run of a communication slice."""
         self._communication.add(name, callback)

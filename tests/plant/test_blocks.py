@@ -24,7 +24,7 @@ def test_the_example_is_short(example):
 
 def test_the_example_declares_what_the_page_says(example):
     block = example[1]
-    assert (block.name, block.inputs, block.n_state) == ("load_cell", ("duty_pct",), 1)
+    assert (block.name, block.inputs, len(block.state)) == ("load_cell", ("duty_pct",), 1)
     assert block.parameters == {"gain_n_pct": 0.4, "lag_s": 0.1}
     output = block.outputs[0]
     assert (output.name, output.unit, output.low, output.high) == ("force_n", "N", -50.0, 50.0)

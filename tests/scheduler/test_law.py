@@ -17,7 +17,6 @@ from hilserver.scheduler.law import (
     PLANNED,
     SHIFTED_TOTAL,
     STOP,
-    Law,
 )
 from hilserver.scheduler.policies import (
     POLICY_NAMES,
@@ -28,6 +27,7 @@ from hilserver.scheduler.policies import (
     skip_shift_ns,
     stretch_shift_ns,
 )
+from tests.scheduler.followed_law import Law
 
 PERIOD = 1000
 durations = st.one_of(st.integers(0, PERIOD), st.integers(0, 12 * PERIOD))

@@ -83,13 +83,7 @@ class Endpoint(Part):
     address = url
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises
-        ------
-        FailedError
-            If the port is in use.
-        """
+        """Listen; FailedError if the port is in use."""
         loop = asyncio.get_running_loop()
 
         def take_soon() -> None:

@@ -68,24 +68,12 @@ class Parts:
 
     @property
     def faults(self) -> "Faults":
-        """The faults.
-
-        Raises
-        ------
-        NotImplementedError
-            If the server has none.
-        """
+        """The faults; NotImplementedError if the server has none."""
         return _there(self._faults, "faults and cannot force")
 
     @property
     def files(self) -> Files:
-        """Scenarios, recordings and patches.
-
-        Raises
-        ------
-        NotImplementedError
-            If the server has none.
-        """
+        """Scenarios, recordings and patches; NotImplementedError if the server has none."""
         return _there(self._files, "scenarios, no recordings and no patches")
 
 

@@ -63,11 +63,6 @@ class OpcUaServer(Part):
     address = url
 
     @property
-    def session_count(self) -> int:
-        """Number of sessions of clients."""
-        return 0 if self._server is None else len(self._server.iserver.sessions)
-
-    @property
     def page_secret(self) -> str:
         """What marks sessions as the operator page's; empty while the server is not running."""
         return "" if self._server is None else self._application.page_secret

@@ -94,13 +94,7 @@ class ShieldLink(Part):
         return "" if line is None else str(line.link or line.path)
 
     async def start(self) -> None:
-        """Open the line and answer on it.
-
-        Raises
-        ------
-        FailedError
-            If the line cannot be opened.
-        """
+        """Open the line and answer on it; FailedError if the line cannot be opened."""
         self._loop = asyncio.get_running_loop()
         self._line = self._opened()
         self.status.endpoint = self.address
