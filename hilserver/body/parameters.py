@@ -152,22 +152,21 @@ class BodyParameters:
 def _check_geometry(body: BodyParameters) -> None:
     robot, (ahead, aside, height) = body.robot, body.centre_of_mass_m
     if robot.wheelbase_m is None:
-        msg = "plant.wheelbase_m: the mechatronic model stands on four wheels; give their distance."
-        raise PlantError(msg)
+        raise PlantError(
+            "plant.wheelbase_m: the mechatronic model stands on four wheels; give their distance."
+        )
     inside = abs(ahead) < robot.wheelbase_m / 2 and abs(aside) < robot.track_m / 2 and height > 0
     if not inside:
-        msg = (
+        raise PlantError(
             f"mechatronic.centre_of_mass_m: {list(body.centre_of_mass_m)} must lie between the"
             " wheels and above the floor, or the robot falls over."
         )
-        raise PlantError(msg)
     moments = sorted(body.moments_kg_m2)
     if moments[0] + moments[1] < moments[2] * (1.0 - 1e-9):
-        msg = (
+        raise PlantError(
             f"mechatronic.inertia_kg_m2: {list(moments)} is no body's: no moment may exceed the sum"
             " of the others."
         )
-        raise PlantError(msg)
 
 
 def _check_steps(body: BodyParameters) -> None:
@@ -177,19 +176,17 @@ def _check_steps(body: BodyParameters) -> None:
     ):
         if abs(whole / part - round(whole / part)) > 1e-6 or round(whole / part) < 1:
             what = "step_ms" if key == "step_ms" else "the plant's slice"
-            msg = (
+            raise PlantError(
                 f"mechatronic.{key}: the slice of {whole * 1e3:g} ms must be a multiple of {what},"
                 f" {part * 1e3:g} ms."
             )
-            raise PlantError(msg)
     longest_s = _longest_step_s(body)
     if body.step_s > longest_s:
         v0 = body.tyre.v0_m_s * body.step_s / longest_s
-        msg = (
+        raise PlantError(
             f"mechatronic.step_ms: {body.step_s * 1e3:g} ms is too long for this tyre: use at most"
             f" {longest_s * 1e3:.2g} ms, or tyre.v0_m_s of at least {v0:.2g} m/s."
         )
-        raise PlantError(msg)
 
 
 def _longest_step_s(body: BodyParameters) -> float:

@@ -58,16 +58,15 @@ def load_hall(hall: str, base_dir: Path) -> Hall:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
         reason = str(error).splitlines()[0]
-        msg = f"{where} cannot be read: {reason}."
-        raise PlantError(msg) from error
+        raise PlantError(f"{where} cannot be read: {reason}.") from error
     walls = content.get("walls") if isinstance(content, dict) else None
     if not isinstance(walls, list) or len(walls) > MOST_WALLS:
-        msg = f"{where} must have a list `walls` of at most {MOST_WALLS} segments."
-        raise PlantError(msg)
+        raise PlantError(f"{where} must have a list `walls` of at most {MOST_WALLS} segments.")
     for number, wall in enumerate(walls, start=1):
         if not _are_numbers(wall, 4):
-            msg = f"{where}: wall {number} must be four finite numbers [x1, y1, x2, y2] in m."
-            raise PlantError(msg)
+            raise PlantError(
+                f"{where}: wall {number} must be four finite numbers [x1, y1, x2, y2] in m."
+            )
     segments = np.array(walls, dtype=np.float64).reshape(-1)
     return _with_solids(where, content, segments)
 
@@ -79,12 +78,12 @@ def _are_numbers(value: object, length: int) -> bool:
 def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]) -> Hall:
     for key in content:
         if key not in _KEYS:
-            msg = f"{where}: '{key}' is not a key of a hall; the keys are {', '.join(_KEYS)}."
-            raise PlantError(msg)
+            raise PlantError(
+                f"{where}: '{key}' is not a key of a hall; the keys are {', '.join(_KEYS)}."
+            )
     sizes = [content.get("height_m", 1.0), content.get("thickness_m", 0.05)]
     if not _are_numbers(sizes, 2) or min(sizes) <= 0.0:
-        msg = f"{where}: height_m and thickness_m must be numbers above 0."
-        raise PlantError(msg)
+        raise PlantError(f"{where}: height_m and thickness_m must be numbers above 0.")
     solids = list(wall_solids(walls, *sizes))
     outlines = [walls]
     for kind, keys, make in (
@@ -94,16 +93,16 @@ def _with_solids(where: str, content: dict[str, Any], walls: NDArray[np.float64]
     ):
         entries = content.get(kind) or []
         if not isinstance(entries, list) or len(entries) > MOST_SOLIDS:
-            msg = f"{where}: {kind} must be a list of at most {MOST_SOLIDS}."
-            raise PlantError(msg)
+            raise PlantError(f"{where}: {kind} must be a list of at most {MOST_SOLIDS}.")
         for number, entry in enumerate(entries, start=1):
             try:
                 if set(entry) - set(keys):
                     raise KeyError
                 solid = make(entry)
             except (KeyError, TypeError, ValueError, OverflowError):
-                msg = f"{where}: {kind}, number {number}: must be {{{', '.join(keys)}}}, in m."
-                raise PlantError(msg) from None
+                raise PlantError(
+                    f"{where}: {kind}, number {number}: must be {{{', '.join(keys)}}}, in m."
+                ) from None
             solids.append(solid)
             if kind == "boxes":
                 outlines.append(_outline(solid))

@@ -229,6 +229,5 @@ def to_parameters(
 def _period_s(periods: Mapping[str, float], key: str, name: str) -> float:
     if name not in periods:
         known = ", ".join(periods)
-        msg = f"{key}: there is no slice {name!r}; the slices are {known}."
-        raise PlantError(msg)
+        raise PlantError(f"{key}: there is no slice {name!r}; the slices are {known}.")
     return periods[name]

@@ -121,8 +121,7 @@ def block(
         Names and defaults.
     """
     if isinstance(inputs, str) or isinstance(state, str):
-        msg = 'inputs and state are tuples of names: one name is written ("name",)'
-        raise TypeError(msg)
+        raise TypeError('inputs and state are tuples of names: one name is written ("name",)')
     initial = dict(state) if isinstance(state, Mapping) else dict.fromkeys(state, 0.0)
 
     def declare(function: Callable[..., None]) -> Callable[..., None]:
@@ -161,17 +160,16 @@ def load_block(reference: str, base_dir: Path) -> BlockDeclaration:
     """
     place, colon, name = reference.rpartition(":")
     if not colon or not place or not name:
-        msg = f"block {reference!r}: write package.module:function or path/file.py:function."
-        raise BlockError(msg)
+        raise BlockError(
+            f"block {reference!r}: write package.module:function or path/file.py:function."
+        )
     module = _import(place, reference, base_dir)
     function = getattr(module, name, None)
     if function is None:
-        msg = f"block {reference!r}: there is no function {name!r} in {place}."
-        raise BlockError(msg)
+        raise BlockError(f"block {reference!r}: there is no function {name!r} in {place}.")
     declaration = getattr(function, _ATTRIBUTE, None)
     if not isinstance(declaration, BlockDeclaration):
-        msg = f"block {reference!r}: {name} is not declared; put @block(...) above it."
-        raise BlockError(msg)
+        raise BlockError(f"block {reference!r}: {name} is not declared; put @block(...) above it.")
     _check(declaration, reference)
     return _compile(declaration, reference)
 
@@ -181,17 +179,16 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
         try:
             return importlib.import_module(place)
         except (Exception, SystemExit) as error:
-            msg = f"block {reference!r}: importing {place} failed: {_one_line(error)}."
-            raise BlockError(msg) from error
+            raise BlockError(
+                f"block {reference!r}: importing {place} failed: {_one_line(error)}."
+            ) from error
     path = (base_dir / place).resolve()
     if not path.is_file():
-        msg = f"block {reference!r}: there is no file {path}."
-        raise BlockError(msg)
+        raise BlockError(f"block {reference!r}: there is no file {path}.")
     module_name = f"hilserver_block_{path.stem}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     if spec is None or spec.loader is None:
-        msg = f"block {reference!r}: {path} is not a Python file."
-        raise BlockError(msg)
+        raise BlockError(f"block {reference!r}: {path} is not a Python file.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module
     try:
@@ -199,8 +196,9 @@ def _import(place: str, reference: str, base_dir: Path) -> ModuleType:
     except (Exception, SystemExit) as error:
         del sys.modules[module_name]
         line = getattr(error, "lineno", None) or _line_of(error, path)
-        msg = f"block {reference!r}: {path}:{line} failed on import: {_one_line(error)}."
-        raise BlockError(msg) from error
+        raise BlockError(
+            f"block {reference!r}: {path}:{line} failed on import: {_one_line(error)}."
+        ) from error
     return module
 
 
@@ -227,8 +225,7 @@ def _check(declaration: BlockDeclaration, reference: str) -> None:
         or _wrong_number({**declaration.state, **declaration.parameters})
     )
     if problem:
-        msg = f"block {reference!r}: {problem}."
-        raise BlockError(msg)
+        raise BlockError(f"block {reference!r}: {problem}.")
 
 
 def _wrong_output(outputs: Sequence[object]) -> str:
@@ -280,8 +277,7 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
     code: Any = declaration.function
     where = f"{declaration.source}:{code.__code__.co_firstlineno}"
     if code.__code__.co_argcount != 5:
-        msg = f"block {reference!r}: {where} must take (dt_s, u, y, x, p)."
-        raise BlockError(msg)
+        raise BlockError(f"block {reference!r}: {where} must take (dt_s, u, y, x, p).")
     try:
         # A slip of the pen must not write into the robot's memory: it raises, and the step catches.
         compiled = kernel(_SIGNATURE, boundscheck=True)(code)
@@ -289,11 +285,10 @@ def _compile(declaration: BlockDeclaration, reference: str) -> BlockDeclaration:
         line = getattr(getattr(error, "loc", None), "line", None)
         found = re.search(r'File "[^"]*", line (\d+)', str(error))
         line = line or (int(found.group(1)) if found else code.__code__.co_firstlineno)
-        msg = (
+        raise BlockError(
             f"block {reference!r}: {declaration.source}:{line} does not compile: "
             f"{_one_line(error)}."
-        )
-        raise BlockError(msg) from error
+        ) from error
     return BlockDeclaration(
         name=declaration.name,
         function=compiled,

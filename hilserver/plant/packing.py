@@ -84,11 +84,10 @@ def _delay_runs(name: str, delay_s: float, period_s: float, most: int) -> float:
     """Return a delay in runs of its slice; refuse what the ring cannot hold."""
     runs = delay_s / period_s
     if runs > most:
-        msg = (
+        raise PlantError(
             f"plant.terms.{name}: {delay_s:g} s is longer than the {most} runs of "
             f"{period_s * 1e3:g} ms that are remembered, {most * period_s:g} s."
         )
-        raise PlantError(msg)
     nearest = float(round(runs))
     return nearest if abs(runs - nearest) < 1e-9 * max(nearest, 1.0) else runs
 
@@ -115,11 +114,10 @@ def _pack_controller(p: Parameters, robot: RobotParameters, term: _Values) -> No
     if period_s is None:
         period_s = robot.period_s
     if period_s < robot.period_s * (1.0 - 1e-9):
-        msg = (
+        raise PlantError(
             f"plant.terms.control_period: {period_s:g} s is below the plant slice, "
             f"{robot.period_s:g} s."
         )
-        raise PlantError(msg)
     inverse_tracking = math.sqrt(c.k_i if c.k_d == 0.0 else c.k_i / c.k_d)  # 1/T_t, unscaled
     keep, gain = robot.loop.derivative(period_s)
     quantum, filter_s = term("encoder_quantization"), term("encoder_filter")
@@ -173,8 +171,9 @@ def _wheel(cause: str, term: _Values) -> int:
     """Return the wheel that a cause is about."""
     wheel = term(f"{cause}.wheel")
     if wheel != int(wheel):
-        msg = f"plant.terms.{cause}.wheel: must be 0 fl, 1 rl, 2 fr or 3 rr, not {wheel:g}."
-        raise PlantError(msg)
+        raise PlantError(
+            f"plant.terms.{cause}.wheel: must be 0 fl, 1 rl, 2 fr or 3 rr, not {wheel:g}."
+        )
     return int(wheel)
 
 
@@ -193,14 +192,14 @@ def encoder_weights(period_s: float, filter_s: float) -> tuple[float, float]:
 def _anisotropy(robot: RobotParameters, term: _Values) -> tuple[float, float]:
     offset_m = term("friction_anisotropy.offset")
     if robot.wheelbase_m is None:
-        msg = "plant.terms.friction_anisotropy: needs plant.wheelbase_m; two wheels do not scrub."
-        raise PlantError(msg)
+        raise PlantError(
+            "plant.terms.friction_anisotropy: needs plant.wheelbase_m; two wheels do not scrub."
+        )
     if abs(offset_m) >= robot.wheelbase_m / 2.0:
-        msg = (
+        raise PlantError(
             f"plant.terms.friction_anisotropy.offset: {offset_m:g} m must be below half the "
             f"wheelbase, {robot.wheelbase_m / 2.0:g} m."
         )
-        raise PlantError(msg)
     ratio = term("friction_anisotropy.ratio")
     return anisotropy(robot.wheelbase_m, robot.track_m, ratio, offset_m)
 
@@ -257,11 +256,10 @@ def _pack_navigation(p: Parameters, robot: RobotParameters, term: _Values) -> No
     if nav.enabled and (round(every) < 1 or abs(every - round(every)) > 1e-6 * every):
         near = max(math.floor(every), 1)
         near_hz = [1.0 / (n * nav.period_s) for n in (near + 1, near)]
-        msg = (
+        raise PlantError(
             f"sensors.nav.rate_hz: {nav.rate_hz:g} Hz does not fit its slice of "
             f"{nav.period_s * 1e3:g} ms; the nearest are {near_hz[0]:g} and {near_hz[1]:g} Hz."
         )
-        raise PlantError(msg)
     step_s = nav.period_s * max(round(every), 1)
     latency_s = nav.latency_s + term("nav_latency")
     yaw_latency_s = nav.yaw_latency_s + term("yaw_latency")

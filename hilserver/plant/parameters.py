@@ -226,81 +226,75 @@ def _check_numbers(robot: RobotParameters) -> None:
     sensors = {f"sensors.{name}": getattr(robot, name) for name in ("imu", "battery", "tof", "nav")}
     for path, part in (plant | sensors).items():
         for name, value, wanted in refused(part):
-            msg = f"{path}.{name}: {wanted}, not {value:g}."
-            raise PlantError(msg)
+            raise PlantError(f"{path}.{name}: {wanted}, not {value:g}.")
 
 
 def _check_geometry(robot: RobotParameters) -> None:
     gain = robot.rotation_gain
     if isinstance(gain, str) and gain not in (*GEOMETRIC_GAINS, *ROTATION_GAINS):
         names = ", ".join((*GEOMETRIC_GAINS, *ROTATION_GAINS))
-        msg = f"kinematics.rotation_gain: {gain!r} is not a known name; give a number or {names}."
-        raise PlantError(msg)
+        raise PlantError(
+            f"kinematics.rotation_gain: {gain!r} is not a known name; give a number or {names}."
+        )
     if robot.k_om <= 0.0:
-        msg = (
+        raise PlantError(
             f"kinematics.rotation_gain: K_om must be above 0, not {robot.k_om:g}; "
             "the direction is kinematics.yaw_sign."
         )
-        raise PlantError(msg)
     if robot.yaw_sign not in (-1, 1):
-        msg = f"kinematics.yaw_sign: must be -1 or 1, not {robot.yaw_sign}."
-        raise PlantError(msg)
+        raise PlantError(f"kinematics.yaw_sign: must be -1 or 1, not {robot.yaw_sign}.")
     if robot.drive not in ("skid", "mecanum"):
-        msg = f"plant.drive: must be skid or mecanum, not {robot.drive!r}."
-        raise PlantError(msg)
+        raise PlantError(f"plant.drive: must be skid or mecanum, not {robot.drive!r}.")
     if robot.discretization not in ("exact", "euler"):
-        msg = f"plant.discretization: must be exact or euler, not {robot.discretization!r}."
-        raise PlantError(msg)
+        raise PlantError(
+            f"plant.discretization: must be exact or euler, not {robot.discretization!r}."
+        )
     if robot.wheelbase_m is not None and abs(robot.icr_offset_m) >= robot.wheelbase_m / 2.0:
-        msg = (
+        raise PlantError(
             f"plant.icr_offset_m: {robot.icr_offset_m:g} m must be below half the wheelbase, "
             f"{robot.wheelbase_m / 2.0:g} m."
         )
-        raise PlantError(msg)
 
 
 def _check_terms(robot: RobotParameters) -> None:
     """Refuse what has no meaning for the robot's wheels, and unknown terms."""
     given = complete(robot.terms)
     if robot.is_mecanum and robot.wheelbase_m is None:
-        msg = "plant.wheelbase_m: a mecanum robot has four wheels; give their distance."
-        raise PlantError(msg)
+        raise PlantError("plant.wheelbase_m: a mecanum robot has four wheels; give their distance.")
     if robot.is_mecanum and robot.icr_offset_m != 0.0:
-        msg = "plant.icr_offset_m: mecanum wheels turn about their centre; leave it out."
-        raise PlantError(msg)
+        raise PlantError(
+            "plant.icr_offset_m: mecanum wheels turn about their centre; leave it out."
+        )
     if robot.is_mecanum and robot.rotation_gain in ROTATION_GAINS:
-        msg = (
+        raise PlantError(
             f"kinematics.rotation_gain: {robot.rotation_gain} was measured with scrubbing wheels; "
             "leave it out for 1/(l_x + l_y), or give a number."
         )
-        raise PlantError(msg)
     reasons = robot.meaningless
     for name, value in given.items():
         cause = TERMS[name].cause
         if cause in reasons and not TERMS[name].shape and value != TERMS[name].null:
-            msg = f"plant.terms.{name}: {reasons[cause]}; leave it out."
-            raise PlantError(msg)
+            raise PlantError(f"plant.terms.{name}: {reasons[cause]}; leave it out.")
 
 
 def _check_loop(robot: RobotParameters) -> None:
     loop, period_s = robot.loop, robot.period_s
     where = f"plant.slice: slice {robot.slice_name!r} has {period_s * 1e3:g} ms"
     if loop.k_d > 0.0 and loop.k_p == 0.0:
-        msg = "plant.controller.k_p: must be above 0 when k_d is, for the derivative's filter."
-        raise PlantError(msg)
+        raise PlantError(
+            "plant.controller.k_p: must be above 0 when k_d is, for the derivative's filter."
+        )
     if loop.euler and period_s >= 2.0 * loop.t2_s:
-        msg = (
+        raise PlantError(
             f"{where}, but discretization euler needs less than 2 T2 = {loop.t2_s * 2e3:g} ms: "
             "choose a shorter period or discretization exact."
         )
-        raise PlantError(msg)
     if loop.spectral_radius(period_s) >= 1.0:
         limit_s = loop.largest_period_s(period_s)
         remedy = "choose a shorter period or smaller controller gains"
         if limit_s < 1e-6:
             remedy = "no period is stable with these controller gains; choose smaller ones"
-        msg = (
+        raise PlantError(
             f"{where}, but the wheel speed loop is unstable from {limit_s * 1e3:.1f} ms on: "
             f"{remedy}."
         )
-        raise PlantError(msg)

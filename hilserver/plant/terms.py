@@ -97,8 +97,7 @@ def main_part(name: str) -> str:
             return term.name
     causes = list(dict.fromkeys(term.cause for term in TERMS.values()))
     hint = meant(name, [*causes, *TERMS], f"the causes are {', '.join(causes)}.")
-    msg = f"plant.terms.{name}: there is no such term: {hint}"
-    raise PlantError(msg)
+    raise PlantError(f"plant.terms.{name}: there is no such term: {hint}")
 
 
 def complete(values: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -119,16 +118,14 @@ def complete(values: Mapping[str, float | None]) -> dict[str, float | None]:
     for name, value in values.items():
         term = TERMS[main_part(name)]
         if term.name in seen:
-            msg = f"plant.terms.{name}: {term.name} is given twice; keep one."
-            raise PlantError(msg)
+            raise PlantError(f"plant.terms.{name}: {term.name} is given twice; keep one.")
         seen.add(term.name)
         if value is None:
             continue
         if not isfinite(value) or not term.low <= value <= term.high:
-            msg = (
+            raise PlantError(
                 f"plant.terms.{name}: {value:g} {term.unit} is outside "
                 f"{term.low:g} .. {term.high:g} {term.unit}."
             )
-            raise PlantError(msg)
         result[term.name] = float(value)
     return result

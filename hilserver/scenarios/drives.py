@@ -251,5 +251,4 @@ def scenario(name: str) -> Scenario:
     if name in SCENARIOS:
         return SCENARIOS[name]
     hint = meant(name, SCENARIOS, f"there are {', '.join(SCENARIOS)}.")
-    msg = f"no scenario is called {name!r}; {hint}"
-    raise FailedError(msg)
+    raise FailedError(f"no scenario is called {name!r}; {hint}")

@@ -32,8 +32,9 @@ def write(scenario: Scenario, seed: int, folder: Path) -> Drive:
         (folder / CONFIG).write_text(head + drive.config, encoding="utf-8")
         _write_truth(scenario, seed, drive, folder / SEALED)
     except OSError as error:
-        msg = f"{folder}: cannot be written ({error.strerror}); choose another folder with -o."
-        raise FailedError(msg) from None
+        raise FailedError(
+            f"{folder}: cannot be written ({error.strerror}); choose another folder with -o."
+        ) from None
     return drive
 
 

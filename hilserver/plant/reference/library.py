@@ -31,10 +31,9 @@ def build(folder: Path) -> Path:
     """
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
-        msg = (
+        raise FailedError(
             "the C reference needs gcc, which is not installed; install it (Debian: gcc libc6-dev)"
         )
-        raise FailedError(msg)
     library = folder / "plant_reference.so"
     with as_file(files("hilserver.plant.reference").joinpath("plant.c")) as source:
         command = [compiler, *FLAGS, "-o", str(library), str(source), "-lm"]
@@ -43,8 +42,7 @@ def build(folder: Path) -> Path:
         )
     if done.returncode != 0:
         first = (done.stderr.strip() or "no message").splitlines()[0]
-        msg = f"the C reference does not compile: {first}"
-        raise FailedError(msg)
+        raise FailedError(f"the C reference does not compile: {first}")
     return library
 
 
@@ -112,8 +110,7 @@ class ReferencePlant:
         values["volts"] = battery_v
         for name, value in values.items():
             if self._library.plant_set(self._handle, name.encode(), ctypes.c_double(value)) != 0:
-                msg = f"plant.c has no field {name!r}"
-                raise FailedError(msg)
+                raise FailedError(f"plant.c has no field {name!r}")
         self._library.plant_prepare(self._handle, int(extended))
         self.outputs = np.zeros(N_OUTPUTS)
         self.states = np.zeros(N_STATES)
