@@ -39,34 +39,20 @@ class Place:
 
 @dataclass(frozen=True)
 class Companion:
-    """What the daemon serves besides its OPC UA clients.
+    """What the daemon serves besides its OPC UA clients."""
 
-    Attributes
-    ----------
-    section : str
-        Of the configuration; `settings` makes its content.
-    busy : callable
-        Keeps a program at the other end busy while its context lasts; yields it in words.
-    """
-
-    section: str
+    section: str  # of the configuration; `settings` makes its content
     settings: Callable[[Place], Mapping[str, Any]]
+    # keeps a program at the other end busy while its context lasts; yields it in words
     busy: Callable[[Place], contextlib.AbstractContextManager[str]]
 
 
 @dataclass
 class Subject:
-    """A running process under measurement.
+    """A running process under measurement."""
 
-    Attributes
-    ----------
-    statistics : Statistics
-        Its figures, in shared memory.
-    load : list of str
-        What loads it, in words; grows when the load ends.
-    """
-
-    statistics: Statistics
+    statistics: Statistics  # its figures, in shared memory
+    # what loads it, in words; grows when the load ends
     load: list[str] = field(default_factory=list)
 
     def measure(self, duration_s: float) -> NDArray[np.int64]:

@@ -48,17 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass
 class Loop:
-    """The controller's side of the measurement.
-
-    Attributes
-    ----------
-    latencies_ms : list of float
-        One per change.
-    """
+    """The controller's side of the measurement."""
 
     server: ControllerServer
     target_rpm: float = SPEED_RPM
-    latencies_ms: list[float] = field(default_factory=list)
+    latencies_ms: list[float] = field(default_factory=list)  # one per change
     duty_pct: float = math.nan
     _sequence: int = 0
     _changed_ns: int | None = None

@@ -15,23 +15,15 @@ SCHEMA = "hilserver.bench/1"
 
 @dataclass(frozen=True)
 class Result:
-    """One figure with its reference from the same run.
-
-    Attributes
-    ----------
-    reference : float or None
-        The same figure of the reference program, in the same unit.
-    raw : object
-        Histograms, blocks, command lines: whatever the figure was made from.
-    """
+    """One figure with its reference from the same run."""
 
     name: str
     value: float
     unit: str
-    reference: float | None = None
+    reference: float | None = None  # the same figure of the reference program, in the same unit
     reference_name: str | None = None
     ratio: float | None = None
-    raw: Any = None
+    raw: Any = None  # histograms, blocks, command lines: whatever the figure was made from
 
 
 def machine() -> dict[str, Any]:

@@ -39,40 +39,27 @@ class Tyre:
 class BodyParameters:
     """What MuJoCo's model and the kernel of wheels and tyres are made from.
 
-    Attributes
-    ----------
-    robot : RobotParameters
-        Geometry, process and range finders.
-    slice_s, step_s : float
-        Period of the time slice, and of the steps into which it is split.
-    torque : bool
-        Driven by the drives' torque instead of the plant's wheel speeds.
-    sensors : bool
-        Whether imu.* and tof.* come from here.
-    centre_of_mass_m : tuple of float
-        In front of and left of the wheels' centre, and above the floor.
-    inertia_kg_m2 : tuple of float or None
-        About the centre of mass; None: that of a box as large as the chassis.
-    air_n_s2_m2 : float
-        Force of the air at 1 m/s.
-
     Raises
     ------
     PlantError
         When a value is not finite, out of range, or the step is too long for the tyre.
     """
 
-    robot: RobotParameters
+    robot: RobotParameters  # geometry, process and range finders
+    # period of the time slice, and of the steps into which it is split
     slice_s: float = quantity(0.002, "period of its slice", jumps="fixed", gt=0)
     step_s: float = quantity(0.001, "step", jumps="fixed", gt=0)
-    torque: bool = False
-    sensors: bool = False
+    torque: bool = False  # driven by the drives' torque instead of the plant's wheel speeds
+    sensors: bool = False  # whether imu.* and tof.* come from here
     stall_torque_nm: float = quantity(
         2.0, "torque of a drive at full duty and standstill", gt=0, le=1e4
     )
     mass_kg: float = quantity(5.0, "mass of the whole robot", gt=0, le=1e5)
+    # in front of and left of the wheels' centre, and above the floor
     centre_of_mass_m: tuple[float, float, float] = (0.0, 0.0, 0.06)
+    # about the centre of mass; None: that of a box as large as the chassis
     inertia_kg_m2: tuple[float, float, float] | None = None
+    # force of the air at 1 m/s
     air_n_s2_m2: float = quantity(0.03, "drag of the air at 1 m/s [N]", ge=0, le=1e3)
     tyre: Tyre = field(default_factory=Tyre)
 

@@ -64,18 +64,10 @@ else:
 
 
 class Record(_Void):
-    """Numbers by name; what a subclass annotates is its layout.
+    """Numbers by name; what a subclass annotates is its layout."""
 
-    Attributes
-    ----------
-    layout : dtype
-        What NumPy and numba know of it.
-    n_words : int
-        Its length in words of 8 bytes.
-    """
-
-    layout: ClassVar[np.dtype[Any]]
-    n_words: ClassVar[int]
+    layout: ClassVar[np.dtype[Any]]  # what NumPy and numba know of it
+    n_words: ClassVar[int]  # its length in words of 8 bytes
 
     def __init_subclass__(cls, word: type | None = None) -> None:
         """Make the layout; with `word` all numbers are of this type instead of their own."""

@@ -21,18 +21,12 @@ _KEYS: Final = ("walls", "height_m", "thickness_m", "slopes", "thresholds", "box
 
 
 class Hall(NamedTuple):
-    """A hall for both models.
+    """A hall for both models."""
 
-    Attributes
-    ----------
-    walls : ndarray of float64, shape (4 n,)
-        x1, y1, x2, y2 [m] of each wall and of each side of a box: what the range finders see.
-    solids : tuple of Solid
-        What the mechatronic model stands on and bumps into.
-    """
-
+    # shape (4 n,); x1, y1, x2, y2 [m] of each wall and of each side of a box: what the range
+    # finders see
     walls: NDArray[np.float64]
-    solids: tuple[Solid, ...]
+    solids: tuple[Solid, ...]  # what the mechatronic model stands on and bumps into
 
 
 def load_hall(hall: str, base_dir: Path) -> Hall:

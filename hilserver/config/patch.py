@@ -137,24 +137,12 @@ class ModelPatch(Section):
 
 @dataclass(frozen=True)
 class Patch:
-    """A patch and where it was read from.
+    """A patch and where it was read from."""
 
-    Attributes
-    ----------
-    model : ModelPatch
-        With the terms of one group, where it had groups.
-    path : Path or None
-        None: from a recording.
-    group : str or None
-        The group that was taken.
-    of_group : frozenset of str
-        Terms that are those of the group alone.
-    """
-
-    model: ModelPatch
-    path: Path | None = None
-    group: str | None = None
-    of_group: frozenset[str] = frozenset()
+    model: ModelPatch  # with the terms of one group, where it had groups
+    path: Path | None = None  # None: from a recording
+    group: str | None = None  # the group that was taken
+    of_group: frozenset[str] = frozenset()  # terms that are those of the group alone
 
     @property
     def sha256(self) -> str:

@@ -47,21 +47,12 @@ def _wrong_identifier(identifier: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NodeAddress:
-    """A node id whose namespace may still be a URI.
+    """A node id whose namespace may still be a URI."""
 
-    Attributes
-    ----------
-    namespace_uri : str or None
-        From ``nsu=``, with ``%3B`` and ``%25`` decoded; None when the index is given.
-    namespace_index : int or None
-        From ``ns=``.
-    identifier : str
-        The rest, ``s=name``, ``i=number``, ``g=guid`` or ``b=base64``.
-    """
-
+    # from ``nsu=``, with ``%3B`` and ``%25`` decoded; None when the index is given
     namespace_uri: str | None
-    namespace_index: int | None
-    identifier: str
+    namespace_index: int | None  # from ``ns=``
+    identifier: str  # the rest, ``s=name``, ``i=number``, ``g=guid`` or ``b=base64``
 
     @classmethod
     def parse(cls, text: str) -> "NodeAddress":
@@ -109,31 +100,7 @@ Milliseconds = Annotated[float, Field(gt=0, le=3_600_000)]
 
 
 class PeerConfig(LinkSection):
-    """One peer.
-
-    Attributes
-    ----------
-    mode : {"auto", "subscribe", "poll"}
-        ``auto`` subscribes first and polls when the peer grants or keeps too slow a rate.
-    publishing_ms, sampling_ms : float
-        Asked for; the peer decides, what it granted is read back.
-    poll_ms : float
-        Period of the multi-read when polling.
-    stale_after_ms : float
-        Inputs older than this are stale.
-    on_stale : {"hold", "zero", "ramp"}
-        What happens to the set-points then.
-    read : dict
-        Their node -> our input signal, or several of them that get the same value.
-    heartbeat : Heartbeat
-        Of an S7 controller: counters at both ends of the blocks.
-    sequence_node : str or None
-        Their counter; tells a living controller from a server that merely answers.
-    write : dict
-        Our output signal -> their node.
-    write_every_ms : float
-        Period of the multi-write.
-    """
+    """One peer."""
 
     name: Annotated[
         str,
@@ -290,16 +257,9 @@ class _TableLike(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SignalProblem:
-    """A signal of a peer that does not fit the table.
+    """A signal of a peer that does not fit the table."""
 
-    Attributes
-    ----------
-    location : tuple
-        Keys below the peer, e.g. ``("read", "ns=1;s=x")``, or below ``peers``, with its number.
-    message : str
-        One sentence.
-    """
-
+    # keys below the peer, e.g. ``("read", "ns=1;s=x")``, or below ``peers``, with its number
     location: tuple[str | int, ...]
     message: str
 

@@ -57,19 +57,11 @@ _ENDPOINT = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a value stands in a block.
-
-    Attributes
-    ----------
-    byte : int
-        Of its first byte.
-    bit : int
-        Of a BOOL, else 0.
-    """
+    """Where a value stands in a block."""
 
     type: str
-    byte: int
-    bit: int = 0
+    byte: int  # of its first byte
+    bit: int = 0  # of a BOOL, else 0
 
     @classmethod
     def parse(cls, kind: str, at: str) -> Self:

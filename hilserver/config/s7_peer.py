@@ -39,19 +39,11 @@ class Heartbeat(Section):
 
 
 class Block(NamedTuple):
-    """What a peer reads or writes: places of one data block.
-
-    Attributes
-    ----------
-    places : dict of Place
-        By address, as configured; the heartbeat is among them.
-    heartbeat : tuple of str
-        Its two addresses; empty without one.
-    """
+    """What a peer reads or writes: places of one data block."""
 
     number: int
-    places: dict[str, Place]
-    heartbeat: tuple[str, ...]
+    places: dict[str, Place]  # by address, as configured; the heartbeat is among them
+    heartbeat: tuple[str, ...]  # its two addresses; empty without one
 
     @property
     def start(self) -> int:

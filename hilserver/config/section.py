@@ -13,31 +13,15 @@ class Section(BaseModel):
 
 
 class Driver(NamedTuple):
-    """Somebody who may drive over a link.
+    """Somebody who may drive over a link."""
 
-    Attributes
-    ----------
-    name : str
-        In log, metrics and OPC UA.
-    source : str
-        Name under which it writes; the part before a colon is its kind.
-    title : str
-        What messages call it.
-    limit_ms : float
-        How long a command holds that is not renewed.
-    on_stale : str
-        What happens to it then.
-    has_faults : bool
-        Whether faults can be injected.
-    """
-
-    name: str
-    source: str
-    title: str
-    limit_ms: float
-    on_stale: str
+    name: str  # in log, metrics and OPC UA
+    source: str  # name under which it writes; the part before a colon is its kind
+    title: str  # what messages call it
+    limit_ms: float  # how long a command holds that is not renewed
+    on_stale: str  # what happens to it then
     is_enabled: bool = True
-    has_faults: bool = True
+    has_faults: bool = True  # whether faults can be injected
 
 
 class LinkSection(Section):

@@ -22,15 +22,10 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class PoseWatch:
-    """Tells a living pose from one that was written once.
-
-    Attributes
-    ----------
-    pose : Pose or None
-        The newest one, None while there is none or it is older than `stale_s`.
-    """
+    """Tells a living pose from one that was written once."""
 
     stale_s: float = POSE_STALE_S
+    # the newest one, None while there is none or it is older than `stale_s`
     pose: Pose | None = None
     _stamp: datetime | None = None
     _seen_s: float = -math.inf
@@ -52,21 +47,14 @@ class PoseWatch:
 
 @dataclass(slots=True)
 class Controller:
-    """One figure of eight on one server.
-
-    Attributes
-    ----------
-    sequence : int
-        Counts cycles, modulo 2**32.
-    pattern : str
-        ``eight``: the figure. ``wheels``: each wheel alone, from the first pose on.
-    """
+    """One figure of eight on one server."""
 
     server: ControllerServer
     eight: Eight = field(default_factory=Eight)
     robot: Robot = field(default_factory=Robot)
     gains: Gains = field(default_factory=Gains)
-    sequence: int = 0
+    sequence: int = 0  # counts cycles, modulo 2**32
+    # ``eight``: the figure. ``wheels``: each wheel alone, from the first pose on
     pattern: str = "eight"
     _s: float = 0.0
     _watch: PoseWatch = field(default_factory=PoseWatch)

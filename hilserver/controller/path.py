@@ -29,37 +29,22 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """What the inverse kinematics (5.25) needs; nominal values, signs as in the spec's frame page.
-
-    Attributes
-    ----------
-    k_om_per_m : float
-        om = yaw_sign r K_om (w_L + w_R).
-    max_rpm : float
-        Limit of every wheel.
-    """
+    """What the inverse kinematics (5.25) needs: nominal values."""
 
     wheel_radius_m: float = 0.085
-    k_om_per_m: float = 0.31 / (0.25**2 + 0.31**2)
+    k_om_per_m: float = 0.31 / (0.25**2 + 0.31**2)  # om = yaw_sign r K_om (w_L + w_R)
     yaw_sign: int = -1
-    max_rpm: float = 90.0
+    max_rpm: float = 90.0  # limit of every wheel
 
 
 @dataclass(frozen=True, slots=True)
 class Eight:
-    """A lying eight around the origin: x = a sin s, y = b sin 2s.
+    """A lying eight around the origin: x = a sin s, y = b sin 2s."""
 
-    Attributes
-    ----------
-    half_width_m, half_height_m : float
-        a and b [m].
-    speed_m_s : float
-        Speed of the path point.
-    """
-
+    # a and b [m]
     half_width_m: float = 1.5
     half_height_m: float = 0.75
-    speed_m_s: float = 0.35
+    speed_m_s: float = 0.35  # speed of the path point
 
     def point_m(self, s: float) -> tuple[float, float]:
         """Return the path point (x, y) [m] at the parameter `s` [rad]."""
@@ -72,40 +57,20 @@ class Eight:
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Tuning of the law.
+    """Tuning of the law."""
 
-    Attributes
-    ----------
-    ahead_m : float
-        Distance d of the led point.
-    pull_per_s : float
-        k.
-    patience_m : float
-        At this distance from the path point the point stands still.
-    """
-
-    ahead_m: float = 0.15
-    pull_per_s: float = 1.5
-    patience_m: float = 0.6
+    ahead_m: float = 0.15  # distance d of the led point
+    pull_per_s: float = 1.5  # k
+    patience_m: float = 0.6  # at this distance from the path point the point stands still
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the law asks for.
+    """What the law asks for."""
 
-    Attributes
-    ----------
-    s : float
-        Parameter of the path point after this step [rad].
-    error_m : float
-        Distance of the led point from the path point.
-    wheels_rpm : dict
-        ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored.
-    """
-
-    s: float
-    error_m: float
-    wheels_rpm: dict[str, float]
+    s: float  # parameter of the path point after this step [rad]
+    error_m: float  # distance of the led point from the path point
+    wheels_rpm: dict[str, float]  # ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored
 
 
 STOP = dict.fromkeys(WHEELS, 0.0)

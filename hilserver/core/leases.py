@@ -16,22 +16,12 @@ _ACTIONS = {number: action for action, number in leases.POLICIES.items()}
 
 
 class Lapse(NamedTuple):
-    """A source that drives has not renewed its command in time.
-
-    Attributes
-    ----------
-    action : str
-        What the step has done: hold, zero, ramp or device.
-    limit_ms : float
-        What it was given.
-    stalled_ticks : int
-        How long the daemon's event loop had not been heard by then.
-    """
+    """A source that drives has not renewed its command in time."""
 
     source: str
-    action: str
-    limit_ms: float
-    stalled_ticks: int
+    action: str  # what the step has done: hold, zero, ramp or device
+    limit_ms: float  # what it was given
+    stalled_ticks: int  # how long the daemon's event loop had not been heard by then
 
 
 class Leases:

@@ -50,21 +50,11 @@ _OF_THE_DRIVES: Final = (
 
 @dataclass(frozen=True)
 class Start:
-    """What a run begins with.
+    """What a run begins with."""
 
-    Attributes
-    ----------
-    robot : RobotParameters
-        The plant of the first tick.
-    configured : RobotParameters
-        That of the configuration alone, without a patch.
-    composition : Composition
-        Own blocks, and what is packed beside them.
-    """
-
-    robot: RobotParameters
-    configured: RobotParameters
-    composition: Composition
+    robot: RobotParameters  # the plant of the first tick
+    configured: RobotParameters  # that of the configuration alone, without a patch
+    composition: Composition  # own blocks, and what is packed beside them
 
     @property
     def table(self) -> dict[str, Parameter]:

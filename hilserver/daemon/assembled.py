@@ -25,33 +25,19 @@ from hilserver.signals import SignalTable
 
 @dataclass(frozen=True)
 class Assembly:
-    """What a daemon is built from.
+    """What a daemon is built from."""
 
-    Attributes
-    ----------
-    config : Config
-        What is in force: `from_file` and what options of the command line changed in it.
-    path : Path or None
-        The configuration file; relative paths in it are relative to its folder.
-    base_period_ns : int
-    slices : sequence of Slice
-        Compiled ones first, in the order in which they run in a tick.
-    patch : Patch or None
-        Laid over the plant of `config`, which stays as it was read.
-    configured : RobotParameters
-        The plant of `config` alone.
-    """
-
+    # what is in force: `from_file` and what options of the command line changed in it
     config: Config
     from_file: Config
-    path: Path | None
+    path: Path | None  # the configuration file; relative paths in it are relative to its folder
     robot: RobotParameters
     table: SignalTable
     base_period_ns: int
-    slices: Sequence[Slice]
+    slices: Sequence[Slice]  # compiled ones first, in the order in which they run in a tick
     composition: Composition
-    configured: RobotParameters
-    patch: Patch | None = None
+    configured: RobotParameters  # the plant of `config` alone
+    patch: Patch | None = None  # laid over the plant of `config`, which stays as it was read
 
     @property
     def folder(self) -> Path:

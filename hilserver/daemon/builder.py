@@ -55,26 +55,17 @@ UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_targe
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """How the parts are paced and how much they hold; by default virtual, from a standstill.
-
-    Attributes
-    ----------
-    image : str
-        Name of the process image; `MADE_UP`: one that nobody else has.
-    ring_frames, queue_rows : int
-        Frames kept and rows that fit into each input queue; powers of two.
-    command_limit_ticks : int
-        Ticks without a set-point until they become zero; 0: never.
-    """
+    """How the parts are paced and how much they hold; by default virtual, from a standstill."""
 
     backend: str = "virtual"
-    image: str = MADE_UP
+    image: str = MADE_UP  # name of the process image; `MADE_UP`: one that nobody else has
+    # frames kept and rows that fit into each input queue; powers of two
     ring_frames: int = 1 << 14
     queue_rows: int = 1 << 13
     policy: OverrunPolicy = field(default_factory=OverrunPolicy)
     limits: OverrunLimits = field(default_factory=OverrunLimits)
     realtime: RealtimeSettings = UNDEMANDING
-    command_limit_ticks: int = 0
+    command_limit_ticks: int = 0  # ticks without a set-point until they become zero; 0: never
     paused: bool = True
     freeze_gc: bool = False
 
@@ -117,24 +108,17 @@ class Core:
     """The parts that every robot has, whatever surrounds it.
 
     As an asynchronous context manager it runs the scheduler and frees the memory at the end.
-
-    Attributes
-    ----------
-    step : StepFunction
-        What the scheduler calls; for tests that call the phases themselves.
-    lines : mapping of Line
-        Where faults of peer links act, by the peer's name.
     """
 
     assembly: Assembly
     image: ProcessImage
-    step: StepFunction
+    step: StepFunction  # what the scheduler calls; for tests that call the phases themselves
     scheduler: Scheduler
     events: EventBus
     gate: InputGate
     snapshots: SnapshotStore
     parameters: LiveParameters
-    lines: Mapping[str, Line]
+    lines: Mapping[str, Line]  # where faults of peer links act, by the peer's name
     faults: Faults
 
     @property

@@ -20,22 +20,15 @@ FORCE = "force"
 
 @dataclass(frozen=True, slots=True)
 class ActiveFault:
-    """One fault or force that waits or acts.
-
-    Attributes
-    ----------
-    from_tick, until_tick : int or None
-        None: not yet taken, or without end.
-    is_acting : bool
-        False while it waits for its time.
-    """
+    """One fault or force that waits or acts."""
 
     name: str
     fault: str
     place: str
+    # None: not yet taken, or without end
     from_tick: int | None
     until_tick: int | None
-    is_acting: bool
+    is_acting: bool  # False while it waits for its time
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,20 +18,13 @@ Seconds = Annotated[float, Field(ge=0, le=1e7)]
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Parameters of one kind of fault, and where it can sit.
-
-    Attributes
-    ----------
-    needs, takes : tuple of str
-        Parameters that have to, or may, be given.
-    on : tuple of str
-        ``signal``, ``peer`` or neither.
-    """
+    """Parameters of one kind of fault, and where it can sit."""
 
     text: str
+    # parameters that have to, or may, be given
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()
-    on: tuple[str, ...] = ("signal",)
+    on: tuple[str, ...] = ("signal",)  # ``signal``, ``peer`` or neither
 
 
 _BOTH = ("signal", "peer")

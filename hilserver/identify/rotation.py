@@ -40,35 +40,21 @@ _SAMPLES_MIN: Final = 20
 
 @dataclass(frozen=True)
 class RotationGain:
-    """What a log says about K_om.
+    """What a log says about K_om."""
 
-    Attributes
-    ----------
-    channel : str
-        Where the yaw rate comes from.
-    unsteady, steady : Estimate or None
-        From all samples; from those whose wheels have been in the zone around their set-points
-        for the settling time.
-    without_lag : Estimate or None
-        From all samples, with the lag of the yaw rate estimated beside it.
-    lag_s : Estimate or None
-        How much later the yaw rate comes than the wheels' speeds.
-    offset_rad_s : Estimate
-        Constant part of the yaw rate, if it is left free.
-    flags : tuple of str
-        Why an estimate is not to be trusted.
-    """
-
-    channel: str
+    channel: str  # where the yaw rate comes from
     zone_rpm: float
     configured: float
+    # from all samples; from those whose wheels have been in the zone around their set-points for
+    # the settling time
     unsteady: Estimate
     steady: Estimate | None
     steady_share: float
+    # from all samples, with the lag of the yaw rate estimated beside it
     without_lag: Estimate | None
-    lag_s: Estimate | None
-    offset_rad_s: Estimate
-    flags: tuple[str, ...] = field(default=())
+    lag_s: Estimate | None  # how much later the yaw rate comes than the wheels' speeds
+    offset_rad_s: Estimate  # constant part of the yaw rate, if it is left free
+    flags: tuple[str, ...] = field(default=())  # why an estimate is not to be trusted
 
 
 class _Samples:

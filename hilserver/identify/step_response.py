@@ -36,37 +36,24 @@ _ANSWER_MIN = 0.1
 
 @dataclass(frozen=True)
 class StepResponse:
-    """The answer of the wheels to the steps of one input.
+    """The answer of the wheels to the steps of one input."""
 
-    Attributes
-    ----------
-    input : str
-        ``duty_pct``: the process; ``setpoint_rpm``: the closed loop.
-    tangent, strejc : Tangent, Chain
-        Graphical: at the point of inflection of the mean response.
-    two_point_s : tuple of float
-        Graphical: T1 and T2.
-    order, time_constant, chain_gain : int, Estimate, Estimate
-        Fitted chain of equal time constants, of the order that fits best.
-    t1, t2, gain : Estimate
-        Fitted pair of time constants.
-    rms_rpm : tuple of float
-        Of what both fits leave: chain, pair.
-    """
-
-    input: str
+    input: str  # ``duty_pct``: the process; ``setpoint_rpm``: the closed loop
     wheels: tuple[str, ...]
     steps: int
+    # graphical: at the point of inflection of the mean response
     tangent: Tangent
     strejc: Chain
-    two_point_s: tuple[float, float]
+    two_point_s: tuple[float, float]  # graphical: T1 and T2
+    # fitted chain of equal time constants, of the order that fits best
     order: int
     time_constant: Estimate
     chain_gain: Estimate
+    # fitted pair of time constants
     t1: Estimate
     t2: Estimate
     gain: Estimate
-    rms_rpm: tuple[float, float]
+    rms_rpm: tuple[float, float]  # of what both fits leave: chain, pair
     flags: tuple[str, ...] = field(default=())
 
 

@@ -16,25 +16,13 @@ _SMALLEST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Step:
-    """One step of an input and the answer.
+    """One step of an input and the answer."""
 
-    Attributes
-    ----------
-    t_s : ndarray of float64, shape (n,)
-        Since the step; the samples before it are negative.
-    speed_rpm : ndarray of float64, shape (n,)
-    size : float
-        Of the input, in its unit.
-    span : int
-    at_s : float
-        Stamp of the step in its span.
-    """
-
-    t_s: Array
-    speed_rpm: Array
-    size: float
+    t_s: Array  # shape (n,); since the step; the samples before it are negative
+    speed_rpm: Array  # shape (n,)
+    size: float  # of the input, in its unit
     span: int
-    at_s: float
+    at_s: float  # stamp of the step in its span
 
 
 def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:

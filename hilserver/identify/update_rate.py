@@ -27,16 +27,11 @@ _CHANGES_MIN = 5
 
 @dataclass(frozen=True)
 class WheelRise:
-    """The rise of one wheel after the first step of its set-point.
-
-    Attributes
-    ----------
-    rise_s : Estimate
-        From the step to 63.2 % of the final speed; the interval is that of the rows around it and
-        of the final speed's scatter.
-    """
+    """The rise of one wheel after the first step of its set-point."""
 
     wheel: str
+    # from the step to 63.2 % of the final speed; the interval is that of the rows around it and of
+    # the final speed's scatter
     rise_s: Estimate
 
 

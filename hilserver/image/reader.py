@@ -34,29 +34,14 @@ def fence() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """All signals of one tick.
+    """All signals of one tick."""
 
-    Attributes
-    ----------
-    number : int
-        How many frames were published before this one.
-    tick : int
-        The tick that made the values.
-    planned_ns : int
-        Planned start of that tick, CLOCK_MONOTONIC.
-    latched_rows : int
-        Input rows latched up to this frame, see `ProcessImage.pushed_rows`.
-    values : ndarray of float64, shape (n_slots,)
-    status : ndarray of int64, shape (n_slots,)
-        OPC UA status codes.
-    """
-
-    number: int
-    tick: int
-    planned_ns: int
-    latched_rows: int
-    values: NDArray[np.float64]
-    status: NDArray[np.int64]
+    number: int  # how many frames were published before this one
+    tick: int  # the tick that made the values
+    planned_ns: int  # planned start of that tick, CLOCK_MONOTONIC
+    latched_rows: int  # input rows latched up to this frame, see `ProcessImage.pushed_rows`
+    values: NDArray[np.float64]  # shape (n_slots,)
+    status: NDArray[np.int64]  # shape (n_slots,); OPC UA status codes
 
 
 class ImageReader:

@@ -66,15 +66,10 @@ class Peer(Part):
         Turns ticks into SourceTimestamps and arrivals into UTC.
     line : Line or None
         Injected faults of this link.
-
-    Attributes
-    ----------
-    status : PeerStatus
-        Always up to date.
     """
 
     section = "peers"
-    status: PeerStatus
+    status: PeerStatus  # always up to date
 
     def __init__(
         self,

@@ -85,18 +85,10 @@ class _Stamp:
 
 @dataclass(frozen=True, slots=True)
 class StampVerdict:
-    """What a SourceTimestamp is good for.
+    """What a SourceTimestamp is good for."""
 
-    Attributes
-    ----------
-    advanced : bool
-        It is newer than the node's last one: a latency can be taken from it.
-    fault : str or None
-        ``frozen_stamp`` or ``stamp_backwards``.
-    """
-
-    advanced: bool
-    fault: str | None = None
+    advanced: bool  # it is newer than the node's last one: a latency can be taken from it
+    fault: str | None = None  # ``frozen_stamp`` or ``stamp_backwards``
 
 
 class StampWatch:

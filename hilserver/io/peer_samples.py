@@ -35,23 +35,12 @@ class FaultKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A usable value, or what is wrong with the sample.
+    """A usable value, or what is wrong with the sample."""
 
-    Attributes
-    ----------
-    value : bool, int, float, list of those, or None
-        None when it cannot be used.
-    fault : FaultKind or None
-        None when it can.
-    detail : str
-        What was seen, for the sentence.
-    stamp_ns : int or None
-        When its source took it, UTC [ns]; None where the protocol does not say.
-    """
-
-    value: object = None
-    fault: FaultKind | None = None
-    detail: str = ""
+    value: object = None  # None when it cannot be used
+    fault: FaultKind | None = None  # None when it can
+    detail: str = ""  # what was seen, for the sentence
+    # when its source took it, UTC [ns]; None where the protocol does not say
     stamp_ns: int | None = None
 
 
@@ -72,21 +61,11 @@ def judge_value(value: object) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class SequenceStep:
-    """What one sequence number says.
+    """What one sequence number says."""
 
-    Attributes
-    ----------
-    advanced : bool
-        It is new: the controller is alive.
-    missed : int
-        Numbers left out since the last one.
-    fault : FaultKind or None
-        A jump.
-    """
-
-    advanced: bool
-    missed: int = 0
-    fault: FaultKind | None = None
+    advanced: bool  # it is new: the controller is alive
+    missed: int = 0  # numbers left out since the last one
+    fault: FaultKind | None = None  # a jump
 
 
 class SequenceWatch:

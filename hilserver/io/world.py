@@ -25,30 +25,11 @@ Provider = Callable[[], Table]
 
 @dataclass(frozen=True)
 class World:
-    """The robot and its daemon, as links see them.
-
-    Attributes
-    ----------
-    folder : Path
-        Relative paths of the configuration start from it.
-    at : callable
-        ``at(section, ...)``: a context that adds the place in the file to complaints.
-    lines : mapping of Line
-        Where injected faults act, by the link's name.
-    hall : ndarray of float64, shape (n, 4)
-        Walls [m].
-    description : callable
-        The robot as URDF, with a prefix before the names of frames and joints.
-    read_output : callable
-        Value, status and planned start [ns] of a signal in the newest frame.
-    tables : mapping of callable
-        Figures that are no signals: "slices", "peers" and "audit".
-    files : object
-        Starts and stops what has the name of a file.
-    """
+    """The robot and its daemon, as links see them."""
 
     config: Config
-    folder: Path
+    folder: Path  # relative paths of the configuration start from it
+    # ``at(section, ...)``: a context that adds the place in the file to complaints
     at: Callable[..., AbstractContextManager[None]]
     table: SignalTable
     image: ProcessImage
@@ -58,12 +39,14 @@ class World:
     control: Control
     faults: Faults | None
     parameters: LiveParameters | None
-    lines: Mapping[str, Line]
+    lines: Mapping[str, Line]  # where injected faults act, by the link's name
     robot: RobotParameters
     shape: Shape
-    hall: Any
+    hall: Any  # float64, shape (n, 4); walls [m]
     period_ns: int
+    # the robot as URDF, with a prefix before the names of frames and joints
     description: Callable[[str], str]
+    # value, status and planned start [ns] of a signal in the newest frame
     read_output: Callable[[str], tuple[Any, int, int]]
-    tables: Mapping[str, Provider]
-    files: Any
+    tables: Mapping[str, Provider]  # figures that are no signals: "slices", "peers" and "audit"
+    files: Any  # starts and stops what has the name of a file

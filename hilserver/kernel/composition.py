@@ -46,28 +46,15 @@ class News(NamedTuple):
 
 
 class Foreign(Protocol):
-    """A started model of others: compiled functions that call it, and what they need.
+    """A started model of others: compiled functions that call it, and what they need."""
 
-    Attributes
-    ----------
-    step : callable
-        ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0.
-    keep, adopt : callable
-        ``(u, y, x, p, a)``: write the state to `x` before a snapshot; go on from `x` after one.
-    addresses : ndarray of int64
-        `a` at the start, of this process; must outlive the step.
-    initial : ndarray of float64
-        `x` at the start.
-    key : str
-        Hash of the functions' sources.
-    """
-
-    step: Callable[..., int]
+    step: Callable[..., int]  # ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0
+    # ``(u, y, x, p, a)``: write the state to `x` before a snapshot; go on from `x` after one
     keep: Callable[..., None]
     adopt: Callable[..., None]
-    addresses: NDArray[np.int64]
-    initial: NDArray[np.float64]
-    key: str
+    addresses: NDArray[np.int64]  # `a` at the start, of this process; must outlive the step
+    initial: NDArray[np.float64]  # `x` at the start
+    key: str  # hash of the functions' sources
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
         """Return what happened since the last look; `a` as the step has it."""
@@ -99,29 +86,17 @@ class ForeignModel(Protocol):
 
 @dataclass(frozen=True)
 class BlockUse:
-    """A user's block, put into a slice and wired.
-
-    Attributes
-    ----------
-    inputs : mapping of str
-        Signal for each declared input.
-    parameters : mapping of float
-        Values that replace the declared defaults.
-    model : ForeignModel or None
-        What is behind it if it is no function of the user.
-    foreign : Foreign or None
-        The same, started for this robot.
-    drives : mapping of str
-        Command for some of the outputs: the block is a controller.
-    """
+    """A user's block, put into a slice and wired."""
 
     name: str
     declaration: BlockDeclaration
     slice: str
-    inputs: Mapping[str, str]
+    inputs: Mapping[str, str]  # signal for each declared input
+    # values that replace the declared defaults
     parameters: Mapping[str, float] = field(default_factory=dict)
-    model: ForeignModel | None = None
-    foreign: Foreign | None = None
+    model: ForeignModel | None = None  # what is behind it if it is no function of the user
+    foreign: Foreign | None = None  # the same, started for this robot
+    # command for some of the outputs: the block is a controller
     drives: Mapping[str, str] = field(default_factory=dict)
 
     def output_signal(self, output: str) -> str:
@@ -147,34 +122,21 @@ class BlockUse:
 
 @dataclass(frozen=True)
 class Composition:
-    """What runs: the robot's parts and the blocks, by slice.
-
-    Attributes
-    ----------
-    slices : sequence of str
-        Compiled slices in the order in which they run in a tick.
-    periods_s : mapping of float
-        Period of each slice [s].
-    hall : ndarray of float64
-        Line segments for the range finders, as `tof_step` takes them, flattened.
-    fitted : ndarray of float64
-        Ranges in which the terms of a patch were fitted, see `fitted_limits`.
-    settings : mapping of float
-        Value of every parameter by its name, see `hilserver.parameters`; NaN is null.
-    body : Engine or None
-        The mechatronic model; its addresses must live as long as the step.
-    """
+    """What runs: the robot's parts and the blocks, by slice."""
 
     table: SignalTable
-    slices: Sequence[str]
-    periods_s: Mapping[str, float]
+    slices: Sequence[str]  # compiled slices in the order in which they run in a tick
+    periods_s: Mapping[str, float]  # period of each slice [s]
     parts: Sequence[Part]
     blocks: Sequence[BlockUse]
     parameters: robot.Parameters
     state: robot.State
+    # line segments for the range finders, as `tof_step` takes them, flattened
     hall: NDArray[np.float64]
+    # ranges in which the terms of a patch were fitted, see `fitted_limits`
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
-    body: Engine | None = None
+    body: Engine | None = None  # the mechatronic model; its addresses must live as long as the step
+    # value of every parameter by its name, see `hilserver.parameters`; NaN is null
     settings: Mapping[str, float] = field(default_factory=dict)
 
     @property

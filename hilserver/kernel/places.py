@@ -91,22 +91,14 @@ def q(at: Places, words: Any) -> Any:
 
 
 class BodyPlaces(NamedTuple):
-    """Where the mechatronic model's numbers begin.
+    """Where the mechatronic model's numbers begin."""
 
-    Attributes
-    ----------
-    p, b, b_end : int
-        Index into `values`: parameters, state, behind the state.
-    a : int
-        Index into `words`: addresses.
-    out, status : int
-        Index into `values` and `words`: its outputs and their status codes.
-    """
-
+    # index into `values`: parameters, state, behind the state
     p: int
     b: int
     b_end: int
-    a: int
+    a: int  # index into `words`: addresses
+    # index into `values` and `words`: its outputs and their status codes
     out: int
     status: int
 

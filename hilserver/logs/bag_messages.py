@@ -30,35 +30,22 @@ _TORN = "the recorder did not close the file; its contents were read"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What a bag says of a topic; the definition is empty where it holds none.
-
-    Attributes
-    ----------
-    encoding : str
-        Of the definition: ``ros2msg``, ``ros2idl``, ``ros1msg``, ``jsonschema``.
-    serialization : str
-        Of the messages: ``cdr``, ``ros1``, ``json``.
-    """
+    """What a bag says of a topic; the definition is empty where it holds none."""
 
     type: str
     definition: str = ""
+    # of the definition: ``ros2msg``, ``ros2idl``, ``ros1msg``, ``jsonschema``
     encoding: str = "ros2msg"
-    serialization: str = "cdr"
+    serialization: str = "cdr"  # of the messages: ``cdr``, ``ros1``, ``json``
 
 
 @dataclass
 class Bag:
-    """The messages of one file.
-
-    Attributes
-    ----------
-    topics : mapping of str to Topic
-    messages : mapping of str to list of (int, bytes)
-        Stamp of reception [ns] and the message, of the topics that were asked for.
-    """
+    """The messages of one file."""
 
     path: Path
     topics: dict[str, Topic] = field(default_factory=dict)
+    # stamp of reception [ns] and the message, of the topics that were asked for
     messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
 

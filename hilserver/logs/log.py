@@ -13,78 +13,43 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A state in the middle of a recording, from which it can be replayed.
+    """A state in the middle of a recording, from which it can be replayed."""
 
-    Attributes
-    ----------
-    segment, tick : int
-        The state before this tick of this segment.
-    words : ndarray of int64, shape (n,)
-        The live regions of the process image.
-    """
-
+    # the state before this tick of this segment
     segment: int
     tick: int
-    words: NDArray[np.int64]
+    words: NDArray[np.int64]  # shape (n,); the live regions of the process image
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Parameters that changed in a recording, from a tick on.
+    """Parameters that changed in a recording, from a tick on."""
 
-    Attributes
-    ----------
-    segment, tick : int
-        The first tick with them.
-    number : int
-        What ``internal.edition`` shows from then on.
-    values : mapping of float
-        Every parameter by name; NaN is null.
-    packed : ndarray of float64, shape (n,)
-        What the plant went on with.
-    """
-
+    # the first tick with them
     segment: int
     tick: int
-    number: int
-    values: Mapping[str, float]
-    packed: NDArray[np.float64]
+    number: int  # what ``internal.edition`` shows from then on
+    values: Mapping[str, float]  # every parameter by name; NaN is null
+    packed: NDArray[np.float64]  # shape (n,); what the plant went on with
 
 
 @dataclass(frozen=True)
 class Log:
-    """A table with a time column and any subset of the signals.
-
-    Attributes
-    ----------
-    t_s : ndarray of float64, shape (n,)
-        Time of each row [s]; rises within a segment.
-    segment : ndarray of int64, shape (n,)
-        Between two segments the robot's pose starts anew.
-    block : ndarray of int64, shape (n,), or None
-        Unit of held-out splits.
-    columns : mapping of float64 arrays, shape (n,)
-        Signal name to values; NaN where there is no sample.
-    status : mapping of int64 arrays, shape (n,)
-        OPC UA status codes; empty where the file has none.
-    run : mapping or None
-        Version, configuration, kernels ... of the run; None for a log that is not ours.
-    states : sequence of State
-    changes : sequence of Change
-    notices : sequence of str
-        What a reader should know: rows dropped, frames lost.
-    """
+    """A table with a time column and any subset of the signals."""
 
     path: Path
-    t_s: NDArray[np.float64]
-    segment: NDArray[np.int64]
+    t_s: NDArray[np.float64]  # shape (n,); time of each row [s]; rises within a segment
+    segment: NDArray[np.int64]  # shape (n,); between two segments the robot's pose starts anew
+    # shape (n,); signal name to values; NaN where there is no sample
     columns: Mapping[str, NDArray[np.float64]]
-    block: NDArray[np.int64] | None = None
+    block: NDArray[np.int64] | None = None  # shape (n,); unit of held-out splits
+    # shape (n,); OPC UA status codes; empty where the file has none
     status: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    # version, configuration, kernels ... of the run; None for a log that is not ours
     run: Mapping[str, Any] | None = None
     states: Sequence[State] = ()
     changes: Sequence[Change] = ()
-    notices: Sequence[str] = ()
+    notices: Sequence[str] = ()  # what a reader should know: rows dropped, frames lost
 
     def __len__(self) -> int:
         return len(self.t_s)

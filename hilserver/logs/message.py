@@ -35,18 +35,10 @@ class _Group:
 
 @dataclass(frozen=True)
 class MessageLayout:
-    """Order and schema of a message.
+    """Order and schema of a message."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Signals in the order in which the message holds them.
-    schema : str
-        The ros2msg text.
-    """
-
-    names: tuple[str, ...]
-    schema: str
+    names: tuple[str, ...]  # signals in the order in which the message holds them
+    schema: str  # the ros2msg text
 
     @property
     def dtype(self) -> np.dtype[np.void]:

@@ -20,29 +20,18 @@ FEW_ROWS: Final = 10
 
 @dataclass
 class Table:
-    """Numbers as they stand in the file.
-
-    Attributes
-    ----------
-    header : list of str
-        Names of the file's columns.
-    numbers : buffer of float64
-        Row after row, of the columns `read`.
-    lines : sequence of int
-        Line of each row in the file.
-    read : list of int
-        Places in the header of the columns that were read; all if not given.
-    origin : int
-        What the stamps count from, where they are too long for a double.
-    """
+    """Numbers as they stand in the file."""
 
     path: Path
-    header: list[str]
+    header: list[str]  # names of the file's columns
+    # row after row, of the columns `read`
     numbers: "array[float] | NDArray[np.float64]" = field(default_factory=lambda: array("d"))
+    # line of each row in the file
     lines: "array[int] | range | NDArray[np.int64]" = field(default_factory=lambda: array("q"))
     notices: list[str] = field(default_factory=list)
+    # places in the header of the columns that were read; all if not given
     read: list[int] = field(default_factory=list)
-    origin: int = 0
+    origin: int = 0  # what the stamps count from, where they are too long for a double
 
     def __post_init__(self) -> None:
         self.read = self.read or list(range(len(self.header)))

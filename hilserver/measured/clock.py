@@ -12,26 +12,15 @@ from hilserver.measured.thresholds import SHORTEST_SEGMENT_S
 
 @dataclass(frozen=True)
 class Segments:
-    """Where each segment lies in time and in the dense arrays.
+    """Where each segment lies in time and in the dense arrays."""
 
-    Attributes
-    ----------
-    span : ndarray of int64, shape (m,)
-        Span of the log it is cut from.
-    start_s, end_s : ndarray, shape (m,)
-    first : ndarray of int64, shape (m + 1,)
-        First row of each segment in the dense arrays, and their end.
-    period_s : float
-        Time between rows.
-    lead_s : float
-        The dense arrays begin this long before the segment: what comes late began there.
-    """
-
-    span: Indices
+    span: Indices  # shape (m,); span of the log it is cut from
+    # shape (m,)
     start_s: Array
     end_s: Array
-    first: Indices
-    period_s: float
+    first: Indices  # shape (m + 1,); first row of each segment in the dense arrays, and their end
+    period_s: float  # time between rows
+    # the dense arrays begin this long before the segment: what comes late began there
     lead_s: float = 0.0
 
     def __len__(self) -> int:

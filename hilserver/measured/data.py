@@ -20,39 +20,23 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """One segment: time rises, and the pose at its start is unknown.
+    """One segment: time rises, and the pose at its start is unknown."""
 
-    Attributes
-    ----------
-    number : int
-        As it stands in the log; counted on over several logs.
-    block : int or None
-        Unit of held-out splits; None where the log names none.
-    start_s, end_s : float
-        Stamps of its first and last row.
-    """
-
-    number: int
-    block: int | None
+    number: int  # as it stands in the log; counted on over several logs
+    block: int | None  # unit of held-out splits; None where the log names none
+    # stamps of its first and last row
     start_s: float
     end_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """The samples of one signal; every value is finite.
+    """The samples of one signal; every value is finite."""
 
-    Attributes
-    ----------
-    t_s, values : ndarray of float64, shape (n,)
-        Stamps rise within a span.
-    span : ndarray of int64, shape (n,)
-        Index into `MeasuredLog.spans`; does not fall.
-    """
-
+    # shape (n,); stamps rise within a span
     t_s: Array
     values: Array
-    span: Indices
+    span: Indices  # shape (n,); index into `MeasuredLog.spans`; does not fall
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -69,33 +53,21 @@ class Channel:
 
 @dataclass(frozen=True)
 class MeasuredLog:
-    """Measured data of one machine, from one log or several.
-
-    Attributes
-    ----------
-    channels : mapping of str to Channel
-        By signal name of the signal table (``nav.x_m``; without ``measured.``). Wheels have the
-        plant's signs: driving forward is left > 0, right < 0.
-    has_stamps : bool
-        False: times were made from a rate; delays are not judged.
-    plant : mapping
-        Keys of the plant configuration that the mapping file sets.
-    notices : tuple of str
-        What a reader should know: rows dropped, the file ends early.
-    on_ticks : bool
-        True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that
-        stands first in a row came at one of the ticks after the row before it.
-    limits : mapping of str to float
-        Largest reading of a channel whose sensor is limited, either sign.
-    """
+    """Measured data of one machine, from one log or several."""
 
     sources: tuple[Source, ...]
+    # by signal name of the signal table (``nav.x_m``; without ``measured.``). Wheels have the
+    # plant's signs: driving forward is left > 0, right < 0
     channels: Mapping[str, Channel]
     spans: tuple[Span, ...]
-    has_stamps: bool = True
+    has_stamps: bool = True  # False: times were made from a rate; delays are not judged
+    # keys of the plant configuration that the mapping file sets
     plant: Mapping[str, object] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()  # what a reader should know: rows dropped, the file ends early
+    # True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that
+    # stands first in a row came at one of the ticks after the row before it
     on_ticks: bool = False
+    # largest reading of a channel whose sensor is limited, either sign
     limits: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -42,22 +42,14 @@ class Stamped:
 
 @dataclass(frozen=True)
 class Recording:
-    """What one file holds.
-
-    Attributes
-    ----------
-    machine : str or None
-        The plant that a recording of ours was made with, as YAML.
-    on_ticks : bool
-        See `MeasuredLog`.
-    """
+    """What one file holds."""
 
     path: Path
     parts: Sequence[Stamped]
     has_stamps: bool = True
     notices: Sequence[str] = ()
-    machine: str | None = None
-    on_ticks: bool = False
+    machine: str | None = None  # the plant that a recording of ours was made with, as YAML
+    on_ticks: bool = False  # see `MeasuredLog`
 
 
 def read_own(path: Path, sampling: Sampling | None = None) -> Recording:

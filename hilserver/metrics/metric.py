@@ -27,18 +27,11 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a counter or a histogram shows now.
+    """What a counter or a histogram shows now."""
 
-    Attributes
-    ----------
-    counts : ndarray of int64
-        One count for a counter, one per bucket for a histogram; falls only when it is reset.
-    sum_ns : int
-        Sum of the counted durations [ns]; 0 for a counter.
-    """
-
+    # one count for a counter, one per bucket for a histogram; falls only when it is reset
     counts: NDArray[np.int64]
-    sum_ns: int = 0
+    sum_ns: int = 0  # sum of the counted durations [ns]; 0 for a counter
 
 
 Row = tuple[tuple[str, ...], float | Reading | None]
@@ -47,25 +40,17 @@ Row = tuple[tuple[str, ...], float | Reading | None]
 
 @dataclass(frozen=True, slots=True)
 class Metric(Generic[Figures]):
-    """One metric.
+    """One metric."""
 
-    Attributes
-    ----------
-    name : str
-        Ends in its unit, counters in ``_total``. A metric never changes its meaning.
-    read : callable
-        Yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
-        What is None or NaN is left out.
-    range_ns : tuple of int
-        Smallest and largest exported bucket bound [ns] of a histogram; both are 1-2-5 bounds.
-        What lies outside is counted in the first bucket and in ``+Inf``.
-    """
-
-    name: str
+    name: str  # ends in its unit, counters in ``_total``. A metric never changes its meaning
     kind: Kind
     help: str
     labels: tuple[str, ...]
+    # yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
+    # What is None or NaN is left out
     read: Callable[[Figures], Iterable[Row]]
+    # smallest and largest exported bucket bound [ns] of a histogram; both are 1-2-5 bounds. What
+    # lies outside is counted in the first bucket and in ``+Inf``
     range_ns: tuple[int, int] = (0, 0)
 
     @property
@@ -77,16 +62,11 @@ class Metric(Generic[Figures]):
 
 @dataclass(frozen=True, slots=True)
 class Source(Generic[Figures]):
-    """Metrics and the figures they are read from.
-
-    Attributes
-    ----------
-    figures : callable
-        Called once per scrape, on the event loop, so that all metrics of a source show the same
-        instant; returns at once what it has.
-    """
+    """Metrics and the figures they are read from."""
 
     metrics: Sequence[Metric[Figures]]
+    # called once per scrape, on the event loop, so that all metrics of a source show the same
+    # instant; returns at once what it has
     figures: Callable[[], Figures]
 
 

@@ -18,23 +18,14 @@ _GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock")
 
 @dataclass(frozen=True, slots=True)
 class AuditItem:
-    """One finding.
+    """One finding."""
 
-    Attributes
-    ----------
-    name : str
-        Snake case; label of the metric.
-    found, wanted : str
-        In words.
-    remedy : str
-        What to do; empty if `ok` or if nothing can be done.
-    """
-
-    name: str
+    name: str  # snake case; label of the metric
     ok: bool
+    # in words
     found: str
     wanted: str
-    remedy: str = ""
+    remedy: str = ""  # what to do; empty if `ok` or if nothing can be done
 
 
 class Granted(Protocol):

@@ -13,15 +13,7 @@ from hilserver.signals import State
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer to one question.
-
-    Attributes
-    ----------
-    ok : bool
-        Yes or no.
-    reason : str
-        One sentence.
-    """
+    """The answer to one question."""
 
     ok: bool
     reason: str
@@ -29,24 +21,14 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class HealthSources:
-    """What the judgements read.
+    """What the judgements read."""
 
-    Attributes
-    ----------
-    state : callable
-        State of the daemon in lower case, ``running`` and so on.
-    heartbeat_ns : callable
-        CLOCK_MONOTONIC [ns] of the newest wake-up of the pacing back end; 0 before the first.
-    first_ticks_met : callable
-        True once the first ticks after the warm-up met their deadlines.
-    heartbeat_limit_s : float
-        A pacing back end silent for longer than this [s] is dead.
-    """
-
-    state: Callable[[], str]
+    state: Callable[[], str]  # state of the daemon in lower case, ``running`` and so on
+    # CLOCK_MONOTONIC [ns] of the newest wake-up of the pacing back end; 0 before the first
     heartbeat_ns: Callable[[], int]
+    # True once the first ticks after the warm-up met their deadlines
     first_ticks_met: Callable[[], bool]
-    heartbeat_limit_s: float = 1.0
+    heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer than this [s] is dead
 
 
 def alive(sources: HealthSources, now_ns: int) -> Verdict:

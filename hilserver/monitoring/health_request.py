@@ -24,21 +24,11 @@ class RefusedRequestError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A well-formed request.
+    """A well-formed request."""
 
-    Attributes
-    ----------
-    path : str
-        Without the query.
-    is_head : bool
-        The answer has no body.
-    accept : str
-        Value of the header ``Accept``, empty without one.
-    """
-
-    path: str
-    is_head: bool
-    accept: str
+    path: str  # without the query
+    is_head: bool  # the answer has no body
+    accept: str  # value of the header ``Accept``, empty without one
 
 
 def parse_request(head: bytes, names: Collection[str] = ("localhost",)) -> Request:

@@ -58,18 +58,10 @@ def refused(code: int, text: str = "", results: list[ua.StatusCode] | None = Non
 
 @dataclass(frozen=True, slots=True)
 class Visitor:
-    """What a client is to the application, from the name that it gives its session.
+    """What a client is to the application, from the name that it gives its session."""
 
-    Attributes
-    ----------
-    address : str
-        Where its user is, for failed log-ins; empty: those of the user name alone.
-    has_own_place : bool
-        It counts for none of the places that clients share.
-    """
-
-    address: str
-    has_own_place: bool = False
+    address: str  # where its user is, for failed log-ins; empty: those of the user name alone
+    has_own_place: bool = False  # it counts for none of the places that clients share
 
 
 class Application:

@@ -32,16 +32,10 @@ class FilterError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFilter:
-    """What of a value must change, and by how much.
-
-    Attributes
-    ----------
-    band : float
-        Changes up to this, in the variable's unit, are not reported; 0 reports any.
-    """
+    """What of a value must change, and by how much."""
 
     trigger: ua.DataChangeTrigger = _STATUS_VALUE
-    band: float = 0.0
+    band: float = 0.0  # changes up to this, in the variable's unit, are not reported; 0 reports any
 
     def is_worth_reporting(self, last: FixedDataValue | None, new: FixedDataValue) -> bool:
         """Whether `new` is to be reported after `last`, which was reported before."""

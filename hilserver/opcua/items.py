@@ -51,22 +51,14 @@ class _Item:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class ValueItem(_Item):
-    """A monitored attribute.
-
-    Attributes
-    ----------
-    place : asyncua AttributeValue
-        Where the value stands.
-    interval_s : float
-        Sampling interval [s]; 0: every change.
-    """
+    """A monitored attribute."""
 
     kind: ClassVar[bytes] = DATA_CHANGE
     read: ua.ReadValueId
-    place: Any
+    place: Any  # where the value stands
     stamps: int
     change: ChangeFilter
-    interval_s: float
+    interval_s: float  # sampling interval [s]; 0: every change
     due_s: float = 0.0
     seen: Any = None
     reported: FixedDataValue | None = None

@@ -26,14 +26,9 @@ Portions = Generator[Any, Any, Any]
 
 
 class Job(Protocol):
-    """Something that needs turns.
+    """Something that needs turns."""
 
-    Attributes
-    ----------
-    used_s : float
-        What its turns have taken, counted here; whoever has none begins as the others stand [s].
-    """
-
+    # what its turns have taken, counted here; whoever has none begins as the others stand [s]
     used_s: float
 
     def turn(self) -> bool:

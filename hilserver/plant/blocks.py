@@ -45,59 +45,30 @@ class BlockError(PlantError):
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """One output of a block, as it appears in the signal table.
+    """One output of a block, as it appears in the signal table."""
 
-    Attributes
-    ----------
-    name : str
-        Ends in its unit, as every signal: ``force_n``.
-    unit : str
-        Symbol of the unit, "1" without one.
-    low, high : float
-        Range.
-    description : str
-        One line for the address space.
-    """
-
-    name: str
-    unit: str = "1"
+    name: str  # ends in its unit, as every signal: ``force_n``
+    unit: str = "1"  # symbol of the unit, "1" without one
+    # range
     low: float = -1e9
     high: float = 1e9
-    description: str = ""
+    description: str = ""  # one line for the address space
 
 
 @dataclass(frozen=True, slots=True)
 class BlockDeclaration:
-    """What `block` declares about a function and `load_block` compiles.
+    """What `block` declares about a function and `load_block` compiles."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the function.
-    function : callable
-        ``(dt_s, u, y, x, p) -> None``, compiled once it went through `load_block`.
-    inputs : tuple of str
-        Own names of the inputs, in the order of `u`; the configuration wires them to signals.
-    outputs : tuple of Output
-        In the order of `y`.
-    state : mapping of str to float
-        Names and initial values, in the order of `x`.
-    parameters : mapping of str to float
-        Names and defaults, in the order of `p`.
-    source : Path
-        File of the function; part of the kernel cache's key.
-    source_function : callable
-        The function as it was written.
-    """
-
-    name: str
+    name: str  # name of the function
+    # ``(dt_s, u, y, x, p) -> None``, compiled once it went through `load_block`
     function: Callable[..., None]
+    # own names of the inputs, in the order of `u`; the configuration wires them to signals
     inputs: tuple[str, ...]
-    outputs: tuple[Output, ...]
-    state: Mapping[str, float]
-    parameters: Mapping[str, float]
-    source: Path
-    source_function: Callable[..., None]
+    outputs: tuple[Output, ...]  # in the order of `y`
+    state: Mapping[str, float]  # names and initial values, in the order of `x`
+    parameters: Mapping[str, float]  # names and defaults, in the order of `p`
+    source: Path  # file of the function; part of the kernel cache's key
+    source_function: Callable[..., None]  # the function as it was written
 
 
 def block(

@@ -10,23 +10,15 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A box in the hall, as the mechatronic model feels it.
+    """A box in the hall, as the mechatronic model feels it."""
 
-    Attributes
-    ----------
-    centre_m, half_m : tuple of float
-        Centre in the world's frame, and half of length, width and height.
-    yaw_rad, pitch_rad : float
-        Direction of its length, and by how much it rises along it.
-    carries : bool
-        Wheels roll onto it; otherwise it is in the way of the chassis.
-    """
-
+    # centre in the world's frame, and half of length, width and height
     centre_m: tuple[float, float, float]
     half_m: tuple[float, float, float]
+    # direction of its length, and by how much it rises along it
     yaw_rad: float = 0.0
     pitch_rad: float = 0.0
-    carries: bool = False
+    carries: bool = False  # wheels roll onto it; otherwise it is in the way of the chassis
 
 
 DEFAULT_WALLS: Final = (

@@ -73,41 +73,21 @@ class Ranges(NamedTuple):
 class RobotParameters:
     """Everything that `robot_step` and the sensor kernels need to know.
 
-    Attributes
-    ----------
-    period_s : float
-        Plant slice T.
-    slice_name : str
-        Its name, for messages.
-    drive : str
-        ``skid``: four wheels that scrub when the robot turns; ``mecanum``: their rollers let it
-        drive sideways, and the centre of rotation is that of the wheels.
-    wheelbase_m : float or None
-        l_x; None for a robot with two wheels.
-    rotation_gain : str or float
-        K_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``,
-        with mecanum wheels ``1/(l_x + l_y)``.
-    body_wheels : bool
-        The mechatronic model turns the wheels: the process of (5.23) is in its drives.
-    terms : mapping of str to float or None
-        Values of `terms.TERMS`; missing ones are null.
-    hall : ndarray of float64, shape (4 n,)
-        Walls for the range finders.
-    solids : tuple of Solid
-        What the mechatronic model can bump into.
-
     Raises
     ------
     PlantError
         When a value is not finite, out of range, or the wheel loop would be unstable.
     """
 
-    period_s: float = quantity(0.001, "period of its slice", jumps="fixed", gt=0)
-    slice_name: str = "plant"
+    period_s: float = quantity(0.001, "period of its slice", jumps="fixed", gt=0)  # plant slice T
+    slice_name: str = "plant"  # its name, for messages
+    # ``skid``: four wheels that scrub when the robot turns; ``mecanum``: their rollers let it drive
+    # sideways, and the centre of rotation is that of the wheels
     drive: Literal["skid", "mecanum"] = "skid"
     wheel_radius_m: float = quantity(
         0.085, "wheel radius r", jumps="velocity duty", ge=0.001, le=10
     )
+    # l_x; None for a robot with two wheels
     wheelbase_m: float | None = quantity(
         0.25,
         "l_x, between front and rear wheels; null: two wheels",
@@ -138,7 +118,10 @@ class RobotParameters:
     discretization: Literal["exact", "euler"] = "exact"
     exclusive_twist: bool = False
     yaw_sign: int = -1
+    # k_om by name or as a number [1/m]; ``geometric_skid`` without l_x means ``geometric_diff``,
+    # with mecanum wheels ``1/(l_x + l_y)``
     rotation_gain: str | float = "geometric_skid"
+    # the mechatronic model turns the wheels: the process of (5.23) is in its drives
     body_wheels: bool = False
     seed: int = quantity(0, "seed of all noise", jumps="fixed", ge=0, lt=2**53)
     controller: Controller = field(default_factory=Controller)
@@ -147,8 +130,11 @@ class RobotParameters:
     battery: Battery = field(default_factory=Battery)
     tof: RangeFinders = field(default_factory=RangeFinders)
     nav: Navigation = field(default_factory=Navigation)
+    # values of `terms.TERMS`; missing ones are null
     terms: Mapping[str, float | None] = field(default_factory=dict)
+    # shape (4 n,); walls for the range finders
     hall: NDArray[np.float64] = field(default_factory=default_hall, compare=False, repr=False)
+    # what the mechatronic model can bump into
     solids: tuple[Solid, ...] = field(default_factory=default_solids, compare=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -14,30 +14,18 @@ Matrices = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loop:
-    """A PI(D) controller around the process of equation (5.23), to be sampled.
+    """A PI(D) controller around the process of equation (5.23), to be sampled."""
 
-    Attributes
-    ----------
-    gain : float
-        Speed per duty [rpm/%].
-    t1_s, t2_s : float
-        Time constants of the two first-order lags.
-    k_p, k_i, k_d : float
-        Gains in parallel form [%/rpm], [%/(rpm s)], [% s/rpm].
-    derivative_n : float
-        The derivative is filtered with ``tau = K_D/(N K_P)``.
-    euler : bool
-        Forward differences instead of the exact solution.
-    """
-
-    gain: float
+    gain: float  # speed per duty [rpm/%]
+    # time constants of the two first-order lags
     t1_s: float
     t2_s: float
+    # gains in parallel form [%/rpm], [%/(rpm s)], [% s/rpm]
     k_p: float
     k_i: float
     k_d: float
-    derivative_n: float
-    euler: bool
+    derivative_n: float  # the derivative is filtered with ``tau = K_D/(N K_P)``
+    euler: bool  # forward differences instead of the exact solution
 
     def process(self, dt_s: float, viscous: float = 0.0) -> Matrices:
         """Return ``a00, a01, a10, a11, b0, b1`` of the process over one tick with the duty held."""

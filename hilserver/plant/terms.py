@@ -19,40 +19,19 @@ from hilserver.plant.errors import PlantError
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One parameter of a cause.
+    """One parameter of a cause."""
 
-    Attributes
-    ----------
-    name : str
-        Cause, or ``cause.part``.
-    block : str
-        Part of the plant it acts in: drive, kinematics, navigation or inertial.
-    unit : str
-        Symbol of the unit, "1" for a relative value.
-    null : float or None
-        Value at which it changes nothing; None: what `description` says.
-    reference : float or None
-        Size at which a diagnosis must name it.
-    low, high : float
-        Range of values, ends included.
-    shape : bool
-        True: it only shapes the effect of another part of its cause.
-    jumps : str
-        Which outputs a change of it makes jump, see `hilserver.parameters.table`.
-    description : str
-        What it does.
-    """
-
-    name: str
-    block: str
-    unit: str
-    null: float | None
-    reference: float | None
+    name: str  # cause, or ``cause.part``
+    block: str  # part of the plant it acts in: drive, kinematics, navigation or inertial
+    unit: str  # symbol of the unit, "1" for a relative value
+    null: float | None  # value at which it changes nothing; None: what `description` says
+    reference: float | None  # size at which a diagnosis must name it
+    # range of values, ends included
     low: float
     high: float
-    shape: bool
-    jumps: str
-    description: str
+    shape: bool  # True: it only shapes the effect of another part of its cause
+    jumps: str  # which outputs a change of it makes jump, see `hilserver.parameters.table`
+    description: str  # what it does
 
     @property
     def cause(self) -> str:

@@ -20,38 +20,22 @@ ENABLE = "drive.enable"
 
 @dataclass(frozen=True)
 class Stretch:
-    """Ticks that follow each other, and the inputs that change in them.
-
-    Attributes
-    ----------
-    state : ndarray of int64 or None
-        The state to begin with; None: that of a fresh start.
-    changes : sequence of Change
-        Of the parameters, in the order of their ticks.
-    rows : ndarray of float64, shape (n, 4)
-        Tick, slot, value, status; ticks rise.
-    """
+    """Ticks that follow each other, and the inputs that change in them."""
 
     segment: int
     first_tick: int
     n_ticks: int
-    rows: NDArray[np.float64]
-    state: NDArray[np.int64] | None = None
-    changes: Sequence[Change] = ()
+    rows: NDArray[np.float64]  # shape (n, 4); tick, slot, value, status; ticks rise
+    state: NDArray[np.int64] | None = None  # the state to begin with; None: that of a fresh start
+    changes: Sequence[Change] = ()  # of the parameters, in the order of their ticks
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a replay does.
-
-    Attributes
-    ----------
-    feeds_state : bool
-        Whether the daemon's state (``sim.state``) comes with the rows.
-    """
+    """What a replay does."""
 
     stretches: Sequence[Stretch]
-    feeds_state: bool
+    feeds_state: bool  # whether the daemon's state (``sim.state``) comes with the rows
     notices: list[str] = field(default_factory=list)
 
     @property

@@ -21,16 +21,9 @@ class CheckError(FailedError):
 
 @dataclass(frozen=True)
 class Drive(Mapping[str, Floats]):
-    """Signals of one drive, a sample each tick, the first at 0 s.
+    """Signals of one drive, a sample each tick, the first at 0 s."""
 
-    Attributes
-    ----------
-    period_s : float
-        Of a tick [s].
-    columns : mapping of ndarray of float64
-    """
-
-    period_s: float
+    period_s: float  # of a tick [s]
     columns: Mapping[str, Floats]
 
     def __getitem__(self, name: str) -> Floats:

@@ -17,30 +17,20 @@ NS_PER_S: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What does not change while the daemon runs.
+    """What does not change while the daemon runs."""
 
-    Attributes
-    ----------
-    rpm_per_m_s, rpm_per_rad_s : float
-        Speed of a left wheel that a twist asks for; right wheels are mirrored.
-    max_lateral_m_s : float
-        0 for a robot that cannot go sideways.
-    tof_field_rad : float
-        Cone of a range finder.
-    tof_x_m, tof_y_m : sequence of float
-        Where the range finders sit, in the order fl, fr, rl, rr.
-    """
-
+    # speed of a left wheel that a twist asks for; right wheels are mirrored
     rpm_per_m_s: float
     rpm_per_rad_s: float
     max_rpm: float
     max_linear_m_s: float
-    max_lateral_m_s: float
+    max_lateral_m_s: float  # 0 for a robot that cannot go sideways
     max_angular_rad_s: float
     wheel_radius_m: float
     wheelbase_m: float
     track_m: float
-    tof_field_rad: float
+    tof_field_rad: float  # cone of a range finder
+    # where the range finders sit, in the order fl, fr, rl, rr
     tof_x_m: tuple[float, ...] = ()
     tof_y_m: tuple[float, ...] = ()
 
@@ -70,17 +60,13 @@ class Odometer:
 
     The wheels are coupled to the floor as the nominal kinematics say, so slip shows in the gap to
     the true pose. Halfway heading: exact on arcs, whatever the time between two frames.
-
-    Attributes
-    ----------
-    way_m, turned_rad : float
-        What was driven and turned in all, either way: errors grow with it.
     """
 
     shape: Shape
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
+    # what was driven and turned in all, either way: errors grow with it
     way_m: float = 0.0
     turned_rad: float = 0.0
     _before: list[float] | None = None
@@ -115,42 +101,22 @@ def _motion(shape: Shape, rpm: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass
 class Robot:
-    """One frame on its way into messages.
-
-    Attributes
-    ----------
-    values : mapping of str to float
-        Scalars by signal name.
-    stamp_ns : int
-        UTC, or simulated time where nodes follow ``/clock``.
-    array_order : tuple of str
-        Of wheels and range finders in arrays that do not say it.
-    frame_prefix : str
-        Before the names of coordinate frames.
-    imu_is_raw : bool
-        The host has asked for the IMU without orientation.
-    autonomous : bool
-        edu_robot's mode, which decides which topic drives.
-    buttons : list of int
-        Of a gamepad, as they were last.
-    extended_axes : bool
-        Axes come by a topic of their own.
-    ignored : dict of str to int
-        Commands that have no effect here, counted.
-    """
+    """One frame on its way into messages."""
 
     types: Types
     shape: Shape
     odometer: Odometer
-    values: Mapping[str, float] = field(default_factory=dict)
-    stamp_ns: int = 0
+    values: Mapping[str, float] = field(default_factory=dict)  # scalars by signal name
+    stamp_ns: int = 0  # UTC, or simulated time where nodes follow ``/clock``
     time_ns: int = 0
+    # of wheels and range finders in arrays that do not say it
     array_order: tuple[str, ...] = ("fl", "rl", "fr", "rr")
-    frame_prefix: str = ""
-    imu_is_raw: bool = False
-    autonomous: bool = False
-    buttons: list[int] = field(default_factory=list)
-    extended_axes: bool = False
+    frame_prefix: str = ""  # before the names of coordinate frames
+    imu_is_raw: bool = False  # the host has asked for the IMU without orientation
+    autonomous: bool = False  # edu_robot's mode, which decides which topic drives
+    buttons: list[int] = field(default_factory=list)  # of a gamepad, as they were last
+    extended_axes: bool = False  # axes come by a topic of their own
+    # commands that have no effect here, counted
     ignored: dict[str, int] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> float:

@@ -15,27 +15,15 @@ _CONFIDENT: Final = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expectation:
-    """What must come out.
+    """What must come out."""
 
-    Attributes
-    ----------
-    must_say : tuple of frozenset of str
-        For each, a finding must hold one of these causes.
-    together : frozenset of str
-        Causes that one group must hold, because the log cannot tell them apart.
-    must_not_say : frozenset of str
-        Causes that no finding may hold.
-    verdict : str or None
-        The verdict on the whole: findings, nothing_found, not_judged, differs, no_difference.
-    or_structure : bool
-        True: ``structure_not_in_library`` is right too.
-    """
-
-    must_say: tuple[frozenset[str], ...] = ()
+    must_say: tuple[frozenset[str], ...] = ()  # for each, a finding must hold one of these causes
+    # causes that one group must hold, because the log cannot tell them apart
     together: frozenset[str] = frozenset()
-    must_not_say: frozenset[str] = frozenset()
+    must_not_say: frozenset[str] = frozenset()  # causes that no finding may hold
+    # the verdict on the whole: findings, nothing_found, not_judged, differs, no_difference
     verdict: str | None = None
-    or_structure: bool = False
+    or_structure: bool = False  # True: ``structure_not_in_library`` is right too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,20 +58,11 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Whether findings are what a drive must lead to.
-
-    Attributes
-    ----------
-    right : bool
-    wrong : tuple of str
-        Confident findings that hold nothing of the truth.
-    missing : tuple of str
-        In words, what was not said or should not have been said.
-    """
+    """Whether findings are what a drive must lead to."""
 
     right: bool
-    wrong: tuple[str, ...]
-    missing: tuple[str, ...]
+    wrong: tuple[str, ...]  # confident findings that hold nothing of the truth
+    missing: tuple[str, ...]  # in words, what was not said or should not have been said
 
 
 def causes_of(finding: Finding) -> frozenset[str]:

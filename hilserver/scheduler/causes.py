@@ -55,18 +55,10 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What is known about one overrun; durations in ns.
+    """What is known about one overrun; durations in ns."""
 
-    Attributes
-    ----------
-    span_ns : int
-        The delay (late wake) or the execution (long run) to be explained.
-    period_ns : int
-        A slice that computed for longer than this ran long whatever else happened.
-    """
-
-    span_ns: int
-    period_ns: int
+    span_ns: int  # the delay (late wake) or the execution (long run) to be explained
+    period_ns: int  # a slice that computed for longer than this ran long whatever else happened
     late: bool
     cpu_ns: int
     minor_faults: int

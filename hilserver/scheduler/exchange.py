@@ -120,34 +120,22 @@ def write_word(control: NDArray[np.int64], index: int, value: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class OverrunRecord:
-    """One overrun or fault as the pacing loop saw it; times in ns.
-
-    Attributes
-    ----------
-    kind : int
-        ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault that was no overrun.
-    slice_index : int
-        The row of the slice that is blamed: the first for a late wake, the longest otherwise.
-    cpu_ns, minor_faults, major_faults, preempted
-        What the thread used and suffered since the end of the previous tick.
-    missed : int
-        Planned starts that the policy gave up.
-    code : int
-        The ``FAULT_*`` code handed to the step; -1: the scheduler stopped; 0: none.
-    """
+    """One overrun or fault as the pacing loop saw it; times in ns."""
 
     tick: int
-    kind: int
+    kind: int  # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault that was no overrun
+    # the row of the slice that is blamed: the first for a late wake, the longest otherwise
     slice_index: int
     planned_ns: int
     latency_ns: int
     execution_ns: int
+    # what the thread used and suffered since the end of the previous tick
     cpu_ns: int
     minor_faults: int
     major_faults: int
     preempted: int
-    missed: int
-    code: int
+    missed: int  # planned starts that the policy gave up
+    code: int  # the ``FAULT_*`` code handed to the step; -1: the scheduler stopped; 0: none
 
 
 class Exchange:

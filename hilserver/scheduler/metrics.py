@@ -13,18 +13,10 @@ EXECUTED_SLICES: Final = ("plant", "publish")
 
 
 class Pace(NamedTuple):
-    """What the metrics are read from.
+    """What the metrics are read from."""
 
-    Attributes
-    ----------
-    slices : mapping of SliceFigures
-        By name, in the order of the scheduler.
-    realtime_factor : float
-        NaN while unknown.
-    """
-
-    slices: Mapping[str, SliceFigures]
-    realtime_factor: float
+    slices: Mapping[str, SliceFigures]  # by name, in the order of the scheduler
+    realtime_factor: float  # NaN while unknown
     gc_pauses: Histogram125
 
 

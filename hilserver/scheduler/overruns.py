@@ -26,36 +26,21 @@ _SETTLE_NS = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class OverrunReport:
-    """One overrun, explained.
+    """One overrun, explained."""
 
-    Attributes
-    ----------
-    slice : str
-        The slice that is blamed: the first of the tick for a late wake, the longest otherwise.
-    kind : str
-        ``late_wake``, ``long_run`` or ``fault`` (a slice reported a fault in time).
-    latency_ns, execution_ns : int
-        Of the tick (compiled slices) or of the slice (communication).
-    missed : int
-        Planned starts that were given up.
-    cause : Cause
-        As far as the system tells.
-    consequence : str
-        "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
-        ``fault 3`` (the slice's own number), ``stalled``: it has not come back for a second.
-    part : str
-        "" or what took the time within the slice.
-    """
-
+    # the slice that is blamed: the first of the tick for a late wake, the longest otherwise
     slice: str
-    kind: str
+    kind: str  # ``late_wake``, ``long_run`` or ``fault`` (a slice reported a fault in time)
     tick: int
+    # of the tick (compiled slices) or of the slice (communication)
     latency_ns: int
     execution_ns: int
-    missed: int
-    cause: Cause
+    missed: int  # planned starts that were given up
+    cause: Cause  # as far as the system tells
+    # "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
+    # ``fault 3`` (the slice's own number), ``stalled``: it has not come back for a second
     consequence: str = ""
-    part: str = ""
+    part: str = ""  # "" or what took the time within the slice
 
     def __str__(self) -> str:
         """One line for a log."""

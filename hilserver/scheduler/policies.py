@@ -85,17 +85,10 @@ def shift_ns(policy: int, late_ns: int, period_ns: int, limit_ticks: int) -> int
 
 @dataclass(frozen=True)
 class OverrunPolicy:
-    """A policy by name.
+    """A policy by name."""
 
-    Attributes
-    ----------
-    name : str
-        ``catch_up``, ``skip``, ``stretch`` or ``fail``.
-    catch_up_limit_ticks : int
-        How many late ticks ``catch_up`` runs back to back (the others ignore it).
-    """
-
-    name: str = "catch_up"
+    name: str = "catch_up"  # ``catch_up``, ``skip``, ``stretch`` or ``fail``
+    # how many late ticks ``catch_up`` runs back to back (the others ignore it)
     catch_up_limit_ticks: int = 100
 
     def __post_init__(self) -> None:
@@ -114,18 +107,10 @@ class OverrunPolicy:
 
 @dataclass(frozen=True)
 class OverrunLimits:
-    """What the scheduler bears before it asks for the safe state; 0 switches a limit off.
+    """What the scheduler bears before it asks for the safe state; 0 switches a limit off."""
 
-    Attributes
-    ----------
-    single_ns : int
-        A tick that ends later than this after its deadline.
-    consecutive : int
-        So many overruns without a tick in between that ended in time.
-    """
-
-    single_ns: int = 0
-    consecutive: int = 0
+    single_ns: int = 0  # a tick that ends later than this after its deadline
+    consecutive: int = 0  # so many overruns without a tick in between that ended in time
 
     def __post_init__(self) -> None:
         if self.single_ns < 0 or self.consecutive < 0:

@@ -21,23 +21,12 @@ _CAP_IPC_LOCK = 14
 
 @dataclass(frozen=True, slots=True)
 class RealtimeSettings:
-    """What to ask for.
+    """What to ask for."""
 
-    Attributes
-    ----------
-    priority : int
-        SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask.
-    cpu : int or None
-        Pin the pacing thread to this core.
-    lock_memory : bool
-        Lock and prefault the memory of the process.
-    hold_latency_target : bool
-        Hold /dev/cpu_dma_latency open with 0, so that no core sleeps deeply.
-    """
-
-    priority: int = 80
-    cpu: int | None = None
-    lock_memory: bool = True
+    priority: int = 80  # SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask
+    cpu: int | None = None  # pin the pacing thread to this core
+    lock_memory: bool = True  # lock and prefault the memory of the process
+    # hold /dev/cpu_dma_latency open with 0, so that no core sleeps deeply
     hold_latency_target: bool = True
 
     def __post_init__(self) -> None:

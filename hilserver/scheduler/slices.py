@@ -11,20 +11,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """One time slice.
+    """One time slice."""
 
-    Attributes
-    ----------
-    name : str
-        Unique; metrics and log lines carry it.
-    period_ticks : int
-        Runs in every tick that is a multiple of it.
-    compiled : bool
-        True: a phase of the compiled step. False: a communication slice on the event loop.
-    """
-
-    name: str
-    period_ticks: int
+    name: str  # unique; metrics and log lines carry it
+    period_ticks: int  # runs in every tick that is a multiple of it
+    # True: a phase of the compiled step. False: a communication slice on the event loop
     compiled: bool
 
     def __post_init__(self) -> None:

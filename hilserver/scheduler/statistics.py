@@ -43,15 +43,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class SliceFigures:
-    """The figures of one slice since the last reset; all times in ns.
-
-    Attributes
-    ----------
-    latency_counts, execution_counts : ndarray of int64, shape (N_BUCKETS,)
-        1-2-5 histograms, see `hilserver.compiled.histogram`; not cumulated.
-    margin_min_ns : int or None
-        The smallest margin; None before the first run.
-    """
+    """The figures of one slice since the last reset; all times in ns."""
 
     name: str
     period_ns: int
@@ -64,31 +56,25 @@ class SliceFigures:
     execution_max_ns: int
     execution_max_tick: int
     execution_last_ns: int
-    margin_min_ns: int | None
+    margin_min_ns: int | None  # the smallest margin; None before the first run
     margin_min_tick: int
     margin_last_ns: int
     late_wakes: int
     long_runs: int
     missed_ticks: int
     window: Window
+    # shape (N_BUCKETS,); 1-2-5 histograms, see `hilserver.compiled.histogram`; not cumulated
     latency_counts: NDArray[np.int64]
     execution_counts: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class TickFigures:
-    """What concerns the tick as a whole.
+    """What concerns the tick as a whole."""
 
-    Attributes
-    ----------
-    missed_ticks : int
-        Planned starts of the base period that were given up.
-    real_time_factor, real_time_factor_total : float
-        Simulated over real time while running, in the last complete second and since the reset;
-        NaN before.
-    """
-
-    missed_ticks: int
+    missed_ticks: int  # planned starts of the base period that were given up
+    # simulated over real time while running, in the last complete second and since the reset; NaN
+    # before
     real_time_factor: float
     real_time_factor_total: float
 

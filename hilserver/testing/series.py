@@ -13,22 +13,13 @@ Reference = float | Floats | Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One signal over simulated time.
-
-    Attributes
-    ----------
-    time_s : ndarray of float64, shape (n,)
-        Simulated time of each sample [s].
-    tick : ndarray of int64, shape (n,)
-    values : ndarray of float64, shape (n,)
-        In `unit`.
-    """
+    """One signal over simulated time."""
 
     name: str
     unit: str
-    time_s: Floats
-    tick: NDArray[np.int64]
-    values: Floats
+    time_s: Floats  # shape (n,); simulated time of each sample [s]
+    tick: NDArray[np.int64]  # shape (n,)
+    values: Floats  # shape (n,); in `unit`
 
     def __len__(self) -> int:
         return len(self.values)

@@ -55,16 +55,10 @@ class EdgeFault(StrEnum):
 
 
 class EdgeLink(Part):
-    """One client of the broker for as long as the daemon runs.
-
-    Attributes
-    ----------
-    status : PeerStatus
-        Always up to date; `writes` counts the messages of values that went out.
-    """
+    """One client of the broker for as long as the daemon runs."""
 
     section, label = "edge", "databus"
-    status: PeerStatus
+    status: PeerStatus  # always up to date; `writes` counts the messages of values that went out
 
     def __init__(self, config: EdgeConfig, world: World) -> None:
         self._config, self._world = config, world

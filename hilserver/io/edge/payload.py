@@ -34,20 +34,12 @@ MOST_BYTES: Final = 65_536
 
 @dataclass(frozen=True)
 class Collection:
-    """A group with its signals and topics.
-
-    Attributes
-    ----------
-    signals : tuple of Signal
-        Scalars; the slot of one is its id.
-    write_topic : str
-        Empty if nothing is taken.
-    """
+    """A group with its signals and topics."""
 
     group: EdgeGroup
-    signals: tuple[Signal, ...]
+    signals: tuple[Signal, ...]  # scalars; the slot of one is its id
     topic: str
-    write_topic: str
+    write_topic: str  # empty if nothing is taken
 
     @property
     def inputs(self) -> dict[str, Signal]:

@@ -53,18 +53,13 @@ def too_many_missed(received: int, missed: int) -> str:
 
 @dataclass(frozen=True)
 class Acquisition:
-    """Brings the samples of one session to the intake.
-
-    Attributes
-    ----------
-    report_slow : callable
-        Takes a sentence when the peer grants less than was asked for.
-    """
+    """Brings the samples of one session to the intake."""
 
     session: Session
     config: PeerConfig
     status: PeerStatus
     intake: Taker
+    # takes a sentence when the peer grants less than was asked for
     report_slow: Callable[[str], None]
 
     @property

@@ -44,16 +44,10 @@ class Ros2Fault(StrEnum):
 
 
 class Ros2Node(Part):
-    """One node for as long as the daemon runs.
-
-    Attributes
-    ----------
-    status : PeerStatus
-        Always up to date.
-    """
+    """One node for as long as the daemon runs."""
 
     section, label, is_early = NAME, "ROS 2", True  # joining takes a second
-    status: PeerStatus
+    status: PeerStatus  # always up to date
 
     def __init__(self, config: Ros2Config, world: World, line: Line) -> None:
         self.config, self._world = config, world

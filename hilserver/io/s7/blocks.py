@@ -26,18 +26,10 @@ class RefusedItemError(Exception):
 
 @dataclass(frozen=True)
 class DataBlock:
-    """One block.
+    """One block."""
 
-    Attributes
-    ----------
-    fields : tuple
-        Place and signal.
-    size : int
-        Bytes.
-    """
-
-    fields: tuple[tuple[Place, Signal], ...]
-    size: int
+    fields: tuple[tuple[Place, Signal], ...]  # place and signal
+    size: int  # bytes
 
     def filled(self, frame: Frame) -> bytes:
         """Return the block of a frame; a number whose status is Bad is NaN, or 0 if it is whole."""

@@ -23,16 +23,10 @@ CODES: Final[Mapping[Refusal, Code]] = {Refusal.TYPE_MISMATCH: Code.UNFIT}
 
 
 class S7Link(Part):
-    """Data blocks for controllers and panels.
-
-    Attributes
-    ----------
-    status : PeerStatus
-        `connected` while a client is; `writes` counts the jobs that were taken.
-    """
+    """Data blocks for controllers and panels."""
 
     section, label = "s7", "S7"
-    status: PeerStatus
+    status: PeerStatus  # `connected` while a client is; `writes` counts the jobs that were taken
 
     def __init__(self, config: S7Server, world: World) -> None:
         self._config, self._world = config, world

@@ -14,21 +14,11 @@ from hilserver.errors import FailedError
 
 @dataclass(frozen=True)
 class Line:
-    """An open line.
+    """An open line."""
 
-    Attributes
-    ----------
-    file : int
-        File descriptor, opened without blocking.
-    path : Path
-        What a host opens.
-    link : Path or None
-        Symbolic link to `path` that was made here.
-    """
-
-    file: int
-    path: Path
-    link: Path | None = None
+    file: int  # file descriptor, opened without blocking
+    path: Path  # what a host opens
+    link: Path | None = None  # symbolic link to `path` that was made here
 
     def close(self) -> None:
         """Close the line and remove the link, unless it points elsewhere by now."""

@@ -80,24 +80,12 @@ KNOWN: Final = frozenset(Command)
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One request as it came in.
+    """One request as it came in."""
 
-    Attributes
-    ----------
-    command : int
-        A `Command`, or an unknown number.
-    payload : bytes
-        Eight bytes.
-    received_ns : int
-        CLOCK_MONOTONIC at which its last byte had come in.
-    is_terminated : bool
-        False: it stood alone on the line, but its last byte is not `END`.
-    """
-
-    command: int
-    payload: bytes
-    received_ns: int = 0
-    is_terminated: bool = True
+    command: int  # a `Command`, or an unknown number
+    payload: bytes  # eight bytes
+    received_ns: int = 0  # CLOCK_MONOTONIC at which its last byte had come in
+    is_terminated: bool = True  # False: it stood alone on the line, but its last byte is not `END`
 
     @property
     def name(self) -> str:
@@ -148,27 +136,16 @@ def request(command: int, payload: bytes = b"", variant: Variant = "iotbot") -> 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """What a response of the variant ``iotbot`` says, for hosts in tests and benches.
-
-    Attributes
-    ----------
-    speeds_rpm : tuple of float
-        Channels 0 to 3.
-    accel_g, gyro_deg_s : tuple of float
-        x, y, z; of a raw response.
-    quaternion : tuple of float
-        w, x, y, z; of a fused one.
-    ranges_m : tuple of float
-        fl, fr, rl, rr.
-    """
+    """What a response of the variant ``iotbot`` says, for hosts in tests and benches."""
 
     command: int
-    speeds_rpm: tuple[float, ...]
+    speeds_rpm: tuple[float, ...]  # channels 0 to 3
+    # x, y, z; of a raw response
     accel_g: tuple[float, ...]
     gyro_deg_s: tuple[float, ...]
-    quaternion: tuple[float, ...]
+    quaternion: tuple[float, ...]  # w, x, y, z; of a fused one
     fused_degc: float
-    ranges_m: tuple[float, ...]
+    ranges_m: tuple[float, ...]  # fl, fr, rl, rr
     voltage_v: float
     current_a: float
     temperature_degc: int

@@ -14,26 +14,15 @@ NAME = "shield"
 
 @dataclass(slots=True)
 class ShieldStatus(PeerStatus):
-    """Everything observed on the serial line.
+    """Everything observed on the serial line."""
 
-    Attributes
-    ----------
-    words : ndarray of int64
-        Counters of the line's thread, see `words`.
-    enabled : bool
-        The host has enabled the motors and has not been silent since.
-    without_effect : int
-        Requests that are echoed and change nothing in the simulation.
-    requests : Counter
-        Name of a command -> how often it came.
-    parameters : dict of str to float
-        What the host has set and the robot stores.
-    """
-
+    # counters of the line's thread, see `words`
     words: NDArray[np.int64] = field(default_factory=lambda: np.zeros(w.N_WORDS, dtype=np.int64))
-    enabled: bool = False
-    without_effect: int = 0
+    enabled: bool = False  # the host has enabled the motors and has not been silent since
+    without_effect: int = 0  # requests that are echoed and change nothing in the simulation
+    # name of a command -> how often it came
     requests: Counter[str] = field(default_factory=Counter)
+    # what the host has set and the robot stores
     parameters: dict[str, float] = field(default_factory=dict)
 
     @property
