@@ -33,6 +33,7 @@ COMMANDS = {
     "convert": "write a log in another format: CSV, MCAP, MF4, ROS 2 bag, Parquet",
     "replay": "feed a log through the plant, faster than real time",
     "diagnose": "find what the simulation gets wrong in measured data, and why",
+    "observe": "say where the robot was, from wheels, gyro and navigation",
     "plan": "say what an experiment can show, and propose a better manoeuvre",
     "identify": "identify K_om, step response, update rate, dead zone or noise",
     "latency-test": "measure the timing of this computer, without the model",

@@ -13,7 +13,7 @@ _OF_THE_DAEMON = ("sim.", "internal.")
 @cache
 def _table() -> SignalTable:
     ranges = RobotParameters().ranges  # names and units are those of every robot
-    return robot_table(Ranges(*ranges), body=True)
+    return robot_table(Ranges(*ranges), body=True, observer=True)
 
 
 @cache

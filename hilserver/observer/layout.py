@@ -24,9 +24,10 @@ MOMENTS: Final = 128
 """Past states that are kept: what is older than they are cannot be taken in."""
 OLDEST_S: Final = 1.0
 """What is older is not taken in either."""
+SILENT_S: Final = 1.0
+"""After so long without a sample of the navigation the robot runs on dead reckoning."""
 
 NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)
-STATES: Final = ("no fix", "converging", "tracking", "dead reckoning")
 """What `estimate.state` says."""
 
 Vector = Annotated[NDArray[np.float64], N_ESTIMATED]
@@ -106,9 +107,33 @@ class Moment(Record):
     cross: Cross  # covariance of the state with the directions, of which each has variance 1
 
 
+class Shown(Record):
+    """The signals estimate.*, in the order of the table."""
+
+    x: float  # [m]
+    y: float
+    yaw: float  # [rad]
+    linear: float  # [m/s]
+    angular: float  # [rad/s]
+    gyro_bias: float  # [rad/s]
+    deviations: Annotated[NDArray[np.float64], 6]  # of these
+    x_y: float  # covariances [m2], [m rad]
+    x_yaw: float
+    y_yaw: float
+    nis: float
+    state: float
+    rejected: float
+
+
+class ShownStatus(Shown, word=np.int64):
+    """The OPC UA status code of each."""
+
+
 FIGURES: Final = Figures.layout
 HEAD: Final = Head.layout
 MOMENT: Final = Moment.layout
+SHOWN: Final = Shown.layout
+SHOWN_STATUS: Final = ShownStatus.layout
 N_FIGURES: Final = Figures.n_words
 N_PARAMETERS: Final = Parameters.n_words
 N_HEAD: Final = Head.n_words

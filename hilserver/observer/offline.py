@@ -1,5 +1,6 @@
 """The filter over series of samples, in the order in which they were taken."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,16 +16,13 @@ from hilserver.observer.filter import (
     moment,
     open_moment,
 )
-from hilserver.observer.layout import (
-    MOST_DIRECTIONS,
-    N_ESTIMATED,
-    N_FILTER,
-    Head,
-)
+from hilserver.observer.layout import N_ESTIMATED, N_FILTER, SHOWN, Head, Shown
+from hilserver.observer.outputs import show
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
 
 Array = NDArray[np.float64]
+N_SHOWN: Final = Shown.n_words
 GYRO, POSITION, HEADING = range(3)
 """What a row of the samples is."""
 
@@ -36,7 +34,8 @@ class Series:
     Attributes
     ----------
     wheels : ndarray, shape (n, 4)
-        Time [s], mean speeds of the left and right wheels [rad/s], angle of the left ones [rad].
+        Time [s], mean speeds that the left and the right encoders show [rad/s], angle of the left
+        wheels [rad].
     samples : ndarray, shape (m, 4)
         `GYRO`, `POSITION` or `HEADING`, time at which the quantity had the value [s], and its one
         or two values; in the order of time.
@@ -48,38 +47,32 @@ class Series:
 
 @dataclass(frozen=True)
 class Course:
-    """What is known at each moment; covariances are those of the states and of the directions.
+    """What is known at each moment.
 
     Attributes
     ----------
-    t_s, nis : ndarray, shape (n,)
-        Time; innovation of the last sample by its number of values.
+    t_s : ndarray, shape (n,)
+    shown : ndarray, shape (n, Shown.n_words)
+        The signals estimate.*.
     estimate : ndarray, shape (n, N_ESTIMATED)
     covariance : ndarray, shape (n, N_ESTIMATED, N_ESTIMATED)
-    fixed : ndarray of bool, shape (n,)
-        Whether a position has been taken in.
-    last_fix : ndarray, shape (n,)
-        Time of the last sample of the navigation that was taken in [s].
+    innovations : ndarray, shape (n,)
+        Of a sample of the navigation that came at this moment, by its number of values; else NaN.
     head : Head
         What was counted.
     """
 
     t_s: Array
+    shown: Array
     estimate: Array
     covariance: Array
-    cross: Array
-    nis: Array
-    fixed: NDArray[np.bool_]
-    last_fix: Array
+    innovations: Array
     head: Head
-
-
-N_SHOWN: Final = 4
 
 
 @part
 def _run(
-    numbers: Any, c: Any, f: Any, wheels: Any, samples: Any, x: Any, m: Any, cross: Any, shown: Any
+    numbers: Any, c: Any, f: Any, wheels: Any, samples: Any, x: Any, m: Any, shown: Any, nis: Any
 ) -> None:
     p, at = record_at(numbers, 0, PARAMETERS), 0
     for k in range(wheels.shape[0]):
@@ -99,10 +92,8 @@ def _run(
             x[k, i] = now.estimate[i]
             for j in range(N_ESTIMATED):
                 m[k, i, j] = now.covariance[i, j]
-            for j in range(cross.shape[2]):
-                cross[k, i, j] = now.cross[i, j]
-        shown[k, 0], shown[k, 1] = now.nis, now.fixed_position
-        shown[k, 2] = now.last_fix
+        show(c, f, record_at(shown, k * N_SHOWN, SHOWN))
+        nis[k] = now.nis if now.has_position + now.has_yaw > 0.0 else math.nan
 
 
 def run(p: Parameters, c: Array, series: Series) -> Course:
@@ -115,8 +106,6 @@ def run(p: Parameters, c: Array, series: Series) -> Course:
     """
     n, f = len(series.wheels), np.zeros(N_FILTER)
     x, m = np.zeros((n, N_ESTIMATED)), np.zeros((n, N_ESTIMATED, N_ESTIMATED))
-    cross, shown = np.zeros((n, N_ESTIMATED, MOST_DIRECTIONS)), np.zeros((n, N_SHOWN))
-    _run(p.numbers, c, f, series.wheels, series.samples, x, m, cross, shown)
-    t_s = series.wheels[:, 0]
-    head = Head.of(f)
-    return Course(t_s, x, m, cross, shown[:, 0], shown[:, 1] > 0.0, shown[:, 2], head)
+    shown, nis = np.zeros(n * N_SHOWN), np.zeros(n)
+    _run(p.numbers, c, f, series.wheels, series.samples, x, m, shown, nis)
+    return Course(series.wheels[:, 0], shown.reshape(n, N_SHOWN), x, m, nis, Head.of(f))

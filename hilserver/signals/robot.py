@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 
 from hilserver.plant.layout import COMMAND_NORMAL, COMMAND_SAFE, COMMAND_ZERO, WHEEL_WORDS, WHEELS
 from hilserver.signals.table import Direction, Signal, SignalTable, ValueType
-from hilserver.signals.vocabulary import COLOURS, LIGHTS, MEASURED, RANGE_FINDERS, State
+from hilserver.signals.vocabulary import (
+    COLOURS,
+    ESTIMATE_STATES,
+    LIGHTS,
+    MEASURED,
+    RANGE_FINDERS,
+    State,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +223,39 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     ]
 
 
+def _add_estimate(b: _Builder) -> None:
+    """Add what the observer shows, in the order of `hilserver.observer.layout`."""
+    out, known = Direction.OUT, []
+    for name, unit, size, text in (
+        ("x_m", "m", 1e6, "position of the centre of mass, world frame"),
+        ("y_m", "m", 1e6, "position of the centre of mass, world frame"),
+        ("yaw_rad", "rad", math.pi, "heading, counter-clockwise +"),
+        ("linear_m_s", "m/s", 100.0, "forward velocity"),
+        ("angular_rad_s", "rad/s", 500.0, "yaw rate, counter-clockwise +"),
+        ("gyro_bias_rad_s", "rad/s", 10.0, "what the gyroscope shows at rest"),
+    ):
+        known.append((f"{name}_sd", unit, 0.0, 1e6, f"Standard deviation of estimate.{name}"))
+        b.add(f"estimate.{name}", unit, out, -size, size, f"Observer: {text}")
+    for name, unit, low, high, text in known:
+        b.add(f"estimate.{name}", unit, out, low, high, text)
+    for one, other, unit in (("x", "y", "m²"), ("x", "yaw", "m·rad"), ("y", "yaw", "m·rad")):
+        text = f"Covariance of the errors in {one} and {other}"
+        b.add(f"estimate.{one}_{other}_cov", unit, out, -1e9, 1e9, text)
+    text = "Innovation of the newest sample, squared and by its covariance: 1 on average"
+    b.add("estimate.nis", "1", out, 0, 1e12, text)
+    text = f"State of the observer: {', '.join(f'{i} {s}' for i, s in enumerate(ESTIMATE_STATES))}"
+    last, byte = len(ESTIMATE_STATES) - 1, ValueType.BYTE
+    b.add("estimate.state", "1", out, 0, last, text, type_=byte, labels=ESTIMATE_STATES)
+    text = "Samples of the navigation that did not fit and were left out"
+    b.add("estimate.rejected", "1", out, 0, 2**53, text, type_=ValueType.INT64)
+
+
 def robot_table(
-    ranges: Ranges, blocks: Iterable[BlockOutput] = (), *, body: bool = False
+    ranges: Ranges,
+    blocks: Iterable[BlockOutput] = (),
+    *,
+    body: bool = False,
+    observer: bool = False,
 ) -> SignalTable:
     """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
 
@@ -225,6 +263,8 @@ def robot_table(
     ----------
     body : bool
         Whether the mechatronic model runs: its outputs then stand before those of own blocks.
+    observer : bool
+        Whether the observer runs: its outputs stand behind those of the body.
     """
     b = _Builder()
     _add_inputs(b, ranges)
@@ -246,6 +286,8 @@ def robot_table(
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for name, unit, low, high, text in _body_outputs() if body else ():
         b.add(name, unit, out, low, high, text)
+    if observer:
+        _add_estimate(b)
     for block in blocks:
         b.add(block.name, block.unit, out, block.low, block.high, block.description)
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")

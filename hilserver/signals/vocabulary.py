@@ -40,6 +40,9 @@ class State(IntEnum):
         return self.name.lower()
 
 
+ESTIMATE_STATES = ("no fix", "converging", "tracking", "dead reckoning")
+"""Values of ``estimate.state``."""
+
 Source = Literal["scenario", "page", "opcua", "shield", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""

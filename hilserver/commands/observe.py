@@ -1,0 +1,106 @@
+"""Say where the robot was, from a log of its wheels, gyro and navigation: filter, or smoother.
+
+The filter knows the plant's kinematics with the terms of the configuration and of a patch. Its
+noise is what a diagnosis has found (--findings), or what the configured sensors say. OUT is a log
+of the signals estimate.*; beside it stands a picture of the path, of the same name with .svg.
+"""
+
+import argparse
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.commands.observing import STATE, Observed, path_picture, sentences
+from hilserver.commands.options import add_config, add_patch
+from hilserver.commands.patching import assembled
+from hilserver.config.observer import constants_of, load_found
+from hilserver.errors import EXIT_DONE, ConfigError, FailedError
+from hilserver.logs import Log, open_writer
+from hilserver.logs.rewriting import rewrite, run_of, write_table_csv
+from hilserver.logs.writing import check_suffix, reason
+from hilserver.measured.frames import Sampling
+from hilserver.measured.observed import series_of
+from hilserver.measured.reading import read_measured
+from hilserver.observer.offline import run as run_filter
+from hilserver.observer.smoother import smooth
+from hilserver.plant.errors import PlantError
+from hilserver.plant.packing import pack
+from hilserver.signals import Ranges, robot_table
+
+EXAMPLE = "hilserver observe run.csv -c config.yaml --findings diagnosis/findings.json -o where.csv"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="log of the robot")
+    add_config(parser)
+    add_patch(parser)
+    parser.add_argument(
+        "--mapping",
+        metavar="FILE",
+        help="mapping file for a foreign log, or a built-in one by name",
+    )
+    parser.add_argument(
+        "--findings", type=Path, metavar="FILE", help="findings.json of a diagnosis: noise"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="log to write, .csv or .mcap"
+    )
+    parser.add_argument(
+        "--smooth", action="store_true", help="use what came later, too: the best path afterwards"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Observe; return 0, or 2 if the log cannot be read."""
+    check_suffix(args.out)
+    if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
+        raise FailedError(f"{args.out}: is the log itself; choose another file")
+    assembly = assembled(args)
+    robot = assembly.robot
+    found = None if args.findings is None else load_found(args.findings)
+    try:
+        c = constants_of(robot, found)
+    except PlantError as error:
+        raise ConfigError(f"{args.findings or args.config}: {error}") from None
+    log = read_measured([args.log], args.mapping, Sampling.of(assembly.config))
+    for notice in log.notices:
+        print(f"hilserver: {notice}", file=sys.stderr)
+    p, spans = pack(robot), []
+    for span in range(len(log.spans)):
+        series = series_of(log, span, robot)
+        course = run_filter(p, c, series)
+        estimate, covariance = course.estimate, course.covariance
+        known = np.flatnonzero(course.shown[:, STATE] > 0.0)
+        if args.smooth and len(known):
+            estimate, covariance = smooth(p, c, series, course, int(known[0]))
+        spans.append(Observed(log.spans[span].number, series, course, estimate, covariance))
+    _write(args.out, spans, path_picture(p, c, spans))
+    print(sentences(p, c, spans))
+    return EXIT_DONE
+
+
+def _write(out: Path, spans: list[Observed], picture: str) -> None:
+    names = [s.name for s in robot_table(Ranges(1.0, 1.0, 1.0), observer=True)
+             if s.name.startswith("estimate.")]  # fmt: skip
+    shown: NDArray[np.float64] = np.concatenate([one.signals for one in spans])
+    log = Log(
+        path=out,
+        t_s=np.concatenate([one.series.wheels[:, 0] for one in spans]),
+        segment=np.concatenate([np.full(len(s.series.wheels), s.number) for s in spans]),
+        block=None,
+        columns=dict(zip(names, shown.T, strict=True)),
+    )
+    described = run_of(log)
+    try:
+        if out.suffix == ".csv":
+            write_table_csv(log, out)
+        else:
+            with closing(open_writer(out, described, range(len(described["signals"])))) as writer:
+                rewrite(log, writer)
+        out.with_suffix(".svg").write_text(picture, encoding="utf-8")
+    except OSError as error:
+        raise FailedError(f"{out}: cannot be written: {reason(error)}") from None

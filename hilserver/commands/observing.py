@@ -1,0 +1,159 @@
+"""What 'hilserver observe' says and draws of a run of the filter."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, document
+from hilserver.diagnosis.report.svg import Plot, span_of
+from hilserver.observer.layout import BIAS, YAW, Shown, X, Y
+from hilserver.observer.offline import POSITION, Course, Series
+from hilserver.observer.offline import run as run_filter
+from hilserver.plant.layout import Parameters
+
+Array = NDArray[np.float64]
+STATE: Final = Shown.where("state").start
+DEVIATIONS: Final = Shown.where("deviations")
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One segment: what was measured, and what is known of it.
+
+    Attributes
+    ----------
+    estimate, covariance : ndarray
+        Of the filter, or of the smoother.
+    """
+
+    number: int
+    series: Series
+    course: Course
+    estimate: Array
+    covariance: Array
+
+    @property
+    def signals(self) -> Array:
+        """The signals estimate.*, shape (n, Shown.n_words)."""
+        out, m = self.course.shown.copy(), self.covariance
+        out[:, : BIAS + 1] = self.estimate[:, : BIAS + 1]
+        out[:, YAW] = np.angle(np.exp(1j * self.estimate[:, YAW]))
+        part = np.einsum("nii->ni", m)[:, : BIAS + 1]
+        out[:, DEVIATIONS] = np.sqrt(np.maximum(part, 0.0))
+        first = DEVIATIONS.stop
+        out[:, first : first + 3] = np.stack([m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]], axis=1)
+        return out
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Moments at which a pose is known."""
+        return np.asarray(self.course.shown[:, STATE] > 0.0)
+
+    @property
+    def places(self) -> Array:
+        """Positions of the navigation: time, x, y; shape (n, 3)."""
+        samples = self.series.samples
+        return np.asarray(samples[samples[:, 0] == POSITION, 1:])
+
+    def off(self, xy: Array) -> Array:
+        """Return how far a path is from the navigation at its samples [m], shape (n,)."""
+        t, known = self.series.wheels[:, 0], self.known
+        if not known.any():
+            return np.zeros(0)
+        places = self.places[self.places[:, 0] >= t[known][0]]
+        at = [np.interp(places[:, 0], t, xy[:, k]) for k in (0, 1)]
+        away: Array = np.hypot(at[0] - places[:, 1], at[1] - places[:, 2])
+        return away
+
+
+def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
+    """Return the path that the wheels alone give, from where a pose is known first; (n, 2)."""
+    course = run_filter(p, c, Series(one.series.wheels, np.zeros((0, 4))))
+    x, first = course.estimate, int(np.argmax(one.known))
+    turn = one.course.estimate[first, YAW] - x[first, YAW]
+    cos, sin = math.cos(turn), math.sin(turn)
+    away = x[:, :2] - x[first, :2]
+    path: Array = one.course.estimate[first, :2] + away @ np.array([[cos, sin], [-sin, cos]])
+    return path
+
+
+def sentences(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
+    """Return the result in words, a sentence a line."""
+    known = [one for one in spans if one.known.any()]
+    if not known:
+        return (
+            "No pose is known: the log holds no position with a heading of the navigation"
+            " (nav.x_m, nav.y_m, nav.yaw_rad); only speed and turn rate are estimated."
+        )
+    accepted, rejected, readmitted, late = (
+        int(sum(one.course.head[name] for one in known))
+        for name in ("accepted", "rejected", "readmitted", "late")
+    )
+    lines = [
+        f"{accepted} samples of the navigation taken in, {rejected} left out because they do not"
+        f" fit; the robot was found elsewhere {readmitted} times, {late} samples were too old."
+    ]
+    nis = np.concatenate([one.course.innovations for one in known])
+    nis = nis[np.isfinite(nis)]
+    half = 1.96 * math.sqrt(2.0 / (1.5 * max(len(nis), 1)))
+    fits = "as" if abs(nis.mean() - 1.0) <= half else "not what"
+    lines.append(
+        f"Squared innovations are {nis.mean():.2f} of what their covariance says, {fits} expected"
+        f" ({1.0 - half:.2f} to {1.0 + half:.2f})."
+    )
+    deviations = np.concatenate([one.signals[one.known][:, DEVIATIONS] for one in known])
+    place = np.hypot(deviations[:, 0], deviations[:, 1])
+    lines.append(
+        f"The standard deviation of the position is {np.median(place):.3f} m in the middle of all"
+        f" moments, that of the heading {np.median(deviations[:, YAW]):.4f} rad."
+    )
+    if any(len(one.places) for one in known):
+        near = np.concatenate([one.off(one.estimate[:, :2]) for one in known])
+        far = np.concatenate([one.off(dead_reckoning(p, c, one)) for one in known])
+        lines.append(
+            f"The path is {_rms(near):.3f} m from the positions of the navigation, that of the"
+            f" wheels alone {_rms(far):.3f} m (root mean squares)."
+        )
+    return "\n".join(lines)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values * values))) if values.size else math.nan
+
+
+def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
+    """Return the path as an SVG file: navigation, wheels alone, estimate."""
+    known = [one for one in spans if one.known.any()] or list(spans)
+    paths = [
+        ("measured", [one.places[:, 1:] for one in known]),
+        ("simulated", [dead_reckoning(p, c, one)[one.known] for one in known]),
+        ("extended", [one.estimate[one.known, :2] for one in known]),
+    ]
+    everything = np.concatenate([xy for _, pieces in paths for xy in pieces] + [np.zeros((1, 2))])
+    plot = Plot(
+        span_of(everything[:, 0]),
+        span_of(everything[:, 1]),
+        "x in m",
+        "y in m",
+        width=720.0,
+        height=560.0,
+        top=HEAD_HEIGHT,
+    )
+    titles = dict(LEGEND)
+    for role, pieces in paths:
+        begins = np.cumsum([0, *(len(xy) for xy in pieces)])[:-1].tolist()
+        xy = np.concatenate(pieces) if pieces else np.zeros((0, 2))
+        if len(xy):
+            plot.track(xy, role, titles[role], begins=begins)
+    return document([plot], "Where the robot was", LEGEND)
+
+
+LEGEND: Final = (
+    ("measured", "navigation"),
+    ("simulated", "wheels alone"),
+    ("extended", "estimate"),
+)

@@ -1,0 +1,139 @@
+"""The section ``observer:``, and what a diagnosis says of the noise and of its own uncertainty."""
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from hilserver.config.section import Section
+from hilserver.errors import ConfigError
+from hilserver.observer.consider import constants, directions
+from hilserver.observer.figures import READMIT_AFTER, Noise, figures
+from hilserver.plant.errors import PlantError
+from hilserver.plant.parameters import RobotParameters
+
+DEFAULT_SLICE = "observer"
+DEFAULT_PERIOD_MS = 10.0
+MOST_BYTES = 10_000_000
+
+
+class ObserverConfig(Section):
+    """Where the robot is, by its wheels, gyro and navigation: an extended Kalman filter."""
+
+    enabled: bool = Field(default=False, description="true: the signals estimate.* are there")
+    source: Literal["simulated", "measured"] = Field(
+        "simulated", description="whose sensors: the simulated robot's, or measured.* of the real"
+    )
+    noise: str | None = Field(
+        None,
+        description="findings.json of a diagnosis: noise of the sensors, uncertainty of the terms;"
+        " null: what sensors says, and nothing is known of slip",
+    )
+    slice: str = Field(
+        DEFAULT_SLICE,
+        description=f"slice in which it runs; {DEFAULT_SLICE} has {DEFAULT_PERIOD_MS:g} ms unless"
+        " scheduler.slices says otherwise",
+    )
+    readmit_after: int = Field(
+        READMIT_AFTER,
+        ge=2,
+        le=1000,
+        description="samples refused one after another until the robot counts as carried",
+    )
+
+
+class _Read(BaseModel):
+    """A part of findings.json; what the observer does not need is left alone."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+
+class _Noise(_Read):
+    white_sd: float = Field(ge=0)
+    ou_sd: float = Field(0.0, ge=0)
+    ou_tau_s: float | None = Field(None, gt=0)
+    tail_dof: float | None = None
+    step: float | None = Field(None, ge=0)
+
+    def as_noise(self) -> Noise:
+        """Return the figures; tails are part of the variance."""
+        dof = self.tail_dof
+        wider = (dof / (dof - 2.0)) ** 0.5 if dof is not None and dof > 2.0 else 1.0
+        return Noise(self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0)
+
+
+class _Joint(_Read):
+    parameters: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _is_square(self) -> "_Joint":
+        n = len(self.parameters)
+        if len(self.covariance) != n or any(len(row) != n for row in self.covariance):
+            raise ValueError(f"joint.covariance: {n} parameters need {n} rows of {n} numbers")
+        return self
+
+
+class _Detectable(_Read):
+    cause: str
+    size: float = Field(ge=0)
+
+
+class Found(_Read):
+    """What a diagnosis says that the observer uses."""
+
+    schema_: Literal["hilserver.diagnosis/1"] = Field(alias="schema")
+    noise: dict[str, _Noise] = Field(default_factory=dict)
+    joint: _Joint | None = None
+    smallest_detectable: tuple[_Detectable, ...] = ()
+
+
+def load_found(path: Path) -> Found:
+    """Read findings.json.
+
+    Raises
+    ------
+    ConfigError
+        One sentence with file, key and remedy.
+    """
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(f"{path}: is larger than {MOST_BYTES} bytes: no findings.json")
+        data = json.loads(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+    except (ValueError, RecursionError):
+        raise ConfigError(f"{path}: is no JSON; name the findings.json of a diagnosis") from None
+    try:
+        return Found.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(map(str, first["loc"])) or "the whole"
+        raise ConfigError(
+            f"{path}: {key}: {first['msg'].lower()}; name the findings.json of a diagnosis"
+        ) from None
+
+
+def constants_of(
+    robot: RobotParameters, found: Found | None, readmit_after: int = READMIT_AFTER
+) -> NDArray[np.float64]:
+    """Return what the filter's kernels take as `c`.
+
+    Raises
+    ------
+    PlantError
+        If what was found does not fit the robot.
+    """
+    if robot.is_mecanum:
+        raise PlantError("observer: knows no mecanum wheels yet; leave it out (enabled: false)")
+    if found is None:
+        return constants(figures(robot, {}, readmit_after=readmit_after), [])
+    noise = {name: one.as_noise() for name, one in found.noise.items()}
+    unknown = {one.cause: one.size for one in found.smallest_detectable}
+    moved = []
+    if found.joint is not None:
+        moved = directions(robot, found.joint.parameters, np.array(found.joint.covariance))
+    return constants(figures(robot, noise, unknown=unknown, readmit_after=readmit_after), moved)

@@ -1,0 +1,103 @@
+"""Backwards over what the filter has found: every moment with what came after it, too.
+
+The smoother of Rauch, Tung and Striebel. What uncertain parameters add to the covariance is carried
+along as the filter has it.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.compiled.records import record_at
+from hilserver.observer.filter import BEND
+from hilserver.observer.layout import (
+    BIAS,
+    FIGURES,
+    GAIN,
+    N_ESTIMATED,
+    N_FIGURES,
+    OM,
+    OU_X,
+    OU_Y,
+    OU_YAW,
+    SLIP,
+    YAW,
+    Figures,
+    Head,
+    Moment,
+    V,
+    X,
+    Y,
+)
+from hilserver.observer.motion import predict, transition
+from hilserver.observer.offline import Course, Series
+from hilserver.plant.kernels import part
+from hilserver.plant.layout import PARAMETERS, Parameters
+
+Array = NDArray[np.float64]
+_REGULAR = 1e-14
+
+
+@part
+def _predicted(
+    numbers: Any, c: Any, h: Head, wheels: Any, k: int, x: Any, m: Any, a: Moment, b: Moment
+) -> Any:
+    """Predict moment k + 1 into `b` from what is known at k; return the entries of F."""
+    p, old = record_at(numbers, 0, PARAMETERS), max(k - 1, 0)
+    a.time, a.left, a.right = wheels[k, 0], wheels[k, 1], wheels[k, 2]
+    b.time, b.left, b.right = wheels[k + 1, 0], wheels[k + 1, 1], wheels[k + 1, 2]
+    b.angle_left = wheels[k + 1, 3]
+    b.bend_left = (b.left - 2.0 * a.left + wheels[old, 1]) * BEND
+    b.bend_right = (b.right - 2.0 * a.right + wheels[old, 2]) * BEND
+    for i in range(N_ESTIMATED):
+        a.estimate[i] = x[k, i]
+        for j in range(N_ESTIMATED):
+            a.covariance[i, j] = m[k, i, j]
+    predict(p, c, h, a, b)
+    return transition(p, record_at(c, 0, FIGURES), a, b)
+
+
+def _dense(f: tuple[float, ...]) -> Array:
+    """Return F from what `motion.transition` says of it."""
+    m, by = np.eye(N_ESTIMATED), [YAW, V, OM, SLIP, GAIN]
+    m[X, by], m[Y, by] = f[0:5], f[5:10]
+    m[YAW, [OM, GAIN]] = f[10:12]
+    m[V, [V, SLIP]] = f[12:14]
+    m[OM, [OM, GAIN]] = f[12], f[14]
+    m[OU_X, OU_X] = m[OU_Y, OU_Y] = f[15]
+    m[OU_YAW, OU_YAW], m[BIAS, BIAS] = f[16], 1.0
+    return m
+
+
+def smooth(
+    p: Parameters, c: Array, series: Series, course: Course, first: int = 0
+) -> tuple[Array, Array]:
+    """Return estimates and covariances that use all samples, from moment `first` on.
+
+    Parameters
+    ----------
+    first : int
+        At which the pose is known; what lies before it stays as the filter has it.
+
+    Returns
+    -------
+    estimate : ndarray, shape (n, N_ESTIMATED)
+    covariance : ndarray, shape (n, N_ESTIMATED, N_ESTIMATED)
+    """
+    x, m = course.estimate.copy(), course.covariance.copy()
+    a, b, h, sure = Moment.zeros(), Moment.zeros(), Head.zeros(), c[:N_FIGURES].copy()
+    Figures.of(sure).directions = 0.0
+    for k in range(len(x) - 2, first - 1, -1):
+        f = _dense(
+            _predicted(
+                p.numbers, sure, h, series.wheels, k, course.estimate, course.covariance, a, b
+            )
+        )
+        ahead = b.covariance.copy()
+        scale = np.sqrt(np.diag(ahead)) + _REGULAR
+        whole = ahead / np.outer(scale, scale) + _REGULAR * np.eye(N_ESTIMATED)
+        gain = (np.linalg.solve(whole, (f @ course.covariance[k]) / scale[:, None])).T / scale
+        x[k] += gain @ (x[k + 1] - b.estimate)
+        m[k] += gain @ (m[k + 1] - ahead) @ gain.T
+    return x, m
