@@ -11,6 +11,7 @@ BENCHES = {
     "stop": "how late dead-man and Stop are, idle and under each attack, worst of 200",
     "page": "what the operator page costs: server, plant's deadlines, browser",
     "shield": "serial line of the shield: rate, lateness next to cyclictest, cost",
+    "s7": "a controller closes a loop of 100 Hz over S7: age, round trip, next to python-snap7",
     "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",
     "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
     "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",

@@ -19,7 +19,7 @@ BENCHES = {
     "loop": "set-point to pose and back over TCP, two processes",
 }
 ELSEWHERE = (
-    "attack", "diagnose", "mechatronic", "opcua", "page", "ros2", "shield", "start", "stop",
+    "attack", "diagnose", "mechatronic", "opcua", "page", "ros2", "s7", "shield", "start", "stop",
 )  # fmt: skip
 """Those of a checkout, in its folder ``benchmarks``."""
 
