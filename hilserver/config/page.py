@@ -58,3 +58,6 @@ class FoldersConfig(Section):
     scenarios: Path = Field(Path("scenarios"), description="Scenarios to start")
     patches: Path = Field(Path("patches"), description="Model patches to load")
     reports: Path = Field(Path("reports"), description="Reports of diagnoses started on the page")
+    sweeps: Path = Field(
+        Path("sweeps"), description="Sweeps, a folder each, whose reports are listed"
+    )

@@ -13,7 +13,7 @@ import yaml
 from matplotlib import pyplot as plt
 
 from hilserver.daemon.metrics import METRICS
-from tests.grafana.picture import draw
+from tests.grafana.picture import draw, refuse_starved
 
 HERE = Path(__file__).parent
 GRAFANA = HERE.parents[1] / "deploy" / "grafana"
@@ -134,3 +134,10 @@ def test_every_panel_can_be_drawn() -> None:
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert texts.count("No data") == 1
     plt.close(figure)
+
+
+def test_a_picture_with_missed_ticks_is_not_saved() -> None:
+    refuse_starved([])
+    refuse_starved([{"value": [0.0, "0"]}])
+    with pytest.raises(SystemExit, match="no picture is saved, 12 ticks were missed in 80 s"):
+        refuse_starved([{"value": [0.0, "12.2"]}])

@@ -134,7 +134,8 @@ const doing = {
   pid: () => server.process().pid,
   errors: () => errors,
   shot: async ({ path }) => {
-    const { data } = await tools.send("Page.captureScreenshot", { format: extname(path).slice(1), quality: 70 });
+    const format = extname(path).slice(1);
+    const { data } = await tools.send("Page.captureScreenshot", { format, ...(format !== "png" && { quality: 70 }) });
     writeFileSync(path, Buffer.from(data, "base64"));
   },
   axe: async () => {

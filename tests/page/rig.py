@@ -95,8 +95,14 @@ def diagnoses(daemon):
 
 
 def lift(pid):
-    """On a busy computer it would get no time at all; where we may, it gets some."""
+    """On a busy computer it would get no time at all; where we may, it gets some.
+
+    Once it has lowered itself, that is: before, it would do so afterwards.
+    """
+    end_s = time.monotonic() + 60
     with contextlib.suppress(OSError):
+        while os.sched_getscheduler(pid) != os.SCHED_IDLE and time.monotonic() < end_s:
+            time.sleep(0.02)
         os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
         os.setpriority(os.PRIO_PROCESS, pid, 0)
         Path(f"/proc/{pid}/autogroup").write_text("0", encoding="ascii")

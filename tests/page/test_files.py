@@ -1,4 +1,4 @@
-"""Logs to and from the browser, what the ring remembers, and a log of others that is mapped."""
+"""Logs to and from the browser, sweeps, what the ring remembers, a log of others that is mapped."""
 
 import pytest
 
@@ -43,6 +43,42 @@ async def test_a_plot_begins_with_what_the_ring_holds(visitor):  # noqa: F811
     for query in ("name=no.such", "&".join(["name=sim.tick"] * 30)):
         async with visitor.session.get(f"{visitor.url}api/history?{query}") as response:
             assert response.status == 400
+
+
+def sweep(daemon, name, title):
+    folder = daemon.folder / "sweeps" / name
+    folder.mkdir(parents=True)
+    (folder / "report.html").write_text(f"<title>{title}</title><h1>{title}</h1>", encoding="utf-8")
+    (folder / "summary.json").write_text("{}", encoding="utf-8")
+
+
+async def test_sweeps_are_listed_and_only_their_reports_can_be_read(visitor, daemon):  # noqa: F811
+    sweep(daemon, "friction", "144 of 300 machines pass")
+    async with visitor.session.get(f"{visitor.url}api/logs") as response:
+        rows = (await response.json())["sweeps"]
+    assert ("friction", "144 of 300 machines pass") in [(row["name"], row["title"]) for row in rows]
+    url = f"{visitor.url}api/reports/sweeps"
+    async with visitor.session.get(f"{url}/friction/report.html") as response:
+        assert "144 of 300" in await response.text()
+        assert response.headers["Content-Security-Policy"].startswith("sandbox;")
+    for wrong in (
+        "friction/summary.json",
+        "absent/report.html",
+        "..%2fsweeps%2ffriction/report.html",
+    ):
+        async with visitor.session.get(f"{url}/{wrong}") as response:
+            assert response.status == 404, wrong
+
+
+@pytest.mark.page
+def test_the_report_of_a_sweep_opens_on_the_page(browser, url, daemon):
+    sweep(daemon, "scatter", "9 of 10 machines pass")
+    browser.do("open", url=url)
+    browser.do("view", name="Diagnosis")
+    browser.do("wait", selector="[aria-label='Sweeps'] li", text="9 of 10 machines pass")
+    browser.do("click", role="button", name="Read the report of scatter")
+    assert browser.do("framed", selector="h1") == "9 of 10 machines pass"
+    assert browser.do("errors") == []
 
 
 @pytest.mark.page

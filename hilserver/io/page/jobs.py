@@ -8,46 +8,20 @@ import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hilserver.io.page.files import file_in, files_in, is_plain, reports_in
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.setup import Setup
 
 MAX_KEPT = 20
-LOG_SUFFIXES = (".csv", ".mcap", ".parquet", ".db3")
 STOP_LIMIT_S = 5.0
 SHARE_OVER_S = 8.0
 MAPPING_CHARACTERS = 32_768
 MAPPING = ".mapping.yaml"
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _PROGRESS = re.compile(r"^\s*(\d{1,3})% (.{1,200})$")
-
-
-def is_plain(name: object) -> bool:
-    """Whether `name` is a plain file name: no path, nothing hidden."""
-    return isinstance(name, str) and _NAME.fullmatch(name) is not None
-
-
-def files_in(folder: Path, *suffixes: str) -> Iterator[dict[str, Any]]:
-    """Yield name, size and time of every plain file of a folder, the newest first."""
-    with contextlib.suppress(OSError):
-        entries = [(path, path.stat()) for path in folder.iterdir() if path.is_file()]
-        for path, status in sorted(entries, key=lambda row: -row[1].st_mtime)[:500]:
-            if (not suffixes or path.suffix in suffixes) and _NAME.fullmatch(path.name):
-                yield {"name": path.name, "bytes": status.st_size, "modified_s": status.st_mtime}
-
-
-def file_in(folder: Path, name: object) -> Path:
-    """Return a file by its plain name; RefusedError if there is none."""
-    if not is_plain(name):
-        raise RefusedError(f"{str(name)!r:.60} is no plain file name")
-    path = folder / str(name)
-    if not path.is_file():
-        raise RefusedError(f"there is no '{name}' in the folder {folder.name}")
-    return path
 
 
 class ShareOfTime:
@@ -86,15 +60,17 @@ class Job:
     started_s: float = field(default_factory=time.time)
     process: asyncio.subprocess.Process | None = None
     share_of_time: ShareOfTime = field(default_factory=ShareOfTime)
+    files: list[str] = field(default_factory=list)
 
     def view(self) -> dict[str, Any]:
         """Return what a browser is shown."""
         keys = ("number", "log", "state", "share", "stage", "text", "started_s")
-        files = [f["name"] for f in files_in(self.folder)] if self.state == "done" else []
+        if self.state == "done" and not self.files:  # nothing is added later
+            self.files = [f["name"] for f in files_in(self.folder)]
         pid = self.process.pid if self.process and self.state == "running" else None
         return {key: getattr(self, key) for key in keys} | {
             "folder": self.folder.name,
-            "files": files,
+            "files": self.files,
             "waits": pid is not None and self.share_of_time.is_small(pid),
             "mapping": self._guess() if self.state == "failed" else "",
         }
@@ -109,13 +85,18 @@ class Job:
 
 
 class Jobs:
-    """Starts, follows and ends diagnoses."""
+    """Starts, follows and ends diagnoses; those of earlier runs are known by their reports."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._next = 1
+        reports = setup.folder("reports")
+        earlier = [row for row in reports_in(reports) if row["title"] is not None][:MAX_KEPT]
+        for number, row in enumerate(reversed(earlier), 1):
+            name, title, at_s = row["name"], row["title"], row["modified_s"]
+            self._jobs.append(Job(number, name, reports / name, "done", 1.0, "", title, at_s))
+        self._next = len(earlier) + 1
 
     def view(self) -> list[dict[str, Any]]:
         """Return all jobs, the newest first."""
@@ -186,7 +167,7 @@ class Jobs:
     def report(self, folder: str, name: str) -> Path | None:
         """Return a file of a finished diagnosis."""
         for job in self._jobs:
-            if job.folder.name == folder and job.state == "done" and _NAME.fullmatch(name):
+            if job.folder.name == folder and job.state == "done" and is_plain(name):
                 path = job.folder / name
                 return path if path.is_file() else None
         return None

@@ -18,10 +18,11 @@ from hilserver.io.page.browsers import COOKIE, Browser, Browsers
 from hilserver.io.page.calls import Calls, may_work
 from hilserver.io.page.door import MOST, Door
 from hilserver.io.page.driving import Driving
+from hilserver.io.page.files import LOG_SUFFIXES, files_in, reports_in, shown_report
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.history import MAX_SIGNALS, history
-from hilserver.io.page.jobs import LOG_SUFFIXES, Jobs, files_in
+from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live
 from hilserver.io.page.setup import Setup
@@ -119,6 +120,7 @@ class PageServer:
                 web.post("/api/logs/{name}", self._upload),
                 web.get("/api/history", self._history),
                 web.get("/api/jobs", self._list_jobs),
+                web.get("/api/reports/sweeps/{folder}/report.html", self._sweep_report),
                 web.get("/api/reports/{folder}/{name}", self._report),
                 web.post("/api/call", self._call),
                 web.get("/api/live", self._socket),
@@ -202,8 +204,10 @@ class PageServer:
     async def _logs(self, request: web.Request) -> web.Response:
         self._reader(request)
         folder = self._setup.folder
+        sweeps = await asyncio.to_thread(lambda: list(reports_in(folder("sweeps"))))
         return web.json_response(
             {
+                "sweeps": sweeps,
                 "logs": list(files_in(folder("recordings"), *LOG_SUFFIXES)),
                 "scenarios": list(files_in(folder("scenarios"), ".yaml", ".yml")),
                 "patches": list(files_in(folder("patches"), ".yaml", ".yml")),
@@ -237,12 +241,13 @@ class PageServer:
     async def _report(self, request: web.Request) -> web.Response:
         self._reader(request)
         path = self._jobs.report(request.match_info["folder"], request.match_info["name"])
-        if path is None:
-            raise web.HTTPNotFound(text="there is no such report")
-        kind = "text/html" if path.suffix == ".html" else "text/plain"
-        headers = {"Content-Security-Policy": REPORT_POLICY}
-        body = await asyncio.to_thread(path.read_bytes)
-        return web.Response(body=body, content_type=kind, charset="utf-8", headers=headers)
+        return await _shown(path)
+
+    async def _sweep_report(self, request: web.Request) -> web.Response:
+        self._reader(request)
+        return await _shown(
+            shown_report(self._setup.folder("sweeps"), request.match_info["folder"])
+        )
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if request.headers.get("Origin") is None:
@@ -294,6 +299,16 @@ class PageServer:
         response = web.json_response({"ok": True, "result": result})
         self._show_key(request, response, browser)
         return response
+
+
+async def _shown(path: Path | None) -> web.Response:
+    """Return the answer that shows a report, in its own sandbox; 404 without one."""
+    if path is None:
+        raise web.HTTPNotFound(text="there is no such report")
+    kind = "text/html" if path.suffix == ".html" else "text/plain"
+    headers = {"Content-Security-Policy": REPORT_POLICY}
+    body = await asyncio.to_thread(path.read_bytes)
+    return web.Response(body=body, content_type=kind, charset="utf-8", headers=headers)
 
 
 def _allow_connections() -> None:

@@ -9,8 +9,8 @@ from typing import IO
 
 from aiohttp import web
 
+from hilserver.io.page.files import LOG_SUFFIXES, file_in, is_plain
 from hilserver.io.page.hand import RefusedError
-from hilserver.io.page.jobs import LOG_SUFFIXES, file_in, is_plain
 
 MAX_BYTES = 1 << 30
 KEPT_FREE_BYTES = 1 << 30

@@ -7,21 +7,28 @@ import { action, ask, bytes, download, field, h, number, setText, svg, toast } f
 const COURSE = 120; // a minute of boards
 const courses = new Map<string, number[]>();
 
+/** A title says what was found; null: the sweep has not ended. */
+interface Sweep {
+  name: string;
+  title: string | null;
+}
+
 export function diagnosisView(context: Context): View {
   const logs = h("ul", { class: "list" });
   const jobs = h("ul", { class: "jobs" });
   const patches = h("ul", { class: "list" });
+  const sweeps = h("ul", { class: "list sweeps" });
   const patch = h("p", { class: "hint", role: "status" });
   const misfit = h("p", { class: "misfit", role: "alert", hidden: true });
   const mayWork = may(context, "Start");
   let mappings: string[] = [];
   const gaps = h("dl", { class: "pairs" });
-  const frame = h("iframe", { sandbox: "", title: "Report of the diagnosis" });
+  const frame = h("iframe", { sandbox: "", title: "Report" });
   const report = h("section", { class: "panel report", "aria-label": "Report", hidden: true }, frame);
   const units = new Map(context.signals.map((signal) => [signal.name, signal.unit]));
 
   async function load(): Promise<void> {
-    const files = await get<{ logs: { name: string; bytes: number }[]; patches: { name: string }[]; folders: Record<string, string>; mappings: string[] }>("logs");
+    const files = await get<{ logs: { name: string; bytes: number }[]; patches: { name: string }[]; sweeps: Sweep[]; folders: Record<string, string>; mappings: string[] }>("logs");
     mappings = files.mappings;
     logs.replaceChildren(
       ...(files.logs.length
@@ -35,6 +42,9 @@ export function diagnosisView(context: Context): View {
       ...(files.patches.length
         ? files.patches.map(({ name }) => h("li", {}, h("code", {}, name), action("Load", () => call("LoadPatch", name), { disabled: !may(context, "LoadPatch"), "aria-label": `Load ${name}` })))
         : [h("li", { class: "note" }, `No patches yet: a diagnosis makes them, or the folder ${files.folders["patches"]} has them.`)]),
+    );
+    sweeps.replaceChildren(
+      ...(files.sweeps.length ? files.sweeps.map(sweepItem) : [h("li", { class: "note" }, `No sweeps yet: hilserver sweep FILE -o ${files.folders["sweeps"]}/NAME makes one.`)]),
     );
   }
   load().catch((error: Error) => toast(error.message, "error"));
@@ -66,10 +76,16 @@ export function diagnosisView(context: Context): View {
     await load();
   }, { disabled: !mayWork });
 
-  function read(job: Job): void {
-    frame.src = `./api/reports/${job.folder}/report.html`;
+  function sweepItem({ name, title }: Sweep): HTMLElement {
+    const open = h("button", { type: "button", disabled: title === null, "aria-label": `Read the report of ${name}`, onclick: () => read(`sweeps/${name}`) }, "Read");
+    return h("li", {}, h("code", {}, name), h("span", { class: "hint" }, title ?? "has not ended"), open);
+  }
+
+  function read(folder: string, look = true): void {
+    frame.src = `./api/reports/${folder}/report.html`;
     report.hidden = false;
     element.classList.add("reading");
+    if (look) report.scrollIntoView({ block: "nearest" });
   }
 
   let shown = "";
@@ -102,7 +118,7 @@ export function diagnosisView(context: Context): View {
       h("div", { class: "buttons" },
         job.state === "running" && action("Cancel", () => call("cancel", job.number)),
         job.mapping && action("Name the columns …", () => name(job), { class: "primary", disabled: !mayWork }),
-        done && job.files.includes("report.html") && h("button", { type: "button", class: "primary", onclick: () => read(job) }, "Read the report"),
+        done && job.files.includes("report.html") && h("button", { type: "button", class: "primary", onclick: () => read(job.folder) }, "Read the report"),
         done && job.files.includes("model_patch.yaml") && action("Load the patch", async () => { await call("LoadPatch", await call("keep", job.number)); await load(); }, { disabled: !may(context, "LoadPatch") })),
     );
   }
@@ -116,11 +132,12 @@ export function diagnosisView(context: Context): View {
       h("section", { class: "panel", "aria-label": "Logs" }, h("h2", {}, "Logs"), logs, picker, send),
       h("section", { class: "panel", "aria-label": "Diagnoses" }, h("h2", {}, "Diagnoses"), jobs),
       h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, misfit, patches, action("Remove the patch", () => call("RemovePatch"), { disabled: !may(context, "RemovePatch") })),
+      h("section", { class: "panel", "aria-label": "Sweeps" }, h("h2", {}, "Sweeps"), sweeps),
       h("section", { class: "panel", "aria-label": "Gap" }, h("h2", {}, "Measured minus simulated"), gaps)),
     report,
   );
   const newest = live.slow.jobs.find((job) => job.state === "done" && job.files.includes("report.html"));
-  if (newest) read(newest);
+  if (newest) read(newest.folder, false);
   return { element, close: stopSlow };
 }
 

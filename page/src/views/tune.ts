@@ -27,7 +27,8 @@ const GROUPS: [string, string[]][] = [
   ["Own blocks", ["blocks."]],
 ];
 const SHOWN_S = 5;
-const CURVES = ["setpoint_rpm", "speed_rpm", "duty_pct"] as const;
+const CURVES = [["setpoint_rpm", "set-point", "rpm"], ["speed_rpm", "speed", "rpm"], ["duty_pct", "duty", "%"]] as const;
+const HEAD = ["Parameter", "Unit", "", "Value", "Configured"];
 const POLL_MS = 1000;
 
 /** Ends of a slider: as far as one tunes by hand; the number beside it takes the whole range. */
@@ -35,6 +36,12 @@ function ends(p: Parameter): [number, number] {
   const start = p.configured ?? 0;
   const reach = start === 0 ? Math.min(1, Math.max(p.high, -p.low)) : 2 * Math.abs(start);
   return [Math.max(p.low, start - reach), Math.min(p.high, start + reach)];
+}
+
+/** Names above the columns; each control says its own to who does not see them. */
+function head(): HTMLElement {
+  const [first, unit, slider, ...rest] = HEAD.map((text) => h("span", {}, text));
+  return h("li", { class: "parameter head", "aria-hidden": "true" }, h("div", {}, first, unit, slider), ...rest);
 }
 
 export function tuneView(context: Context): View {
@@ -104,7 +111,7 @@ export function tuneView(context: Context): View {
       for (const [title, begins] of GROUPS) {
         const own = parameters.filter((p) => begins.some((begin) => p.name.startsWith(begin)));
         if (!own.length) continue;
-        lists.append(h("ul", { class: "list parameters", "data-group": title, hidden: group.childElementCount > 0 }, ...own.map(row)));
+        lists.append(h("ul", { class: "list parameters", "data-group": title, hidden: group.childElementCount > 0 }, head(), ...own.map(row)));
         group.append(h("option", {}, title));
       }
     }
@@ -120,15 +127,26 @@ export function tuneView(context: Context): View {
   // --- how one wheel answers --------------------------------------------------------------------
 
   const wheel = h("select", { "aria-label": "Wheel" }, ...WHEELS.map((each) => h("option", { value: each }, each)));
-  const lines = CURVES.map((curve) => svg("polyline", { class: `curve ${curve}`, fill: "none" }));
+  const lines = CURVES.map(([curve]) => svg("polyline", { class: `curve ${curve}`, fill: "none" }));
   const chart = svg("svg", { viewBox: "0 0 500 200", preserveAspectRatio: "none", class: "response", role: "img", "aria-label": "Set-point, speed and duty of one wheel" },
     svg("line", { x1: 0, x2: 500, y1: 100, y2: 100, class: "zero" }), ...lines);
-  const legend = h("p", { class: "hint" });
-  let samples: [number, number[]][] = [];
+  const values = CURVES.map(() => h("b", {}, "–"));
+  const keys = CURVES.map(([curve, word, unit], i) =>
+    h("span", { class: "legend" }, svg("svg", { viewBox: "0 0 24 4", class: "key", "aria-hidden": "true" }, svg("line", { x1: 0, x2: 24, y1: 2, y2: 2, class: `curve ${curve}` })) as unknown as HTMLElement, word, values[i], unit));
+  const height = h("p", { class: "hint" });
+  let samples: [number, (number | null)[]][] = [];
   const signal = (curve: string): string => `wheel.${wheel.value}.${curve}`;
   function watch(): void {
     samples = [];
-    live.want("tune", ["sim.time_s", ...CURVES.map(signal)]);
+    const names = CURVES.map(([curve]) => signal(curve));
+    live.want("tune", ["sim.time_s", ...names]);
+    get<{ times: number[]; series: Record<string, (number | null)[]> }>(`history?${names.map((name) => `name=${name}`).join("&")}`)
+      .then(({ times, series }) => {
+        const first = samples[0]?.[0] ?? Infinity;
+        const older = times.map((t, i): [number, (number | null)[]] => [t, names.map((name) => series[name]?.[i] ?? null)]);
+        if (names[0] === signal(CURVES[0][0])) samples.unshift(...older.filter(([t]) => t < first));
+      })
+      .catch(() => {}); // it begins with what comes in
   }
   wheel.addEventListener("change", watch);
   watch();
@@ -136,14 +154,16 @@ export function tuneView(context: Context): View {
     const t = live.value("sim.time_s");
     if (!Number.isFinite(t)) return;
     if (samples.length && t < samples[samples.length - 1]![0]) samples = [];
-    samples.push([t, CURVES.map((curve) => live.value(signal(curve)))]);
+    samples.push([t, CURVES.map(([curve]) => live.value(signal(curve)))]);
     samples = samples.filter(([then]) => then > t - SHOWN_S);
-    const largest = Math.max(10, ...samples.flatMap(([, values]) => values.filter(Number.isFinite).map(Math.abs)));
+    const known = (value: number | null | undefined): value is number => Number.isFinite(value);
+    const largest = Math.max(10, ...samples.flatMap(([, row]) => row.filter(known).map(Math.abs)));
     for (const [index, line] of lines.entries()) {
-      line.setAttribute("points", samples.filter(([, values]) => Number.isFinite(values[index]))
-        .map(([then, values]) => `${(500 * (1 + (then - t) / SHOWN_S)).toFixed(1)},${(100 - 95 * values[index]! / largest).toFixed(1)}`).join(" "));
+      line.setAttribute("points", samples.filter(([, row]) => known(row[index]))
+        .map(([then, row]) => `${(500 * (1 + (then - t) / SHOWN_S)).toFixed(1)},${(100 - 95 * row[index]! / largest).toFixed(1)}`).join(" "));
+      setText(values[index]!, number(samples[samples.length - 1]![1][index]));
     }
-    setText(legend, `set-point, speed [rpm] and duty [%] of the last ${SHOWN_S} s; full height ±${number(largest)}`);
+    setText(height, `The last ${SHOWN_S} s; top and bottom are ±${number(largest)}, zero is in the middle.`);
   });
   function undoByKey(event: KeyboardEvent): void {
     if (event.ctrlKey && event.key === "z" && !(event.target instanceof HTMLInputElement && event.target.type === "number")) undo.click();
@@ -152,7 +172,7 @@ export function tuneView(context: Context): View {
 
   const element = h("div", { class: "time tune" }, lists,
     h("div", { class: "column" },
-      h("section", { class: "panel", "aria-label": "Response" }, h("h2", {}, "Response"), field("Wheel", wheel), chart as unknown as HTMLElement, legend),
+      h("section", { class: "panel", "aria-label": "Response" }, h("h2", {}, "Response"), field("Wheel", wheel), h("div", { class: "plot-head" }, ...keys), chart as unknown as HTMLElement, height),
       h("section", { class: "panel", "aria-label": "Changes" }, h("h2", {}, "Changes"), changed, h("div", { class: "buttons" }, undo, reset),
         h("div", { class: "buttons" }, field("Name", name), save))));
   return {

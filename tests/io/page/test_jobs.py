@@ -1,8 +1,13 @@
-"""A diagnosis runs at idle priority; whoever waits for it sees why nothing moves."""
+"""Diagnoses of the page: why nothing moves, and what is left of earlier ones."""
 
 import asyncio
 
-from hilserver.io.page.jobs import ShareOfTime
+import pytest
+
+from hilserver.config.page import PageConfig
+from hilserver.io.page.hand import RefusedError
+from hilserver.io.page.jobs import Jobs, ShareOfTime
+from hilserver.io.page.setup import OpcUaAccess, Setup
 
 
 async def test_a_diagnosis_that_gets_no_time_says_so():
@@ -20,3 +25,24 @@ async def test_a_diagnosis_that_gets_no_time_says_so():
         for process in (idle, busy):
             process.kill()
             await process.wait()
+
+
+def test_reports_of_earlier_runs_are_there_again(tmp_path):
+    """Before, a restart of the daemon left nothing of them on the page."""
+    folders = {name: str(tmp_path / name) for name in ("reports", "patches", "recordings")}
+    for minute in (1, 2):
+        folder = tmp_path / "reports" / f"turns-20261125-10000{minute}"
+        folder.mkdir(parents=True)
+        title = f"<title>The robot turns {minute} % more.</title>"
+        (folder / "report.html").write_text(title, encoding="utf-8")
+    (folder / "model_patch.yaml").write_text("terms: {}\n", encoding="utf-8")
+    setup = Setup("", PageConfig(), OpcUaAccess(), [], {}, [], folders)
+    jobs = Jobs(setup)
+    newest, older = jobs.view()
+    assert (newest["log"], newest["state"]) == (folder.name, "done")
+    assert newest["text"] == "The robot turns 2 % more."
+    assert sorted(newest["files"]) == ["model_patch.yaml", "report.html"]
+    assert jobs.report(folder.name, "report.html") == folder / "report.html"
+    assert jobs.keep(newest["number"]) == f"{folder.name}.yaml"
+    with pytest.raises(RefusedError, match="no patch"):
+        jobs.keep(older["number"])
