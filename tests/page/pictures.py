@@ -173,8 +173,10 @@ def main(target):
         try:
             asyncio.run(take(out))
         except StarvedError as error:
-            sys.exit(f"no picture is saved, the plant was late all the time: {error}; close what"
-                     " else runs on this computer and try again")
+            sys.exit(
+                f"no picture is saved, the plant was late all the time: {error}; close what"
+                " else runs on this computer and try again"
+            )
         target.mkdir(parents=True, exist_ok=True)
         for path in out.iterdir():
             shutil.copy(path, target)

@@ -15,8 +15,9 @@ MEMORY_BYTES = 4 << 30
 def main() -> None:
     """Lower priority and limits, then become the command."""
     os.nice(19)
-    with contextlib.suppress(OSError):  # a session of its own competes as a whole, with its own
-        Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # value: sched(7)
+    if os.getsid(0) == os.getpid():  # a session competes as a whole, with its own value: sched(7)
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text("19", encoding="ascii")
     if hasattr(os, "SCHED_IDLE"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
