@@ -59,6 +59,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="start a new file OUT_0001, OUT_0002 ... after N megabytes",
     )
     parser.add_argument(
+        "--rotate-s", type=_positive, metavar="S", help="start a new file after S seconds"
+    )
+    parser.add_argument(
+        "--sparse",
+        action="store_true",
+        help="leave out ticks in which no recorded signal changes; such a log cannot be replayed",
+    )
+    parser.add_argument(
         "--keep", type=_count, metavar="N", help="keep the newest N files of a rotation"
     )
     parser.add_argument(
@@ -107,9 +115,10 @@ def _count(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Record until Ctrl-C, SIGTERM, ``--duration`` or the end of the daemon."""
-    if args.keep is not None and args.rotate_mb is None:
+    rotates = args.rotate_mb is not None or args.rotate_s is not None
+    if args.keep is not None and not rotates:
         raise FailedError("--keep counts the files of a rotation; give --rotate-mb as well")
-    if args.format == "bag" and args.rotate_mb is not None:
+    if args.format == "bag" and rotates:
         raise FailedError("a bag is one folder; leave --rotate-mb out, or record to .mcap")
     recorder = Recorder(
         _image(args),
@@ -118,6 +127,8 @@ def run(args: argparse.Namespace) -> int:
             signals=args.signals or ("*",),
             rotate_bytes=None if args.rotate_mb is None else round(args.rotate_mb * 1e6),
             keep=args.keep,
+            rotate_s=args.rotate_s,
+            sparse=args.sparse,
             limits=Limits(args.max_mb * 1e6, args.keep_free_mb * 1e6),
             buffer_bytes=round(args.buffer_mb * 1e6),
             bag=args.storage if args.format == "bag" else None,
@@ -127,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
     with contextlib.suppress(OSError):  # who may not, keeps up as long as the ring is long
         os.nice(NICENESS)
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
-    if recorder.lacks_inputs:
+    if recorder.lacks_inputs or args.sparse:
         print(
             "hilserver: without all inputs this recording cannot be replayed",
             file=sys.stderr,

@@ -20,6 +20,7 @@ from hilserver.commands.page_setup import page_setup
 from hilserver.commands.patching import assembled
 from hilserver.config.page import PageConfig
 from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
 from hilserver.daemon.reload import Reloader
 from hilserver.errors import EXIT_DONE, FailedError
@@ -31,6 +32,7 @@ from hilserver.monitoring.logging_setup import report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
 from hilserver.program import event_loop
 from hilserver.program.guard import Guard
+from hilserver.recalibration import link as recalibration
 
 _log = structlog.get_logger(__name__)
 
@@ -57,6 +59,10 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     recording = assembly.config.recording.model_copy(update={"file": str(path.absolute())})
     config = assembly.config.model_copy(update={"recording": recording})
     return dataclasses.replace(assembly, config=config)
+
+
+LINKS_AND_MORE = (*LINKS, recalibration.parts)
+"""What stands above the daemon is handed to it."""
 
 
 class Run:
@@ -93,7 +99,9 @@ class Run:
         """Run until time is over or the scheduler ends; return the exit code."""
         virtual = self._assembly.config.scheduler.backend == "virtual"
         waits = virtual and self._duration_s is not None  # its first tick is that of the duration
-        daemon = Daemon(self._assembly, self._limiter, play=self._play, paused=waits)
+        daemon = Daemon(
+            self._assembly, self._limiter, play=self._play, paused=waits, links=LINKS_AND_MORE
+        )
         try:
             with self._listening(self._assembly.config.page) as listener:
                 if listener is not None:

@@ -16,6 +16,7 @@ from hilserver.config.monitoring import LoggingConfig, MetricsConfig
 from hilserver.config.page import FoldersConfig, PageConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
+from hilserver.config.recalibration import RecalibrationConfig
 from hilserver.config.recording import RecordingConfig
 from hilserver.config.ros2 import Ros2Config
 from hilserver.config.s7 import S7Config
@@ -46,6 +47,7 @@ class Config(Section):
     s7: S7Config = Field(default_factory=S7Config)
     blocks: tuple[BlockConfig, ...] = ()
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
+    recalibration: RecalibrationConfig = Field(default_factory=RecalibrationConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)
     folders: FoldersConfig = Field(default_factory=FoldersConfig)
     recording: RecordingConfig = Field(default_factory=RecordingConfig)

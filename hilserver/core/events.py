@@ -17,6 +17,7 @@ class EventKind(StrEnum):
     SETPOINT_REFUSED = "setpoint_refused"
     SAFE_STATE = "safe_state"
     MODEL_GAP = "model_gap"
+    RECALIBRATION = "recalibration"
     STATE = "state"
 
 

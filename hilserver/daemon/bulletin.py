@@ -40,6 +40,7 @@ class Bulletin:
     patch_notice: Callable[[], str | None]
     scenario: Callable[[], dict[str, Any] | None]
     recording: Callable[[], dict[str, Any] | None]
+    recalibration: Callable[[], dict[str, Any] | None]
 
     def content(self) -> dict[str, Any]:
         """Return what is shown, as JSON takes it."""
@@ -63,6 +64,7 @@ class Bulletin:
             "patch_notice": self.patch_notice(),
             "scenario": self.scenario(),
             "recording": self.recording(),
+            "recalibration": self.recalibration(),
             "events": self._events(),
         }
 

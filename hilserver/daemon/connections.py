@@ -83,6 +83,7 @@ def make_world(
             "slices": lambda: figures.slice_table(core.scheduler),
             "peers": lambda: figures.peer_table(peers()),
             "audit": lambda: figures.audit_table(audit),
+            "recalibration": desk.proposals,
         },
         files=desk,
     )
@@ -128,6 +129,7 @@ def make_notice(
         patch_notice=lambda: desk.patches.notice,
         scenario=desk.scenarios.view,
         recording=desk.recordings.view,
+        recalibration=desk.proposal,
     )
     return Notice(core.image, bulletin)
 

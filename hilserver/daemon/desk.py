@@ -15,6 +15,7 @@ import structlog
 from hilserver.config.loading import LIVE_BYTES
 from hilserver.config.recording import RecordingConfig
 from hilserver.core.inputs import InputGate
+from hilserver.core.recalibration import Decisions, NoDecisions, Table
 from hilserver.daemon.patches import Patches
 from hilserver.errors import ControlRefused, UserError
 from hilserver.faults import Faults, Play, load_scenario
@@ -177,6 +178,7 @@ class Desk:
 
     def __init__(self, scenarios: Scenarios, recordings: Recordings, patches: Patches) -> None:
         self.scenarios, self.recordings, self.patches = scenarios, recordings, patches
+        self.recalibration: Decisions = NoDecisions()
 
     async def start_scenario(self, name: str) -> None:
         """Play a scenario from now on."""
@@ -197,6 +199,26 @@ class Desk:
     async def load_patch(self, name: str) -> None:
         """Lay a patch over the plant."""
         await self.patches.load(name)
+
+    def proposals(self) -> Table:
+        """Return the figures of the recalibration."""
+        return self.recalibration.table()
+
+    def proposal(self) -> dict[str, Any] | None:
+        """Return what the page shows of it."""
+        return self.recalibration.view()
+
+    async def accept_proposal(self, number: int, who: str) -> None:
+        """Lay the patch of a proposal over the plant."""
+        await self.recalibration.accept(number, who)
+
+    async def reject_proposal(self, number: int, who: str) -> None:
+        """Go on without it."""
+        await self.recalibration.reject(number, who)
+
+    async def postpone_proposal(self, number: int, who: str) -> None:
+        """Leave it open and remind nobody."""
+        await self.recalibration.postpone(number, who)
 
     async def reset_parameters(self) -> None:
         """Go back to the parameters of the configuration."""

@@ -12,6 +12,7 @@ from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.compiled.histogram import Histogram125
 from hilserver.core import metrics as core
+from hilserver.core.recalibration import RECALIBRATION_METRICS
 from hilserver.faults import metrics as faults
 from hilserver.io import peer_metrics
 from hilserver.io.shield import metrics as shield_metrics
@@ -95,6 +96,7 @@ METRICS: Final[tuple[Metric[Any], ...]] = (
     *core.STATE_METRICS,
     *core.PARAMETER_METRICS,
     *core.INPUT_METRICS,
+    *RECALIBRATION_METRICS,
     *peer_metrics.METRICS,
     *shield_metrics.METRICS,
     *LATENCY_METRICS,

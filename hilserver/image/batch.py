@@ -49,6 +49,10 @@ class FrameBatch:
         """Numbers of the frames, shape (n,)."""
         return np.arange(self.first, self.first + len(self), dtype=np.int64)
 
+    def kept(self, rows: NDArray[np.bool_]) -> "FrameBatch":
+        """Return some of the frames; they are numbered anew from the first on."""
+        return FrameBatch(self.first, self.words[rows], self.values[rows])
+
     @property
     def n_bytes(self) -> int:
         """Memory that the frames take."""

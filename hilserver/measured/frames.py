@@ -115,7 +115,7 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
         segment += np.cumsum(np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0)
     columns: dict[str, Array] = {}
     age_s: dict[str, Array] = {}
-    for name, values in _chosen(rows).items():
+    for name, values in _chosen(rows, _rows(log) if tick is None else tick).items():
         columns[name] = values
         if sampling is None or tick is None or is_input(name):
             continue
@@ -165,10 +165,14 @@ def _usable(log: Log, name: str) -> Array:
     return np.where(log.status[name] & unusable, np.nan, values)
 
 
-def _chosen(rows: Mapping[str, Array]) -> dict[str, Array]:
+def _rows(log: Log) -> Indices:
+    return np.arange(len(log))
+
+
+def _chosen(rows: Mapping[str, Array], tick: Indices) -> dict[str, Array]:
     """Return what was measured, or else the robot's own outputs, and the inputs it acted on."""
     measured = {
-        name.removeprefix(MEASURED): _first_of_each(values)
+        name.removeprefix(MEASURED): _first_of_each(values, tick)
         for name, values in rows.items()
         if name.startswith(MEASURED) and np.nan_to_num(values).any()
     }
@@ -203,15 +207,22 @@ def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
     return fresh
 
 
-def _first_of_each(values: Array) -> Array:
-    """Return values that come from outside: each once, where it came, and as often as usual."""
+def _first_of_each(values: Array, tick: Indices) -> Array:
+    """Return values that come from outside: each once, where it came, and as often as usual.
+
+    Parameters
+    ----------
+    tick : ndarray of int64, shape (n,)
+        Of every row: a recording may leave out those in which nothing changes.
+    """
     there = np.flatnonzero(np.isfinite(values))
     first = np.flatnonzero(np.diff(values[there], prepend=np.nan) != 0.0)
     if len(first) < FEWEST_VALUES:
         return values
-    length = np.diff(first, append=len(there))
-    since = np.arange(len(there)) - np.repeat(first, length)
-    again = since % max(int(np.median(length)), 1) == 0
+    ticks = tick[there]
+    usual = max(int(np.median(np.diff(ticks[first]))), 1)
+    since = ticks - np.repeat(ticks[first], np.diff(first, append=len(there)))
+    again = since % usual == 0
     result = np.full(len(values), np.nan)
     result[there[again]] = values[there[again]]
     return result

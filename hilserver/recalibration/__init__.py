@@ -10,6 +10,8 @@
     What the engineer decides on, and the file that keeps every look and decision.
 `loop`
     Which window is looked at next, and what follows from what was seen: no clock, no file.
-`orders`, `judging`
-    What a look is asked and answers, and the look itself; only this file knows the diagnosis.
+`orders`, `judging`, `worker`
+    What a look is asked and answers, the look itself, its process: these alone know the diagnosis.
+`patches`, `process`, `part`, `link`
+    The daemon's side: files, processes, and everything that doors show.
 """

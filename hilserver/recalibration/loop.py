@@ -4,7 +4,7 @@ A cause is named on one window. The next one, which took no part, is compared un
 only if the new one gains there, at the level that the budget has for it, there is a proposal.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -147,8 +147,8 @@ class Loop:
             terms=looked.terms,
             gone=looked.gone,
             fitted=looked.fitted,
-            patch=file_of(self.count + 1, looked.terms),
-            former=file_of(self.count + 1, looked.former, "-former"),
+            patch=file_of(self.count + 1),
+            former=file_of(self.count + 1, "-former"),
             gain=compared.gain,
             p=flips.p,
             level=candidate.level,
@@ -234,9 +234,9 @@ class Loop:
             self.proposal = self.proposal.after(Step.REOPEN)
 
 
-def file_of(number: int, terms: Collection[str], kind: str = "") -> str:
-    """Return the name of a patch file; empty where there is nothing to lay over the plant."""
-    return f"recalibrated-{number:04d}{kind}.yaml" if terms else ""
+def file_of(number: int, kind: str = "") -> str:
+    """Return the name of a patch file."""
+    return f"recalibrated-{number:04d}{kind}.yaml"
 
 
 def present(proposal: Proposal) -> dict[str, float]:

@@ -39,6 +39,22 @@ class Todo:
 
 
 @dataclass(frozen=True)
+class Share:
+    """What a diagnosis may take of this computer, and with whom it ends.
+
+    Attributes
+    ----------
+    cpus : tuple of int
+        Cores that it may run on; none: all.
+    """
+
+    nice: int = 0
+    cpus: tuple[int, ...] = ()
+    memory_bytes: int = 0
+    parent: int = 0
+
+
+@dataclass(frozen=True)
 class Order:
     """A `Todo` with all that a process needs for it.
 
@@ -58,7 +74,7 @@ class Order:
     folder: str
     parameters: Values
     report: str
-    parent: int = 0
+    share: Share = Share()
 
     def text(self) -> str:
         """Return it as text."""
@@ -68,7 +84,8 @@ class Order:
     def of(cls, text: str) -> Self:
         """Return the order of a text."""
         data = json.loads(text)
-        return cls(**{**data, "todo": Todo(**data["todo"])})
+        share = {**data["share"], "cpus": tuple(data["share"]["cpus"])}
+        return cls(**{**data, "todo": Todo(**data["todo"]), "share": Share(**share)})
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ class Proposal:
     fitted : mapping
         Where the terms were fitted, as in a patch.
     patch, former : str
-        File names in folders.patches; empty: the configuration alone.
+        File names in folders.patches; the second takes the first back.
     windows : tuple of int
         Named on the first, confirmed on the second.
     """

@@ -20,7 +20,6 @@ SIGNALS: Final = (
     "internal.command",
     "internal.pose_request",
     "measured.*",
-    "sim.tick",
 )
 """What a diagnosis of a window needs: set-points as they were in force, and what was measured."""
 _NAME: Final = re.compile(rf"{STEM}_(\d{{4,6}}){re.escape(SUFFIX)}")
@@ -50,26 +49,39 @@ def first_file(folder: Path) -> Path:
 
 def complete(folder: Path) -> Sequence[Window]:
     """Return the complete windows, the oldest first: the newest file is still being written."""
+    return _all(folder)[:-1]
+
+
+def _all(folder: Path) -> list[Window]:
     try:
         names = [path for path in folder.iterdir() if _NAME.fullmatch(path.name)]
     except OSError:
-        return ()
+        return []
     found = [Window(int(path.stem.rpartition("_")[2]), path) for path in names]
-    return sorted(found, key=lambda window: window.number)[:-1]
+    return sorted(found, key=lambda window: window.number)
+
+
+def _newest(folder: Path) -> int:
+    return max((window.number for window in _all(folder)), default=0)
 
 
 class News:
-    """Says of every window once that it is complete."""
+    """Says of every window once that it is complete.
+
+    Attributes
+    ----------
+    last : int
+        The newest that is complete; the next one is being written.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        found = complete(folder)
-        self._last = found[-1].number + 1 if found else 0  # of a run before: not ours
+        self.last = _newest(folder)  # of a run before: not ours
 
     def next(self) -> Window | None:
         """Return the newest window that has become complete; those before it are too late."""
         found = complete(self._folder)
-        if not found or found[-1].number <= self._last:
+        if not found or found[-1].number <= self.last:
             return None
-        self._last = found[-1].number
+        self.last = found[-1].number
         return found[-1]

@@ -5,6 +5,7 @@ import pytest
 
 from hilserver.config.root import Config
 from hilserver.measured.frames import Sampling
+from hilserver.measured.frames import _first_of_each as first_of_each
 from hilserver.measured.reading import read_measured
 
 SAMPLING = Sampling.of(Config.model_validate({"sensors": {"nav": {"enabled": True}}}))
@@ -124,3 +125,19 @@ def test_long_recordings_of_the_simulation_keep_enough_rows(tmp_path):
     assert set(steps) == {3.0}
     assert len(log[SETPOINT]) == 50_000  # at which tick a set-point came is not lost
     assert len(log[GYRO]) == 5000
+
+
+def test_frames_left_out_in_which_nothing_changes_give_the_same_samples():
+    rng = np.random.default_rng(3)
+    ticks = np.arange(4000)
+    arrives = np.concatenate([[0], np.cumsum(rng.integers(18, 23, 180))])
+    sample = np.searchsorted(arrives, ticks, side="right")
+    values = np.round(rng.standard_normal(400)[sample], 1)  # some are the same as before
+    commands = np.repeat(rng.standard_normal(400), 13)[: len(ticks)]
+    changed = (np.diff(values, prepend=np.nan) != 0) | (np.diff(commands, prepend=np.nan) != 0)
+    kept = changed | np.append(changed[1:], False)
+    whole, thin = first_of_each(values, ticks), first_of_each(values[kept], ticks[kept])
+    is_new = np.diff(values, prepend=np.nan) != 0
+    np.testing.assert_array_equal(np.isfinite(thin) & is_new[kept], is_new[kept])
+    extra = np.isfinite(thin) & ~is_new[kept]
+    assert extra.sum() <= (np.isfinite(whole) & ~is_new).sum()

@@ -8,7 +8,9 @@ from pathlib import Path
 from hilserver.config.root import Config
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.assembly import Assembly, assemble_config
+from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
+from hilserver.recalibration import link as recalibration
 from tests.io.opcua_client.conftest import free_port
 from tests.node_red.node_red import NodeRed
 from tests.prometheus.server import Prometheus, running_prometheus, until
@@ -62,6 +64,7 @@ def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: 
                 "link": str(line),
             },  # a line without a host counts as lost
             "control": {"source": "peer"},
+            "recalibration": {"enabled": blocks, "folder": str(line.parent / "recalibration")},
             "shadow": {"limits": {"wheel.fl.speed_rpm": 120.0}, "after_s": 0.0},
         }
     )
@@ -75,7 +78,7 @@ async def running_rig(peer: NodeRed, folder: Path, *, blocks: bool = False) -> A
     line = folder / "shield"
     built = assembly(peer.endpoint, port, line, blocks=blocks)
     with running_prometheus(folder, f"127.0.0.1:{port}") as prometheus:
-        async with Daemon(built) as daemon:
+        async with Daemon(built, links=(*LINKS, recalibration.parts)) as daemon:
             rig = Rig(daemon, peer, prometheus, port, blocks, line)
             await until(lambda: rig.is_fresh, 120, "the peer delivers")
             await until(prometheus.target_is_up, 120, "Prometheus scrapes the daemon")

@@ -20,6 +20,7 @@ import pytest
 
 from hilserver.daemon.daemon import Daemon
 from hilserver.io.shield.protocol import Command, request
+from hilserver.recalibration.proposals import Proposal, Quantity
 from tests.node_red.node_red import shipped_flow, test_flow
 from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
 from tests.prometheus.server import RATE_S, SCRAPE_S, Series, missing, until
@@ -124,6 +125,19 @@ async def ask_the_shield(rig: Rig) -> None:
     os.close(host)
 
 
+async def recalibrate(rig: Rig) -> None:
+    """The gap changes, windows are looked at, and a proposal waits after one that helped."""
+    part = rig.daemon.part("recalibration")
+    effect = {"yaw_rad": Quantity(0.06, 0.02, 3.0)}
+    part.loop.proposal = Proposal(1, ("rotation_gain",), "", {}, effect=effect)
+    part.loop.changed, part.figures.is_looking = "nav.x_m", True
+    for _ in range(int(HOLD_S / 0.1)):
+        part.figures.looks["named"] = part.figures.looks.get("named", 0) + 1
+        part.figures.failures += 1
+        await asyncio.sleep(0.1)
+    part.loop.proposal, part.loop.changed, part.figures.is_looking = None, None, False
+
+
 async def fill_memory(rig: Rig) -> None:
     ballast = bytearray(64_000_000)
     ballast[::4096] = b"x" * len(ballast[::4096])
@@ -221,6 +235,7 @@ STIMULI = (
         ask_the_shield,
         up=("Requests to the shield", "Lateness of the shield"),
     ),
+    Stimulus(recalibrate, up=("Proposals", "Looks", "Effect of a proposal")),
     Stimulus(fill_memory, up=("Memory",)),
     Stimulus(
         kill_the_peer, up=("Input ages",), down=("Peers connected", "Connected", "Wheel speeds")

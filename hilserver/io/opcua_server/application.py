@@ -29,7 +29,7 @@ from hilserver.core.inputs import InputGate, Refusal, kind_of
 from hilserver.core.leases import NOBODY, TELEOP
 from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage
-from hilserver.io.opcua_server.method_table import METHODS, Method, Parts
+from hilserver.io.opcua_server.method_table import CALLER, METHODS, Method, Parts
 from hilserver.io.opcua_server.model import CONTROL_SOURCE, DATA_TYPES, SHELL
 from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.values import SignalVariables
@@ -228,6 +228,14 @@ class RobotApplication(Application):
     def is_method(self, method_id: ua.NodeId) -> bool:
         """Whether it is one of ours."""
         return method_id in self._methods
+
+    async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
+        """Answer one call; what it does knows who asked."""
+        mine = CALLER.set(session.user.name or f"anonymous {session.user.rights.name.lower()}")
+        try:
+            return await super().call(request, session)
+        finally:
+            CALLER.reset(mine)
 
     async def run(self, request: ua.CallMethodRequest) -> CallAnswer:
         """Do what a method says; its arguments are of their types."""

@@ -5,6 +5,7 @@ A new method is a row here, and a line in ``docs/reference/opcua-address-space.m
 
 import re
 from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:  # clients use this table too, and need no compiler
 T = TypeVar("T")
 STRING = "String"
 """OPC UA's String, which no signal has."""
+CALLER: ContextVar[str] = ContextVar("caller", default="")
+"""User of the session that calls; decisions are written down with who took them."""
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 
@@ -49,6 +52,15 @@ class Files(Protocol):
 
     async def remove_patch(self) -> None:
         """Go on without it."""
+
+    async def accept_proposal(self, number: int, who: str) -> None:
+        """Lay the patch of a proposal over the plant."""
+
+    async def reject_proposal(self, number: int, who: str) -> None:
+        """Go on without it."""
+
+    async def postpone_proposal(self, number: int, who: str) -> None:
+        """Leave it open and remind nobody."""
 
     async def reset_parameters(self) -> None:
         """Go back to the parameters of the configuration."""
@@ -121,6 +133,7 @@ _SIGNAL = Argument("signal", STRING, "Name of the signal")
 _SNAPSHOT = Argument("name", STRING, "Plain file name in the snapshot directory, no path")
 _SCENARIO = Argument("name", STRING, "Plain file name in folders.scenarios, no path")
 _PATCH = Argument("name", STRING, "Plain file name in folders.patches, no path")
+_NUMBER = Argument("number", ValueType.UINT32, "Number of the proposal, see recalibration.proposal")
 _RECORDING = Argument("name", STRING, "Plain file name in folders.recordings, .mcap or .csv")
 
 METHODS = (
@@ -224,6 +237,24 @@ METHODS = (
         "ResetParameters",
         "Go back to the parameters of the configuration, from one tick on",
         lambda on: on.files.reset_parameters(),
+    ),
+    Method(
+        "AcceptProposal",
+        "Lay the patch of a proposal over the plant, from one tick on",
+        lambda on, number: on.files.accept_proposal(number, CALLER.get()),
+        (_NUMBER,),
+    ),
+    Method(
+        "RejectProposal",
+        "Go on without a proposal; it is not made again",
+        lambda on, number: on.files.reject_proposal(number, CALLER.get()),
+        (_NUMBER,),
+    ),
+    Method(
+        "PostponeProposal",
+        "Leave a proposal open and remind nobody",
+        lambda on, number: on.files.postpone_proposal(number, CALLER.get()),
+        (_NUMBER,),
     ),
     Method(
         "SaveParameters",

@@ -31,6 +31,7 @@ GROUPS = {
     "peers": "Links to OPC UA peers",
     "audit": "What this computer lacks for real time, and what is set open",
     "faults": "Injected faults and forced signals",
+    "recalibration": "Proposals that the model keeps up with its robot",
     "parameters": "Numbers of the robot that can change while it runs",
 }
 """Folders that are no signals."""

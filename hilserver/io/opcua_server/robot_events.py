@@ -28,6 +28,7 @@ TYPE_NAMES: dict[EventKind, str] = {
     EventKind.SETPOINT_REFUSED: "SetPointRefusedEventType",
     EventKind.SAFE_STATE: "SafeStateEventType",
     EventKind.MODEL_GAP: "ModelGapEventType",
+    EventKind.RECALIBRATION: "RecalibrationEventType",
     EventKind.STATE: "StateChangedEventType",
 }
 _WINDOW_S = 1.0

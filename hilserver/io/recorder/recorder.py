@@ -11,9 +11,11 @@ from pathlib import Path
 from hilserver.errors import FailedError
 from hilserver.io.recorder.series import NO_LIMITS, FileSeries, Limits
 from hilserver.io.recorder.source import Source
-from hilserver.io.recorder.write_behind import WriteBehind
+from hilserver.io.recorder.thinning import Thinner
+from hilserver.io.recorder.write_behind import NextFile, WriteBehind
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.provenance import make_run
+from hilserver.logs.writer import Segmented
 from hilserver.logs.writing import check_suffix, reason
 
 POLL_S = 0.02
@@ -34,6 +36,10 @@ class Settings:
         Patterns; inputs (hidden ones too) are needed for a replay.
     rotate_bytes, keep : int or None
         See `FileSeries`.
+    rotate_s : float or None
+        Begin a new file after so much time of the plant, too.
+    sparse : bool
+        Leave out frames in which nothing of what is recorded changes, see `thinning`.
     limits : Limits
         When it ends by itself.
     buffer_bytes : int
@@ -48,6 +54,8 @@ class Settings:
     signals: Sequence[str] = ("*",)
     rotate_bytes: int | None = None
     keep: int | None = None
+    rotate_s: float | None = None
+    sparse: bool = False
     limits: Limits = NO_LIMITS
     buffer_bytes: int = 64_000_000
     waits: bool = False
@@ -75,6 +83,7 @@ class Recorder:
         self._series = FileSeries(
             settings.path,
             rotate_bytes=settings.rotate_bytes,
+            timed=settings.rotate_s is not None,
             keep=settings.keep,
             bag=settings.bag,
             limits=settings.limits,
@@ -86,6 +95,9 @@ class Recorder:
             settings.buffer_bytes,
             self._series.check,
         )
+        self._rotate_s, self._file_began = settings.rotate_s, 0
+        self._period_s = int(self._run["base_period_ns"]) * 1e-9
+        self._thinner = Thinner(self._slots) if settings.sparse else None
         self._asked_s: float | None = None
         self._told = (0, 0)
         self._next_s = 0.0
@@ -172,9 +184,22 @@ class Recorder:
             self._writing.put(state)
         dropped = False
         while (batch := self._source.frames()) is not None:
-            dropped |= not self._writing.put(batch, wait=self._waits)
+            self._rotate(batch)
+            if self._thinner is not None:
+                batch = self._thinner.thinned(batch)
+            dropped |= len(batch.frames) > 0 and not self._writing.put(batch, wait=self._waits)
         if dropped or self._source.lost > self._told[0]:
             self._want_state()
+
+    def _rotate(self, batch: Segmented) -> None:
+        """Begin the next file when the present one lasts long enough."""
+        first, last = int(batch.frames.ticks[0]), int(batch.frames.ticks[-1])
+        began = self._file_began
+        if not 0 < began <= first:  # the very first, or time has gone back
+            self._file_began = first
+        elif self._rotate_s is not None and (last - began) * self._period_s >= self._rotate_s:
+            self._file_began = first
+            self._writing.put(NextFile())
 
     def _want_state(self) -> None:
         if self._asked_s is None:

@@ -32,6 +32,11 @@ class FileSeries:
 
     Without rotation there is one file, `path`. With it the files are ``name_0001.mcap``,
     ``name_0002.mcap`` ...; numbers go on after those that lie there already.
+
+    Parameters
+    ----------
+    timed : bool
+        The recorder says when a file is full, and not only its size.
     """
 
     def __init__(
@@ -39,6 +44,7 @@ class FileSeries:
         path: Path,
         *,
         rotate_bytes: int | None = None,
+        timed: bool = False,
         keep: int | None = None,
         bag: Storage | None = None,
         limits: Limits = NO_LIMITS,
@@ -46,6 +52,7 @@ class FileSeries:
         self._limits, self._opened = limits, 0
         self._bag = bag
         self._path, self._rotate_bytes, self._keep = path, rotate_bytes, keep
+        self._rotates = timed or rotate_bytes is not None
         self.current = path
 
     def open(
@@ -62,7 +69,7 @@ class FileSeries:
             self._path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise FailedError(f"{self._path}: cannot be written: {reason(error)}") from None
-        if self._rotate_bytes is not None:
+        if self._rotates:
             number = max(self._numbers(), default=0) + 1
             if number > 999_999:
                 raise FailedError(f"{self._path}: too many files of this name; choose another")
@@ -83,7 +90,10 @@ class FileSeries:
         limits, complete = self._limits, self._opened - 1
         if self._keep is not None:
             complete = min(complete, self._keep - 1)
-        n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
+        if self._rotate_bytes is not None or not complete:
+            n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
+        else:
+            n_bytes = sum(_size(self._file(n)) for n in self._numbers()[-complete - 1 :])
         if n_bytes >= limits.max_bytes:
             raise FailedError(
                 f"{self.current}: the recording has ended at {n_bytes / 1e6:.0f} MB, its limit; see"
@@ -110,10 +120,17 @@ class FileSeries:
         return sorted(int(match[1]) for match in names if match)
 
     def _remove_old(self) -> None:
-        if self._rotate_bytes is None or self._keep is None:
+        if not self._rotates or self._keep is None:
             return
         for number in self._numbers()[: -self._keep]:
             file = self._file(number)
             for path in (file, meta_path(file), changes_path(file)):
                 with contextlib.suppress(OSError):
                     path.unlink()
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0

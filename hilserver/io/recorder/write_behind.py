@@ -12,7 +12,12 @@ from hilserver.logs.writer import Segmented
 FLUSH_EVERY_S = 0.2
 SYNC_EVERY_S = 1.0
 
-Item = Segmented | State | Mapping[str, Any]
+
+class NextFile:
+    """Ends a file, whatever its size."""
+
+
+Item = Segmented | State | NextFile | Mapping[str, Any]
 
 
 class WriteBehind:
@@ -125,13 +130,18 @@ class WriteBehind:
             self._writer.add_state(item)
         elif isinstance(item, Segmented):
             if self._is_full(self._writer):
-                self._writer.close()
-                self._writer = self._next_writer()
-                self._on_new_file()
+                self._begin_next()
             self._writer.write(item)
             with self._news:
                 self._held_bytes -= item.frames.n_bytes
                 self._news.notify_all()
             self.written += len(item.frames)
+        elif isinstance(item, NextFile):
+            self._begin_next()
         else:
             self._writer.tell(item)
+
+    def _begin_next(self) -> None:
+        self._writer.close()
+        self._writer = self._next_writer()
+        self._on_new_file()

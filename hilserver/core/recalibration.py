@@ -1,0 +1,123 @@
+"""What doors show of the recalibration, and what they ask of it; without one they refuse."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+from hilserver.errors import ControlRefused
+from hilserver.metrics import Kind, Metric, by_name, counter
+
+Table = Mapping[str, Mapping[str, float | str | bool | int | None]]
+
+
+class Decisions(Protocol):
+    """Proposals, as an engineer decides on them."""
+
+    async def accept(self, number: int, who: str) -> None:
+        """Lay the patch of a proposal over the plant."""
+
+    async def reject(self, number: int, who: str) -> None:
+        """Go on without it; it is not made again."""
+
+    async def postpone(self, number: int, who: str) -> None:
+        """Leave it open and remind nobody."""
+
+    def table(self) -> Table:
+        """Return the figures of the nodes ``recalibration.*``."""
+
+    def view(self) -> dict[str, Any] | None:
+        """Return what the page shows; None without recalibration."""
+
+
+class NoDecisions:
+    """A daemon without recalibration."""
+
+    async def accept(self, number: int, who: str) -> None:
+        """Refuse."""
+        raise ControlRefused(
+            f"there is no proposal {number} for {who}: recalibration.enabled is false"
+        )
+
+    reject = postpone = accept
+
+    def table(self) -> Table:
+        """Return nothing."""
+        return {}
+
+    def view(self) -> dict[str, Any] | None:
+        """Return that there is none."""
+        return None
+
+
+@dataclass
+class Figures:
+    """What is counted.
+
+    Attributes
+    ----------
+    looks : dict of int
+        By verdict.
+    failures : int
+        Windows that could not be judged, lines that could not be written.
+    waits : bool
+        A proposal is open.
+    changed : bool
+        The gap has left its usual range since the last look.
+    is_looking : bool
+        A diagnosis runs.
+    effect : dict of float
+        Gap before by gap after of the last decision that was measured, by quantity.
+    """
+
+    looks: dict[str, int] = field(default_factory=dict)
+    failures: int = 0
+    waits: bool = False
+    changed: bool = False
+    is_looking: bool = False
+    effect: dict[str, float] = field(default_factory=dict)
+
+
+RECALIBRATION_METRICS: Final[tuple[Metric[Figures], ...]] = (
+    Metric(
+        "hil_recalibration_looks_total",
+        Kind.COUNTER,
+        "Windows that were diagnosed, by what was found.",
+        ("verdict",),
+        lambda now: (((name,), counter(n)) for name, n in sorted(now.looks.items())),
+    ),
+    Metric(
+        "hil_recalibration_failures_total",
+        Kind.COUNTER,
+        "Windows that could not be judged, and lines of the history that could not be written.",
+        (),
+        lambda now: [((), counter(now.failures))],
+    ),
+    Metric(
+        "hil_recalibration_proposal_open",
+        Kind.GAUGE,
+        "1 while a proposal waits for an engineer, else 0; postponed ones do not count.",
+        (),
+        lambda now: [((), float(now.waits))],
+    ),
+    Metric(
+        "hil_recalibration_gap_changed",
+        Kind.GAUGE,
+        "1 while the gap has left its usual range and no look has followed, else 0.",
+        (),
+        lambda now: [((), float(now.changed))],
+    ),
+    Metric(
+        "hil_recalibration_looking",
+        Kind.GAUGE,
+        "1 while a window is diagnosed, else 0.",
+        (),
+        lambda now: [((), float(now.is_looking))],
+    ),
+    Metric(
+        "hil_recalibration_effect_ratio",
+        Kind.GAUGE,
+        "Gap before by gap after the last proposal that was accepted; above 1: better.",
+        ("quantity",),
+        lambda now: by_name(now.effect),
+    ),
+)

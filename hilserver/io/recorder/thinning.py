@@ -1,0 +1,62 @@
+"""Frames without those in which nothing changes: what comes from outside comes now and then.
+
+Kept are frames in which a recorded signal changes, the frame before each (so that it is known that
+the value was the old one until then), and one of every `LEAST_EVERY`, so that silence shows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilserver.image import FrameBatch
+from hilserver.logs.writer import Segmented
+
+LEAST_EVERY: Final = 100
+"""Ticks."""
+
+
+class Thinner:
+    """Thins batches that follow each other; the last frame of one waits for the next.
+
+    Parameters
+    ----------
+    slots : sequence of int
+        Of the signals that are recorded.
+    """
+
+    def __init__(self, slots: Sequence[int]) -> None:
+        self._slots = np.array(slots, dtype=np.intp)
+        self._held: Segmented | None = None
+
+    def thinned(self, batch: Segmented) -> Segmented:
+        """Return what is to be written of the frames before the newest; perhaps none."""
+        whole = batch if self._held is None else _joined(self._held, batch)
+        seen = _content(whole.frames, self._slots)
+        changed = np.ones(len(seen), dtype=np.bool_)
+        changed[1:] = (seen[1:] != seen[:-1]).any(axis=1)
+        changed[0] = self._held is None
+        changed[1:] |= np.diff(whole.segments) != 0
+        kept = changed | (whole.frames.ticks % LEAST_EVERY == 0)
+        kept[:-1] |= changed[1:]
+        kept[-1] = False
+        self._held = _some(whole, np.arange(len(kept)) == len(kept) - 1)
+        return replace(_some(whole, kept), changes=batch.changes)
+
+
+def _content(frames: FrameBatch, slots: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Return bits and status of the signals: NaN is equal to itself."""
+    return np.concatenate([frames.values[:, slots].view(np.int64), frames.status[:, slots]], axis=1)
+
+
+def _joined(held: Segmented, batch: Segmented) -> Segmented:
+    words = np.concatenate([held.frames.words, batch.frames.words])
+    values = np.concatenate([held.frames.values, batch.frames.values])
+    segments = np.concatenate([held.segments, batch.segments])
+    return Segmented(FrameBatch(held.frames.first, words, values), segments)
+
+
+def _some(batch: Segmented, rows: NDArray[np.bool_]) -> Segmented:
+    return Segmented(batch.frames.kept(rows), batch.segments[rows])

@@ -1,0 +1,330 @@
+"""The daemon's side: watches the gap, has windows looked at, and does what an engineer decides."""
+
+import asyncio
+import contextlib
+import os
+import time
+from dataclasses import replace
+from typing import Any, Final
+
+import structlog
+
+from hilserver.config.root import without_passwords
+from hilserver.core.events import Event, EventKind
+from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures, Table
+from hilserver.errors import ControlRefused, FailedError, UserError
+from hilserver.image import Frame
+from hilserver.image.status import GOOD
+from hilserver.io.part import Part
+from hilserver.io.world import Figure, World
+from hilserver.metrics import Source
+from hilserver.plant.layout import WHEELS
+from hilserver.recalibration import patches, process
+from hilserver.recalibration.change import ChangeDetector, Residuals
+from hilserver.recalibration.history import History
+from hilserver.recalibration.loop import Loop, Note, present
+from hilserver.recalibration.orders import Order, Share, Todo
+from hilserver.recalibration.proposals import Proposal, Stage, Step
+from hilserver.recalibration.spending import Spending
+from hilserver.recalibration.windows import News, Window
+from hilserver.signals import MEASURED
+
+LOOK_FOR_WINDOWS_S: Final = 1.0
+RECORD_AGAIN_S: Final = 60.0
+"""After a recorder has ended; a full disk does not get emptier at once."""
+DRIVEN_RPM: Final = 1.0
+AUTOMATIC: Final = "automatic"
+KEPT_REPORTS: Final = 20
+MOST_TEXT: Final = 500
+
+_log = structlog.get_logger(__name__)
+
+
+class Recalibration(Part):
+    """Keeps the model up with its robot.
+
+    Everything but `start`, `stop` and the decisions is synchronous and belongs to the event loop's
+    thread; windows, looks and their files are other processes' work.
+    """
+
+    section = label = "recalibration"
+
+    def __init__(self, world: World) -> None:
+        self._world, self._config = world, world.config.recalibration
+        self._folder = world.folder / self._config.folder
+        self._patches = world.folder / world.config.folders.patches
+        self._residuals, self._detector = Residuals(), ChangeDetector()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._turn = asyncio.Lock()
+        self.figures = Figures()
+        self.metrics = (Source(RECALIBRATION_METRICS, self._counted),)
+        self._last = {"kind": "", "verdict": "", "sentence": ""}
+        self._frame: Frame | None = None
+        world.files.recalibration = self
+
+    @property
+    def address(self) -> str:
+        """Where the windows and the history are."""
+        return str(self._folder)
+
+    async def start(self) -> None:
+        """Read the history, record, and look.
+
+        Raises
+        ------
+        FailedError
+            If the history is damaged, or the folder cannot be made.
+        """
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FailedError(f"{self._folder}: {(error.strerror or str(error)).lower()}") from None
+        self._history = History(self._folder)
+        self._news = News(self._folder)
+        config = self._config
+        begun_s = self._news.last * config.window_s
+        self.loop = Loop(config.every_s, Spending(config.false_per_year), begun_s)
+        self.loop.restore(self._history.lines)
+        self._history.lines.clear()
+        self._tasks = [
+            asyncio.create_task(self._record(), name="recalibration: windows"),
+            asyncio.create_task(self._look(), name="recalibration: looks"),
+        ]
+
+    async def stop(self) -> None:
+        """End the recorder and a look that runs."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    # --- windows ----------------------------------------------------------------------------------
+
+    async def _record(self) -> None:
+        config = self._config
+        image = self._world.image.name
+        command = process.recorder(image, self._folder, config.window_s, config.max_mb)
+        while True:
+            try:
+                why = await process.recorded(command)
+            except FailedError as error:
+                why = str(error)
+            self._failed(f"no windows are recorded: {why}")
+            await asyncio.sleep(RECORD_AGAIN_S)
+
+    async def _look(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK_FOR_WINDOWS_S)
+            window = self._news.next()
+            if window is None:
+                continue
+            loaded, _ = patches.split(self._differing)
+            now_s = window.number * self._config.window_s
+            todo = self.loop.todo(window.number, loaded, now_s)
+            if todo is not None:
+                await self._judge(window, todo, now_s)
+
+    async def _judge(self, window: Window, todo: Todo, now_s: float) -> None:
+        sha256 = await asyncio.to_thread(lambda: window.sha256)
+        order, limit_s = self._order(window, todo), self._config.limit
+        self.figures.is_looking = True
+        try:
+            result = await process.looked(order, self._folder, limit_s)
+        finally:
+            self.figures.is_looking = False
+        async with self._turn:
+            before = self.loop.proposal
+            for note in self.loop.take(todo, result, now_s):
+                self._note(note, window=window.number, sha256=sha256)
+            made = self.loop.proposal
+            if made is not None and made is not before and made.stage is Stage.OPEN:
+                self._offer(made, order.report)
+        if made is not None and made.waits and self._config.accept == "automatic":
+            await self._accept_by_itself(made)
+
+    def _order(self, window: Window, todo: Todo) -> Order:
+        world, config = self._world, self._config
+        _, others = patches.split(self._differing)
+        pacing = world.config.scheduler.realtime.cpu
+        cores = process.other_cores(pacing, config.cpu)
+        memory = round(config.memory_mb * 1e6)
+        return Order(
+            todo,
+            str(window.path),
+            without_passwords(world.config),
+            str(world.folder),
+            others,
+            str(self._folder / f"report_{window.number % KEPT_REPORTS:02d}"),
+            Share(config.nice, cores, memory, os.getpid()),
+        )
+
+    def _offer(self, proposal: Proposal, report: str) -> None:
+        """Write the files of a proposal; without them nobody can accept it."""
+        _, others = patches.split(self._differing)
+        self.loop.proposal = replace(proposal, report=report)
+        try:
+            patches.write(self._patches, proposal, others, self._world.config.sha256)
+        except FailedError as error:
+            self._failed(str(error))
+
+    async def _accept_by_itself(self, proposal: Proposal) -> None:
+        if proposal.within(self._config.ranges):
+            try:
+                await self.accept(proposal.number, AUTOMATIC)
+            except UserError as error:
+                self._failed(f"proposal {proposal.number} was not accepted: {error}")
+
+    # --- decisions --------------------------------------------------------------------------------
+
+    async def accept(self, number: int, who: str) -> None:
+        """Lay the patch of a proposal over the plant, in place of the one at work.
+
+        Raises
+        ------
+        UserError
+            If it is not open, the model has changed since, or it cannot be written down.
+        """
+        async with self._turn:
+            decided = self.loop.decided(Step.ACCEPT, number)
+            loaded, _ = patches.split(self._differing)
+            if loaded != present(decided):
+                raise ControlRefused(
+                    f"the parameters have changed since proposal {number} was made; it would undo"
+                    " that: reject it, and the next look starts from what runs now"
+                )
+            self._history.append("decision", who=who, proposal=decided.as_json())
+            try:
+                await self._world.files.load_patch(decided.patch)
+            except BaseException as error:
+                undone = self.loop.proposal
+                assert undone is not None
+                with contextlib.suppress(FailedError):
+                    what = undone.as_json()
+                    self._history.append("undone", why=str(error)[:MOST_TEXT], proposal=what)
+                raise
+            self.loop.adopt(decided, self._news.last + 1)
+            self._detector.restart()
+            self._say(f"proposal {number} is accepted by {who}")
+
+    async def reject(self, number: int, who: str) -> None:
+        """Go on without a proposal; it is not made again.
+
+        Raises
+        ------
+        UserError
+            If it is not open, or cannot be written down.
+        """
+        await self._decide(Step.REJECT, number, who)
+
+    async def postpone(self, number: int, who: str) -> None:
+        """Leave a proposal open and remind nobody.
+
+        Raises
+        ------
+        UserError
+            If it is not open, or cannot be written down.
+        """
+        await self._decide(Step.POSTPONE, number, who)
+
+    async def _decide(self, step: Step, number: int, who: str) -> None:
+        async with self._turn:
+            decided = self.loop.decided(step, number)
+            self._history.append("decision", who=who, proposal=decided.as_json())
+            self.loop.adopt(decided, self._news.last + 1)
+            self._say(f"proposal {number} is {decided.stage} by {who}")
+
+    @property
+    def _differing(self) -> dict[str, float]:
+        parameters = self._world.parameters
+        return {} if parameters is None else dict(parameters.differing)
+
+    # --- the gap ----------------------------------------------------------------------------------
+
+    def publish(self, frame: Frame) -> None:
+        """Keep the newest frame."""
+        self._frame = frame
+
+    def supervise(self) -> None:
+        """Compare what is measured with what is simulated."""
+        frame, table, gate = self._frame, self._world.table, self._world.gate
+        if frame is None or not self._tasks:
+            return
+        measured: dict[str, float] = {}
+        simulated: dict[str, float] = {}
+        for name in gate.measured:
+            there, here = table.slot(f"{MEASURED}{name}"), table.slot(name)
+            if frame.status[there] == GOOD and frame.status[here] == GOOD:
+                measured[name] = float(frame.values[there])
+                simulated[name] = float(frame.values[here])
+        speeds = [frame.values[table.slot(f"wheel.{w}.speed_rpm")] for w in WHEELS]
+        moves = any(abs(speed) > DRIVEN_RPM for speed in speeds)
+        t_s = float(frame.values[table.slot("sim.time_s")])
+        channel = self._detector.take(self._residuals.take(t_s, measured, simulated, moves=moves))
+        if channel is not None and self.loop.changed is None:
+            self.loop.changed = channel
+            self._say(f"the gap of {channel} has left its usual range; a look follows", 400)
+
+    # --- what doors show --------------------------------------------------------------------------
+
+    def _note(self, note: Note, **more: Any) -> None:
+        """Write a line of the history, count it, and say it."""
+        verdict = str(note.fields.get("verdict", ""))
+        if note.kind == "look":
+            self.figures.looks[verdict] = self.figures.looks.get(verdict, 0) + 1
+        if note.kind == "failed":
+            self.figures.failures += 1
+        sentence = note.sentence or str(note.fields.get("sentence", ""))
+        self._last = {"kind": note.kind, "verdict": verdict, "sentence": sentence[:MOST_TEXT]}
+        try:
+            self._history.append(note.kind, **{**more, **note.fields})
+        except FailedError as error:
+            self._failed(str(error))
+        if note.sentence:
+            self._say(note.sentence, note.severity)
+
+    def _failed(self, text: str) -> None:
+        self.figures.failures += 1
+        self._say(text, 500)
+
+    def _say(self, text: str, severity: int = 200) -> None:
+        now_ns = time.monotonic_ns()
+        event = Event(EventKind.RECALIBRATION, severity, self.section, text[:MOST_TEXT], now_ns)
+        self._world.events.publish(event)
+
+    def _counted(self) -> Figures:
+        proposal = self.loop.proposal if self._tasks else None
+        self.figures.waits = proposal is not None and proposal.stage is Stage.OPEN
+        self.figures.changed = bool(self._tasks) and self.loop.changed is not None
+        if proposal is not None and proposal.effect:
+            self.figures.effect = {n: q.ratio for n, q in proposal.effect.items()}
+        return self.figures
+
+    def table(self) -> Table:
+        """Return the figures of the nodes ``recalibration.*``."""
+        now = self._counted()
+        p = self.loop.proposal if self._tasks else None
+        look: dict[str, Figure] = {
+            "count": sum(now.looks.values()),
+            "is_looking": now.is_looking,
+            "gap_changed": now.changed,
+            "failures": now.failures,
+            "kind": self._last["kind"],
+            "verdict": self._last["verdict"],
+            "sentence": self._last["sentence"],
+        }
+        terms = {} if p is None else {n: t.value for n, t in p.terms.items()}
+        proposal: dict[str, Figure] = {
+            "number": 0 if p is None else p.number,
+            "stage": "" if p is None else str(p.stage),
+            "causes": "" if p is None else ", ".join(p.causes),
+            "sentence": "" if p is None else p.sentence[:MOST_TEXT],
+            "terms": ", ".join(f"{n} = {v:.4g}" for n, v in terms.items()),
+            "patch": "" if p is None else p.patch,
+            "p": 1.0 if p is None else p.p,
+        }
+        return {"look": look, "proposal": proposal}
+
+    def view(self) -> dict[str, Any]:
+        """Return what the page shows."""
+        proposal = self.loop.proposal if self._tasks else None
+        newest = None if proposal is None else proposal.as_json()
+        return {"look": self.table()["look"], "proposal": newest}

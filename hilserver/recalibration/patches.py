@@ -1,0 +1,99 @@
+"""The patch files of a proposal: what it proposes, and what was there before."""
+
+import contextlib
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hilserver import __version__
+from hilserver.config.patch import (
+    SCHEMA,
+    SCHEMA_2,
+    FittedIn,
+    MadeFrom,
+    ModelPatch,
+    PatchParameter,
+    PatchTerm,
+)
+from hilserver.errors import FailedError
+from hilserver.logs.writing import reason
+from hilserver.parameters import PLANT
+from hilserver.parameters.table import TERM, Parameter
+from hilserver.recalibration.loop import present
+from hilserver.recalibration.proposals import Proposal, Term
+
+Values = Mapping[str, float]
+
+
+def split(values: Values) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the terms of a set of parameters, by their own names, and the others."""
+    terms = {n.removeprefix(TERM): v for n, v in values.items() if n.startswith(TERM)}
+    return terms, {n: v for n, v in values.items() if not n.startswith(TERM)}
+
+
+def write(folder: Path, proposal: Proposal, others: Values, config_sha256: str) -> None:
+    """Write the two patches of a proposal: forth, and back to what was there before.
+
+    Parameters
+    ----------
+    others : mapping of float
+        Parameters besides terms that differ from the configuration: they stay.
+
+    Raises
+    ------
+    FailedError
+        If the disk does not take them.
+    """
+    before = {n: Term(v, _of(n).unit) for n, v in present(proposal).items()}
+    made_from = MadeFrom(config_sha256=config_sha256, version=__version__)
+    for name, terms, off in (
+        (proposal.patch, proposal.terms, proposal.gone.keys()),
+        (proposal.former, before, proposal.terms.keys() - before.keys()),
+    ):
+        if others or off:
+            nulls = {f"{TERM}{n}": _of(n).default for n in off}
+            values = {f"{TERM}{n}": t.value for n, t in terms.items()}
+            patch = _of_parameters(made_from, {**others, **nulls, **values})
+        else:
+            patch = _of_terms(made_from, terms, proposal.fitted)
+        data = patch.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+        _write(folder / name, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
+
+
+def _of(term: str) -> Parameter:
+    return PLANT[f"{TERM}{term}"]
+
+
+def _of_terms(made_from: MadeFrom, terms: Mapping[str, Term], fitted: Any) -> ModelPatch:
+    """Return a patch that says where its terms were fitted."""
+    where = FittedIn.model_validate({**fitted, "conditions": "recalibration"})
+    found = {
+        n: PatchTerm(value=t.value, unit=t.unit, ci95=t.ci95, fitted_in=where)
+        for n, t in terms.items()
+    }
+    return ModelPatch(schema_=SCHEMA, made_from=made_from, terms=found)
+
+
+def _of_parameters(made_from: MadeFrom, values: Values) -> ModelPatch:
+    """Return a patch that sets parameters of any kind, and terms back to null."""
+    found = {
+        n: PatchParameter(value=None if math.isnan(v) else v, unit=PLANT[n].unit)
+        for n, v in values.items()
+        if n in PLANT
+    }
+    return ModelPatch(schema_=SCHEMA_2, made_from=made_from, parameters=found)
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise FailedError(f"{path}: cannot be written: {reason(error)}") from None

@@ -1,0 +1,96 @@
+"""Starts what records the windows and what looks at one; each a process that ends with ours."""
+
+import asyncio
+import os
+import re
+import signal
+from pathlib import Path
+from typing import Final
+
+from hilserver.errors import FailedError
+from hilserver.program import children
+from hilserver.recalibration.orders import Order, Result
+from hilserver.recalibration.windows import KEPT, SIGNALS, first_file
+
+ORDER: Final = "order.json"
+MOST_SAID: Final = 300
+"""Characters of a last line that a message repeats."""
+RECORDER_STOP_S: Final = 5.0
+
+
+async def looked(order: Order, folder: Path, limit_s: float) -> Result:
+    """Run a look; whatever becomes of its process, there is a result."""
+    path = folder / ORDER
+    try:
+        await asyncio.to_thread(path.write_text, order.text(), encoding="utf-8")
+    except OSError as error:
+        return Result(error=f"{path}: {(error.strerror or str(error)).lower()}")
+    async with children.started(
+        children.python("-m", "hilserver.recalibration.worker", str(path)),
+        name="recalibration",
+        stop_limit_s=0.0,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    ) as process:
+        try:
+            async with asyncio.timeout(limit_s):
+                out, said = await process.communicate()
+        except TimeoutError:
+            return Result(error=f"it took longer than {limit_s:g} s and was ended")
+    try:
+        return Result.of(out.decode())
+    except (ValueError, TypeError, KeyError):
+        return Result(error=_ended(process.returncode or 0, said))
+
+
+def _ended(code: int, said: bytes) -> str:
+    if code < 0:
+        name = signal.Signals(-code).name if -code in {*signal.Signals} else str(-code)
+        return f"its process was ended by {name}"
+    last = said.decode(errors="replace").strip().rpartition("\n")[2][:MOST_SAID]
+    return f"its process ended with exit code {code}: {last or 'it said nothing'}"
+
+
+def recorder(image: str, folder: Path, window_s: float, max_mb: float) -> list[str]:
+    """Return the command that records windows."""
+    words = children.python("-m", "hilserver", "record", "--image", image, "--sparse")
+    words += ["--out", str(first_file(folder)), "--rotate-s", str(window_s)]
+    words += ["--keep", str(KEPT), "--max-mb", str(max_mb)]
+    for pattern in SIGNALS:
+        words += ["--signals", pattern]
+    return words
+
+
+async def recorded(command: list[str]) -> str:
+    """Record until cancelled; return why it has ended by itself.
+
+    Raises
+    ------
+    FailedError
+        If it cannot be started.
+    """
+    try:
+        async with children.started(
+            command,
+            name="window recorder",
+            stop_limit_s=RECORDER_STOP_S,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.PIPE,
+        ) as process:
+            assert process.stderr is not None
+            last = b""
+            while line := await process.stderr.readline():
+                last = line
+            await process.wait()
+    except OSError as error:
+        raise FailedError(f"the windows cannot be recorded: {error.strerror}") from None
+    text = re.sub(r"^hilserver: ", "", last.decode(errors="replace").strip())
+    return text[:MOST_SAID] or f"it ended with exit code {process.returncode}"
+
+
+def other_cores(pacing: int | None, wanted: int | None) -> tuple[int, ...]:
+    """Return the cores of a look: the one that is wanted, or all but that of the pacing thread."""
+    if wanted is not None:
+        return (wanted,)
+    cores = os.sched_getaffinity(0)
+    return tuple(sorted(cores - {pacing})) if len(cores) > 1 else ()

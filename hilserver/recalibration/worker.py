@@ -1,0 +1,45 @@
+"""The process of one look: ``python -m hilserver.recalibration.worker ORDER``.
+
+Low priority, its own cores, bounded memory; it ends with the daemon, however that ends.
+"""
+
+import contextlib
+import os
+import resource
+import sys
+from pathlib import Path
+
+from hilserver.program.workers import end_with_parent
+from hilserver.recalibration.orders import Order, Result, Share
+
+
+def take(share: Share) -> None:
+    """Take no more than a share of this computer."""
+    os.nice(share.nice)
+    if share.cpus:
+        with contextlib.suppress(OSError):  # a core that this computer does not have
+            os.sched_setaffinity(0, share.cpus)
+    if share.memory_bytes:
+        resource.setrlimit(resource.RLIMIT_DATA, (share.memory_bytes, share.memory_bytes))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def main() -> int:
+    """Do what an order asks for; print its result as the only line."""
+    order = Order.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    if order.share.parent:
+        end_with_parent(order.share.parent)
+    take(order.share)
+    try:
+        from hilserver.recalibration.judging import Judge  # noqa: PLC0415 - within its share
+
+        result = Judge(order).result()
+    except MemoryError:
+        limit = order.share.memory_bytes / 1e6
+        result = Result(error=f"it needs more than recalibration.memory_mb, {limit:.0f} MB")
+    print(result.text(), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,246 @@
+"""The daemon's side: who may decide, what acts, what is written down, and what goes wrong."""
+
+import json
+from contextlib import asynccontextmanager
+
+import pytest
+from asyncua import ua
+
+from hilserver.daemon.assembly import assemble_config
+from hilserver.daemon.connections import LINKS
+from hilserver.daemon.daemon import Daemon
+from hilserver.errors import ControlRefused, FailedError
+from hilserver.recalibration import link, process
+from hilserver.recalibration.history import FILE, broken
+from hilserver.recalibration.orders import Compared, Looked, Result
+from hilserver.recalibration.proposals import Quantity, Stage, Term
+from hilserver.recalibration.windows import Window
+from tests.io.opcua_server.rig import RobotClient
+from tests.loopback.rig import configuration, scrape, wait_until
+
+GAIN = {"yaw_rad": Quantity(0.06, 0.01, 6.0, (4.0, 8.0))}
+BETTER, NO_BETTER = Compared(1e-6, 1e-6, 72, GAIN), Compared(0.4, 1e-6, 72, GAIN)
+NAMED = Looked(
+    "named",
+    "The robot turns 3 % more than its wheels say.",
+    ("rotation_gain",),
+    {"rotation_gain": Term(0.03, "1", (0.02, 0.04))},
+)
+NUMBER = ua.VariantType.UInt32
+
+
+@pytest.fixture
+def answers(monkeypatch):
+    """Looks answer what the test says; nothing is recorded."""
+    said = []
+
+    async def looked(order, folder, limit_s):
+        return said.pop(0)
+
+    monkeypatch.setattr(process, "looked", looked)
+    monkeypatch.setattr(process, "recorder", lambda *_: ["sleep", "1000"])
+    return said
+
+
+@asynccontextmanager
+async def daemon_in(folder, opcua=None, **recalibration):
+    """A daemon in real time whose recalibration is driven by the test."""
+    sections = {"recalibration": {"enabled": True, "every_s": 60, "window_s": 60} | recalibration}
+    if opcua is not None:
+        sections["opcua"] = {"endpoint": "opc.tcp://127.0.0.1:0/hilserver"} | opcua
+    assembly = assemble_config(configuration(**sections), folder)
+    async with Daemon(assembly, links=(*LINKS, link.parts)) as daemon:
+        yield daemon, daemon.part("recalibration")
+
+
+async def windows(part, answers, *results):
+    """Have windows judged, one after the other."""
+    for result in results:
+        answers.append(result)
+        number = part._news.last = part._news.last + 1
+        now_s = number * 60.0
+        loaded = {n.removeprefix("terms."): v for n, v in part._differing.items()}
+        todo = part.loop.todo(number, loaded, now_s)
+        if todo is None:
+            answers.clear()
+            continue
+        await part._judge(Window(number, part._folder / "window.mcap"), todo, now_s)
+
+
+async def proposed(part, answers):
+    await windows(part, answers, Result(look=NAMED), Result(confirm=BETTER))
+    assert part.loop.proposal.stage is Stage.OPEN
+
+
+def lines(folder):
+    text = (folder / "recalibration" / FILE).read_text()
+    return [json.loads(line) for line in text.splitlines()]
+
+
+@asynccontextmanager
+async def client_of(daemon):
+    client = RobotClient(daemon.part("opcua").url)
+    await client.connect()
+    try:
+        yield client
+    finally:
+        await client.disconnect()
+
+
+def number(value):
+    return ua.Variant(value, NUMBER)
+
+
+async def test_a_proposal_is_shown_accepted_and_measured(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        async with client_of(daemon) as client:
+            await wait_until(lambda: shown(client, "proposal.stage", "open"))
+            assert await client.read("recalibration.proposal.causes") == "rotation_gain"
+            assert await client.read("recalibration.look.verdict") == ""
+            await exported(daemon, "proposal_open 1.0")
+            assert (await client.call("AcceptProposal", number(1))).StatusCode.name == "Good"
+            again = await client.call("AcceptProposal", number(1))
+            assert again.StatusCode.name == "BadInvalidState"
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
+        assert daemon.desk.patches.loaded == "recalibrated-0001.yaml"
+        decision = lines(tmp_path)[-1]
+        assert (decision["kind"], decision["who"]) == ("decision", "anonymous engineer")
+        assert decision["proposal"]["stage"] == "accepted"
+        await windows(part, answers, Result(look=Looked("as_running")))
+        await windows(part, answers, Result(measure=BETTER, look=Looked("as_running")))
+        assert part.loop.proposal.stage is Stage.BETTER
+        await exported(daemon, 'effect_ratio{quantity="yaw_rad"} 6.0')
+        await exported(daemon, 'looks_total{verdict="named"} 1.0')
+        assert broken(lines(tmp_path)) is None
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert any("AcceptProposal" in text for text in said)
+
+
+async def exported(daemon, text):
+    """Wait for a line of the metrics; those of one moment are kept for the next 50 ms."""
+
+    async def is_there():
+        return f"hil_recalibration_{text}" in await scrape(daemon)
+
+    await wait_until(is_there)
+
+
+async def shown(client, name, value):
+    try:
+        return await client.read(f"recalibration.{name}") == value
+    except ua.UaStatusCodeError:
+        return False
+
+
+async def test_one_that_does_not_help_is_taken_back(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        await part.accept(1, "eve")
+        nothing = Looked("as_running")
+        await windows(part, answers, Result(look=nothing), Result(measure=NO_BETTER, look=nothing))
+        assert part.loop.proposal.number == 2
+        await part.accept(2, "eve")
+        assert daemon.core.parameters.differing == {}
+
+
+@pytest.mark.parametrize("role", ["observer", "operator"])
+async def test_only_an_engineer_decides(tmp_path, answers, role):
+    async with daemon_in(tmp_path, {"anonymous": role}) as (daemon, part):
+        await proposed(part, answers)
+        async with client_of(daemon) as client:
+            for method in ("AcceptProposal", "RejectProposal", "PostponeProposal"):
+                code = (await client.call(method, number(1))).StatusCode.name
+                assert code == "BadUserAccessDenied"
+            await wait_until(lambda: shown(client, "proposal.stage", "open"))
+        assert daemon.core.parameters.differing == {}
+
+
+async def test_who_decided_is_written_down(tmp_path, answers):
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+        await part.postpone(1, "ada")
+        await part.reject(1, "eve")
+    assert [line["who"] for line in lines(tmp_path)[-2:]] == ["ada", "eve"]
+
+
+async def test_what_cannot_be_written_down_is_not_done(tmp_path, answers, monkeypatch):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        monkeypatch.setattr("hilserver.recalibration.history.os.write", lambda *_: 0)
+        with pytest.raises(FailedError, match=r"recalibration\.jsonl: cannot be written"):
+            await part.accept(1, "eve")
+        monkeypatch.undo()
+        assert daemon.core.parameters.differing == {}
+        assert part.loop.proposal.stage is Stage.OPEN
+
+
+async def test_a_patch_that_is_gone_leaves_the_proposal_open(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        (tmp_path / "patches" / "recalibrated-0001.yaml").unlink()
+        with pytest.raises(ControlRefused, match="there is no patch"):
+            await part.accept(1, "eve")
+        assert daemon.core.parameters.differing == {}
+        assert part.loop.proposal.stage is Stage.OPEN
+        assert [line["kind"] for line in lines(tmp_path)][-2:] == ["decision", "undone"]
+
+
+async def test_parameters_that_changed_meanwhile_are_not_undone(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        daemon.core.parameters.apply({"terms.wheel_radius": 0.01})
+        with pytest.raises(ControlRefused, match="have changed since proposal 1"):
+            await part.accept(1, "eve")
+
+
+@pytest.mark.parametrize(("high", "acts"), [(0.05, True), (0.02, False)])
+async def test_within_ranges_it_acts_by_itself(tmp_path, answers, high, acts):
+    ranges = {"rotation_gain": [-0.05, high]}
+    async with daemon_in(tmp_path, accept="automatic", ranges=ranges) as (daemon, part):
+        await windows(part, answers, Result(look=NAMED), Result(confirm=BETTER))
+        assert bool(daemon.core.parameters.differing) == acts
+        assert part.loop.proposal.stage is (Stage.ACCEPTED if acts else Stage.OPEN)
+
+
+async def test_a_proposal_waits_for_the_next_run(tmp_path, answers):
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+        before = part.loop.proposal
+    async with daemon_in(tmp_path) as (daemon, part):
+        assert part.loop.proposal.number == before.number
+        await part.accept(1, "eve")
+        assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
+
+
+async def test_a_damaged_history_is_one_sentence(tmp_path, answers):
+    folder = tmp_path / "recalibration"
+    folder.mkdir()
+    (folder / FILE).write_text("{}\nnonsense\n{}\n")
+    with pytest.raises(FailedError, match="line 2 is damaged"):
+        async with daemon_in(tmp_path):
+            pass
+
+
+async def test_a_recorder_that_ends_is_an_event(tmp_path, answers, monkeypatch):
+    words = ["sh", "-c", "echo 'hilserver: no space is left' >&2; exit 1"]
+    monkeypatch.setattr(process, "recorder", lambda *_: words)
+    async with daemon_in(tmp_path) as (daemon, part):
+        await wait_until(lambda: part.figures.failures > 0)
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert said == ["no windows are recorded: no space is left"]
+
+
+async def test_without_recalibration_the_methods_say_so(tmp_path):
+    async with Daemon(assemble_config(configuration(), tmp_path)) as daemon:
+        async with client_of(daemon) as client:
+            code = (await client.call("AcceptProposal", number(1))).StatusCode.name
+        assert code == "BadInvalidState"
+        assert daemon.part("recalibration") is None
+
+
+async def test_the_loop_takes_a_gap_that_grew(tmp_path, answers):
+    async with daemon_in(tmp_path) as (daemon, part):
+        part._detector.take = lambda _: "wheel.fl.speed_rpm"
+        await wait_until(lambda: part.loop.changed == "wheel.fl.speed_rpm")
+        await exported(daemon, "gap_changed 1.0")

@@ -1,0 +1,104 @@
+"""The process of a look: its share of the computer, and every way in which it can end."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hilserver.config.root import Config, without_passwords
+from hilserver.program import children
+from hilserver.recalibration import process
+from hilserver.recalibration.orders import Order, Share, Todo
+from hilserver.recalibration.windows import News, complete, first_file
+
+
+def order(folder, path="window_0001.mcap"):
+    config, share = without_passwords(Config()), Share(10, (), 2_000_000_000)
+    todo = Todo(1, {}, look=True)
+    return Order(todo, str(folder / path), config, str(folder), {}, "", share)
+
+
+@pytest.fixture
+def worker(monkeypatch):
+    def use(*words):
+        monkeypatch.setattr(children, "python", lambda *_: list(words))
+
+    return use
+
+
+@pytest.mark.parametrize(
+    ("script", "error"),
+    [
+        ("kill -9 $$", "its process was ended by SIGKILL"),
+        ("echo first >&2; echo boom >&2; exit 3", "its process ended with exit code 3: boom"),
+        ("echo nonsense", "its process ended with exit code 0: it said nothing"),
+        ('echo "{\\"measure\\": 3}"', "its process ended with exit code 0: it said nothing"),
+        ("exit 1", "its process ended with exit code 1: it said nothing"),
+    ],
+)
+async def test_however_it_ends_there_is_a_sentence(tmp_path, worker, script, error):
+    worker("sh", "-c", script)
+    assert (await process.looked(order(tmp_path), tmp_path, 60.0)).error == error
+
+
+async def test_one_that_takes_too_long_is_ended(tmp_path, worker):
+    worker("sh", "-c", f"echo $$ > {tmp_path}/pid; exec sleep 1000")
+    result = await process.looked(order(tmp_path), tmp_path, 1.0)
+    assert result.error == "it took longer than 1 s and was ended"
+    pid = (tmp_path / "pid").read_text().strip()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid), 0)
+
+
+async def test_a_folder_that_is_gone_is_named(tmp_path):
+    result = await process.looked(order(tmp_path), tmp_path / "gone", 60.0)
+    assert "order.json: no such file" in result.error
+
+
+async def test_a_window_that_is_gone_is_named(tmp_path):
+    result = await process.looked(order(tmp_path), tmp_path, 120.0)
+    assert "window_0001.mcap" in result.error
+
+
+def test_it_takes_no_more_than_its_share():
+    script = (
+        "import json, os, resource; from hilserver.recalibration.orders import Share;"
+        "from hilserver.recalibration.worker import take; before = os.nice(0);"
+        "cores = sorted(os.sched_getaffinity(0)); take(Share(4, (cores[-1],), 10**9, 0));"
+        "print(json.dumps([os.nice(0) - before, len(os.sched_getaffinity(0)),"
+        " resource.getrlimit(resource.RLIMIT_DATA)[0]]))"
+    )
+    words = [sys.executable, "-c", script]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    nicer, cores, memory = json.loads(done.stdout)
+    assert (cores, memory) == (1, 10**9)
+    assert nicer >= 0  # nothing is nicer than 19
+
+
+def test_it_stays_off_the_core_of_the_pacing_thread(monkeypatch):
+    monkeypatch.setattr(process.os, "sched_getaffinity", lambda _: {0, 1, 2})
+    assert process.other_cores(1, None) == (0, 2)
+    assert process.other_cores(None, None) == (0, 1, 2)
+    assert process.other_cores(1, 2) == (2,)
+    monkeypatch.setattr(process.os, "sched_getaffinity", lambda _: {0})
+    assert process.other_cores(0, None) == ()
+
+
+def test_the_newest_file_is_no_window_yet_and_none_comes_twice(tmp_path):
+    def begin(number):
+        first_file(tmp_path).with_name(f"window_{number:04d}.mcap").touch()
+
+    begin(3)  # of an earlier run
+    news = News(tmp_path)
+    assert news.next() is None
+    begin(4)
+    assert news.next() is None
+    begin(5)
+    assert news.next().number == 4
+    assert news.next() is None
+    begin(6)
+    begin(7)
+    assert news.next().number == 6  # it was slow: the one before is too late
+    assert [window.number for window in complete(tmp_path)] == [3, 4, 5, 6]
