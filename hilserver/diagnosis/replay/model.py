@@ -75,8 +75,10 @@ class Model:
         )
 
     def plus(self, candidate: Candidate, theta: tuple[float, ...]) -> "Model":
-        """Return the model with one more cause."""
-        return Model((*self.fitted, Fitted(candidate, theta)))
+        """Return the model with one more cause, in the place of those that share a term with it."""
+        new = Fitted(candidate, theta)
+        others = (f for f in self.fitted if new.terms.keys().isdisjoint(f.terms))
+        return Model((*others, new))
 
     def without(self, index: int) -> "Model":
         """Return the model without one of its causes."""

@@ -16,6 +16,7 @@ LARGE = [
     ("actuation_delay", 31, 60.0, {"actuation_delay": 0.12}),
     ("saturation_limit", 31, 60.0, {"saturation_limit": 35.0}),
     ("coulomb_friction", 31, 30.0, {"coulomb_friction": 15.0}),
+    ("coulomb_friction", 31, 30.0, {"coulomb_friction": 25.0}),
     ("encoder_quantization", 31, 30.0, {"encoder_quantization": 1.2}),
 ]
 
