@@ -10,6 +10,7 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.anchors import Anchor, anchor_off, scale_or_anchor
 from hilserver.diagnosis.decide.drift import changing_alike, with_drift
 from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_rivals
+from hilserver.diagnosis.decide.predicting import before_settling, with_nameless
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, agreed, with_noise_anew
@@ -109,29 +110,12 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         if c in point.model.causes
     }
     scores = p.library.scores(p.base)
-    whole = _predicting(problem, point, (weighed, selected.point), rows)
+    whole = before_settling(problem, point, (weighed, selected.point), rows)
+    if not drift:
+        whole = with_nameless(p, whole, rows)
     return Judged(
         p, selected, point, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt
     )
-
-
-def _predicting(
-    problem: Problem, point: Point, before: Iterable[Point], rows: list[Decision]
-) -> Point:
-    """Return the model that predicts: one before causes lost their names, if it does so better.
-
-    A name may go because something else explains as much, is too large or too small. What it
-    predicts right on held-out blocks stays, as a column without a name.
-    """
-    whole, harm = point, None
-    for richer in before:
-        step = Step(problem, richer, whole)
-        if step.harms:
-            whole, harm = richer, step.gain
-    why = "no name, but held-out errors would grow without its column, which stays"
-    nameless = [c for c in whole.model.causes if c not in point.model.causes]
-    rows += [Decision(cause, "refused", harm, why) for cause in nameless]
-    return whole
 
 
 def _named_only(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.promise import Step, _grows
-from hilserver.diagnosis.decide.revision import _harmless, _predicting
+from hilserver.diagnosis.decide.revision import _harmless
 from hilserver.diagnosis.findings.outcome import worsened
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import Errors, Pair
@@ -63,19 +63,3 @@ def test_no_cause_goes_for_unknown_structure_where_held_out_errors_would_grow():
     assert step.harms
     assert step.gain is not None
     assert step.gain < 0.95
-
-
-def test_a_column_stays_without_its_name_where_held_out_errors_would_grow():
-    rng = np.random.default_rng(4)
-    needed, idle = (toy.smooth(rng, 2000) for _ in range(2))
-    problem = toy.problem(3.0 * needed + rng.normal(size=2000), {"needed": needed, "idle": idle})
-    _, base = toy.library(problem)
-    both = fit(problem, toy.model("needed", "idle"), base)
-    only, none = (fit(problem, toy.model(*names), base) for names in (("needed",), ()))
-    rows = []
-    assert _predicting(problem, only, [both], rows) is only
-    assert rows == []
-    assert _predicting(problem, none, [only, both], rows) is only
-    (row,) = rows
-    assert (row.cause, row.action) == ("needed", "refused")
-    assert row.held_out_gain < 0.95

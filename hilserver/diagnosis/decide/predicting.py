@@ -1,0 +1,74 @@
+"""What predicts: the causes that have a name, and columns without one that held-out blocks confirm.
+
+A name asks for much: that enough blocks show a cause, that its size is one that machines have. A
+prediction asks that held-out errors fall. So a column may stay in the model, or come into it,
+without a name: it is no finding and no term of the patch.
+"""
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Final
+
+from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.selection import MOST_FITTED, attempt, best_starts
+from hilserver.diagnosis.decide.trial import holds, implausible
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.regression.stages import Prepared
+from hilserver.diagnosis.schema.decisions import Decision
+from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, SELECTION_MOST_CAUSES
+
+STAYS: Final = "no name, but held-out errors would grow without its column, which stays"
+COMES: Final = "too few blocks show it for a name; held-out blocks confirm its column"
+
+
+def before_settling(
+    problem: Problem, point: Point, before: Iterable[Point], rows: list[Decision]
+) -> Point:
+    """Return one of the models before causes lost their names, if it predicts better.
+
+    A name may go because something else explains as much, is too large or too small. What it
+    predicts right on held-out blocks stays, as a column without a name.
+    """
+    whole, harm = point, None
+    for richer in before:
+        step = Step(problem, richer, whole)
+        if step.harms:
+            whole, harm = richer, step.gain
+    nameless = [c for c in whole.model.causes if c not in point.model.causes]
+    rows += [Decision(cause, "refused", harm, STAYS) for cause in nameless]
+    return whole
+
+
+def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
+    """Return a model with all further columns that held-out blocks confirm.
+
+    Where nothing is found nothing predicts. What a drive leaves is mostly the form of its causes,
+    see `Traits.abrupt`: columns would only imitate that.
+    """
+    if not whole.model.fitted or p.problem.stage.memoryless:
+        return whole
+    for _ in range(SELECTION_MOST_CAUSES):
+        further = _further(p, whole)
+        if further is None:
+            break
+        cause = further.model.causes[-1]
+        rows.append(Decision(cause, "refused", Step(p.problem, whole, further).gain, COMES))
+        whole = further
+    return whole
+
+
+def _further(p: Prepared, whole: Point) -> Point | None:
+    """Return the model with the column that explains most of those that are confirmed."""
+    problem, library = p.problem, p.library
+    gross = whole.deviance > GROSS * len(whole.left)
+    starts = best_starts(library.scores(whole), library, frozenset(whole.model.causes))
+    fitted = partial(attempt, problem, whole, library, t=0.0, p=1.0, gross=gross)
+    trials = [trial for index, _ in starts[:MOST_FITTED] if (trial := fitted(index)) is not None]
+    for trial in sorted(trials, key=lambda trial: -trial.gain):
+        point = trial.point
+        new = point.model.fitted[-1]
+        if trial.gain <= LEAST_GAIN or implausible(new):
+            continue
+        if holds(problem, whole, point.model, point) and not Step(problem, whole, point).harms:
+            return point
+    return None
