@@ -14,18 +14,13 @@ _DEPTH = 6
 
 
 class Load:
-    """Counts what the clients have done.
-
-    Attributes
-    ----------
-    reads, late : int
-        Read requests answered; those that began a whole period too late.
-    """
+    """Counts what the clients have done."""
 
     def __init__(self, url: str, n_nodes: int, rate_hz: float) -> None:
         self._url = url
         self._n_nodes = n_nodes
         self._period_s = 1.0 / rate_hz
+        # read requests answered; those that began a whole period too late
         self.reads = 0
         self.late = 0
 

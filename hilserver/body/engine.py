@@ -26,29 +26,18 @@ def mujoco() -> ModuleType:
 
 
 class Engine:
-    """One model and its data, to be stepped by whoever has its addresses; must outlive them.
-
-    Attributes
-    ----------
-    body : BodyParameters
-        What it was made from.
-    parameters : Constants
-        `p` of the kernel.
-    initial : ndarray of float64
-        `b` of the kernel: at rest in the origin.
-    addresses : Addresses
-        `a` of the kernel, of this process.
-    """
+    """One model and its data, to be stepped by whoever has its addresses; must outlive them."""
 
     def __init__(self, body: BodyParameters) -> None:
         library = mujoco()
-        self.body = body
+        self.body = body  # what it was made from
         self.model = library.MjModel.from_xml_string(mjcf(body, body.robot.solids))
         self.data = library.MjData(self.model)
-        self.parameters = body.pack()
+        self.parameters = body.pack()  # `p` of the kernel
         signature = int(library.mjtState.mjSTATE_INTEGRATION)
         length = library.mj_stateSize(self.model, signature)
-        self.addresses = self._addresses(library, signature)
+        self.addresses = self._addresses(library, signature)  # `a` of the kernel, of this process
+        # `b` of the kernel: at rest in the origin
         self.initial = self._initial(library, length, signature)
 
     @property

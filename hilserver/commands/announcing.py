@@ -34,17 +34,12 @@ class Announcer:
     ----------
     line_format : str
         ``console``, ``json`` or ``auto``: console on a terminal.
-
-    Attributes
-    ----------
-    out : Writer or Footer
-        Where log lines go, too.
     """
 
     def __init__(self, writer: Writer, line_format: str) -> None:
         self._writer = writer
         self._footer = Footer(writer) if writer.isatty() else None
-        self.out = self._footer or writer
+        self.out = self._footer or writer  # where log lines go, too
         self._is_readable = line_format == "console" or (line_format != "json" and writer.isatty())
         writer.lost_line = lambda lost: self._line(f"{lost} lines were lost: nobody took them", {})
         self.page_url = ""

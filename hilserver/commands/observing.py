@@ -22,17 +22,12 @@ DEVIATIONS: Final = Shown.where("deviations")
 
 @dataclass(frozen=True)
 class Observed:
-    """One segment: what was measured, and what is known of it.
-
-    Attributes
-    ----------
-    estimate, covariance : ndarray
-        Of the filter, or of the smoother.
-    """
+    """One segment: what was measured, and what is known of it."""
 
     number: int
     series: Series
     course: Course
+    # of the filter, or of the smoother
     estimate: Array
     covariance: Array
 

@@ -125,19 +125,11 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
 
 
 class Driver:
-    """Turns held keys into commands that are renewed as long as they are held.
-
-    Attributes
-    ----------
-    ended : asyncio.Event
-        The user wants to end.
-    complaint_ends : str
-        Why driving ended by itself.
-    """
+    """Turns held keys into commands that are renewed as long as they are held."""
 
     def __init__(self, hand: Hand, speed_m_s: float, turn_rad_s: float) -> None:
-        self.ended = asyncio.Event()
-        self.complaint_ends = ""
+        self.ended = asyncio.Event()  # the user wants to end
+        self.complaint_ends = ""  # why driving ended by itself
         self._hand, self._hold, self._reader = hand, Hold(), KeyReader()
         self._sizes = {"linear": speed_m_s, "turn": turn_rad_s, "lateral": speed_m_s}
         self._news = asyncio.Event()

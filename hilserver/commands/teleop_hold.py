@@ -12,16 +12,10 @@ REPEAT_S: Final = 0.15
 
 
 class Hold:
-    """Keys that are held.
-
-    Attributes
-    ----------
-    has_releases : bool
-        The terminal reports releases.
-    """
+    """Keys that are held."""
 
     def __init__(self) -> None:
-        self.has_releases = False
+        self.has_releases = False  # the terminal reports releases
         self._until_s: dict[str, float] = {}
 
     def press(self, key: str, now_s: float) -> None:

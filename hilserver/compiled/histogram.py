@@ -27,22 +27,13 @@ def bucket_index(value_ns: int) -> int:
 
 
 class Histogram125:
-    """A duration histogram filled from Python, in the shape the kernels use.
-
-    Attributes
-    ----------
-    counts : ndarray of int64, shape (N_BUCKETS,)
-        Count per bucket, not cumulated.
-    sum_ns : int
-        Sum of all observed durations.
-    last_ns : int or None
-        The newest observation.
-    """
+    """A duration histogram filled from Python, in the shape the kernels use."""
 
     def __init__(self) -> None:
+        # shape (N_BUCKETS,); count per bucket, not cumulated
         self.counts = np.zeros(N_BUCKETS, dtype=np.int64)
-        self.sum_ns = 0
-        self.last_ns: int | None = None
+        self.sum_ns = 0  # sum of all observed durations
+        self.last_ns: int | None = None  # the newest observation
 
     def observe(self, value_ns: int) -> None:
         """Count one duration [ns]."""

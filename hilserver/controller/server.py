@@ -35,16 +35,11 @@ class ControllerServer:
         ``opc.tcp://127.0.0.1:<port>/UA/NodeRedAgv``; port 0: any free one.
     more_sensors : sequence of str
         Nodes that clients may write beside `SENSORS`.
-
-    Attributes
-    ----------
-    endpoint : str
-        Where it listens.
     """
 
     def __init__(self, endpoint: str, *, more_sensors: Sequence[str] = ()) -> None:
         logging.getLogger("asyncua.server").setLevel(logging.CRITICAL + 1)
-        self.endpoint = endpoint
+        self.endpoint = endpoint  # where it listens
         self._sensors = (*SENSORS, *more_sensors)
         self._server = Server(iserver=QuickInternalServer())
         self._ids: dict[str, ua.NodeId] = {}

@@ -51,29 +51,14 @@ class NoDecisions:
 
 @dataclass
 class Figures:
-    """What is counted.
+    """What is counted."""
 
-    Attributes
-    ----------
-    looks : dict of int
-        By verdict.
-    failures : int
-        Windows that could not be judged, lines that could not be written.
-    waits : bool
-        A proposal is open.
-    changed : bool
-        The gap has left its usual range since the last look.
-    is_looking : bool
-        A diagnosis runs.
-    effect : dict of float
-        Gap before by gap after of the last decision that was measured, by quantity.
-    """
-
-    looks: dict[str, int] = field(default_factory=dict)
-    failures: int = 0
-    waits: bool = False
-    changed: bool = False
-    is_looking: bool = False
+    looks: dict[str, int] = field(default_factory=dict)  # by verdict
+    failures: int = 0  # windows that could not be judged, lines that could not be written
+    waits: bool = False  # a proposal is open
+    changed: bool = False  # the gap has left its usual range since the last look
+    is_looking: bool = False  # a diagnosis runs
+    # gap before by gap after of the last decision that was measured, by quantity
     effect: dict[str, float] = field(default_factory=dict)
 
 

@@ -54,31 +54,21 @@ class SnapshotStore:
         Where snapshots lie; made when the first one is saved.
     parameters : mapping
         What has to agree between the run that saved and the run that loads, by name.
-
-    Attributes
-    ----------
-    identity : dict
-        `parameters`, and version, kernels and signals of this run.
-    initial : ndarray of int64
-        The state before the first tick.
-    is_restoring : bool
-        Whether a state is on its way into the plant.
-    restored : list of callable
-        Called after a state was restored.
     """
 
     def __init__(self, image: ProcessImage, folder: Path, parameters: dict[str, Any]) -> None:
         self._image = image
         self._folder = folder
         layout = json.dumps(image.description["signals"], sort_keys=True).encode()
+        # `parameters`, and version, kernels and signals of this run
         self.identity: dict[str, Any] = {
             "version": __version__,
             "kernels": kernel_hash(),
             "signals": hashlib.sha256(layout).hexdigest(),
         } | parameters
-        self.initial = self._image.live.copy()
-        self.is_restoring = False
-        self.restored: list[Callable[[], None]] = []
+        self.initial = self._image.live.copy()  # the state before the first tick
+        self.is_restoring = False  # whether a state is on its way into the plant
+        self.restored: list[Callable[[], None]] = []  # called after a state was restored
         self._lock = asyncio.Lock()
 
     def reset(self) -> None:

@@ -19,18 +19,11 @@ OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")
 
 
 class Outputs:
-    """What the publish slice shows.
-
-    Attributes
-    ----------
-    frame : Frame or None
-        The newest one that was published; None before the first.
-    end_to_end : Histogram125
-        Set-point change to the first published output that contains it.
-    """
+    """What the publish slice shows."""
 
     def __init__(self, core: Core) -> None:
-        self.frame: Frame | None = None
+        self.frame: Frame | None = None  # the newest one that was published; None before the first
+        # set-point change to the first published output that contains it
         self.end_to_end = Histogram125()
         self._core = core
 

@@ -76,15 +76,12 @@ class Reloader:
     ----------
     out : Stream or None
         Where lines go; stderr by default.
-
-    Attributes
-    ----------
-    from_file : Config
-        The file's values that are in force: what options of the command line replaced is no change.
     """
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
         self._daemon, self._out = daemon, out
+        # the file's values that are in force: what options of the command line replaced is no
+        # change
         self.from_file = daemon.assembly.from_file
         self._lock = asyncio.Lock()
 

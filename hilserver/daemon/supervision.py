@@ -25,16 +25,11 @@ NOTICES = {
 
 
 class Supervision:
-    """Judges the parts of one daemon; `run` is called by the supervise slice.
-
-    Attributes
-    ----------
-    first_ticks_met : bool
-        True once the plant met every deadline from one run to the next.
-    """
+    """Judges the parts of one daemon; `run` is called by the supervise slice."""
 
     def __init__(self, core: Core, control: Control) -> None:
         config = core.assembly.config
+        # True once the plant met every deadline from one run to the next
         self.first_ticks_met = False
         self._period_ms = core.assembly.base_period_ns * 1e-6
         self._plant_state = State.of(core.image.region("x")[0])

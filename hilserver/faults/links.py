@@ -54,16 +54,11 @@ class LinkFault:
 
 
 class Line:
-    """The link to one peer, as its faults let it be.
-
-    Attributes
-    ----------
-    lost, overflowed : int
-        Batches that a fault dropped, and those for which the queue had no room.
-    """
+    """The link to one peer, as its faults let it be."""
 
     def __init__(self, name: str, clock_s: Callable[[], float] = time.monotonic) -> None:
         self.name = name
+        # batches that a fault dropped, and those for which the queue had no room
         self.lost = 0
         self.overflowed = 0
         self._clock_s = clock_s

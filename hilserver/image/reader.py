@@ -45,20 +45,13 @@ class Frame:
 
 
 class ImageReader:
-    """Reads frames of an arena, in the daemon or, through `attach`, in any other process.
-
-    Attributes
-    ----------
-    values, words : ndarray of float64 and of int64
-        The whole arena, seen as either.
-    control : ControlWords
-        Its first words, by name.
-    """
+    """Reads frames of an arena, in the daemon or, through `attach`, in any other process."""
 
     def __init__(self, buffer: Any) -> None:
+        # the whole arena, seen as either
         self.values: NDArray[np.float64] = np.frombuffer(buffer, dtype=np.float64)
         self.words: NDArray[np.int64] = np.frombuffer(buffer, dtype=np.int64)
-        self.control = ControlWords(self.words)
+        self.control = ControlWords(self.words)  # its first words, by name
         self.n_slots = self.control.n_slots
         base, length = self.words[[word.RING_BASE, word.RING_LENGTH]].tolist()
         ring = self.words[base : base + length * (lay.FRAME_HEADER_WORDS + 2 * self.n_slots)]

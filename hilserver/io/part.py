@@ -9,27 +9,14 @@ from hilserver.metrics import Source
 
 
 class Part:
-    """What the daemon starts, shows and stops; a link overrides what it has.
+    """What the daemon starts, shows and stops; a link overrides what it has."""
 
-    Attributes
-    ----------
-    section : str
-        Of the configuration; complaints name it.
-    label : str
-        What people call it.
-    is_early : bool
-        Starts before the first tick.
-    status : PeerStatus or None
-        What is known about who is at the other end; OPC UA, page and metrics show it.
-    metrics : sequence of Source
-        Beside those of every status.
-    """
-
-    section: str
-    label: str
-    is_early = False
+    section: str  # of the configuration; complaints name it
+    label: str  # what people call it
+    is_early = False  # starts before the first tick
+    # what is known about who is at the other end; OPC UA, page and metrics show it
     status: PeerStatus | None = None
-    metrics: Sequence[Source[Any]] = ()
+    metrics: Sequence[Source[Any]] = ()  # beside those of every status
 
     @property
     def address(self) -> str:

@@ -12,21 +12,13 @@ class LinkLostError(Exception):
 
 
 class RefusedError(Exception):
-    """There is no session, and another attempt without a change would not make one.
-
-    Attributes
-    ----------
-    kind : FaultKind
-    subject : str
-        Tells reasons of one kind apart.
-    pause_s : float
-        Shortest time to the next attempt [s].
-    """
+    """There is no session, and another attempt without a change would not make one."""
 
     def __init__(self, kind: FaultKind, subject: str, sentence: str) -> None:
         super().__init__(sentence)
         self.kind = kind
-        self.subject = subject
+        self.subject = subject  # tells reasons of one kind apart
+        # shortest time to the next attempt [s]
         self.pause_s = LOG_IN_PAUSE_S if kind is FaultKind.LOG_IN else REFUSED_PAUSE_S
 
 

@@ -45,11 +45,6 @@ class Decoder:
     where : str
         File and topic, for complaints.
 
-    Attributes
-    ----------
-    notices : list of str
-        What could not be read.
-
     Raises
     ------
     TopicError
@@ -58,7 +53,7 @@ class Decoder:
 
     def __init__(self, where: str, topic: Topic) -> None:
         self._where, self._topic = where, topic
-        self.notices: list[str] = []
+        self.notices: list[str] = []  # what could not be read
         self._decode = self._decoder()
 
     def _decoder(self) -> Callable[[bytes], Any]:

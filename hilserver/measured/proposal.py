@@ -49,16 +49,11 @@ _UNITS: Final = (
 
 
 class ForeignTable(LogError):
-    """A table without any signal of ours, and the mapping file that may fit it.
-
-    Attributes
-    ----------
-    proposal : str
-        Text of a mapping file; empty where no column looks like a signal.
-    """
+    """A table without any signal of ours, and the mapping file that may fit it."""
 
     def __init__(self, path: object, header: Sequence[str], row: Sequence[str] = ()) -> None:
         columns = ", ".join(f"'{name}'" for name in header)
+        # text of a mapping file; empty where no column looks like a signal
         self.proposal = propose(header, row)
         super().__init__(
             f"{path}: row 1: none of the columns {columns:.600} is a signal of hilserver; name them"

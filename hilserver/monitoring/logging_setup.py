@@ -93,15 +93,10 @@ class RepeatLimiter:
         How long [s] a line silences its repetitions; 0 lets everything pass.
     clock_s : callable
         A monotonic clock [s].
-
-    Attributes
-    ----------
-    suppressed : int
-        Lines dropped so far.
     """
 
     def __init__(self, window_s: float, clock_s: Callable[[], float] = time.monotonic) -> None:
-        self.suppressed = 0
+        self.suppressed = 0  # lines dropped so far
         self._window_s = window_s
         self._clock_s = clock_s
         self._seen: dict[str, _Repeats] = {}

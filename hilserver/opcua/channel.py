@@ -46,15 +46,6 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         What is offered.
     trust : TrustList or None
         Judges certificates; None when only policy None is offered.
-
-    Attributes
-    ----------
-    is_discovery_only : bool
-        The channel is not protected, and the server does not offer that for sessions.
-    max_bytes : int
-        Longest request that is accepted at this point.
-    max_response_bytes : int
-        Longest response that the client accepts, 0 for any.
     """
 
     _peer_sequence_number: int | None
@@ -65,9 +56,10 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
     ) -> None:
         super().__init__(SecurityPolicyNone(), TransportLimits())
         self.set_policy_factories(list(policies))
+        # the channel is not protected, and the server does not offer that for sessions
         self.is_discovery_only = False
-        self.max_bytes = MAX_BYTES_BEFORE_LOGIN
-        self.max_response_bytes = 0
+        self.max_bytes = MAX_BYTES_BEFORE_LOGIN  # longest request that is accepted at this point
+        self.max_response_bytes = 0  # longest response that the client accepts, 0 for any
         self._expiring = (0, 0.0)
         self._trust = trust
         self._peer = peer

@@ -43,16 +43,11 @@ class TransportError(Exception):
 
 
 class FrameReader:
-    """Collects bytes and returns whole frames.
-
-    Attributes
-    ----------
-    since_s : float or None
-        When the frame that is still incomplete began [s]; None without one.
-    """
+    """Collects bytes and returns whole frames."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
+        # when the frame that is still incomplete began [s]; None without one
         self.since_s: float | None = None
 
     def feed(self, data: bytes, now_s: float) -> Iterator[tuple[bytes, bytes]]:

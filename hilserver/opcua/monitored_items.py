@@ -40,11 +40,6 @@ class MonitoredItems:
     address_space : asyncua AddressSpace
     publishing_ms : callable
         The subscription's publishing interval: a negative sampling interval means that.
-
-    Attributes
-    ----------
-    ready : dict
-        Items with something to send.
     """
 
     def __init__(
@@ -66,7 +61,7 @@ class MonitoredItems:
         self._each_frame: list[ValueItem] = []
         self._all: list[ValueItem] = []
         self._has_links = False
-        self.ready: dict[int, Item] = {}
+        self.ready: dict[int, Item] = {}  # items with something to send
 
     def __len__(self) -> int:
         return len(self._values) + len(self._events)

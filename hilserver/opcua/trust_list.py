@@ -115,16 +115,11 @@ def _load_list(path: Path) -> x509.CertificateRevocationList | None:
 
 
 class TrustList:
-    """Judges the certificates of peers.
-
-    Attributes
-    ----------
-    ours : x509.Certificate or None
-        Trusted as a client like those in the folder: the operator page shows it.
-    """
+    """Judges the certificates of peers."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        # trusted as a client like those in the folder: the operator page shows it
         self.ours: x509.Certificate | None = None
         self._trusted = _Folder(folder / "trusted")
         self._revoked = _Folder(folder / "revoked")

@@ -58,11 +58,6 @@ class Judge:
     derived : collection of str
         Signals that a drive has beside those of the table.
 
-    Attributes
-    ----------
-    signals : tuple of str
-        What has to be kept of a drive.
-
     Raises
     ------
     ConfigError
@@ -97,7 +92,7 @@ class Judge:
                     hint = meant(name, known, "see 'hilserver signals'")
                     raise ConfigError(f"{where}there is no scalar signal '{name}'; {hint}")
                 signals[name] = None
-        self.signals = tuple(signals)
+        self.signals = tuple(signals)  # what has to be kept of a drive
 
     def margins(self, drive: Drive) -> dict[str, float]:
         """Return the margin of every requirement by its name.

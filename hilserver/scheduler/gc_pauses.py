@@ -10,16 +10,10 @@ _REMEMBERED = 64
 
 
 class GcPauses:
-    """Measures every collection between `start` and `stop`.
-
-    Attributes
-    ----------
-    pauses : Histogram125
-        Durations of all collections.
-    """
+    """Measures every collection between `start` and `stop`."""
 
     def __init__(self) -> None:
-        self.pauses = Histogram125()
+        self.pauses = Histogram125()  # durations of all collections
         self._recent: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
         self._began_ns = 0
         self._frozen = False

@@ -29,13 +29,7 @@ T = TypeVar("T")
 
 
 class ThreadPacing:
-    """Paces the machine in a thread of its own.
-
-    Attributes
-    ----------
-    thread_id : int
-        The operating system's number of the pacing thread; 0 before the start.
-    """
+    """Paces the machine in a thread of its own."""
 
     def __init__(
         self, machine: Machine, settings: RealtimeSettings, rung: Rung, ended: Ended
@@ -48,7 +42,7 @@ class ThreadPacing:
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
         self._doorbell = -1
         self._over = asyncio.Event()
-        self.thread_id = 0
+        self.thread_id = 0  # the operating system's number of the pacing thread; 0 before the start
 
     async def start(self) -> list[Grant]:
         """Start the thread; return what the operating system granted."""

@@ -71,11 +71,6 @@ class Scheduler:
         Collect once at the start and freeze what is alive.
     statistics_array, linear_bins
         See `Statistics`: an array in shared memory lets other processes read along.
-
-    Attributes
-    ----------
-    after_batch : list of callable
-        Called in virtual time after every batch of ticks; time waits for them.
     """
 
     def __init__(
@@ -128,6 +123,7 @@ class Scheduler:
             simulated=backend == "virtual",
             on_overrun=self._overruns.communication,
         )
+        # called in virtual time after every batch of ticks; time waits for them
         self.after_batch: list[Callable[[], None]] = []
         self._pacing = self._make_pacing(realtime or RealtimeSettings())
         self._waiters: list[asyncio.Future[None]] = []

@@ -40,19 +40,11 @@ class Sample:
 
 
 class Hil:
-    """The robot under a test.
-
-    Attributes
-    ----------
-    daemon : Daemon
-        Everything else: its OPC UA server, its control, its events.
-    mode : str
-        ``virtual``: time stands still between steps. ``realtime``: it runs.
-    """
+    """The robot under a test."""
 
     def __init__(self, daemon: Daemon, mode: Mode) -> None:
-        self.daemon = daemon
-        self.mode = mode
+        self.daemon = daemon  # everything else: its OPC UA server, its control, its events
+        self.mode = mode  # ``virtual``: time stands still between steps. ``realtime``: it runs
         self.source = daemon.gate.owner
         self.tap = Tap(daemon.image)
         self.journal = Journal()

@@ -18,21 +18,13 @@ MAX_NUMBERS = 20_000_000
 
 
 class Tap:
-    """Drains the ring of frames; nobody waits for it, what it misses it counts.
-
-    Attributes
-    ----------
-    kept : deque of Frame
-        The newest `KEPT_FRAMES` frames.
-    lost : int
-        Frames that the ring had overwritten.
-    """
+    """Drains the ring of frames; nobody waits for it, what it misses it counts."""
 
     def __init__(self, image: ImageReader) -> None:
         self._image = image
         self._next = image.head
-        self.kept: deque[Frame] = deque(maxlen=KEPT_FRAMES)
-        self.lost = 0
+        self.kept: deque[Frame] = deque(maxlen=KEPT_FRAMES)  # the newest `KEPT_FRAMES` frames
+        self.lost = 0  # frames that the ring had overwritten
         self.captures: list[Capture] = []
 
     def drain(self) -> list[Frame]:

@@ -60,11 +60,6 @@ class Session:
     ----------
     security : LinkSecurity or None
         Protects it; without one policy None and no user.
-
-    Attributes
-    ----------
-    services : asyncua UaSession
-        The raw services (read, write, create_subscription, ...).
     """
 
     def __init__(self, endpoint: str, security: LinkSecurity | None = None) -> None:
@@ -79,6 +74,7 @@ class Session:
         self._client.connection_lost_callback = self._on_lost
         self._client.uaclient._make_protocol = self._limited(self._client.uaclient._make_protocol)
         self._lost = asyncio.Event()
+        # the raw services (read, write, create_subscription, ...)
         self.services: Any = self._client.uaclient.session
 
     async def __aenter__(self) -> "Session":

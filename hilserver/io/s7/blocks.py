@@ -12,12 +12,7 @@ from hilserver.signals import Signal, SignalTable
 
 
 class RefusedItemError(Exception):
-    """A piece of a block that cannot be read or written.
-
-    Attributes
-    ----------
-    code : Code
-    """
+    """A piece of a block that cannot be read or written."""
 
     def __init__(self, code: Code) -> None:
         super().__init__(code.name)

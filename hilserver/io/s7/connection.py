@@ -44,19 +44,13 @@ class AnswerError(Exception):
 
 
 class Connection:
-    """An open connection; use it as an async context manager.
-
-    Attributes
-    ----------
-    pdu_bytes : int
-        Longest message, as agreed.
-    """
+    """An open connection; use it as an async context manager."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
         self._number = 0
         self._turn = asyncio.Lock()
-        self.pdu_bytes = ASKED_PDU
+        self.pdu_bytes = ASKED_PDU  # longest message, as agreed
 
     async def __aenter__(self) -> Self:
         try:

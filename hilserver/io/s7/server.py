@@ -108,11 +108,6 @@ class Server:
         Makes `Answers` for a new client.
     report : callable
         Takes address and a sentence about a client that says what is no S7.
-
-    Attributes
-    ----------
-    clients : set
-        Connected now.
     """
 
     def __init__(
@@ -120,7 +115,7 @@ class Server:
     ) -> None:
         self._config, self._answers, self._report = config, answers, report
         self._server: asyncio.Server | None = None
-        self.clients: set[asyncio.Task[None]] = set()
+        self.clients: set[asyncio.Task[None]] = set()  # connected now
 
     @property
     def port(self) -> int:

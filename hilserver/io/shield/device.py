@@ -71,11 +71,6 @@ class Device:
         What the plant takes; faster commands are scaled down together.
     apply : callable
         ``apply(k_p, k_i)`` makes them the controller's gains; raises ValueError with the reason.
-
-    Attributes
-    ----------
-    limit_ns : int
-        Silence after which enable is withdrawn; the host may change it.
     """
 
     def __init__(
@@ -87,6 +82,7 @@ class Device:
         max_rpm: float,
         apply: Callable[[float, float], None],
     ) -> None:
+        # silence after which enable is withdrawn; the host may change it
         self.limit_ns = round(config.stale_after_ms * 1e6)
         self._config, self._status, self._source = config, status, source
         self._max_rpm, self._apply = max_rpm, apply

@@ -38,18 +38,10 @@ _log = structlog.get_logger(__name__)
 
 
 class ShieldLink(Part):
-    """Answers a host as the shield does.
-
-    Attributes
-    ----------
-    status : ShieldStatus
-        Always up to date.
-    grants : list of Grant
-        What the system granted to the thread of the line.
-    """
+    """Answers a host as the shield does."""
 
     section = label = NAME
-    status: ShieldStatus
+    status: ShieldStatus  # always up to date
 
     def __init__(self, config: ShieldConfig, world: World) -> None:
         from hilserver.io.shield.wire import serve  # noqa: PLC0415 - compiled only where it is needed
@@ -66,7 +58,7 @@ class ShieldLink(Part):
         )
         max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, Gains(world)
         self.device = Device(config, status, self._source, max_rpm=max_rpm, apply=gains.apply)
-        self.grants: list[Grant] = []
+        self.grants: list[Grant] = []  # what the system granted to the thread of the line
         self._config, self._world, self._image = config, world, world.image
         mechatronic = world.config.mechatronic
         body = mechatronic.enabled and mechatronic.sensors == "body"
