@@ -12,10 +12,13 @@ from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.opcua_server.model import SHELL
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
+from hilserver.parameters import table_of
 from hilserver.program import event_loop
-from hilserver.signals import Ranges, robot_table
+from hilserver.signals import Ranges, ValueType, robot_table
 
 _WITHIN_S = 20.0
+PARAMETERS = "parameters."
+"""Begins the name of a parameter over OPC UA."""
 
 
 def add_connection(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +57,7 @@ async def _ask(
     endpoint: str, user: str, password: str, request: Callable[[Hand], Awaitable[None]]
 ) -> int:
     types = {signal.name: signal.type.value for signal in robot_table(Ranges(1.0, 1.0, 1.0))}
+    types |= {f"{PARAMETERS}{name}": ValueType.DOUBLE.value for name in table_of()}
     hand = Hand(OpcUaAccess(endpoint, SHELL), types)
     try:
         async with asyncio.timeout(_WITHIN_S):

@@ -1,14 +1,16 @@
-"""Write signals of a running daemon, all in one tick.
+"""Write signals, or parameters.*, of a running daemon, all in one tick.
 
 Set-points need control, as of any client: write ``control.source`` first. They act until another
 source takes control; for driving there are ``teleop`` and scenarios, whose commands are renewed.
 """
 
 import argparse
+import math
 from typing import Any
 
-from hilserver.commands.remote import add_connection, ask, from_json
+from hilserver.commands.remote import PARAMETERS, add_connection, ask, from_json
 from hilserver.errors import FailedError, meant
+from hilserver.parameters import table_of
 from hilserver.signals import Ranges, robot_table
 
 EXAMPLE = "hilserver set control.source=opcua"
@@ -27,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     """Write; return 0 when the daemon has taken all of them."""
     values = _values(args.values)
     names = [SOURCE, *(signal.name for signal in robot_table(Ranges(1.0, 1.0, 1.0)))]
+    names += [f"{PARAMETERS}{name}" for name in table_of()]
     for name in values:
         if name not in names:
             hint = meant(name, names, "see 'hilserver signals'")
@@ -43,5 +46,7 @@ def _values(texts: list[str]) -> dict[str, Any]:
         name, equals, value = text.partition("=")
         if not equals:
             raise FailedError(f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes")
-        values[name] = from_json(value)
+        given = from_json(value)
+        is_null = given is None and name.startswith(PARAMETERS)
+        values[name] = math.nan if is_null else given
     return values

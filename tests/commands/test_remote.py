@@ -16,6 +16,8 @@ def test_the_shell_reaches_everything(robot, capsys):
     there = ["--endpoint", robot.url]
     assert main(["set", *there, "control.source=opcua"]) == 0
     assert main(["set", *there, '{"wheel.fl.setpoint_rpm": 5, "wheel.fr.setpoint_rpm": -5}']) == 0
+    assert main(["set", *there, "parameters.terms.dead_zone=2"]) == 0
+    assert main(["set", *there, "parameters.terms.setpoint_rate_limit=null"]) == 0
     fault = '{"fault": "bias", "signal": "battery.voltage_v", "offset": -2}'
     assert main(["inject", *there, fault]) == 0
     assert main(["call", *there, "ClearFaults"]) == 0

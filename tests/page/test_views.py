@@ -145,7 +145,11 @@ def test_a_view_fits_a_phone(browser, url):
         assert browser.do("run", script=wide) <= 0, name
 
 
-def test_a_gain_is_tuned_by_keyboard_alone_and_undone(browser, url, plant):
+def text_of(path):
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant, daemon):
     """Every answer of the daemon is waited for, so that each key acts on what is shown."""
     browser.do("open", url=url)
     browser.do("press", key="6")
@@ -161,6 +165,8 @@ def test_a_gain_is_tuned_by_keyboard_alone_and_undone(browser, url, plant):
     browser.do("run", script=f'document.querySelector("{slider}").focus()')
     browser.do("press", key="ArrowRight")
     waits_for("1 differ from the configuration.")
+    browser.do("click", role="button", name="Save as patch")
+    plant.wait(lambda: "controller.k_p" in text_of(daemon.folder / "patches" / "tuned.yaml"))
     browser.do("run", script="document.querySelector(\"[aria-keyshortcuts='Control+Z']\").focus()")
     browser.do("press", key="Enter")
     waits_for("As configured.")

@@ -1,18 +1,24 @@
 """Workers that die, machines that take theirs with them, and the same bits in every case."""
 
+import contextlib
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
 import pytest
 
+from benchmarks.dask_cluster import cluster, worker_pids
 from hilserver.errors import FailedError
+from hilserver.logs import read_log
 from hilserver.sweep import campaign
 from hilserver.sweep.campaign import LocalWorkers, outcomes
 from hilserver.sweep.only import drive_again
 from hilserver.sweep.rig import Rig
 
+KILLS = 10
 CONTROLLER = """
 import os, signal, time
 
@@ -61,41 +67,90 @@ def test_a_machine_that_kills_its_worker_fails_alone(sweep, monkeypatch):
     ]
 
 
-def children(pool):
-    return [process.pid for process in pool._pool._processes.values()]
+class Killer(threading.Thread):
+    """Kills a worker now and then, `KILLS` times."""
+
+    def __init__(self, pids):
+        super().__init__(daemon=True)
+        self._pids, self._ended, self.kills = pids, threading.Event(), 0
+
+    def run(self):
+        while self.kills < KILLS and not self._ended.wait(1.0):
+            with contextlib.suppress(OSError, TimeoutError):  # those that die right now
+                for pid in self._pids()[:1]:
+                    os.kill(pid, signal.SIGKILL)
+                    self.kills += 1
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ended.set()
+        self.join()
 
 
-def kill_some(workers, stop, n=10):
-    """Kill workers, one after the other, while they drive."""
-    for _ in range(n):
-        if stop.wait(1.0):
-            return
-        for pid in children(workers)[:1]:
-            os.kill(pid, signal.SIGKILL)
+def children(workers):
+    return [process.pid for process in list(workers._pool._processes.values())]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_the_same_bits_for_any_number_of_workers_and_while_they_are_killed(sweep, count):
     prepared = sweep(machines=400, drive={"scenario": "course.yaml", "duration_s": 4.0})
-    workers, stop = LocalWorkers(count, 1000.0), threading.Event()
-    killer = threading.Thread(target=kill_some, args=(workers, stop))
-    killer.start()
-    try:
-        found = driven(prepared, workers)
-    finally:
-        stop.set()
-        killer.join()
-    assert found == here(prepared)
+    expected, now = here(prepared), []
+    with Killer(lambda: children(now[-1])) as killer:
+        while killer.kills < KILLS:
+            now.append(LocalWorkers(count, 1000.0))
+            assert driven(prepared, now[-1]) == expected
 
 
 @pytest.mark.long
-def test_the_same_bits_on_a_dask_cluster(sweep):
-    distributed = pytest.importorskip("distributed")
-    prepared = sweep(machines=60)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as c:
-        found = driven(prepared, campaign.DaskWorkers(c.scheduler_address))
-    assert found == here(prepared)
+def test_the_same_bits_on_a_dask_cluster_while_its_workers_are_killed(sweep):
+    pytest.importorskip("distributed")
+    prepared = sweep(machines=400, drive={"scenario": "course.yaml", "duration_s": 4.0})
+    expected = here(prepared)
+    with cluster(2) as address, Killer(lambda: worker_pids(address)) as killer:
+        while killer.kills < KILLS:
+            assert driven(prepared, campaign.DaskWorkers(address)) == expected
+
+
+PATIENT = """
+scheduler:
+  communication_timeout_ms: 0
+  limits: {single_overrun_ms: null, consecutive_overruns: null}
+image: {name: auto}
+opcua: {enabled: false}
+metrics: {enabled: false}
+page: {enabled: false}
+"""
+
+
+@pytest.mark.long
+def test_ten_machines_again_have_the_margins_of_the_table(made, tmp_path):
+    """And the daemon drives them in real time, from the files that were written."""
+    (tmp_path / "patient.yaml").write_text(PATIENT)
+    fault = {"fault": "noise", "signal": "pose.y_m", "sd": 0.001}
+    prepared = made(
+        config="patient.yaml",
+        machines=10,
+        controller={"python": "my.py:Controller", "every_ms": 20},
+        faults=[{"share": 0.5, "fault": fault}],
+    )
+    table = here(prepared)
+    for index in range(10):
+        folder = tmp_path / f"machine-{index}"
+        assert drive_again(prepared, index, folder) == table[index]
+        words = "run -c config.yaml --scenario scenario.yaml --record run.mcap --duration 2"
+        command = [sys.executable, "-m", "hilserver", *words.split()]
+        subprocess.run(command, cwd=folder, check=True, timeout=300)
+        again, once = (read_log(folder / name) for name in ("run.mcap", "recording.mcap"))
+        ticks = again.ticks(1_000_000)
+        ticks = ticks[ticks < len(once)]  # a busy computer may lose some
+        assert len(ticks) > len(once) / 2
+        for name in ("pose.x_m", "pose.y_m", "wheel.fl.speed_rpm", "imu.gyro_z_rad_s"):
+            a, b = again.columns[name][: len(ticks)], once.columns[name][ticks]
+            assert a.tobytes() == b.tobytes(), name
 
 
 def test_a_computer_with_other_bits_is_refused(sweep, monkeypatch):
@@ -141,6 +196,29 @@ def test_a_hang_in_compiled_code_ends_with_its_worker(made, limit, monkeypatch, 
     found = driven(prepared, LocalWorkers(1, 1000.0))
     assert [bool(outcome.error) for outcome in found] == hangs
     assert time.monotonic() - began_s < 120.0
+
+
+GREEDY = """
+class Controller:
+    def __call__(self, time_s, signals):
+        if signals.seed == SEED:
+            self.kept = [bytearray(10**7) for _ in range(10**6)]
+        print("x" * 10_000)
+        return {"control.mode": 1, "twist.linear_m_s": 0.3}
+"""
+
+
+def test_one_that_allocates_without_end_fails_alone(made, tmp_path):
+    def prepared(seed=-1):
+        (tmp_path / "greedy.py").write_text(GREEDY.replace("SEED", str(seed)))
+        return made(machines=4, controller={"python": "greedy.py:Controller", "every_ms": 20})
+
+    victim = prepared().machine(2).seed
+    expected = [outcome.margins for outcome in here(prepared())]
+    found = driven(prepared(victim), LocalWorkers(1, 300.0))
+    assert found[2].error == "needed more than 1000 MB of memory"
+    expected[2] = ()
+    assert [outcome.margins for outcome in found] == expected
 
 
 @pytest.mark.parametrize("controller", ["python", "block"])
