@@ -28,6 +28,26 @@ export interface Slice extends Record<string, unknown> {
   latency_counts: number[];
 }
 
+/** The gap in one quantity, with the model before and with the other. */
+export interface Gain {
+  before: number;
+  after: number;
+  ratio: number;
+}
+
+/** What an engineer decides on; `stage` says where it is. */
+export interface Proposal {
+  number: number;
+  causes: string[];
+  sentence: string;
+  terms: Record<string, { value: number; unit: string; ci95: [number, number] | null; present: number | null }>;
+  gone: Record<string, number>;
+  gain: Record<string, Gain>;
+  effect: Record<string, Gain>;
+  stage: string;
+  windows: number[];
+}
+
 export interface Board {
   version: string;
   state: string;
@@ -43,6 +63,7 @@ export interface Board {
   gaps: Record<string, number>;
   patch: string | null;
   patch_notice?: string | null;
+  recalibration?: { look: Record<string, string | number | boolean>; proposal: Proposal | null } | null;
   recording?: { name: string; bytes: number } | null;
   scenario?: { name: string; seconds: number; length_s: number } | null;
   events: { age_s: number; kind: string; severity: number; source: string; text: string; count: number }[];

@@ -2,6 +2,7 @@
 
 import { may, type Context, type View } from "../context";
 import { call, get, live, upload, type Job } from "../net";
+import { proposalCard } from "./proposal";
 import { action, ask, bytes, download, field, h, number, setText, svg, toast } from "../ui";
 
 const COURSE = 120; // a minute of boards
@@ -123,12 +124,16 @@ export function diagnosisView(context: Context): View {
     );
   }
 
+  const card = proposalCard(context);
+  card.show(live.slow.board);
   slow();
+  const stopCard = live.onSlow(() => card.show(live.slow.board));
   const stopSlow = live.onSlow(slow);
   const element = h(
     "div",
     { class: "diagnosis" },
     h("div", { class: "column" },
+      card.element,
       h("section", { class: "panel", "aria-label": "Logs" }, h("h2", {}, "Logs"), logs, picker, send),
       h("section", { class: "panel", "aria-label": "Diagnoses" }, h("h2", {}, "Diagnoses"), jobs),
       h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, misfit, patches, action("Remove the patch", () => call("RemovePatch"), { disabled: !may(context, "RemovePatch") })),
@@ -138,7 +143,7 @@ export function diagnosisView(context: Context): View {
   );
   const newest = live.slow.jobs.find((job) => job.state === "done" && job.files.includes("report.html"));
   if (newest) read(newest.folder, false);
-  return { element, close: stopSlow };
+  return { element, close: () => { stopCard(); stopSlow(); } };
 }
 
 /** Channel, course of the last minute, gap now: so one sees it fall when a patch is loaded. */
