@@ -70,7 +70,7 @@ def prepare(folder):
     shutil.copy(EXAMPLES / "body" / "hall.yaml", folder)
     for name in ("recordings", "scenarios", "patches"):
         (folder / name).mkdir()
-    table, _ = make(Recipe(seed=3, causes={"rotation_gain": 0.15}, duration_s=20.0))
+    table, _ = make(Recipe(seed=3, causes={"rotation_gain": 0.15}, duration_s=90.0))
     table.write_csv(folder / "recordings" / "turns.csv")
     words = ["sweep", str(EXAMPLES / "sweep" / "sweep.yaml"), "-o", str(folder / SWEEP)]
     subprocess.run([sys.executable, "-m", "hilserver", *words], check=True)

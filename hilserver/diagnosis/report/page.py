@@ -28,7 +28,7 @@ STYLES: Final = ("plot.css", "style.css")
 MODELS: Final = (
     ("measured", "measured"),
     ("simulated", "simulated: the plant as it is configured"),
-    ("extended", "extended: the same plant with the terms that were found"),
+    ("extended", "extended: the same plant with what was found in the other half of the log"),
 )
 
 

@@ -127,7 +127,7 @@ export function tuneView(context: Context): View {
   // --- how one wheel answers --------------------------------------------------------------------
 
   const wheel = h("select", { "aria-label": "Wheel" }, ...WHEELS.map((each) => h("option", { value: each }, each)));
-  const lines = CURVES.map(([curve]) => svg("polyline", { class: `curve ${curve}`, fill: "none" }));
+  const lines = CURVES.map(([curve]) => svg("path", { class: `curve ${curve}`, fill: "none" }));
   const chart = svg("svg", { viewBox: "0 0 500 200", preserveAspectRatio: "none", class: "response", role: "img", "aria-label": "Set-point, speed and duty of one wheel" },
     svg("line", { x1: 0, x2: 500, y1: 100, y2: 100, class: "zero" }), ...lines);
   const values = CURVES.map(() => h("b", {}, "–"));
@@ -142,9 +142,9 @@ export function tuneView(context: Context): View {
     live.want("tune", ["sim.time_s", ...names]);
     get<{ times: number[]; series: Record<string, (number | null)[]> }>(`history?${names.map((name) => `name=${name}`).join("&")}`)
       .then(({ times, series }) => {
-        const first = samples[0]?.[0] ?? Infinity;
+        const last = times[times.length - 1] ?? -Infinity;
         const older = times.map((t, i): [number, (number | null)[]] => [t, names.map((name) => series[name]?.[i] ?? null)]);
-        if (names[0] === signal(CURVES[0][0])) samples.unshift(...older.filter(([t]) => t < first));
+        if (names[0] === signal(CURVES[0][0])) samples = [...older, ...samples.filter(([t]) => t > last)];
       })
       .catch(() => {}); // it begins with what comes in
   }
@@ -159,8 +159,14 @@ export function tuneView(context: Context): View {
     const known = (value: number | null | undefined): value is number => Number.isFinite(value);
     const largest = Math.max(10, ...samples.flatMap(([, row]) => row.filter(known).map(Math.abs)));
     for (const [index, line] of lines.entries()) {
-      line.setAttribute("points", samples.filter(([, row]) => known(row[index]))
-        .map(([then, row]) => `${(500 * (1 + (then - t) / SHOWN_S)).toFixed(1)},${(100 - 95 * row[index]! / largest).toFixed(1)}`).join(" "));
+      let pen = "M"; // lifted where there is no value
+      line.setAttribute("d", samples.map(([then, row]) => {
+        const value = row[index];
+        if (!known(value)) return (pen = "M"), "";
+        const point = `${pen}${(500 * (1 + (then - t) / SHOWN_S)).toFixed(1)},${(100 - (95 * value) / largest).toFixed(1)}`;
+        pen = "L";
+        return point;
+      }).join(""));
       setText(values[index]!, number(samples[samples.length - 1]![1][index]));
     }
     setText(height, `The last ${SHOWN_S} s; top and bottom are ±${number(largest)}, zero is in the middle.`);
