@@ -6,10 +6,9 @@ CSV and Parquet hold no status codes, Parquet no run to replay.
 """
 
 import argparse
-import sys
 from pathlib import Path
 
-from hilserver.commands.options import add_storage
+from hilserver.commands.options import add_mapping, add_storage, warn
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.logs import Log, open_writer
 from hilserver.logs.bag_writer import Storage
@@ -28,11 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     readable = f"log: {', '.join(SUFFIXES)}, or a bag"
     parser.add_argument("log", type=Path, metavar="IN", help=readable)
     parser.add_argument("out", type=Path, metavar="OUT", help="what to write")
-    parser.add_argument(
-        "--mapping",
-        metavar="FILE",
-        help="mapping file for a foreign log, or a built-in one by name (iotbot, iotbot_5_6)",
-    )
+    add_mapping(parser)
     parser.add_argument("--bag", action="store_true", help="OUT is a bag whatever its name is")
     add_storage(parser)
 
@@ -47,8 +42,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out.exists():
         raise FailedError(f"{args.out}: exists already; choose another name")
     log = read_any(args.log, args.mapping)
-    for notice in log.notices:
-        print(f"hilserver: {notice}", file=sys.stderr)
+    warn(*log.notices)
     try:
         _write(log, args.out, args.storage if is_bag else None)
     except OSError as error:

@@ -1,6 +1,6 @@
 """Certificates, keys and passwords of a configuration, looked at before anything starts."""
 
-from hilserver.commands.patching import warn
+from hilserver.commands.options import warn
 from hilserver.daemon.assembly import Assembly
 from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.page.listening import key_notice, tls_context

@@ -13,7 +13,14 @@ from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
-from hilserver.commands.options import add_config, config_path
+from hilserver.commands.options import (
+    PROCESSES,
+    SEED,
+    add_config,
+    add_mapping,
+    add_out,
+    config_path,
+)
 from hilserver.diagnosis.many import on_cluster
 from hilserver.diagnosis.output import REPORT, write, write_files
 from hilserver.diagnosis.pipeline import Outcome, Task
@@ -31,15 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="logs of one machine")
     add_config(parser)
+    add_mapping(parser)
+    add_out(parser, "DIR", "folder for the report")
+    parser.add_argument("--seed", type=SEED, default=0, help="of all random draws; default 0")
     parser.add_argument(
-        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
-    )
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the report"
-    )
-    parser.add_argument("--seed", type=_whole, default=0, help="of all random draws; default 0")
-    parser.add_argument(
-        "--jobs", type=_count, default=os.cpu_count() or 1, help="processes; default: all cores"
+        "--jobs", type=PROCESSES, default=os.cpu_count() or 1, help="processes; default: all cores"
     )
     parser.add_argument(
         "--each", action="store_true", help="a report for every log, in a folder named after it"
@@ -67,20 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--against", nargs="+", type=Path, metavar="B", help="logs after: do they differ, in what?"
     )
-
-
-def _whole(text: str) -> int:
-    value = int(text)
-    if not 0 <= value < 2**32:
-        raise argparse.ArgumentTypeError(f"{text} is not a seed (0 .. 4294967295)")
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 1024:
-        raise argparse.ArgumentTypeError(f"{text} is not a number of processes (1 .. 1024)")
-    return value
 
 
 def _group(text: str) -> tuple[str, tuple[Path, ...]]:

@@ -6,12 +6,11 @@ What is wrong with a whole simulation, and why, is the question of hilserver dia
 
 import argparse
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hilserver.commands.options import add_config, config_path
+from hilserver.commands.options import POSITIVE, add_config, add_mapping, config_path, warn
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import EXIT_DONE
 from hilserver.identify import text
@@ -36,14 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rotation = _kind(kinds, "rotation", _rotation, "K_om, with the checks front = rear and sign")
     rotation.add_argument(
         "--zone",
-        type=_positive,
+        type=POSITIVE,
         default=3.0,
         metavar="RPM",
         help="steady: within this distance of the set-point [rpm]; default 3",
     )
     rotation.add_argument(
         "--settle",
-        type=_positive,
+        type=POSITIVE,
         default=0.3,
         metavar="S",
         help="and for this long [s]; default 0.3",
@@ -75,25 +74,15 @@ def _kind(
     parser: argparse.ArgumentParser = kinds.add_parser(name, help=about, description=about)
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs of one machine")
     add_config(parser)
-    parser.add_argument(
-        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
-    )
+    add_mapping(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(identify=identify)
     return parser
 
 
-def _positive(word: str) -> float:
-    value = float(word)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{word} is not above 0")
-    return value
-
-
 def _read(paths: list[Path], mapping: str | None) -> MeasuredLog:
     log = read_measured(paths, mapping)
-    for notice in log.notices:
-        print(f"hilserver: {notice}", file=sys.stderr)
+    warn(*log.notices)
     return log
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hilserver.bench.linear_histogram import PERCENTILES, percentile_us, sparse
 from hilserver.bench.report import Result, write_json
-from hilserver.commands.options import number_within, out_file
+from hilserver.commands.options import number, out_file
 from hilserver.errors import EXIT_DONE
 from hilserver.monitoring.audit import AuditItem, as_lines, audit
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings, Scheduler, Slice
@@ -34,17 +34,21 @@ virtual machine the hypervisor causes the tail."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add duration, period and the JSON file."""
-    parser.add_argument("--duration", type=_positive, default=10.0, metavar="S", help="default 10")
-    parser.add_argument("--period-us", type=_period, default=1000, metavar="N", help="default 1000")
+    parser.add_argument(
+        "--duration",
+        type=number(0.1, 86_400, "duration between 0.1 s and a day"),
+        default=10.0,
+        metavar="S",
+        help="default 10",
+    )
+    parser.add_argument(
+        "--period-us",
+        type=number(50, 1_000_000, "period between 50 us and 1 s", int),
+        default=1000,
+        metavar="N",
+        help="default 1000",
+    )
     parser.add_argument("--json", type=out_file, metavar="FILE", help="write figures and raw data")
-
-
-def _positive(text: str) -> float:
-    return number_within(0.1, 86_400, text, "duration between 0.1 s and a day")
-
-
-def _period(text: str) -> int:
-    return int(number_within(50, 1_000_000, text, "period between 50 us and 1 s"))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ of the signals estimate.*; beside it stands a picture of the path, of the same n
 """
 
 import argparse
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.commands.observing import STATE, Observed, path_picture, sentences
-from hilserver.commands.options import add_config, add_patch
+from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
 from hilserver.commands.patching import assembled
 from hilserver.config.observer import constants_of, load_found
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError
@@ -38,17 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log of the robot")
     add_config(parser)
     add_patch(parser)
-    parser.add_argument(
-        "--mapping",
-        metavar="FILE",
-        help="mapping file for a foreign log, or a built-in one by name",
-    )
+    add_mapping(parser)
     parser.add_argument(
         "--findings", type=Path, metavar="FILE", help="findings.json of a diagnosis: noise"
     )
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="log to write, .csv or .mcap"
-    )
+    add_out(parser, "OUT", "log to write, .csv or .mcap")
     parser.add_argument(
         "--smooth", action="store_true", help="use what came later, too: the best path afterwards"
     )
@@ -67,8 +60,7 @@ def run(args: argparse.Namespace) -> int:
     except PlantError as error:
         raise ConfigError(f"{args.findings or args.config}: {error}") from None
     log = read_measured([args.log], args.mapping, Sampling.of(assembly.config))
-    for notice in log.notices:
-        print(f"hilserver: {notice}", file=sys.stderr)
+    warn(*log.notices)
     p, spans = pack(robot), []
     for span in range(len(log.spans)):
         series = series_of(log, span, robot)

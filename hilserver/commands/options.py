@@ -1,7 +1,10 @@
 """Options that several commands share."""
 
 import argparse
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from hilserver.errors import FailedError
 
@@ -42,6 +45,18 @@ def add_patch(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_mapping(parser: argparse.ArgumentParser) -> None:
+    """Add ``--mapping``."""
+    parser.add_argument(
+        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
+    )
+
+
+def add_out(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
+    """Add ``-o/--out``, which is needed."""
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar=metavar, help=what)
+
+
 def config_path(args: argparse.Namespace) -> Path | None:
     """Return the configuration file that was asked for, or the one in this folder, or None."""
     if args.config is not None:
@@ -70,18 +85,30 @@ def out_file(text: str) -> Path:
     return path
 
 
-def number_within(low: float, high: float, text: str, what: str) -> float:
-    """Return `text` as a number within `low` .. `high`.
+def number(
+    low: float, high: float, what: str, kind: type[float] | type[int] = float
+) -> Callable[[str], Any]:
+    """Return an argument type: a number within `low` .. `high`; `what` says what it should be."""
 
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none; `what` says what it should be.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = low - 1.0
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text} is not a {what}")
-    return value
+    def parse(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is not a {what}")
+        return value
+
+    return parse
+
+
+POSITIVE = number(sys.float_info.min, 1e9, "number above 0")
+SEED = number(0, 2**32 - 1, "seed (0 .. 4294967295)", int)
+PROCESSES = number(1, 1024, "number of processes (1 .. 1024)", int)
+
+
+def warn(*notices: str | None) -> None:
+    """Print sentences that do not stop the command."""
+    for notice in notices:
+        if notice is not None:
+            print(f"hilserver: {notice}", file=sys.stderr)

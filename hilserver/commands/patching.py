@@ -1,9 +1,8 @@
 """The options ``--patch`` and ``--group``: a configuration with what a diagnosis has fitted."""
 
 import argparse
-import sys
 
-from hilserver.commands.options import config_path
+from hilserver.commands.options import config_path, warn
 from hilserver.config.patch import Patch, load_patch
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.errors import ConfigError
@@ -41,9 +40,3 @@ def patch_of(args: argparse.Namespace) -> Patch | None:
 def _check(args: argparse.Namespace) -> None:
     if args.patch is None and args.group is not None:
         raise ConfigError("--group names a group of a patch: use it with --patch")
-
-
-def warn(notice: str | None) -> None:
-    """Print a sentence that does not stop the command."""
-    if notice is not None:
-        print(f"hilserver: {notice}", file=sys.stderr)

@@ -8,10 +8,9 @@ manoeuvre.yaml, that 'hilserver run --scenario' and the test kit execute.
 import argparse
 import os
 import re
-from functools import partial
 from pathlib import Path
 
-from hilserver.commands.options import add_config, config_path, number_within
+from hilserver.commands.options import SEED, add_config, add_mapping, add_out, config_path, number
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.output import write_files
 from hilserver.diagnosis.plan.manoeuvre import LONGEST_PLAN_S, SHORTEST_S
@@ -32,10 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "manoeuvre", type=Path, metavar="MANOEUVRE", help="scenario (.yaml), or log of set-points"
     )
     add_config(parser)
-    parser.add_argument("--mapping", metavar="FILE", help="mapping file for a foreign log")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the plan"
-    )
+    add_mapping(parser)
+    add_out(parser, "DIR", "folder for the plan")
     parser.add_argument(
         "--channels",
         type=_channels,
@@ -45,14 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rate",
-        type=partial(number_within, 1.0, 1000.0, what="rate (1 .. 1000 Hz)"),
+        type=number(1.0, 1000.0, "rate (1 .. 1000 Hz)"),
         default=50.0,
         metavar="HZ",
         help="rows per second; default 50",
     )
     parser.add_argument(
         "--duration",
-        type=partial(number_within, SHORTEST_S, LONGEST_PLAN_S, what="duration (2 .. 3600 s)"),
+        type=number(SHORTEST_S, LONGEST_PLAN_S, "duration (2 .. 3600 s)"),
         metavar="S",
         help="of the better manoeuvre; default: that of MANOEUVRE",
     )
@@ -63,12 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="AxB",
         help="sides of the free floor in m, the robot starting in the middle; default 5x5",
     )
-    parser.add_argument(
-        "--seed",
-        type=partial(number_within, 0, 2**32 - 1, what="seed (0 .. 4294967295)"),
-        default=0,
-        help="of the noise; default 0",
-    )
+    parser.add_argument("--seed", type=SEED, default=0, help="of the noise; default 0")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         rate_hz=args.rate,
         duration_s=args.duration,
         room_m=args.room,
-        seed=int(args.seed),
+        seed=args.seed,
         jobs=os.cpu_count() or 1,
     )
     progress = Progress()
@@ -118,5 +110,5 @@ def _room(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([\d.]+)[x\u00d7]([\d.]+)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a room; write its sides in m, as 5x5")
-    sides = [number_within(*SIDES_M, side, "side (1 .. 1000 m)") for side in match.groups()]
+    sides = [number(*SIDES_M, "side (1 .. 1000 m)")(side) for side in match.groups()]
     return sides[0], sides[1]

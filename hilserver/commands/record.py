@@ -8,9 +8,16 @@ import argparse
 import contextlib
 import os
 import sys
-from pathlib import Path
 
-from hilserver.commands.options import add_config, add_storage, config_path
+from hilserver.commands.options import (
+    POSITIVE,
+    add_config,
+    add_out,
+    add_storage,
+    config_path,
+    number,
+    warn,
+)
 from hilserver.config.root import load_config
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.recorder import Recorder, Settings
@@ -24,14 +31,7 @@ EXAMPLE = "hilserver record -o run.mcap --duration 60"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="file to write, .mcap (Foxglove, PlotJuggler) or .csv; folder of a bag",
-    )
+    add_out(parser, "OUT", "file to write, .mcap (Foxglove, PlotJuggler) or .csv; folder of a bag")
     parser.add_argument(
         "--format",
         choices=("file", "bag"),
@@ -44,73 +44,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--image", metavar="NAME", help="process image of the daemon; default: that of the -c file"
     )
     parser.add_argument(
-        "--duration", type=_positive, metavar="S", help="stop after this many seconds"
-    )
-    parser.add_argument(
         "--signals",
         action="append",
         metavar="PATTERN",
         help="signals to record, with * and ?; may be repeated; default: all",
     )
     parser.add_argument(
-        "--rotate-mb",
-        type=_megabytes,
-        metavar="N",
-        help="start a new file OUT_0001, OUT_0002 ... after N megabytes",
-    )
-    parser.add_argument(
-        "--rotate-s", type=_positive, metavar="S", help="start a new file after S seconds"
-    )
-    parser.add_argument(
         "--sparse",
         action="store_true",
         help="leave out ticks in which no recorded signal changes; such a log cannot be replayed",
     )
-    parser.add_argument(
-        "--keep", type=_count, metavar="N", help="keep the newest N files of a rotation"
-    )
-    parser.add_argument(
-        "--max-mb",
-        type=_positive,
-        default=50_000.0,
-        metavar="N",
-        help="end at this size, with all files of a rotation; default: 50000",
-    )
-    parser.add_argument(
-        "--keep-free-mb",
-        type=float,
-        default=500.0,
-        metavar="N",
-        help="end before less than this is free on the disk; default: 500",
-    )
-    parser.add_argument(
-        "--buffer-mb",
-        type=_positive,
-        default=64.0,
-        metavar="N",
-        help="buffer for a slow disk in MB; default: 64",
-    )
+    for name, kind, default, unit, text in _NUMBERS:
+        parser.add_argument(name, type=kind, default=default, metavar=unit, help=text)
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
-
-
-def _megabytes(text: str) -> float:
-    value = _positive(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} MB is too small; a state takes 0.1 MB")
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 999_999:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
-    return value
+_MEGABYTES = number(1, 1e9, "size of at least 1 MB; a state takes 0.1 MB")
+_FILES = number(1, 999_999, "whole number of at least 1", int)
+_NUMBERS = (
+    ("--duration", POSITIVE, None, "S", "stop after this many seconds"),
+    ("--rotate-mb", _MEGABYTES, None, "N", "start a new file OUT_0001 ... after N megabytes"),
+    ("--rotate-s", POSITIVE, None, "S", "start a new file after S seconds"),
+    ("--keep", _FILES, None, "N", "keep the newest N files of a rotation"),
+    ("--max-mb", POSITIVE, 50_000.0, "N", "end at this size, all files together; default: 50000"),
+    ("--keep-free-mb", float, 500.0, "N", "end before less is free on the disk; default: 500"),
+    ("--buffer-mb", POSITIVE, 64.0, "N", "buffer for a slow disk in MB; default: 64"),
+)
+"""Option, type, default, unit, help."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -139,11 +98,7 @@ def run(args: argparse.Namespace) -> int:
         os.nice(NICENESS)
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
     if recorder.lacks_inputs or args.sparse:
-        print(
-            "hilserver: without all inputs this recording cannot be replayed",
-            file=sys.stderr,
-            flush=True,
-        )
+        warn("without all inputs this recording cannot be replayed")
     print(recorder.run(args.duration), file=sys.stderr, flush=True)
     return EXIT_DONE
 

@@ -48,7 +48,7 @@ def ask(args: argparse.Namespace, request: Callable[[Hand], Awaitable[None]]) ->
     FailedError
         With the daemon's sentence if it refuses, or does not answer.
     """
-    endpoint = args.endpoint or _configured(args)
+    endpoint = args.endpoint or configured(args)
     password = getpass.getpass() if args.user else ""
     return event_loop.run(_ask(endpoint, args.user, password, request))
 
@@ -70,7 +70,8 @@ async def _ask(
     return EXIT_DONE
 
 
-def _configured(args: argparse.Namespace) -> str:
+def configured(args: argparse.Namespace) -> str:
+    """Return the endpoint of the configuration."""
     from hilserver.config.root import load_config  # noqa: PLC0415 - slow to import
 
     return load_config(config_path(args)).opcua.endpoint

@@ -6,12 +6,11 @@ log of others the set-points are taken; each holds until the next row.
 
 import argparse
 import asyncio
-import sys
 import time
 from pathlib import Path
 from typing import Final
 
-from hilserver.commands.options import add_config, add_patch
+from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
 from hilserver.commands.patching import assembled, patch_of
 from hilserver.core.snapshot import read_snapshot
 from hilserver.daemon.assembly import Assembly
@@ -31,19 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "log", type=Path, metavar="LOG", help="log to replay: .mcap, .csv, or a bag"
     )
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="file for all signals of the replay, .mcap or .csv",
-    )
+    add_out(parser, "OUT", "file for all signals of the replay, .mcap or .csv")
     add_config(parser)
     add_patch(parser)
-    parser.add_argument(
-        "--mapping", metavar="FILE", help="mapping file for foreign logs, or a built-in one by name"
-    )
+    add_mapping(parser)
     parser.add_argument(
         "--from",
         dest="start",
@@ -106,8 +96,7 @@ class _Replay:
     async def run(self) -> int:
         async with Engine(self._assembly) as engine:
             plan = self._plan(engine)
-            for notice in (*self._log.notices, *plan.notices):
-                print(f"hilserver: {notice}", file=sys.stderr)
+            warn(*self._log.notices, *plan.notices)
             comparison = Comparison(self._log, engine.table, self._assembly.base_period_ns)
             try:
                 seconds = await self._play(engine, plan, comparison if self._exact else None)

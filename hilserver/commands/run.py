@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from hilserver.commands.announcing import Announcer
-from hilserver.commands.options import add_config, add_patch, config_path, number_within
+from hilserver.commands.options import add_config, add_patch, config_path, number
 from hilserver.errors import EXIT_DONE
 from hilserver.program.ending import ENDING
 from hilserver.program.guard import guarded
@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_patch(parser)
     parser.add_argument(
-        "--duration", type=_positive, metavar="S", help="stop after this many seconds"
+        "--duration",
+        type=number(1e-3, 1e9, "duration in seconds"),
+        metavar="S",
+        help="stop after this many seconds",
     )
     parser.add_argument(
         "--demo",
@@ -52,10 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OUT",
         help="record from the first tick on, into a .mcap or .csv file",
     )
-
-
-def _positive(text: str) -> float:
-    return number_within(1e-3, 1e9, text, "duration in seconds")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,9 +5,9 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from hilserver.commands.checkout import beside
+from hilserver.commands.options import add_out
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.program.progress import Progress
 from hilserver.scenarios import SCENARIOS, scenario
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "make", help="write the logs of one", epilog="example: hilserver scenarios make radio -o r"
     )
     making.add_argument("name", metavar="NAME", help="as listed by 'hilserver scenarios list'")
-    making.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
+    add_out(making, "DIR", "folder")
     making.add_argument("--seed", type=int, default=0, help="seed of the random sizes; default 0")
     making.set_defaults(action=_make)
     page = actions.add_parser(
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     page.add_argument(
         "names", nargs="*", metavar="NAME", help="only these; the others keep their sections"
     )
-    page.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
+    add_out(page, "DIR", "folder")
     page.set_defaults(action=_page)
 
 

@@ -6,14 +6,13 @@ log of set-points. The same input gives the same bits every time, as fast as the
 
 import argparse
 import asyncio
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.commands import replay
-from hilserver.commands.options import add_config, add_patch, number_within
+from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, number
 from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
@@ -36,20 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scenario", type=Path, metavar="SCENARIO", help="scenario (.yaml), or log of set-points"
     )
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="OUT",
-        help="file for all signals, .mcap or .csv",
-    )
+    add_out(parser, "OUT", "file for all signals, .mcap or .csv")
     add_config(parser)
     add_patch(parser)
-    parser.add_argument("--mapping", metavar="FILE", help="mapping file for a foreign log")
+    add_mapping(parser)
     parser.add_argument(
         "--duration",
-        type=partial(number_within, 1e-3, LONGEST_S, what="duration (0.001 .. 86400 s)"),
+        type=number(1e-3, LONGEST_S, "duration (0.001 .. 86400 s)"),
         metavar="S",
         help="simulated time; default: until 1 s after the last step or fault, or that of the log",
     )

@@ -8,10 +8,9 @@ import argparse
 import os
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
-from hilserver.commands.options import add_config, number_within
+from hilserver.commands.options import PROCESSES, add_config
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
@@ -39,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers",
-        type=partial(number_within, 1, 1024, what="number of processes (1 .. 1024)"),
+        type=PROCESSES,
         default=os.cpu_count() or 1,
         metavar="N",
         help="processes; default: all cores",
@@ -77,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         began_s = time.monotonic()
         outcome = rig.drive(prepared.machine(0))
-        print(plan(prepared, outcome, time.monotonic() - began_s, int(args.workers)))
+        print(plan(prepared, outcome, time.monotonic() - began_s, args.workers))
         return EXIT_DONE
     table = _sweep(prepared, args)
     print(f"{headline(table)}; {details(table)}")
@@ -131,9 +130,7 @@ def _drive(prepared: Prepared, journal: Journal, args: argparse.Namespace) -> No
     if before >= n:
         return
     workers = (
-        DaskWorkers(args.dask)
-        if args.dask
-        else LocalWorkers(int(args.workers), job.limits.memory_mb)
+        DaskWorkers(args.dask) if args.dask else LocalWorkers(args.workers, job.limits.memory_mb)
     )
     with workers:
         try:

@@ -21,7 +21,8 @@ import tty
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from hilserver.commands.options import add_config, config_path, number_within
+from hilserver.commands.options import number
+from hilserver.commands.remote import add_connection, configured
 from hilserver.commands.teleop_hold import Hold
 from hilserver.commands.teleop_keys import ASK, END, Key, KeyReader, Word
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
@@ -59,39 +60,33 @@ SHOWN: Final = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
-    add_config(parser)
-    parser.add_argument(
-        "--endpoint", metavar="URL", help="OPC UA server; default: that of the configuration"
-    )
+    add_connection(parser)
     parser.add_argument(
         "--via", choices=["opcua"], default="opcua", help="way to the robot; default: opcua"
     )
-    parser.add_argument("--user", default="", metavar="NAME", help="log in; asks for the password")
     parser.add_argument(
-        "--speed", type=_size, default=0.3, metavar="M_S", help="forward [m/s]; default: 0.3"
+        "--speed",
+        type=number(1e-3, 1e3, "speed"),
+        default=0.3,
+        metavar="M_S",
+        help="forward [m/s]; default: 0.3",
     )
     parser.add_argument(
-        "--turn", type=_size, default=0.8, metavar="RAD_S", help="turn rate [rad/s]; default: 0.8"
+        "--turn",
+        type=number(1e-3, 1e3, "speed"),
+        default=0.8,
+        metavar="RAD_S",
+        help="turn rate [rad/s]; default: 0.8",
     )
-
-
-def _size(text: str) -> float:
-    return number_within(1e-3, 1e3, text, "speed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Drive until the user ends it; return 0, or 1 if the daemon is lost."""
     if not sys.stdin.isatty():
         raise FailedError("teleop reads keys from a terminal; start it in one")
-    endpoint = args.endpoint or _configured(args)
+    endpoint = args.endpoint or configured(args)
     password = getpass.getpass() if args.user else ""
     return event_loop.run(_drive(args, endpoint, password))
-
-
-def _configured(args: argparse.Namespace) -> str:
-    from hilserver.config.root import load_config  # noqa: PLC0415 - slow to import
-
-    return load_config(config_path(args)).opcua.endpoint
 
 
 async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
