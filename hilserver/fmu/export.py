@@ -37,9 +37,10 @@ from hilserver.program import children
 COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
     "x86_64-linux": ("gcc", "gcc"),
     "aarch64-linux": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu"),
+    "x86_64-windows": ("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32"),
 }
 """Compiler for a platform, and the Debian package that it comes from."""
-_FOLDERS: Final = {2: {"x86_64-linux": "linux64"}, 3: {}}
+_FOLDERS: Final = {2: {"x86_64-linux": "linux64", "x86_64-windows": "win64"}, 3: {}}
 _EXPORTED: Final = "{ global: fmi2*; fmi3*; local: *; };\n"
 _HERE: Final = Path(__file__).parent
 
@@ -91,7 +92,7 @@ def export(
             packed.writestr("modelDescription.xml", text)
             for platform, library in libraries.items():
                 place = _FOLDERS[version].get(platform, platform)
-                packed.write(library, f"binaries/{place}/robot.so")
+                packed.write(library, f"binaries/{place}/robot{library.suffix}")
 
 
 def _check(composition: Composition) -> None:
@@ -110,15 +111,19 @@ def _check(composition: Composition) -> None:
 
 def _linked(folder: Path, platform: str, version: int) -> Path:
     """Return the shared library for a platform."""
-    code, library = folder / f"{platform}.o", folder / f"{platform}.so"
+    is_windows = platform.endswith("-windows")
+    code, library = folder / f"{platform}.o", folder / f"{platform}.{'dll' if is_windows else 'so'}"
     generic = os.environ | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     _run(children.python("-m", "hilserver.fmu.machine_code", platform, str(code)), generic)
     headers = Path(find_spec("fmpy").origin).parent / "c-code"  # type: ignore[union-attr,arg-type]
     options = ["-std=gnu11", "-O2", "-fPIC", "-shared", "-w", f"-DFMI={version}"]
     places = [f"-I{headers}", f"-I{folder}", f"-I{_HERE}"]
-    script = f"-Wl,--version-script={folder / 'exported.map'},-z,defs,-z,noexecstack,-s"
+    if is_windows:
+        link = ["-static-libgcc", "-Wl,--export-all-symbols,-s"]
+    else:
+        link = [f"-Wl,--version-script={folder / 'exported.map'},-z,defs,-z,noexecstack,-s"]
     sources = [str(_HERE / "robot_fmu.c"), str(code)]
-    target = ["-o", str(library), script, "-lm"]
+    target = ["-o", str(library), *link, "-lm"]
     _run([COMPILERS[platform][0], *options, *places, *sources, *target], os.environ)
     return library
 

@@ -31,6 +31,7 @@ ENTRY: Final = "hil_part"
 TRIPLES: Final = {
     "x86_64-linux": ("x86_64-unknown-linux-gnu", "x86-64"),
     "aarch64-linux": ("aarch64-unknown-linux-gnu", "generic"),
+    "x86_64-windows": ("x86_64-w64-windows-gnu", "x86-64"),
 }
 
 _F8, _I8 = types.CPointer(types.float64), types.CPointer(types.int64)
