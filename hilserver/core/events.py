@@ -23,22 +23,13 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One event.
-
-    Attributes
-    ----------
-    severity : int
-        1 (information) .. 1000 (catastrophe), OPC UA's scale.
-    source : str
-        Who it is about: a slice, a peer, a signal.
-    monotonic_ns : int
-        CLOCK_MONOTONIC at which it was seen.
-    """
+    """One event."""
 
     kind: EventKind
-    severity: int
-    source: str
+    severity: int  # 1 (information) .. 1000 (catastrophe), OPC UA's scale
+    source: str  # who it is about: a slice, a peer, a signal
     message: str
+    # CLOCK_MONOTONIC at which it was seen
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
 
 

@@ -25,17 +25,11 @@ SLOW_SHARE: Final = 0.5
 
 @dataclass(frozen=True)
 class FmuModel:
-    """What a configuration makes of an FMU; `start` gives a robot its own.
-
-    Attributes
-    ----------
-    beside : bool
-        Whether it runs in a process of its own.
-    """
+    """What a configuration makes of an FMU; `start` gives a robot its own."""
 
     fmu: Fmu
     wiring: Wiring
-    beside: bool
+    beside: bool  # whether it runs in a process of its own
 
     @property
     def identity(self) -> bytes:

@@ -59,27 +59,17 @@ _UNITS: Final = {
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of an FMU.
-
-    Attributes
-    ----------
-    type : str
-        Suffix of its functions: ``Float64``, ``Boolean``.
-    shape : tuple of int
-        () of a scalar.
-    unit : str
-        Our symbol, "1" if the FMU has none or one that we do not know.
-    """
+    """One variable of an FMU."""
 
     name: str
     reference: int
-    type: str
+    type: str  # suffix of its functions: ``Float64``, ``Boolean``
     kind: int
     bytes: int
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # () of a scalar
     causality: str
     variability: str
-    unit: str
+    unit: str  # our symbol, "1" if the FMU has none or one that we do not know
     low: float
     high: float
     start: float
@@ -103,25 +93,15 @@ class Variable:
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU on disk, unpacked while somebody holds this.
-
-    Attributes
-    ----------
-    version : int
-        2 or 3.
-    library : Path
-        Shared library for this computer.
-    stores_state : bool
-        Whether snapshots can hold it.
-    """
+    """An FMU on disk, unpacked while somebody holds this."""
 
     path: Path
     folder: Path
-    version: int
+    version: int  # 2 or 3
     identifier: str
     token: str
-    library: Path
-    stores_state: bool
+    library: Path  # shared library for this computer
+    stores_state: bool  # whether snapshots can hold it
     variables: Mapping[str, Variable]
     sha256: str
 

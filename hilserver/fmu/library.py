@@ -113,17 +113,7 @@ class Library:
 
 
 class Instance:
-    """A started FMU, to be stepped by whoever has its addresses; must outlive them.
-
-    Attributes
-    ----------
-    addresses : ndarray of int64
-        `a` of the kernels, of this process.
-    initial : ndarray of float64
-        `x` of the kernels at time 0.
-    outputs : ndarray of float64
-        `y` at time 0.
-    """
+    """A started FMU, to be stepped by whoever has its addresses; must outlive them."""
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, slow_ns: int) -> None:
         self._fmu, self._library = fmu, Library(fmu)
@@ -135,11 +125,11 @@ class Instance:
         for variable, value in wiring.start:
             self._set_start(variable, value)
         self._initialise()
-        self.addresses = self._addresses(wiring, slow_ns)
-        self.outputs = np.zeros(wiring.n_outputs)
+        self.addresses = self._addresses(wiring, slow_ns)  # `a` of the kernels, of this process
+        self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
         n_before = len(wiring.inputs) + len(wiring.parameters)
         self._check(calls.get_values(n_before, len(wiring.outputs), self.outputs, self.addresses))
-        self.initial = self._state()
+        self.initial = self._state()  # `x` of the kernels at time 0
 
     @property
     def message(self) -> str:

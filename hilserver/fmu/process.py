@@ -32,18 +32,13 @@ _STOP_S: Final = 0.2
 
 @dataclass(frozen=True)
 class Order:
-    """What a child is to do; sent to its standard input.
-
-    Attributes
-    ----------
-    memory, bell, ready : int
-        File descriptors: shared words, what wakes it, where it says how it started.
-    """
+    """What a child is to do; sent to its standard input."""
 
     fmu: Fmu
     wiring: Wiring
     name: str
     dt_s: float
+    # file descriptors: shared words, what wakes it, where it says how it started
     memory: int
     bell: int
     ready: int
@@ -53,31 +48,16 @@ class Order:
 
 @dataclass(frozen=True)
 class Started:
-    """What a child says of its start.
+    """What a child says of its start."""
 
-    Attributes
-    ----------
-    failure : str
-        Why it did not start; empty if it did.
-    n_words : int
-        Shared words.
-    """
-
-    failure: str
+    failure: str  # why it did not start; empty if it did
     initial: NDArray[np.float64]
     capacity: int
-    n_words: int
+    n_words: int  # shared words
 
 
 class Child:
     """The process; its memory and its bell outlive it.
-
-    Attributes
-    ----------
-    addresses : ndarray of int64
-        `a` of the kernels of `exchange`.
-    initial : ndarray of float64
-        `x` at time 0.
 
     Raises
     ------
@@ -99,8 +79,8 @@ class Child:
             raise
         self._map = mmap.mmap(self._memory, 8 * started.n_words)
         self._words = np.frombuffer(self._map, dtype=np.int64)
-        self.initial = started.initial
-        self.addresses = self._addresses(started, setting)
+        self.initial = started.initial  # `x` at time 0
+        self.addresses = self._addresses(started, setting)  # `a` of the kernels of `exchange`
 
     @property
     def message(self) -> str:

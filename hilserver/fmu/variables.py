@@ -25,22 +25,12 @@ FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000
 
 @dataclass(frozen=True)
 class Tunable:
-    """A parameter that is one number of the packed ones, as it stands.
-
-    Attributes
-    ----------
-    place : int
-        Of the number.
-    start : float
-        What the robot has.
-    flag : int
-        Which of `FLAGS` is 1 while it is not null; -1: none.
-    """
+    """A parameter that is one number of the packed ones, as it stands."""
 
     about: Parameter
-    place: int
-    start: float
-    flag: int
+    place: int  # of the number
+    start: float  # what the robot has
+    flag: int  # which of `FLAGS` is 1 while it is not null; -1: none
 
 
 def inputs(table: SignalTable) -> list[Signal]:

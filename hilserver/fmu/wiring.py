@@ -14,17 +14,12 @@ _TEXT: Final = -1
 
 @dataclass(frozen=True)
 class Wiring:
-    """Variables in the order in which their values stand in `u`, `p` and `y`.
-
-    Attributes
-    ----------
-    start : sequence of tuple
-        Variables that begin with another value than the FMU says.
-    """
+    """Variables in the order in which their values stand in `u`, `p` and `y`."""
 
     inputs: Sequence[Variable]
     parameters: Sequence[Variable]
     outputs: Sequence[Variable]
+    # variables that begin with another value than the FMU says
     start: Sequence[tuple[Variable, Start]]
 
     @property

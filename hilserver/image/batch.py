@@ -11,20 +11,12 @@ from hilserver.image.reader import Frame, ImageReader
 
 @dataclass(frozen=True, slots=True)
 class FrameBatch:
-    """Frames that follow each other without a gap.
+    """Frames that follow each other without a gap."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first frame, see `Frame.number`.
-    words : ndarray of int64, shape (n, 3 + n_slots)
-        Tick, planned start [ns], rows latched, and the OPC UA status codes.
-    values : ndarray of float64, shape (n, n_slots)
-    """
-
-    first: int
+    first: int  # number of the first frame, see `Frame.number`
+    # shape (n, 3 + n_slots); tick, planned start [ns], rows latched, and the OPC UA status codes
     words: NDArray[np.int64]
-    values: NDArray[np.float64]
+    values: NDArray[np.float64]  # shape (n, n_slots)
 
     def __len__(self) -> int:
         return len(self.values)

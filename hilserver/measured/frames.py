@@ -29,16 +29,10 @@ UNCERTAIN: Final = 0x4000_0000
 
 @dataclass(frozen=True)
 class Sampling:
-    """Which slice of a configuration makes which outputs.
-
-    Attributes
-    ----------
-    base_period_s : float
-    ticks : mapping of str to int
-        Ticks from one sample to the next, by the first part of the signals' names.
-    """
+    """Which slice of a configuration makes which outputs."""
 
     base_period_s: float
+    # ticks from one sample to the next, by the first part of the signals' names
     ticks: Mapping[str, int]
 
     @classmethod
@@ -65,24 +59,13 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Frames:
-    """The samples in the rows of a recording.
+    """The samples in the rows of a recording."""
 
-    Attributes
-    ----------
-    columns : mapping of str to ndarray, shape (n,)
-        NaN where a row holds no sample of its own.
-    age_s : mapping of str to ndarray, shape (n,)
-        How long before its row a sample was taken; nothing where the key is absent.
-    segment : ndarray of int64, shape (n,)
-        A pose that was set begins a segment.
-    on_ticks : bool
-        See `MeasuredLog`.
-    """
-
-    columns: Mapping[str, Array]
+    columns: Mapping[str, Array]  # shape (n,); NaN where a row holds no sample of its own
+    # shape (n,); how long before its row a sample was taken; nothing where the key is absent
     age_s: Mapping[str, Array]
-    segment: Indices
-    on_ticks: bool
+    segment: Indices  # shape (n,); a pose that was set begins a segment
+    on_ticks: bool  # see `MeasuredLog`
 
 
 def is_of_the_daemon(log: Log) -> bool:

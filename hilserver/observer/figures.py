@@ -29,22 +29,12 @@ _LEAST_RAD: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What a channel shows beside its quantity, in its unit.
+    """What a channel shows beside its quantity, in its unit."""
 
-    Attributes
-    ----------
-    white : float
-        Standard deviation of what is new in every sample.
-    slow : float
-        Of what is correlated in time, over `tau_s`.
-    step : float
-        Readings are multiples of it; 0: not rounded.
-    """
-
-    white: float = 0.0
-    slow: float = 0.0
+    white: float = 0.0  # standard deviation of what is new in every sample
+    slow: float = 0.0  # of what is correlated in time, over `tau_s`
     tau_s: float = 1.0
-    step: float = 0.0
+    step: float = 0.0  # readings are multiples of it; 0: not rounded
 
     @property
     def of_a_sample(self) -> float:

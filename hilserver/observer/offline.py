@@ -29,45 +29,28 @@ GYRO, POSITION, HEADING = range(3)
 
 @dataclass(frozen=True)
 class Series:
-    """What was measured of one stretch, on one clock.
+    """What was measured of one stretch, on one clock."""
 
-    Attributes
-    ----------
-    wheels : ndarray, shape (n, 4)
-        Time [s], mean speeds that the left and the right encoders show [rad/s], angle of the left
-        wheels [rad].
-    samples : ndarray, shape (m, 4)
-        `GYRO`, `POSITION` or `HEADING`, time at which the quantity had the value [s], and its one
-        or two values; in the order of time.
-    """
-
+    # shape (n, 4); time [s], mean speeds that the left and the right encoders show [rad/s], angle
+    # of the left wheels [rad]
     wheels: Array
+    # shape (m, 4); `GYRO`, `POSITION` or `HEADING`, time at which the quantity had the value [s],
+    # and its one or two values; in the order of time
     samples: Array
 
 
 @dataclass(frozen=True)
 class Course:
-    """What is known at each moment.
+    """What is known at each moment."""
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-    shown : ndarray, shape (n, Shown.n_words)
-        The signals estimate.*.
-    estimate : ndarray, shape (n, N_ESTIMATED)
-    covariance : ndarray, shape (n, N_ESTIMATED, N_ESTIMATED)
-    innovations : ndarray, shape (n,)
-        Of a sample of the navigation that came at this moment, by its number of values; else NaN.
-    head : Head
-        What was counted.
-    """
-
-    t_s: Array
-    shown: Array
-    estimate: Array
-    covariance: Array
+    t_s: Array  # shape (n,)
+    shown: Array  # shape (n, Shown.n_words); the signals estimate.*
+    estimate: Array  # shape (n, N_ESTIMATED)
+    covariance: Array  # shape (n, N_ESTIMATED, N_ESTIMATED)
+    # shape (n,); of a sample of the navigation that came at this moment, by its number of values;
+    # else NaN
     innovations: Array
-    head: Head
+    head: Head  # what was counted
 
 
 @part

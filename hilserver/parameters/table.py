@@ -53,35 +53,18 @@ When = Literal["tick", "restart"]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number that can be set.
+    """One number that can be set."""
 
-    Attributes
-    ----------
-    name : str
-        As in config.yaml; those of ``plant.terms`` begin with ``terms.``.
-    unit : str
-        Its symbol, "1" without one.
-    low, high : float
-        Range; ends that do not belong to it are refused with a sentence.
-    default : float
-        NaN is null.
-    nullable : bool
-        Whether it may be null.
-    jumps : str
-        Words of `JUMPS`, or outputs: what may jump in the tick of a change.
-    when : {"tick", "restart"}
-        From when on a change acts.
-    """
-
-    name: str
-    unit: str
+    name: str  # as in config.yaml; those of ``plant.terms`` begin with ``terms.``
+    unit: str  # its symbol, "1" without one
+    # range; ends that do not belong to it are refused with a sentence
     low: float
     high: float
-    default: float
-    nullable: bool
+    default: float  # NaN is null
+    nullable: bool  # whether it may be null
     meaning: str
-    jumps: str = ""
-    when: When = "tick"
+    jumps: str = ""  # words of `JUMPS`, or outputs: what may jump in the tick of a change
+    when: When = "tick"  # from when on a change acts
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -21,18 +21,10 @@ _AT_ONCE: Final = 4096
 
 @dataclass(frozen=True)
 class Answer:
-    """What flipping says.
-
-    Attributes
-    ----------
-    p : float
-    resolution : float
-        The smallest p that so many blocks and flips can show.
-    blocks : int
-    """
+    """What flipping says."""
 
     p: float
-    resolution: float
+    resolution: float  # the smallest p that so many blocks and flips can show
     blocks: int
 
     def resolves(self, level: float) -> bool:

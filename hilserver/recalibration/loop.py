@@ -53,13 +53,6 @@ class Loop:
         Look at least so often.
     now_s : float
         Start of the first window.
-
-    Attributes
-    ----------
-    proposal : Proposal or None
-        The newest.
-    changed : str or None
-        Channel whose gap has left its usual range since the last look.
     """
 
     def __init__(self, every_s: float | None, spending: Spending, now_s: float) -> None:
@@ -67,7 +60,8 @@ class Loop:
         self._candidate: Candidate | None = None
         self._rejected: list[Proposal] = []
         self._accepted_in: int | None = None
-        self.proposal: Proposal | None = None
+        self.proposal: Proposal | None = None  # the newest
+        # channel whose gap has left its usual range since the last look
         self.changed: str | None = None
         self.count = 0
 

@@ -14,66 +14,38 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Todo:
-    """What to do with one window, in this order.
-
-    Attributes
-    ----------
-    loaded : mapping of float
-        The terms of the model that runs.
-    measure : mapping of float or None
-        Terms of the model before: is the one that runs better?
-    confirm : mapping of float or None
-        Terms that were named on the window before: are they better than the one that runs?
-    level : float
-        Of the confirmation.
-    look : bool
-        Diagnose the window; not after a confirmation that holds.
-    """
+    """What to do with one window, in this order."""
 
     window: int
-    loaded: Values
-    measure: Values | None = None
+    loaded: Values  # the terms of the model that runs
+    measure: Values | None = None  # terms of the model before: is the one that runs better?
+    # terms that were named on the window before: are they better than the one that runs?
     confirm: Values | None = None
-    level: float = 0.0
-    look: bool = False
+    level: float = 0.0  # of the confirmation
+    look: bool = False  # diagnose the window; not after a confirmation that holds
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a diagnosis may take of this computer, and with whom it ends.
-
-    Attributes
-    ----------
-    cpus : tuple of int
-        Cores that it may run on; none: all.
-    """
+    """What a diagnosis may take of this computer, and with whom it ends."""
 
     nice: int = 0
-    cpus: tuple[int, ...] = ()
+    cpus: tuple[int, ...] = ()  # cores that it may run on; none: all
     memory_bytes: int = 0
     parent: int = 0
 
 
 @dataclass(frozen=True)
 class Order:
-    """A `Todo` with all that a process needs for it.
-
-    Attributes
-    ----------
-    config : mapping
-        The configuration, without passwords; relative paths in it start from `folder`.
-    parameters : mapping of float
-        What differs from it besides terms, by full name; NaN is null.
-    report : str
-        Folder for the report of a diagnosis.
-    """
+    """A `Todo` with all that a process needs for it."""
 
     todo: Todo
     path: str
+    # the configuration, without passwords; relative paths in it start from `folder`
     config: Mapping[str, Any]
     folder: str
-    parameters: Values
-    report: str
+    parameters: Values  # what differs from it besides terms, by full name; NaN is null
+    report: str  # folder for the report of a diagnosis
     share: Share = Share()
 
     def text(self) -> str:
@@ -90,20 +62,13 @@ class Order:
 
 @dataclass(frozen=True)
 class Compared:
-    """How two models explain a window.
+    """How two models explain a window."""
 
-    Attributes
-    ----------
-    p, resolution, blocks
-        See `flips.Answer`.
-    gain : mapping of Quantity
-        By quantity.
-    """
-
+    # see `flips.Answer`
     p: float
     resolution: float
     blocks: int
-    gain: Mapping[str, Quantity] = field(default_factory=dict)
+    gain: Mapping[str, Quantity] = field(default_factory=dict)  # by quantity
 
     @property
     def flips(self) -> Answer:
@@ -113,33 +78,20 @@ class Compared:
 
 @dataclass(frozen=True)
 class Looked:
-    """What a diagnosis of a window has found.
+    """What a diagnosis of a window has found."""
 
-    Attributes
-    ----------
-    verdict : str
-        named, nothing, data_fault, unexplained or not_judged; as_running: what is named is what
-        runs already.
-    terms : mapping of Term
-        All of the model that would be proposed.
-    gone : mapping of float
-        Terms that run now and are not among them.
-    former : mapping of float
-        All terms that run now.
-    fitted : mapping
-        Where the terms were fitted, as in a patch.
-    faults : sequence of str
-        A sentence for each fault of the data.
-    """
-
+    # named, nothing, data_fault, unexplained or not_judged; as_running: what is named is what runs
+    # already
     verdict: str
     sentence: str = ""
     causes: tuple[str, ...] = ()
+    # all of the model that would be proposed
     terms: Mapping[str, Term] = field(default_factory=dict)
-    gone: Values = field(default_factory=dict)
-    former: Values = field(default_factory=dict)
+    gone: Values = field(default_factory=dict)  # terms that run now and are not among them
+    former: Values = field(default_factory=dict)  # all terms that run now
+    # where the terms were fitted, as in a patch
     fitted: Mapping[str, Any] = field(default_factory=dict)
-    faults: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()  # a sentence for each fault of the data
     p: float = 1.0
 
 

@@ -49,21 +49,12 @@ FOLLOWING: Final[Mapping[Step, tuple[tuple[Stage, ...], Stage]]] = {
 
 @dataclass(frozen=True)
 class Term:
-    """One value of a proposal.
+    """One value of a proposal."""
 
-    Attributes
-    ----------
-    value : float
-        Total: what the term has once it is accepted.
-    ci95 : tuple of float or None
-    present : float or None
-        What it has now; None: it is off.
-    """
-
-    value: float
+    value: float  # total: what the term has once it is accepted
     unit: str
     ci95: Interval | None = None
-    present: float | None = None
+    present: float | None = None  # what it has now; None: it is off
 
     @property
     def stays(self) -> bool:
@@ -84,35 +75,24 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What an engineer decides on.
-
-    Attributes
-    ----------
-    terms : mapping of Term
-        All that the patch has.
-    gone : mapping of float
-        Terms that are off once it is accepted, with what they have now.
-    fitted : mapping
-        Where the terms were fitted, as in a patch.
-    patch, former : str
-        File names in folders.patches; the second takes the first back.
-    windows : tuple of int
-        Named on the first, confirmed on the second.
-    """
+    """What an engineer decides on."""
 
     number: int
     causes: tuple[str, ...]
     sentence: str
-    terms: Mapping[str, Term]
+    terms: Mapping[str, Term]  # all that the patch has
+    # terms that are off once it is accepted, with what they have now
     gone: Mapping[str, float] = field(default_factory=dict)
     gain: Mapping[str, Quantity] = field(default_factory=dict)
     p: float = 1.0
     level: float = 0.0
+    # where the terms were fitted, as in a patch
     fitted: Mapping[str, Any] = field(default_factory=dict)
+    # file names in folders.patches; the second takes the first back
     patch: str = ""
     former: str = ""
     report: str = ""
-    windows: tuple[int, ...] = ()
+    windows: tuple[int, ...] = ()  # named on the first, confirmed on the second
     stage: Stage = Stage.OPEN
     effect: Mapping[str, Quantity] = field(default_factory=dict)
 

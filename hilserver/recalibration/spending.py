@@ -20,12 +20,7 @@ WEAKEST: Final = 0.01
 
 @dataclass(frozen=True)
 class Spending:
-    """The budget of false proposals.
-
-    Attributes
-    ----------
-    false_per_year : float
-    """
+    """The budget of false proposals."""
 
     false_per_year: float = 1.0
 

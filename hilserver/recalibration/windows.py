@@ -66,16 +66,11 @@ def _newest(folder: Path) -> int:
 
 
 class News:
-    """Says of every window once that it is complete.
-
-    Attributes
-    ----------
-    last : int
-        The newest that is complete; the next one is being written.
-    """
+    """Says of every window once that it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        # the newest that is complete; the next one is being written
         self.last = _newest(folder)  # of a run before: not ours
 
     def next(self) -> Window | None:

@@ -26,35 +26,22 @@ class Direction(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One named quantity.
+    """One named quantity."""
 
-    Attributes
-    ----------
-    name : str
-        Dotted name that ends in its unit.
-    unit : str
-        Unit symbol ("rpm", "m/s", ...), "1" without a unit.
-    low, high : float
-        Engineering range; writes outside are refused.
-    slots : tuple of int
-        Places in the frame; one for a scalar, the scalars' places for an array.
-    labels : tuple of str
-        Names of the values 0, 1, ... (a Boolean: false, true), where they have names.
-    hidden : bool
-        Part of frame, log and snapshot, but of no user interface.
-    """
-
-    name: str
-    unit: str
+    name: str  # dotted name that ends in its unit
+    unit: str  # unit symbol ("rpm", "m/s", ...), "1" without a unit
     type: ValueType
     direction: Direction
+    # engineering range; writes outside are refused
     low: float
     high: float
     description: str
+    # places in the frame; one for a scalar, the scalars' places for an array
     slots: tuple[int, ...]
     initial: float = 0.0
+    # names of the values 0, 1, ... (a Boolean: false, true), where they have names
     labels: tuple[str, ...] = ()
-    hidden: bool = False
+    hidden: bool = False  # part of frame, log and snapshot, but of no user interface
 
     @property
     def is_array(self) -> bool:

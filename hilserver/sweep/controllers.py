@@ -30,16 +30,10 @@ class WrongCommand(ValueError):
 
 
 class Signals(Mapping[str, float]):
-    """The newest values, by name.
-
-    Attributes
-    ----------
-    seed : int
-        The machine's; for a controller that draws random numbers.
-    """
+    """The newest values, by name."""
 
     def __init__(self, image: ProcessImage, table: SignalTable) -> None:
-        self.seed = 0
+        self.seed = 0  # the machine's; for a controller that draws random numbers
         self._values = image.frame_values
         self._slots = {s.name: s.slots[0] for s in table if not s.is_array}
 
@@ -54,13 +48,7 @@ class Signals(Mapping[str, float]):
 
 
 class Driver:
-    """Calls controllers and hands over what they command.
-
-    Attributes
-    ----------
-    written : list of (int, dict)
-        What was commanded, by the tick that latches it; only what has changed.
-    """
+    """Calls controllers and hands over what they command."""
 
     def __init__(
         self,
@@ -76,6 +64,7 @@ class Driver:
         self._known: dict[str, Signal] = {}
         self._newest: dict[str, Any] = {}
         self._controller: Callable[[float, Signals], Any] = _no_controller
+        # what was commanded, by the tick that latches it; only what has changed
         self.written: list[tuple[int, dict[str, Any]]] = []
 
     def begin(self, seed: int) -> None:

@@ -26,35 +26,20 @@ _HALF = 2.0**-54
 
 @dataclass(frozen=True)
 class Joint:
-    """Parameters of one machine that are known together.
+    """Parameters of one machine that are known together."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the table of parameters.
-    value : ndarray, shape (k,)
-    root : ndarray, shape (k, k)
-        Times its transpose it is the covariance.
-    """
-
-    names: tuple[str, ...]
-    value: Array
-    root: Array
+    names: tuple[str, ...]  # of the table of parameters
+    value: Array  # shape (k,)
+    root: Array  # shape (k, k); times its transpose it is the covariance
 
 
 @dataclass(frozen=True)
 class Draws:
-    """All draws of a sweep.
-
-    Attributes
-    ----------
-    nominal : mapping of float
-        Value of the configuration for each name of `population`.
-    """
+    """All draws of a sweep."""
 
     seed: int
     population: Mapping[str, Distribution]
-    nominal: Mapping[str, float]
+    nominal: Mapping[str, float]  # value of the configuration for each name of `population`
     joint: Joint | None
     faults: Sequence[FaultShare]
 

@@ -29,24 +29,15 @@ def exact_interval(passed: int, n: int, level: float = LEVEL) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class Influence:
-    """How much one parameter, or a group that is drawn together, decides a margin.
+    """How much one parameter, or a group that is drawn together, decides a margin."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        More than one: the draws are so correlated that the sweep cannot tell them apart.
-    rank_correlation : float
-        Spearman's, of the first name; its sign says what raises the margin.
-    interval : tuple of float
-        Of 95 % (Fisher's z with the variance of Bonett and Wright, 2000).
-    strength : float
-        0 .. 1: share of the variance of the margin's ranks that the parameter explains, in any
-        shape; it decides the order.
-    """
-
+    # more than one: the draws are so correlated that the sweep cannot tell them apart
     names: tuple[str, ...]
-    rank_correlation: float
+    rank_correlation: float  # Spearman's, of the first name; its sign says what raises the margin
+    # of 95 % (Fisher's z with the variance of Bonett and Wright, 2000)
     interval: tuple[float, float]
+    # 0 .. 1: share of the variance of the margin's ranks that the parameter explains, in any shape;
+    # it decides the order
     strength: float
 
 

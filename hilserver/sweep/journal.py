@@ -17,13 +17,6 @@ SCHEMA = "hilserver.sweep/1"
 class Journal:
     """Appends outcomes to a file; with `resume`, knows those of earlier runs.
 
-    Attributes
-    ----------
-    done : dict of Outcome
-        By index.
-    where : dict of str
-        Fingerprints of computers other than this one, by index.
-
     Raises
     ------
     FailedError
@@ -32,8 +25,8 @@ class Journal:
 
     def __init__(self, folder: Path, key: str, *, resume: bool) -> None:
         self.path = folder / NAME
-        self.done: dict[int, Outcome] = {}
-        self.where: dict[int, str] = {}
+        self.done: dict[int, Outcome] = {}  # by index
+        self.where: dict[int, str] = {}  # fingerprints of computers other than this one, by index
         head = {"schema": SCHEMA, "key": key, "computer": fingerprint()}
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -37,52 +37,29 @@ _MOST_BYTES = 50_000_000
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine, as it travels to a worker.
-
-    Attributes
-    ----------
-    values : mapping of float
-        What was drawn, by full names.
-    faults : tuple of (int, Fault)
-        With their numbers in the file.
-    terms : mapping of float or None
-        All terms of its plant, drawn or not.
-    p : ndarray of float64 or None
-        Packed parameters; None for one that cannot be built, `refused` says why.
-    state : mapping of int to float
-        What its first state has beside zeros.
-    """
+    """One machine, as it travels to a worker."""
 
     index: int
     seed: int
-    values: Mapping[str, float]
-    faults: tuple[tuple[int, Fault], ...] = ()
+    values: Mapping[str, float]  # what was drawn, by full names
+    faults: tuple[tuple[int, Fault], ...] = ()  # with their numbers in the file
+    # all terms of its plant, drawn or not
     terms: Mapping[str, float | None] = field(default_factory=dict)
+    # packed parameters; None for one that cannot be built, `refused` says why
     p: Array | None = None
+    # what its first state has beside zeros
     state: Mapping[int, float] = field(default_factory=dict)
     refused: str = ""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all machines of a sweep share, as it travels to a worker.
+    """What all machines of a sweep share, as it travels to a worker."""
 
-    Attributes
-    ----------
-    key : str
-        Hash of all that decides a machine's result, but for its index.
-    config : Config
-        With the controller where that is a block; nothing listens or connects.
-    folder : Path
-        Of the configuration.
-    path : Path
-        Of the sweep; controllers and checks lie beside it.
-    """
-
-    key: str
-    config: Config
-    folder: Path
-    path: Path
+    key: str  # hash of all that decides a machine's result, but for its index
+    config: Config  # with the controller where that is a block; nothing listens or connects
+    folder: Path  # of the configuration
+    path: Path  # of the sweep; controllers and checks lie beside it
     scenario: Scenario
     scenario_path: Path | None
     faults: tuple[FaultShare, ...]
@@ -95,24 +72,17 @@ class Job:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A sweep that can run.
-
-    Attributes
-    ----------
-    user_config : Config
-        The robot's configuration with the controller, as `hilserver run` takes it.
-    left_out : tuple of str
-        Parameters of the findings that are none of a robot.
-    """
+    """A sweep that can run."""
 
     sweep: Sweep
     job: Job
+    # the robot's configuration with the controller, as `hilserver run` takes it
     user_config: Config
     assembly: Assembly
     robot: RobotParameters
     table: Mapping[str, Parameter]
     draws: Draws
-    left_out: tuple[str, ...]
+    left_out: tuple[str, ...]  # parameters of the findings that are none of a robot
 
     def machine(self, index: int) -> Machine:
         """Return the machine with an index; the same on every computer."""

@@ -33,22 +33,13 @@ RING_FRAMES, QUEUE_ROWS = 16, 1 << 15
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a machine.
-
-    Attributes
-    ----------
-    margins : tuple of float
-        In the order of the requirements; empty where it could not be driven.
-    error : str
-        Why it could not: the controller raised, took too long, commanded nonsense.
-    refused : str
-        Why there is no such machine.
-    """
+    """What became of a machine."""
 
     index: int
+    # in the order of the requirements; empty where it could not be driven
     margins: tuple[float, ...] = ()
-    error: str = ""
-    refused: str = ""
+    error: str = ""  # why it could not: the controller raised, took too long, commanded nonsense
+    refused: str = ""  # why there is no such machine
 
     @property
     def passed(self) -> bool:

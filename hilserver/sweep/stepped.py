@@ -44,17 +44,12 @@ class _Failed(Exception):
 
 
 class Stepped:
-    """Drives machines one after the other, each with a process of its own.
-
-    Attributes
-    ----------
-    written : list of (int, dict)
-        What the last machine's process commanded, by the tick that latched it.
-    """
+    """Drives machines one after the other, each with a process of its own."""
 
     def __init__(self, job: Job) -> None:
         setup_logging("ERROR")
         self.job = job
+        # what the last machine's process commanded, by the tick that latched it
         self.written: list[tuple[int, dict[str, Any]]] = []
         assembly = assemble_config(job.config, job.folder)
         derived = () if job.way is None else (PATH_ERROR,)

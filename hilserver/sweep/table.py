@@ -23,32 +23,20 @@ _TEXTS = ("status", "message", "computer")
 
 @dataclass(frozen=True)
 class Table:
-    """Machines by row.
+    """Machines by row."""
 
-    Attributes
-    ----------
-    index, seed : ndarray of int64, shape (n,)
-    parameters : mapping of ndarray of float64
-        What was drawn, by full name.
-    faults : mapping of ndarray of float64
-        1 where a machine has it.
-    margins : mapping of ndarray of float64
-        By requirement; NaN where a machine could not be driven.
-    status, message, computer : list of str
-        Of `STATUSES`; why; where, if its bits may differ.
-    about : mapping
-        Words about the sweep, see `summary`.
-    """
-
+    # shape (n,)
     index: NDArray[np.int64]
     seed: NDArray[np.int64]
-    parameters: Mapping[str, NDArray[np.float64]]
-    faults: Mapping[str, NDArray[np.float64]]
+    parameters: Mapping[str, NDArray[np.float64]]  # what was drawn, by full name
+    faults: Mapping[str, NDArray[np.float64]]  # 1 where a machine has it
+    # by requirement; NaN where a machine could not be driven
     margins: Mapping[str, NDArray[np.float64]]
+    # of `STATUSES`; why; where, if its bits may differ
     status: list[str]
     message: list[str]
     computer: list[str]
-    about: Mapping[str, Any] = field(default_factory=dict)
+    about: Mapping[str, Any] = field(default_factory=dict)  # words about the sweep, see `summary`
 
     def __len__(self) -> int:
         return len(self.index)

@@ -55,17 +55,11 @@ STATUS_OF: dict[Refusal, int] = {
 
 @dataclass(frozen=True, slots=True)
 class RobotVisitor(Visitor):
-    """A client of the robot.
+    """A client of the robot."""
 
-    Attributes
-    ----------
-    source : str
-        Name under which its writes reach the plant: ``opcua``, or ``page:<number>``.
-    may_hold_control : bool
-        Control goes on when it ends; not for a command of the shell, whose session ends with it.
-    """
-
+    # name under which its writes reach the plant: ``opcua``, or ``page:<number>``
     source: str = SOURCE
+    # control goes on when it ends; not for a command of the shell, whose session ends with it
     may_hold_control: bool = True
 
 
@@ -82,11 +76,6 @@ class RobotApplication(Application):
         What methods act on.
     show_owner : callable
         Shows who has control, once that may have changed.
-
-    Attributes
-    ----------
-    page_secret : str
-        Marks sessions of the operator page, as the first word of their session name.
     """
 
     def __init__(
@@ -106,6 +95,7 @@ class RobotApplication(Application):
         self._variables, self._parts, self._show_owner = variables, parts, show_owner
         self._parameters = parameters
         self._methods = {ua.NodeId(m.node_id, namespace_index): m for m in METHODS}
+        # marks sessions of the operator page, as the first word of their session name
         self.page_secret = secrets.token_hex(32)
         self._page_numbers = itertools.count(1)
 

@@ -97,17 +97,12 @@ def _there(part: T | None, what: str) -> T:
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One method, node id ``s=methods.<name>``.
-
-    Attributes
-    ----------
-    act : callable
-        Takes the parts and the arguments, which are of their types; may be awaitable. Raises
-        ValueError for one out of range and UserError for what is not possible now.
-    """
+    """One method, node id ``s=methods.<name>``."""
 
     name: str
     description: str
+    # takes the parts and the arguments, which are of their types; may be awaitable. Raises
+    # ValueError for one out of range and UserError for what is not possible now
     act: Callable[..., Any]
     arguments: tuple[Argument, ...] = ()
 

@@ -66,29 +66,18 @@ class Folder:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable with the properties its type definition asks for.
+    """A variable with the properties its type definition asks for."""
 
-    Attributes
-    ----------
-    path : str
-        Node id and, for signals, name in the signal table.
-    type_definition, data_type : int
-        Numeric node ids in namespace 0.
-    length : int or None
-        Number of elements of an array, None for a scalar.
-    eu_range : tuple of float or None
-        Lowest and highest value.
-    """
-
-    path: str
+    path: str  # node id and, for signals, name in the signal table
     parent: str
     name: str
     description: str
+    # numeric node ids in namespace 0
     type_definition: int
     data_type: int
     writable: bool
-    length: int | None = None
-    eu_range: tuple[float, float] | None = None
+    length: int | None = None  # number of elements of an array, None for a scalar
+    eu_range: tuple[float, float] | None = None  # lowest and highest value
     unit: Unit | None = None
     enum_strings: tuple[str, ...] = ()
     two_states: tuple[str, ...] = ()

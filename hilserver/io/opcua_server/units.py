@@ -14,24 +14,12 @@ NAMESPACE_URI = "http://www.opcfoundation.org/UA/units/un/cefact"
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One unit.
+    """One unit."""
 
-    Attributes
-    ----------
-    symbol : str
-        As the signal table and the display write it.
-    code : str
-        UNECE common code, two or three characters.
-    unit_id : int
-        The code as OPC UA's EUInformation.UnitId.
-    description : str
-        UNECE name.
-    """
-
-    symbol: str
-    code: str
-    unit_id: int
-    description: str
+    symbol: str  # as the signal table and the display write it
+    code: str  # UNECE common code, two or three characters
+    unit_id: int  # the code as OPC UA's EUInformation.UnitId
+    description: str  # UNECE name
 
 
 def unit_id(code: str) -> int:

@@ -45,13 +45,7 @@ def worst(codes: list[int]) -> int:
 
 
 class SignalPlace(AttributeValue):  # type: ignore[misc]
-    """Where a signal's value stands in the address space; made when somebody looks.
-
-    Attributes
-    ----------
-    stamp : Stamp
-        That of the last change.
-    """
+    """Where a signal's value stands in the address space; made when somebody looks."""
 
     def __init__(self, signal: Signal, variables: "SignalVariables", stamp: Stamp) -> None:
         self._signal = signal
@@ -60,7 +54,7 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
         self._convert = _CONVERT[signal.type]
         self._made_of: Stamp | None = None
         self._made: FixedDataValue
-        self.stamp = stamp
+        self.stamp = stamp  # that of the last change
         super().__init__(None)
 
     @property
@@ -98,11 +92,6 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
 class SignalVariables:
     """All variables that show signals.
 
-    Attributes
-    ----------
-    places : dict
-        Signal name to the place that goes into the address space.
-
     Notes
     -----
     A value changes when its bits or its status code differ from those before. What a client has
@@ -113,6 +102,7 @@ class SignalVariables:
     def __init__(self, table: SignalTable, clock: UtcClock) -> None:
         self._clock = clock
         started = Stamp(None, datetime.now(UTC))
+        # signal name to the place that goes into the address space
         self.places = {signal.name: SignalPlace(signal, self, started) for signal in table}
         self._by_slot: list[list[SignalPlace]] = [[] for _ in range(table.n_slots)]
         for signal in table:

@@ -28,37 +28,21 @@ CLOSE_WITHIN_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What to record, and where to.
-
-    Attributes
-    ----------
-    signals : sequence of str
-        Patterns; inputs (hidden ones too) are needed for a replay.
-    rotate_bytes, keep : int or None
-        See `FileSeries`.
-    rotate_s : float or None
-        Begin a new file after so much time of the plant, too.
-    sparse : bool
-        Leave out frames in which nothing of what is recorded changes, see `thinning`.
-    limits : Limits
-        When it ends by itself.
-    buffer_bytes : int
-        See `WriteBehind`.
-    waits : bool
-        True: the reader waits for a slow disk; False: frames are dropped and counted.
-    bag : {"mcap", "sqlite3"} or None
-        Write a ROS 2 bag, a folder of this name.
-    """
+    """What to record, and where to."""
 
     path: Path
-    signals: Sequence[str] = ("*",)
+    signals: Sequence[str] = ("*",)  # patterns; inputs (hidden ones too) are needed for a replay
+    # see `FileSeries`
     rotate_bytes: int | None = None
     keep: int | None = None
-    rotate_s: float | None = None
+    rotate_s: float | None = None  # begin a new file after so much time of the plant, too
+    # leave out frames in which nothing of what is recorded changes, see `thinning`
     sparse: bool = False
-    limits: Limits = NO_LIMITS
-    buffer_bytes: int = 64_000_000
+    limits: Limits = NO_LIMITS  # when it ends by itself
+    buffer_bytes: int = 64_000_000  # see `WriteBehind`
+    # True: the reader waits for a slow disk; False: frames are dropped and counted
     waits: bool = False
+    # write a ROS 2 bag, a folder of this name
     bag: Storage | None = None
 
 

@@ -32,13 +32,6 @@ class Source:
     is_inside : bool
         True: read by the daemon itself, between two batches of ticks.
 
-    Attributes
-    ----------
-    lost : int
-        Frames that the ring had dropped before they were read.
-    mark : Mark or None
-        With it simulated time waits; None in real time, which waits for nobody.
-
     Raises
     ------
     FailedError
@@ -55,6 +48,7 @@ class Source:
         self.description = self._describe()
         self._ring_length = self._reader.control.ring_length
         self._shadow = ShadowReader(self._reader)
+        # with it simulated time waits; None in real time, which waits for nobody
         self.mark = Mark(name) if self._is_simulated and not is_inside else None
         self._next = max(0, self._reader.head)
         self._last_tick: int | None = None
@@ -64,7 +58,7 @@ class Source:
         self._edition_slot = _slot_of("internal.edition", self.description)
         self._start_without_state: tuple[int, int] | None = None
         self._gap = False
-        self.lost = 0
+        self.lost = 0  # frames that the ring had dropped before they were read
 
     def _describe(self) -> dict[str, Any]:
         deadline = time.monotonic() + _DESCRIBED_WITHIN_S

@@ -26,17 +26,12 @@ N_WORST: Final = 10
 
 @dataclass(frozen=True)
 class Judged:
-    """One requirement over all machines.
-
-    Attributes
-    ----------
-    share, low, high : float
-        Of the machines that meet it, with the exact interval.
-    """
+    """One requirement over all machines."""
 
     name: str
     unit: str
     met: int
+    # of the machines that meet it, with the exact interval
     share: float
     low: float
     high: float
