@@ -3,9 +3,63 @@
 What needs peers and rivals of hilserver is not installed with it; in a checkout it is here, too.
 """
 
+import argparse
+import importlib
+from typing import Any
+
+from hilserver.bench.report import as_table, write_json
+from hilserver.commands.checkout import beside
+from hilserver.commands.options import out_file
+from hilserver.errors import EXIT_DONE, FailedError
+
 EXAMPLE = "hilserver bench plant --json plant.json"
 BENCHES = {
     "plant": "one step of four wheels and pose against the same recurrence in C",
     "jitter": "wake latency under OPC UA load against cyclictest",
     "loop": "set-point to pose and back over TCP, two processes",
 }
+ELSEWHERE = (
+    "attack", "diagnose", "mechatronic", "opcua", "page", "ros2", "s7", "shield", "start", "stop",
+    "sweep",
+)  # fmt: skip
+"""Those of a checkout, in its folder ``benchmarks``."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add one sub-command per bench."""
+    benches = parser.add_subparsers(title="benches", metavar="BENCH", required=True)
+    modules = {name: (f"hilserver.bench.{name}", text) for name, text in BENCHES.items()}
+    benchmarks = beside("benchmarks")
+    others: dict[str, str] = {} if benchmarks is None else benchmarks.BENCHES
+    modules |= {name: (f"benchmarks.{name}", text) for name, text in others.items()}
+    for name, (path, text) in modules.items():
+        module = importlib.import_module(path)
+        bench = benches.add_parser(name, help=text, epilog=f"example: hilserver bench {name}")
+        bench.add_argument(
+            "--json", type=out_file, metavar="FILE", help="write figures and raw data"
+        )
+        bench.set_defaults(measure=module.run)
+        if hasattr(module, "add_arguments"):
+            module.add_arguments(bench)
+    for name in ELSEWHERE if not others else ():
+        absent = benches.add_parser(
+            name, help="only in a checkout of hilserver", prefix_chars="\0", add_help=False
+        )
+        absent.add_argument("words", nargs="*")
+        absent.set_defaults(measure=_absent, bench=name, json=None)
+
+
+def _absent(args: argparse.Namespace) -> Any:
+    raise FailedError(
+        f"'bench {args.bench}' measures beside other programs and is not installed with hilserver;"
+        f" run 'python -m benchmarks {args.bench}' in a checkout of its source"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run one bench, print its table, write the JSON file if asked to."""
+    results = args.measure(args)
+    print(as_table(results))
+    if args.json is not None:
+        write_json(args.json, results)
+    return EXIT_DONE
