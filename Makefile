@@ -86,9 +86,13 @@ pictures: test-tools ## Take the pictures of page and dashboard anew, on a quiet
 
 .PHONY: wheel
 wheel: $(VENV)/.dev ## Build sdist and wheel into dist/, and check them
-	@rm -rf build dist
+	@rm -rf build/lib build/bdist.* dist
 	@$(BIN)/python -m build --outdir dist . >/dev/null
 	@$(BIN)/python -m twine check --strict dist/*
+
+.PHONY: image
+image: wheel ## Build an OCI image into dist/, without a registry (as root; needs debootstrap)
+	@$(BIN)/python deploy/container/image.py dist/*.whl --out dist/hilserver-oci.tar --work build/image
 
 .PHONY: clean
 clean: ## Remove everything that make has made
