@@ -13,6 +13,7 @@ from hilserver.config.foxglove import FoxgloveConfig
 from hilserver.config.loading import load
 from hilserver.config.mechatronic import MechatronicConfig
 from hilserver.config.monitoring import LoggingConfig, MetricsConfig
+from hilserver.config.observer import ObserverConfig
 from hilserver.config.page import FoldersConfig, PageConfig
 from hilserver.config.peers import PeerConfig
 from hilserver.config.plant import KinematicsConfig, PlantConfig, SensorsConfig
@@ -46,6 +47,7 @@ class Config(Section):
     edge: EdgeConfig = Field(default_factory=EdgeConfig)
     s7: S7Config = Field(default_factory=S7Config)
     blocks: tuple[BlockConfig, ...] = ()
+    observer: ObserverConfig = Field(default_factory=ObserverConfig)
     shadow: ShadowConfig = Field(default_factory=ShadowConfig)
     recalibration: RecalibrationConfig = Field(default_factory=RecalibrationConfig)
     snapshots: SnapshotConfig = Field(default_factory=SnapshotConfig)

@@ -25,6 +25,9 @@ class Ros2Publish(Section):
     tf: bool = Field(False, description="/tf: odom to base_link, as the wheels count it")
     clock: bool = Field(False, description="/clock: simulated time, which all stamps then have")
     odom: bool = Field(False, description="odom: position and twist as the wheels count them")
+    estimate: bool = Field(
+        False, description="odometry/filtered: what the observer knows, with covariances"
+    )
     pose_stamped: bool = Field(False, description="/poseStamped: the simulated navigation tag")
     robot_description: bool = Field(False, description="robot_description: URDF, for RViz")
 

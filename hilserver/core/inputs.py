@@ -21,7 +21,7 @@ from hilserver.image.status import (
     UNCERTAIN_LAST_USABLE_VALUE,
 )
 from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
-from hilserver.signals import MEASURED, SOURCES, Signal, SignalTable, ValueType
+from hilserver.signals import MEASURED, SAMPLED, SOURCES, Signal, SignalTable, ValueType
 from hilserver.signals.numbers import is_finite_number
 
 
@@ -118,6 +118,8 @@ class InputGate:
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
+        self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
+        self._samples: Counter[str] = Counter()
 
     def write(
         self,
@@ -148,6 +150,8 @@ class InputGate:
         now_ns = self._now_ns() if received_ns is None else received_ns
         rows, offered, refused = self._sort(source, values)
         group = offered + [row for found in rows.values() for row in found]
+        if self._counted:
+            group += self.stamps(rows, self._time_s(now_ns))
         placed = self._passed_on(source, group) + self._placed(source, group, renews=renews)
         if group and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
@@ -179,6 +183,33 @@ class InputGate:
             if kind in OFFERING:
                 offered += [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
+
+    def stamps(self, names: Iterable[str], time_s: float, tick: int = 0) -> list[Row]:
+        """Return what counts a sample of each measured group among `names`, for the observer.
+
+        Parameters
+        ----------
+        time_s : float
+            When it came, in simulated time.
+        """
+        groups = {n.split(".")[1] for n in names if n.startswith(MEASURED)} & self._counted
+        self._samples.update(groups)
+        rows: list[Row] = []
+        for group in sorted(groups):
+            for name, value in (
+                (f"samples_{group}", self._samples[group]),
+                (f"time_{group}_s", time_s),
+            ):
+                rows.append(Row(self._table.slot(f"internal.{name}"), value, tick=tick))
+        return rows
+
+    def _time_s(self, now_ns: int) -> float:
+        """Return the simulated time of an instant of CLOCK_MONOTONIC."""
+        frame = self._image.latest()
+        if frame is None:
+            return 0.0
+        shown_s = float(frame.values[self._table.slot("sim.time_s")])
+        return max(shown_s + (now_ns - frame.planned_ns) * 1e-9, 0.0)
 
     def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
         """Return what ends the commands of another source of the same kind; two never mix."""

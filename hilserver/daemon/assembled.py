@@ -73,6 +73,8 @@ class Assembly:
         digest = hashlib.sha256(pack(self.configured).numbers.tobytes() + c.hall.tobytes())
         if c.body is not None:
             digest.update(c.body.identity)
+        if c.observer is not None:
+            digest.update(c.observer.source.encode() + c.observer.constants.tobytes())
         for block in c.blocks:
             wiring: tuple[object, ...] = (block.name, block.slice, dict(block.inputs))
             wiring += (dict(block.parameters), *([dict(block.drives)] if block.drives else ()))

@@ -14,6 +14,9 @@ from hilserver.body.engine import Engine
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
 from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
+from hilserver.config.observer import DEFAULT_PERIOD_MS as OBSERVER_PERIOD_MS
+from hilserver.config.observer import DEFAULT_SLICE as OBSERVER_SLICE
+from hilserver.config.observer import constants_of, load_found
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
 from hilserver.config.plant import to_parameters
@@ -23,12 +26,13 @@ from hilserver.daemon.assembled import Assembly
 from hilserver.errors import ConfigError
 from hilserver.fmu.block import load_fmu_block
 from hilserver.kernel import BlockUse, Composition, Part
-from hilserver.kernel.composition import ForeignModel
+from hilserver.kernel.composition import ForeignModel, ObserverUse
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import PLANT, geometric_gain, read, table_of, with_values
 from hilserver.parameters.table import BLOCK
 from hilserver.plant.blocks import BlockDeclaration, load_block
 from hilserver.plant.errors import PlantError
+from hilserver.plant.layout import Parameters
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler.slices import Slice, period_in_ticks
@@ -96,9 +100,13 @@ class _Builder:
             configured = _Builder(config, self._path, None).robot(periods_s)
         blocks = [self._block(i, block, slices) for i, block in enumerate(config.blocks)]
         outputs = [output for block in blocks for output in _outputs(block)]
-        body = self._body(robot, periods_s)
+        body, p = self._body(robot, periods_s), pack(robot)
+        observer = self._observer(robot, p, slices)
         table = self._checked(
-            ("blocks",), lambda: robot_table(_ranges(robot), outputs, body=body is not None)
+            ("blocks",),
+            lambda: robot_table(
+                _ranges(robot), outputs, body=body is not None, observer=observer is not None
+            ),
         )
         self._check_wiring(table, blocks)
         composition = Composition(
@@ -107,11 +115,12 @@ class _Builder:
             periods_s=periods_s,
             parts=parts,
             blocks=blocks,
-            parameters=pack(robot),
+            parameters=p,
             state=initial_state(robot),
             hall=robot.hall,
             fitted=fitted_limits(None if self._patch is None else self._patch.model),
             body=body,
+            observer=observer,
             settings=_settings(config, robot, blocks),
         )
         return Assembly(
@@ -178,12 +187,31 @@ class _Builder:
             key, _, rest = str(error).partition(": ")
             raise self._fail(key.split("."), rest) from None
 
+    def _observer(
+        self, robot: RobotParameters, p: Parameters, slices: Sequence[Slice]
+    ) -> ObserverUse | None:
+        section, sensors = self._config.observer, self._config.sensors
+        if not section.enabled:
+            return None
+        found = None if section.noise is None else load_found(self._folder / section.noise)
+        try:
+            c = constants_of(robot, found, section.readmit_after)
+        except PlantError as error:
+            raise self._fail(("observer",), str(error).removeprefix("observer: ")) from None
+        ticks = {s.name: s.period_ticks for s in slices}
+        return ObserverUse(
+            section.source, c, p.copy(), ticks[sensors.nav.slice], ticks[sensors.imu.slice]
+        )
+
     def _slices(self, base_ns: int) -> list[Slice]:
         slices: list[Slice] = []
         periods_ms = dict(self._config.scheduler.slices)
         mechatronic = self._config.mechatronic
         if mechatronic.enabled and mechatronic.slice == DEFAULT_SLICE:
             periods_ms.setdefault(DEFAULT_SLICE, DEFAULT_PERIOD_MS)
+        observer = self._config.observer
+        if observer.enabled and observer.slice == OBSERVER_SLICE:
+            periods_ms.setdefault(OBSERVER_SLICE, OBSERVER_PERIOD_MS)
         for name, period_ms in periods_ms.items():
             period_ns = round(period_ms * NS_PER_MS)
             make = partial(period_in_ticks, name, period_ns, base_ns)
@@ -209,6 +237,9 @@ class _Builder:
         if body.enabled:
             self._need_compiled(("mechatronic", "slice"), body.slice, slices)
             parts.append(Part("body", body.slice, of_body=True))
+        if self._config.observer.enabled:
+            self._need_compiled(("observer", "slice"), self._config.observer.slice, slices)
+            parts.append(Part("observer", self._config.observer.slice))
         return parts
 
     def _need_compiled(

@@ -33,6 +33,7 @@ from hilserver.monitoring.audit import AuditItem
 from hilserver.monitoring.health import HealthSources
 from hilserver.monitoring.health_http import HttpServer
 from hilserver.monitoring.metrics import Metrics
+from hilserver.observer import metrics as observer_metrics
 from hilserver.ros.robot import Shape
 from hilserver.scheduler import metrics as scheduler_metrics
 
@@ -158,6 +159,7 @@ def make_metrics(
         Source(metrics.OUTPUT_METRICS, outputs.exported),
         Source(metrics.ALARM_METRICS, lambda: gaps.alarms),
         Source(fault_metrics.METRICS, core.faults.counts),
+        Source(observer_metrics.METRICS, lambda: _observed(core)),
         Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in audit}),
         Source(
             metrics.PROGRAM_METRICS,
@@ -165,6 +167,13 @@ def make_metrics(
         ),
         *(source for link in links for source in link.metrics),
     )
+
+
+def _observed(core: Core) -> list[observer_metrics.Counted]:
+    """Return what the observer has counted, where it runs."""
+    if core.assembly.composition.observer is None:
+        return []
+    return [observer_metrics.counted(core.image.region("observer")[0])]
 
 
 class MetricsEndpoint(HttpServer, Part):

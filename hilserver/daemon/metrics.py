@@ -18,6 +18,7 @@ from hilserver.io import peer_metrics
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import US, Kind, Metric, S, by_name, durations
 from hilserver.monitoring import audit
+from hilserver.observer import metrics as observer
 from hilserver.scheduler import metrics as scheduler
 
 
@@ -104,6 +105,7 @@ METRICS: Final[tuple[Metric[Any], ...]] = (
     *ALARM_METRICS,
     *OUTPUT_METRICS,
     *faults.METRICS,
+    *observer.METRICS,
     *audit.METRICS,
     *PROGRAM_METRICS,
 )

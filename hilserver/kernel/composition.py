@@ -13,6 +13,7 @@ from hilserver.image import changes
 from hilserver.image.layout import padded
 from hilserver.kernel.fitted import N_LIMITS, fitted_limits
 from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
+from hilserver.observer.layout import N_FILTER, Figures
 from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
 from hilserver.signals import SignalTable
@@ -121,6 +122,26 @@ class BlockUse:
 
 
 @dataclass(frozen=True)
+class ObserverUse:
+    """The observer, put into a slice."""
+
+    source: str  # simulated or measured
+    constants: NDArray[np.float64]  # what its kernels take as `c`, made with the parameters `base`
+    base: robot.Parameters
+    nav_ticks: int  # period of the simulated navigation's slice
+    imu_ticks: int
+
+    def packed(self, now: robot.Parameters) -> NDArray[np.float64]:
+        """Return the constants with the directions about other parameters."""
+        c, n, base = self.constants.copy(), robot.Parameters.n_words, self.base.numbers
+        for first in range(Figures.n_words, c.size, n):
+            moved = c[first : first + n]
+            by = np.where(moved == base, 0.0, moved) - np.where(moved == base, 0.0, base)
+            c[first : first + n] = now.numbers + by
+        return c
+
+
+@dataclass(frozen=True)
 class Composition:
     """What runs: the robot's parts and the blocks, by slice."""
 
@@ -136,6 +157,7 @@ class Composition:
     # ranges in which the terms of a patch were fitted, see `fitted_limits`
     fitted: NDArray[np.float64] = field(default_factory=fitted_limits)
     body: Engine | None = None  # the mechatronic model; its addresses must live as long as the step
+    observer: ObserverUse | None = None  # the filter that says where the robot is
     # value of every parameter by its name, see `hilserver.parameters`; NaN is null
     settings: Mapping[str, float] = field(default_factory=dict)
 
@@ -144,6 +166,8 @@ class Composition:
         """Regions that a change of the parameters replaces, in one piece, with their lengths."""
         own = {"p": robot.Parameters.n_words, "fitted": N_LIMITS, "edition": 1}
         own["parameters"] = len(self.settings)
+        if self.observer is not None:
+            own["observer_p"] = self.observer.constants.size
         return own | {f"{b.name}.p": len(b.declaration.parameters) for b in self.blocks}
 
     def packed(self, edition: int = 0) -> NDArray[np.float64]:
@@ -154,6 +178,8 @@ class Composition:
             "edition": edition,
             "parameters": list(self.settings.values()),
         }
+        if self.observer is not None:
+            numbers["observer_p"] = self.observer.packed(self.parameters)
         numbers |= {f"{block.name}.p": block.values for block in self.blocks}
         piece = np.zeros(sum(map(padded, self.parameter_regions.values())))
         begin = 0
@@ -171,6 +197,8 @@ class Composition:
         regions = {"x": robot.State.n_words, **self.parameter_regions} | REGIONS_LIVE
         if self.body is not None:
             regions["body"] = self.body.initial.size
+        if self.observer is not None:
+            regions["observer"] = N_FILTER
         for block in self.blocks:
             regions |= block.regions
         return regions

@@ -6,11 +6,15 @@ What the calls do stands in `phases`, `parts`, `fitted` and the blocks; here is 
 from collections.abc import Iterable, Sequence
 
 from hilserver.image.layout import Layout, Region
-from hilserver.kernel.composition import BlockUse, Composition, Part
+from hilserver.kernel.composition import BlockUse, Composition, ObserverUse, Part
+from hilserver.kernel.observer_parts import find_observer
 from hilserver.kernel.places import find_body, find_places
 
 BODY = "body"
 """The part that can fail: the mechatronic model's own slice; it runs after the robot's others."""
+
+OBSERVER = "observer"
+"""The part that runs after all others of its slice."""
 
 _BODY_CALL = "body_parts.body(AT, BODY, values, words)"
 _HEAD = '''\
@@ -49,6 +53,11 @@ def step_source(composition: Composition, layout: Layout) -> str:
     if composition.body is not None:
         numbers = find_body(layout, composition.table)._asdict().items()
         lines += ["BODY = BodyPlaces(", *(f"    {name}={place}," for name, place in numbers), ")"]
+    observer = composition.observer
+    if observer is not None:
+        found = find_observer(layout, composition.table, observer.nav_ticks, observer.imu_ticks)
+        lines += ["OBSERVER = observer_parts.ObserverPlaces("]
+        lines += [*(f"    {name}={place}," for name, place in found._asdict().items()), ")"]
     for number, block in blocks:
         lines += _block_slots(number, block, composition)
     body: list[str] = []
@@ -57,7 +66,7 @@ def step_source(composition: Composition, layout: Layout) -> str:
         in_slice = [(number, block) for number, block in blocks if block.slice == name]
         body.append(f"if phase == {index}:  # slice '{name}', every {period_s:g} s")
         own = [part for part in composition.parts if part.slice == name]
-        body += [f"    {_part_call(part)}" for part in own if part.name != BODY]
+        body += [f"    {_part_call(part, observer)}" for part in own if part.name != BODY]
         has_body = any(part.name == BODY for part in own)
         if has_body or in_slice:
             body.append(f"    fault = {_BODY_CALL if has_body else 0}")
@@ -67,7 +76,9 @@ def step_source(composition: Composition, layout: Layout) -> str:
     body.append("return 0")
     rooms, names = "fitted, parts, phases", "Places"
     if composition.body is not None:
-        rooms, names = "body_parts, fitted, parts, phases", "BodyPlaces, Places"
+        rooms, names = f"body_parts, {rooms}", f"BodyPlaces, {names}"
+    if observer is not None:
+        rooms = f"{rooms}, observer_parts"
     phases = _PHASES.format(
         limits=layout.regions["fitted"].base,
         before=_around_latch(blocks, layout, "keep", "phases.SAVES"),
@@ -77,7 +88,9 @@ def step_source(composition: Composition, layout: Layout) -> str:
     return head + _text(lines) + phases + _text(f"    {line}" for line in body)
 
 
-def _part_call(part: Part) -> str:
+def _part_call(part: Part, observer: ObserverUse | None) -> str:
+    if part.name == OBSERVER and observer is not None:
+        return f"observer_parts.{observer.source}(AT, OBSERVER, tick, values, words)"
     if part.of_body:
         return f"body_parts.{part.name}(AT, BODY, values, words)"
     return f"parts.{part.name}(AT, values, words)"

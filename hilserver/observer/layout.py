@@ -71,6 +71,9 @@ class Head(Record):
     rejected: float  # by their innovation
     readmitted: float  # times that the robot was found elsewhere
     late: float  # samples too old to be taken in
+    restarts: float  # times that a number was no longer finite, so that all was begun anew
+    seen_gyro: float  # counter of its last sample
+    seen_position: float
     rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]  # of a sensor by state
     shared: Annotated[NDArray[np.float64], (2, MOST_DIRECTIONS)]  # and by direction
     weight: Vector  # covariance of the state with one reading

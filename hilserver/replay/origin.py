@@ -10,7 +10,7 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.errors import ConfigError, LogError
 from hilserver.logs import Log
 
-SECTIONS = ("plant", "kinematics", "mechatronic", "sensors", "scheduler", "blocks")
+SECTIONS = ("plant", "kinematics", "mechatronic", "sensors", "scheduler", "observer", "blocks")
 """What the plant depends on; addresses and passwords of the run do not matter."""
 
 

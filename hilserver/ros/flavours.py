@@ -82,6 +82,7 @@ EXTRAS: Final[Mapping[str, Published]] = {
     "tf": Published("/tf", "tf2_msgs/msg/TFMessage", outgoing.transforms),
     "clock": Published("/clock", "rosgraph_msgs/msg/Clock", outgoing.clock),
     "odom": Published("odom", "nav_msgs/msg/Odometry", outgoing.odometry),
+    "estimate": Published("odometry/filtered", "nav_msgs/msg/Odometry", outgoing.estimate),
     "pose_stamped": Published(
         "/poseStamped", "geometry_msgs/msg/PoseStamped", outgoing.pose_stamped
     ),

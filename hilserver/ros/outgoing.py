@@ -14,6 +14,9 @@ SHARE: Final = 0.02
 """Standard deviation of odometry by what was driven or turned: wheels on a level floor."""
 LEAST_M, LEAST_RAD = 1e-3, 1e-3
 UNKNOWN_VARIANCE: Final = 1e6
+_STATES: Final = ("x_m", "y_m", "yaw_rad", "linear_m_s", "angular_rad_s")
+_DEVIATIONS: Final = tuple(f"{name}_sd" for name in _STATES)
+_TOGETHER: Final = ("x_y_cov", "x_yaw_cov", "y_yaw_cov")
 """Variance of what the wheels do not measure, the convention of ros2_control."""
 ROOM_DEGC: Final = 25.0
 """What stands in messages where nothing simulates a temperature."""
@@ -165,6 +168,38 @@ def odometry(robot: Robot) -> Iterator[Any]:
             "geometry_msgs/msg/TwistWithCovariance",
             twist=twist,
             covariance=_planar(speed_m_s, SHARE * abs(turning) + LEAST_RAD),
+        ),
+    )
+
+
+def estimate(robot: Robot) -> Iterator[Any]:
+    """Pose and twist of the observer, with their covariances, in ``map``; not before a fix."""
+    if robot.get("estimate.state", 0.0) == 0.0:
+        return
+    e = {name: robot[f"estimate.{name}"] for name in (*_STATES, *_DEVIATIONS, *_TOGETHER)}
+    x, y, yaw = (e[f"{name}_sd"] ** 2 for name in _STATES[:3])
+    place = np.diag([x, y, *[UNKNOWN_VARIANCE] * 3, yaw])
+    for (i, j), name in zip(((0, 1), (0, 5), (1, 5)), _TOGETHER, strict=True):
+        place[i, j] = place[j, i] = e[name]
+    motion = [e["linear_m_s_sd"] ** 2, *[UNKNOWN_VARIANCE] * 4, e["angular_rad_s_sd"] ** 2]
+    twist = robot.make(
+        "geometry_msgs/msg/Twist",
+        linear=robot.vector(e["linear_m_s"]),
+        angular=robot.vector(z=e["angular_rad_s"]),
+    )
+    yield robot.make(
+        "nav_msgs/msg/Odometry",
+        header=robot.header("map"),
+        child_frame_id=f"{robot.frame_prefix}base_link",
+        pose=robot.make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=robot.pose(e["x_m"], e["y_m"], e["yaw_rad"]),
+            covariance=place.ravel(),
+        ),
+        twist=robot.make(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=twist,
+            covariance=np.diag(motion).ravel(),
         ),
     )
 

@@ -15,6 +15,7 @@ from hilserver.signals.vocabulary import (
     LIGHTS,
     MEASURED,
     RANGE_FINDERS,
+    SAMPLED,
     State,
 )
 
@@ -223,6 +224,15 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
     ]
 
 
+def _add_samples(b: _Builder) -> None:
+    """Add counters and times of what is measured: two equal samples are two."""
+    for group in SAMPLED:
+        text = f"Samples of measured.{group}.*"
+        b.add(f"internal.samples_{group}", "1", Direction.IN, 0, 2**53, text, hidden=True)
+        text = f"When the last of measured.{group}.* came, in simulated time"
+        b.add(f"internal.time_{group}_s", "s", Direction.IN, 0, 1e9, text, hidden=True)
+
+
 def _add_estimate(b: _Builder) -> None:
     """Add what the observer shows, in the order of `hilserver.observer.layout`."""
     out, known = Direction.OUT, []
@@ -288,6 +298,7 @@ def robot_table(
         b.add(name, unit, out, low, high, text)
     if observer:
         _add_estimate(b)
+        _add_samples(b)
     for block in blocks:
         b.add(block.name, block.unit, out, block.low, block.high, block.description)
     b.alias("wheels.setpoints_rpm", [f"wheel.{w}.setpoint_rpm" for w in WHEELS], "All set-points")

@@ -49,3 +49,5 @@ SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "p
 
 MEASURED = "measured."
 """Beginning of the names under which values of the real robot come in."""
+SAMPLED = ("wheel", "imu", "nav")
+"""Groups of them whose samples are counted for the observer."""

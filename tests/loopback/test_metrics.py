@@ -226,6 +226,8 @@ MOVED_ELSEWHERE = {
     "hil_output",  # in tests/prometheus: the robot stands still here
     "hil_shield_requests_total",  # in tests/io/shield
     "hil_shield_lateness_seconds",
+    "hil_observer_samples_total",  # in tests/daemon/test_observer.py
+    "hil_observer_readmitted_total",
 }
 
 

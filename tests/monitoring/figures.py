@@ -20,6 +20,7 @@ from hilserver.io.shield import ShieldStatus
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import Source
 from hilserver.monitoring import audit
+from hilserver.observer import metrics as observer
 from hilserver.scheduler import metrics as scheduler
 from hilserver.scheduler.statistics import SliceFigures, Window
 from hilserver.signals import State
@@ -62,6 +63,7 @@ class FakeDaemon:
         self.audit: dict[str, bool] = {}
         self.faults: dict[str, int] = {}
         self.tasks = 8
+        self.observed = [observer.Counted({"rejected": 0}, 0, 0)]
         self.n_reads = 0
 
     def sources(self) -> list[Source[Any]]:
@@ -77,6 +79,7 @@ class FakeDaemon:
             Source(daemon.ALARM_METRICS, lambda: self.gap_alarms),
             Source(daemon.OUTPUT_METRICS, lambda: self.outputs),
             Source(faults.METRICS, lambda: self.faults),
+            Source(observer.METRICS, lambda: self.observed),
             Source(audit.METRICS, lambda: self.audit),
             Source(daemon.PROGRAM_METRICS, self.program),
         ]
@@ -90,7 +93,7 @@ class FakeDaemon:
 
     def fill(self) -> None:
         """Set everything that a daemon in its default configuration can ever show."""
-        self.shields = []
+        self.shields, self.observed = [], []
         window = Window(1000, 30e3, 9e3, 5e3, 80e3)
         self.slices = {
             name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES

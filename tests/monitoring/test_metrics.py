@@ -104,6 +104,10 @@ STIMULI = {
     "hil_model_gap_alarm": lambda d: d.gap_alarms.update({"pose.x_m": True}),
     "hil_output": lambda d: d.outputs.update({"pose.x_m": 1.0}),
     "hil_faults": lambda d: d.faults.update(injected=2),
+    "hil_observer_samples_total": lambda d: d.observed[0].samples.update(rejected=3),
+    "hil_observer_readmitted_total": lambda d: d.observed.__setitem__(
+        0, d.observed[0]._replace(readmitted=1)
+    ),
     "hil_asyncio_tasks": lambda d: setattr(d, "tasks", 9),
     "hil_audit_ok": lambda d: d.audit.update(rtprio=True),
 }

@@ -75,3 +75,26 @@ def test_the_service_that_enables_the_drive_is_one_of_the_flavour(name):
     flavour = FLAVOURS[name]
     assert flavour.enabled_by in {"", *(served.name for served in flavour.served)}
     assert bool(flavour.enabled_by) == bool(flavour.served)
+
+
+def test_the_estimate_carries_its_covariances_and_is_silent_before_a_fix():
+    robot = robot_with("skid")
+    assert list(outgoing.estimate(robot)) == []
+    numbers = {"x_m": 1.0, "y_m": 2.0, "yaw_rad": math.pi / 2, "linear_m_s": 0.4}
+    numbers |= {"angular_rad_s": 0.3, "x_m_sd": 0.1, "y_m_sd": 0.2, "yaw_rad_sd": 0.05}
+    numbers |= {"linear_m_s_sd": 0.01, "angular_rad_s_sd": 0.02}
+    numbers |= {"x_y_cov": 0.006, "x_yaw_cov": 0.001, "y_yaw_cov": -0.002, "state": 0.0}
+    robot.values |= {f"estimate.{name}": value for name, value in numbers.items()}
+    assert list(outgoing.estimate(robot)) == []
+    robot.values["estimate.state"] = 2.0
+    (message,) = outgoing.estimate(robot)
+    assert message.header.frame_id == "map"
+    assert (message.pose.pose.position.x, message.pose.pose.position.y) == (1.0, 2.0)
+    assert message.pose.pose.orientation.z == pytest.approx(math.sin(math.pi / 4))
+    pose = message.pose.covariance.reshape(6, 6)
+    np.testing.assert_array_equal(pose, pose.T)
+    assert pose[[0, 1, 5], [0, 1, 5]] == pytest.approx([0.01, 0.04, 0.0025])
+    assert (pose[0, 1], pose[0, 5], pose[1, 5]) == (0.006, 0.001, -0.002)
+    twist = message.twist.covariance.reshape(6, 6).diagonal()
+    assert twist[[0, 5]] == pytest.approx([1e-4, 4e-4])
+    assert (message.twist.twist.linear.x, message.twist.twist.angular.z) == (0.4, 0.3)
