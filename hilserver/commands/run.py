@@ -13,7 +13,7 @@ import yaml
 
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.options import add_config, add_patch, config_path, number
-from hilserver.errors import EXIT_DONE
+from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.program.ending import ENDING
 from hilserver.program.guard import guarded
 from hilserver.program.shared_memory import DEFAULT_IMAGE, check_free
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         guard.say = announcer.last_words
         announcer.starting()
         try:
-            check_free(image)
+            _check_free(image, config_path(args))
             from hilserver.commands import compiled_start  # noqa: PLC0415
             from hilserver.program import compiling  # noqa: PLC0415
 
@@ -91,6 +91,17 @@ def run(args: argparse.Namespace) -> int:
             return code
         finally:
             writer.drain()
+
+
+def _check_free(image: str, path: Path | None) -> None:
+    """Raise where another daemon runs; a mistake in the file comes first, its name may be one."""
+    try:
+        check_free(image)
+    except FailedError:
+        from hilserver.config.root import load_config  # noqa: PLC0415
+
+        load_config(path)
+        raise
 
 
 def _write_schema(path: Path) -> int:

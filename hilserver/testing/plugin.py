@@ -126,7 +126,7 @@ async def _hil(request: pytest.FixtureRequest) -> AsyncIterator["Hil"]:
         opened = open_hil(**wishes)
         hil = await opened.__aenter__()
     except (UserError, ValueError, AssertionError) as error:
-        pytest.fail(str(error), pytrace=False)
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
     try:
         request.node.stash[_HIL] = hil
         yield hil

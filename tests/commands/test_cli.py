@@ -291,8 +291,13 @@ def test_two_daemons_with_one_image_name(tmp_path):
             if "hilserver is running" in line:
                 break
         second = hilserver("run", "-c", str(path), cwd=tmp_path)
+        typo = tmp_path / "typo.yaml"
+        typo.write_text(f"image: {{name: {name}}}\nplant: {{wheel_radius: 0.1}}\n")
+        mistaken = hilserver("run", "-c", str(typo), cwd=tmp_path)
         first.send_signal(signal.SIGTERM)
         first.stderr.read()
         assert first.wait(120) == 0
     assert second.returncode == 1
     assert f"another hilserver uses the process image '{name}'" in second.stderr
+    assert "unknown key 'plant.wheel_radius'" in mistaken.stderr  # before, the other one was blamed
+    assert mistaken.returncode == 78
