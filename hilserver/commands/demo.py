@@ -10,13 +10,16 @@ import dataclasses
 import re
 from collections.abc import AsyncIterator
 
+from hilserver.config.peers import PeerConfig
+from hilserver.config.recalibration import RecalibrationConfig
 from hilserver.config.timing import LimitsConfig
 from hilserver.controller.nodes import demo_peer
-from hilserver.daemon.assembly import Assembly
+from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.program import children
 
+TWIN = RecalibrationConfig(enabled=True, window_s=120, every_s=60, limit_s=240)
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
 START_LIMIT_S = 30.0
 STALE_AFTER_MS = 2000.0
@@ -50,17 +53,63 @@ async def running_controller(
         f"--max-rpm={robot.max_rpm}",
         f"--pattern={pattern}",
     )
+    async with _serving(command, "controller") as endpoint:
+        yield endpoint
+
+
+@contextlib.asynccontextmanager
+async def running_robot() -> AsyncIterator[str]:
+    """Run the "real robot" of the twin while the context lasts; give its endpoint.
+
+    Raises
+    ------
+    FailedError
+        If it does not come up.
+    """
+    command = children.python("-m", "hilserver.recalibration.robot")
+    async with _serving(command, "robot") as endpoint:
+        yield endpoint
+
+
+@contextlib.asynccontextmanager
+async def _serving(command: list[str], name: str) -> AsyncIterator[str]:
     async with children.started(
-        command, name="controller", stop_limit_s=0.0, stdout=asyncio.subprocess.PIPE
+        command, name=name, stop_limit_s=0.0, stdout=asyncio.subprocess.PIPE
     ) as process:
         ready = await children.line_of(process, READY, START_LIMIT_S)
         if ready is None:
-            raise FailedError("the embedded controller did not start; see its messages above")
+            raise FailedError(f"the embedded {name} did not start; see its messages above")
         yield ready.group(1).decode()
 
 
 def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
-    """Return the same robot with the embedded controller as its only peer.
+    """Return the same robot with the embedded controller as its only peer."""
+    return _with_peer(
+        assembly, demo_peer(endpoint).model_copy(update={"stale_after_ms": STALE_AFTER_MS})
+    )
+
+
+def twin_assembly(assembly: Assembly, endpoint: str) -> Assembly:
+    """Return the same robot beside a "real" one that drives, with recalibration on.
+
+    Windows of two minutes are diagnosed one after the other; a configuration that has the section
+    switched on keeps its own.
+    """
+    from hilserver.recalibration.robot import peer  # noqa: PLC0415 - brings the injector along
+
+    assembly = _with_peer(assembly, peer(endpoint))
+    config = assembly.config
+    own = config.recalibration
+    twin = own if own.enabled else TWIN
+    sensors = config.sensors.model_copy(
+        update={"nav": config.sensors.nav.model_copy(update={"enabled": True})}
+    )
+    changed = config.model_copy(update={"recalibration": twin, "sensors": sensors})
+    return assemble_config(changed, assembly.folder, assembly.patch)
+
+
+def _with_peer(assembly: Assembly, peer: PeerConfig) -> Assembly:
+    """Return the same robot with one peer, which drives.
 
     The default limits of overruns are off: a laptop that slept would leave it in the safe state.
     """
@@ -69,7 +118,6 @@ def demo_assembly(assembly: Assembly, endpoint: str) -> Assembly:
         limits = LimitsConfig(single_overrun_ms=None, consecutive_overruns=None)
         scheduler = scheduler.model_copy(update={"limits": limits})
     control = assembly.config.control.model_copy(update={"source": "peer"})
-    peer = demo_peer(endpoint).model_copy(update={"stale_after_ms": STALE_AFTER_MS})
     changes = {"peers": (peer,), "control": control, "scheduler": scheduler}
     config = assembly.config.model_copy(update=changes)
     return dataclasses.replace(assembly, config=config)

@@ -38,6 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also start an embedded controller that drives a figure of eight",
     )
     parser.add_argument(
+        "--twin",
+        action="store_true",
+        help="also start a 'real robot' that changes after a minute: the model has to notice",
+    )
+    parser.add_argument(
         "--scenario",
         type=Path,
         metavar="FILE",

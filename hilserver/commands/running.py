@@ -15,7 +15,7 @@ import structlog
 
 from hilserver.commands.announcing import Announcer
 from hilserver.commands.credentials import check_credentials
-from hilserver.commands.demo import demo_assembly, running_controller
+from hilserver.commands.demo import demo_assembly, running_controller, running_robot, twin_assembly
 from hilserver.commands.page_setup import page_setup
 from hilserver.commands.patching import assembled
 from hilserver.config.page import PageConfig
@@ -45,7 +45,9 @@ def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
     with announcer:
         check_credentials(assembly)
         try:
-            code = event_loop.run(run.demo() if args.demo else run.robot())
+            code = event_loop.run(
+                run.twin() if args.twin else run.demo() if args.demo else run.robot()
+            )
         except asyncio.CancelledError:
             code = EXIT_DONE
     _log.info("hilserver has ended", exit_code=code)
@@ -93,6 +95,12 @@ class Run:
         """Run beside a controller that drives; return the exit code."""
         async with running_controller(self._assembly.robot) as endpoint:
             self._assembly = demo_assembly(self._assembly, endpoint)
+            return await self.robot()
+
+    async def twin(self) -> int:
+        """Run beside a "real robot" that changes; return the exit code."""
+        async with running_robot() as endpoint:
+            self._assembly = twin_assembly(self._assembly, endpoint)
             return await self.robot()
 
     async def robot(self) -> int:

@@ -36,6 +36,8 @@ from hilserver.recalibration.spending import NAMED_LEVEL
 
 REFINED: Final = 3
 """The same for both models: what is left to refine must not make a difference."""
+HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
+"""Faults of the data that leave what is there true: they are said, and bar nothing."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
 Array = flips.Array
 
@@ -87,10 +89,15 @@ class Judge:
         return looked
 
     def _looked(self, diagnosis: Diagnosis) -> Looked:
-        found, loaded = diagnosis.findings.findings, self._todo.loaded
-        faults = tuple(f.explanation for f in found if f.verdict is Verdict.DATA_FAULT)
-        if faults:
+        found = diagnosis.findings.findings
+        faulty = [f for f in found if f.verdict is Verdict.DATA_FAULT]
+        faults = tuple(f.explanation for f in faulty)
+        if not all(set(f.causes) <= HARMLESS for f in faulty):
             return Looked("data_fault", faults=faults)
+        return replace(self._named(diagnosis, [f for f in found if f not in faulty]), faults=faults)
+
+    def _named(self, diagnosis: Diagnosis, found: list[Finding]) -> Looked:
+        loaded = self._todo.loaded
         named = [f for f in found if f.verdict in PROPOSABLE]
         others = [f for f in found if f not in named]
         if others and not named:

@@ -70,7 +70,7 @@ class Loop:
     def todo(self, window: int, loaded: Values, now_s: float) -> Todo | None:
         """Return what to do with a window that is complete; None if nothing is."""
         candidate, proposal = self._candidate, self.proposal
-        if candidate is not None and (candidate.window + 1, candidate.loaded) != (window, loaded):
+        if candidate is not None and candidate.loaded != loaded:
             candidate = self._candidate = None
         measure = None
         if proposal is not None and proposal.stage is Stage.ACCEPTED and self._began_after(window):

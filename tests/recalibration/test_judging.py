@@ -91,3 +91,16 @@ def test_a_sensor_that_is_stuck_is_a_fault_and_no_patch(tmp_path):
     look = judged(path, None).look
     assert (look.verdict, look.terms) == ("data_fault", {})
     assert "gyro" in look.faults[0]
+
+
+@pytest.mark.long
+def test_missing_samples_are_said_and_bar_nothing(tmp_path):
+    table, _ = make(Recipe(seed=5, causes=HIDDEN, duration_s=120.0))
+    for at in range(500, 6000, 500):
+        for name in ("nav.x_m", "nav.y_m", "nav.yaw_rad"):
+            table.columns[name][at : at + 30] = float("nan")
+    path = tmp_path / "window.csv"
+    table.write_csv(path)
+    look = judged(path, None).look
+    assert (look.verdict, look.causes) == ("named", ("rotation_gain",))
+    assert "missing" in look.faults[0]

@@ -1,0 +1,145 @@
+"""The "real robot" of ``hilserver run --twin``: another program's machine behind an OPC UA server.
+
+It drives as the model says until a cause appears that the daemon does not know. What it measures
+has the noise of real sensors; the set-points that it follows are served beside it.
+"""
+
+import argparse
+import asyncio
+import math
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+from hilserver_injector import Recipe, Sensor, make
+from numpy.typing import NDArray
+
+import hilserver.scenarios  # noqa: F401 - makes the injector known where it is installed
+from hilserver.config.peers import PeerConfig
+from hilserver.controller.nodes import SEQUENCE, SETPOINTS, node_id
+from hilserver.controller.server import ControllerServer
+from hilserver.errors import EXIT_DONE
+from hilserver.measured.channels import TAG
+from hilserver.program import event_loop
+from hilserver.signals import MEASURED
+
+CAUSE: Final[Mapping[str, float]] = {"rotation_gain": 0.08}
+"""It turns 8 % more than its wheels say: another floor."""
+APPEARS_S: Final = 60.0
+DRIVE_S: Final = 600.0
+MEASURES: Final = (
+    *(f"wheel.{w}.{what}" for what in ("speed_rpm", "duty_pct") for w in ("fl", "rl", "fr", "rr")),
+    *TAG,
+    "imu.gyro_z_rad_s",
+    "battery.voltage_v",
+)
+LIMITED: Final = {"duty_pct": Sensor(limit=100.0)}
+PUBLISHING_MS: Final = 5.0
+"""A quarter of a row: values get the stamp of the tick at which they arrive."""
+STALE_MS: Final = 2000.0
+Pose = NDArray[np.float64]
+
+
+def peer(endpoint: str) -> PeerConfig:
+    """Return the peer configuration for the robot at `endpoint`."""
+    read = {node_id(node): signal for node, signal in SETPOINTS.items()}
+    read |= {node_id(name): f"{MEASURED}{name}" for name in MEASURES}
+    return PeerConfig(
+        name="robot",
+        endpoint=endpoint,
+        read=read,
+        sequence_node=node_id(SEQUENCE),
+        publishing_ms=PUBLISHING_MS,
+        stale_after_ms=STALE_MS,
+    )
+
+
+def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
+    """Yield time [s] and values of every row, without end; the cause appears at `APPEARS_S`."""
+    begin_s, at = 0.0, None
+    for number, length_s in _drives():
+        causes = CAUSE if number else {}
+        recipe = Recipe(
+            seed=seed + number,
+            causes=causes,
+            duration_s=length_s,
+            manoeuvre="ramps",
+            sensors=LIMITED,
+        )
+        table, truth = make(recipe)
+        dense = truth.dense
+        at = dense[0, 1:4] if at is None else at
+        columns = _moved(table.columns, dense[0, 1:4], at)
+        at = _pose(dense[0, 1:4], at, dense[-1, 1:4])
+        for k, t_s in enumerate(table.t_s.tolist()):
+            values = {name: float(values[k]) for name, values in columns.items()}
+            yield begin_s + t_s, {n: v for n, v in values.items() if math.isfinite(v)}
+        begin_s += length_s
+
+
+def _drives() -> Iterator[tuple[int, float]]:
+    yield 0, APPEARS_S
+    number = 0
+    while True:
+        number += 1
+        yield number, DRIVE_S
+
+
+def _pose(start: Pose, at: Pose, pose: Pose) -> Pose:
+    """Return a pose of a drive that begins at `at` instead of `start`."""
+    turn = at[2] - start[2]
+    cos, sin = math.cos(turn), math.sin(turn)
+    x, y = pose[0] - start[0], pose[1] - start[1]
+    return np.array([at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, pose[2] + turn])
+
+
+def _moved(
+    columns: Mapping[str, NDArray[np.float64]], start: Pose, at: Pose
+) -> dict[str, NDArray[np.float64]]:
+    tag = np.array([columns[name] for name in TAG])
+    x, y, yaw = _pose(start, at, tag)
+    return dict(columns) | dict(zip(TAG, (x, y, np.arctan2(np.sin(yaw), np.cos(yaw))), strict=True))
+
+
+async def drive(server: ControllerServer, seed: int) -> None:
+    """Serve rows as they come."""
+    loop = asyncio.get_running_loop()
+    nodes = {signal: node for node, signal in SETPOINTS.items()} | {n: n for n in MEASURES}
+    source = rows(seed)
+    first = await asyncio.to_thread(next, source)
+    begin_s, sequence = loop.time() - first[0], 0
+    while True:
+        t_s, values = await asyncio.to_thread(next, source)
+        await asyncio.sleep(begin_s + t_s - loop.time())
+        sequence += 1
+        offered: dict[str, object] = {nodes[n]: v for n, v in values.items() if n in nodes}
+        await server.offer(
+            {**offered, "enable": True, SEQUENCE: sequence % 2**32}, datetime.now(UTC)
+        )
+
+
+async def serve(endpoint: str, seed: int) -> int:
+    """Serve and drive until SIGINT or SIGTERM."""
+    async with ControllerServer(endpoint, more_sensors=MEASURES) as server:
+        driving = asyncio.create_task(drive(server, seed))
+        asked = asyncio.create_task(event_loop.end_event().wait())
+        print(f"robot listening on {server.endpoint}", flush=True)
+        await asyncio.wait((driving, asked), return_when=asyncio.FIRST_COMPLETED)
+        for task in (driving, asked):
+            task.cancel()
+        await asyncio.gather(driving, asked, return_exceptions=True)
+    return EXIT_DONE
+
+
+def main() -> int:
+    """Run and return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m hilserver.recalibration.robot")
+    parser.add_argument("--endpoint", default="opc.tcp://127.0.0.1:0/UA/Robot")
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    return event_loop.run(serve(args.endpoint, args.seed))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
