@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit
@@ -159,7 +160,11 @@ def _fitted(
         trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
         if not possible(trial):
             continue
-        difference = trial.loss - point.loss
+        common = problem.between(point, trial)
+        mine, other = point, trial
+        if common is not problem:
+            mine, other = (fit(common, p.model, p, iterations=3) for p in (point, trial))
+        difference = other.loss - mine.loss
         penalty = cost(c, saved) - cost(accepted, saved)
         worse = float(difference.sum()) + penalty
         found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty), gross))
@@ -195,6 +200,8 @@ def with_best_rivals(
 ) -> tuple[Point, dict[str, list[Rival]]]:
     """Swap causes for better rivals until none is left; return the rivals that tie.
 
+    One that leaves less, and larger errors on held-out blocks, is none.
+
     Parameters
     ----------
     near : mapping of str to sequence of Trial, optional
@@ -207,8 +214,11 @@ def with_best_rivals(
         for index, f in enumerate(point.model.fitted):
             found = rivals(library, point, index, near.get(f.candidate.cause, ()))
             if found and found[0].wins and not found[0].ties:
-                swapped = found[0].point
-                break
+                if Step(library.problem, point, found[0].point).harms:
+                    found = found[1:]
+                else:
+                    swapped = found[0].point
+                    break
             ties[f.candidate.cause] = [r for r in found if r.ties]
         if swapped is None:
             return point, ties

@@ -212,7 +212,9 @@ def with_fewer(problem: Problem, point: Point, ties: Mapping[str, list[Rival]]) 
         less = prune(problem, rival.point, LEAST_GAIN)
         fewer = len(less.model.fitted) < len(point.model.fitted)
         stands = rival.candidate.cause in less.model.causes
-        if fewer and stands and less.deviance < point.deviance + LEAST_GAIN:
+        if not fewer or not stands or less.deviance >= point.deviance + LEAST_GAIN:
+            continue
+        if not Step(problem, point, less).harms:
             return less
     return None
 

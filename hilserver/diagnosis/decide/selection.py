@@ -142,10 +142,12 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
         for c in missing:
             model = model.plus(c, c.beginning)
         trial = fit(problem, model, point, iterations=12)
-        gain = point.deviance - trial.deviance
-        if gain < SELECTION_LEAST_SAVED + TIE * added or not physical(trial):
+        if not physical(trial):
             continue
-        if holds(problem, point, trial.model, trial):
+        common = problem.between(point, trial)
+        one, two = (fit(common, p.model, p, iterations=4) for p in (point, trial))
+        least = SELECTION_LEAST_SAVED + TIE * added
+        if one.deviance - two.deviance > least and holds(common, one, two.model, two):
             return trial
     return point
 
@@ -191,7 +193,8 @@ def _plausible(
     other = search(barred)
     impossible = any(at_bound(f) for f in first.point.model.fitted if _excessive(f))
     noises = own, (problem.noise, problem.weights)
-    cheaper = all(_cost(problem, other, n) <= _cost(problem, first, n) for n in noises)
+    ours, theirs = (sum(_cost(problem, s, n) for n in noises) for s in (first, other))
+    cheaper = theirs <= ours
     if not any(map(_excessive, other.point.model.fitted)) and (impossible or cheaper):
         gone = [c for c in first.point.model.causes if c not in other.point.model.causes]
         why = "of a size that no machine has; others explain as much"

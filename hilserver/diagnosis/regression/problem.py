@@ -110,6 +110,17 @@ class Problem:
         other.estimate_noise(other.residual(point.predicted))
         return other
 
+    def between(self, one: Point, other: Point) -> "Problem":
+        """Return the same stage under weights that take the side of neither of two models."""
+        if not self.weighs_by_model:
+            return self
+        a, b = self.under_noise_of(one), self.under_noise_of(other)
+        noise = {
+            n: replace(mine, white_sd=(0.5 * (mine.sd**2 + b.noise[n].sd ** 2)) ** 0.5)
+            for n, mine in a.noise.items()
+        }
+        return self.under(noise, 0.5 * (a.weights + b.weights))
+
     def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
         """Return the same stage under another noise."""
         return replace(self, noise=noise, weights=weights)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hilserver.diagnosis.decide.identifiability import with_best_rivals
 from hilserver.diagnosis.decide.promise import Step, _grows
 from hilserver.diagnosis.decide.revision import _harmless
 from hilserver.diagnosis.findings.outcome import worsened
@@ -63,3 +64,17 @@ def test_no_cause_goes_for_unknown_structure_where_held_out_errors_would_grow():
     assert step.harms
     assert step.gain is not None
     assert step.gain < 0.95
+
+
+@pytest.mark.parametrize("harms", [True, False])
+def test_a_rival_with_larger_errors_on_held_out_blocks_takes_no_place(harms, monkeypatch):
+    """It leaves less all the same; whether errors grow is decided by blocks, see above."""
+    rng = np.random.default_rng(4)
+    good = toy.smooth(rng, 2000)
+    poor = good + 0.6 * toy.smooth(rng, 2000)
+    problem = toy.problem(5.0 * good + rng.normal(size=2000), {"good": good, "poor": poor})
+    library, base = toy.library(problem)
+    point = fit(problem, toy.model("poor"), base)
+    monkeypatch.setattr(Step, "harms", property(lambda step: harms))
+    found, _ = with_best_rivals(library, point)
+    assert found.model.causes == (("poor",) if harms else ("good",))
