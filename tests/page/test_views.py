@@ -164,7 +164,7 @@ def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant,
     waits_for("As configured.")
     browser.do("run", script=f'document.querySelector("{slider}").focus()')
     browser.do("press", key="ArrowRight")
-    waits_for("1 differ from the configuration.")
+    waits_for("1 differs from the configuration.")
     browser.do("click", role="button", name="Save as patch")
     plant.wait(lambda: "controller.k_p" in text_of(daemon.folder / "patches" / "tuned.yaml"))
     browser.do("run", script="document.querySelector(\"[aria-keyshortcuts='Control+Z']\").focus()")

@@ -54,6 +54,7 @@ export function signalsView(context: Context): View {
   const place = h("select", {}, h("option", { value: "signal" }, "a signal"), h("option", { value: "peer" }, "a peer's link"));
   const placeField = field("Acts on", place);
   const onField = field("Signal", on);
+  onField.classList.add("wide");
   const peerField = field("Peer", peer);
   const form = (): FaultForm => context.faults.find(({ name }) => name === kind.value)!;
 

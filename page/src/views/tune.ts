@@ -84,7 +84,7 @@ export function tuneView(context: Context): View {
     const slider = h("input", { type: "range", min: low, max: high, ...attributes, step: (high - low) / 200, "aria-label": p.name });
     const exact = h("input", { type: "number", min: p.low, max: p.high, ...attributes, "aria-label": `${p.name}, exactly`, placeholder: "null" });
     const back = h("button", { type: "button", class: "quiet", disabled: !allowed || p.fixed, title: "As configured" }, number(p.configured));
-    slider.addEventListener("change", () => void change(p, Number(slider.value)));
+    slider.addEventListener("change", () => void change(p, Number(Number(slider.value).toPrecision(4))));
     exact.addEventListener("change", () => void change(p, exact.value === "" ? null : Number(exact.value)));
     back.addEventListener("click", () => void change(p, p.configured));
     const element = h("li", { class: "parameter", title: p.meaning },
@@ -117,7 +117,7 @@ export function tuneView(context: Context): View {
     }
     for (const p of parameters) rows.get(p.name)?.show(p);
     const n = parameters.filter((p) => p.value !== p.configured).length;
-    setText(changed, n === 0 ? "As configured." : `${n} differ from the configuration.`);
+    setText(changed, n === 0 ? "As configured." : `${n} ${n === 1 ? "differs" : "differ"} from the configuration.`);
     undo.disabled = !undone.length;
     save.disabled = n === 0 || !may(context, "SaveParameters");
   }

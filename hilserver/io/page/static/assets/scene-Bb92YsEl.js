@@ -1,4 +1,4 @@
-import{p as pl,r as wo,h as Pi,l as is,a as ys,b as _a,g as ml,W as Ro,c as _l,d as gl,T as vl,e as ga,f as xl,C as Ml}from"./index-Br0tv0yf.js";/**
+import{p as pl,r as wo,h as Pi,l as is,a as ys,b as _a,g as ml,W as Ro,c as _l,d as gl,T as vl,e as ga,f as xl,C as Ml}from"./index-j5EihEb-.js";/**
  * @license
  * Copyright 2010-2025 Three.js Authors
  * SPDX-License-Identifier: MIT
