@@ -25,6 +25,12 @@ PYTHON = "3.11"  # of this suite
 HOME = "opt/hilserver"
 WITHOUT = ("usr/share/doc", "usr/share/man", "usr/share/locale", "var/cache", "var/lib/apt/lists",
            "var/log", "tmp", "run", "root")  # fmt: skip
+ANY_PORT = """
+image: {name: auto}
+opcua: {endpoint: "opc.tcp://127.0.0.1:0/hilserver"}
+metrics: {port: 0}
+page: {enabled: false}
+"""
 PLATFORM = {"x86_64": ("amd64", "x86_64"), "aarch64": ("arm64", "aarch64")}
 ENVIRONMENT = {
     "PATH": f"/{HOME}/bin:/usr/bin:/bin",

@@ -41,7 +41,8 @@ async function main() {
   });
   await client.connect(endpoint);
   const session = await client.createSession();
-  const index = (await session.readNamespaceArray()).indexOf(NAMESPACE);
+  const uris = await session.readNamespaceArray();
+  const index = uris.indexOf(NAMESPACE);
   const id = (path) => `ns=${index};s=${path}`;
   const double = (value) => new Variant({ dataType: DataType.Double, value });
   const write = async (path, value) =>
@@ -57,6 +58,14 @@ async function main() {
   result.pose = { value: pose.value.value, status: pose.statusCode.name, stamped: pose.sourceTimestamp !== null };
 
   result.before_control = (await write("wheel.fl.setpoint_rpm", double(setpoint))).name;
+  const di = uris.indexOf("http://opcfoundation.org/UA/DI/");
+  const plate = ["Manufacturer", "Model", "SerialNumber", "SoftwareRevision"];
+  const places = await session.translateBrowsePath(
+    plate.map((name) => makeBrowsePath(id("robot"), `.${di}:${name}`)));
+  const shown = await session.read(places.map(
+    (path) => ({ nodeId: path.targets[0].targetId, attributeId: AttributeIds.Value })));
+  result.nameplate = shown.map((dataValue) => dataValue.value.value.text ?? dataValue.value.value);
+
   const owner = new Variant({ dataType: DataType.String, value: "opcua" });
   result.take_control = (await write("control.source", owner)).name;
   const wrongType = new Variant({ dataType: DataType.Int32, value: 1 });

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hilserver import __version__
 from hilserver.signals import State
 from tests.io.opcua_server.rig import Rig
 
@@ -45,6 +46,9 @@ async def test_node_opcua_reads_takes_control_writes_subscribes_and_calls(rig: R
     assert found["browsed"] == "ns=2;s=pose.x_m"
     assert found["range"] == [-90, 90]
     assert found["pose"] == {"value": 0.75, "status": "Good", "stamped": True}
+    maker, model, serial, version = found["nameplate"]
+    assert (maker, model) == ("hilserver", "Simulated four-wheeled robot")
+    assert (len(serial), version) == (12, __version__)
     assert found["before_control"] == "BadUserAccessDenied"
     assert found["take_control"] == "Good"
     assert found["refused"] == [

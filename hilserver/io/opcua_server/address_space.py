@@ -8,6 +8,7 @@ from asyncua import ua
 
 from hilserver.io.opcua_server import model
 from hilserver.io.opcua_server.method_table import Method
+from hilserver.io.opcua_server.nameplate import GROUP, LOCALIZED_TEXT, Entry
 from hilserver.io.opcua_server.units import NAMESPACE_URI as UNITS_URI
 from hilserver.io.opcua_server.units import Unit
 
@@ -64,6 +65,19 @@ class AddressSpaceBuilder:
         )
         self.reference(SERVER, self.robot, kinds.HasNotifier, ua.NodeClass.Object)
 
+    def nameplate(self, entries: Iterable[Entry]) -> None:
+        """Add the nameplate: properties of the robot, which a group names a second time."""
+        group = self.node_id(f"{model.ROBOT}.{GROUP}")
+        kinds = ua.ObjectIds
+        name = ua.QualifiedName(GROUP, self._di_index)
+        about = "Who made the robot, and which one it is"
+        self._object(group, name, self.robot, kinds.HasComponent, kinds.FolderType, about)
+        for name, value, kind in entries:
+            shown = ua.LocalizedText(value) if kind == LOCALIZED_TEXT else value
+            typed = ua.Variant(shown, ua.VariantType(kind))
+            entry = self.property(model.ROBOT, name, typed, kind, self._di_index)
+            self.reference(group, entry, kinds.Organizes, ua.NodeClass.Variable)
+
     def folders(self, folders: Iterable[model.Folder]) -> None:
         """Add folders; each after the one that holds it."""
         for folder in folders:
@@ -118,17 +132,19 @@ class AddressSpaceBuilder:
             for name, text in zip(("FalseState", "TrueState"), row.two_states, strict=True):
                 self.property(row.path, name, ua.LocalizedText(text), kinds.LocalizedText)
 
-    def property(self, owner: str, name: str, value: Any, data_type: int) -> ua.NodeId:
+    def property(
+        self, owner: str, name: str, value: Any, data_type: int, namespace: int = 0
+    ) -> ua.NodeId:
         """Add a property with a constant value; standard names are in namespace 0."""
         attributes = ua.VariableAttributes()
         attributes.DisplayName = ua.LocalizedText(name)
         attributes.DataType = ua.NodeId(data_type)
         attributes.ValueRank = 1 if isinstance(value, list) else -1
         attributes.ArrayDimensions = [0] if isinstance(value, list) else None
-        attributes.Value = ua.Variant(value)
+        attributes.Value = value if isinstance(value, ua.Variant) else ua.Variant(value)
         return self._add(
             self.node_id(f"{owner}.{name}"),
-            ua.QualifiedName(name, 0),
+            ua.QualifiedName(name, namespace),
             self.node_id(owner),
             ua.ObjectIds.HasProperty,
             ua.NodeClass.Variable,

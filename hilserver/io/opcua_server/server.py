@@ -12,6 +12,7 @@ from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.application import RobotApplication
 from hilserver.io.opcua_server.diagnostics import Diagnostics
 from hilserver.io.opcua_server.method_table import METHODS, Parts
+from hilserver.io.opcua_server.nameplate import nameplate
 from hilserver.io.opcua_server.parameters import ParameterVariables
 from hilserver.io.opcua_server.robot_events import RobotEvents
 from hilserver.io.opcua_server.server_status import PRODUCT_URI, ServerStatus, build_info
@@ -20,7 +21,7 @@ from hilserver.io.part import Part
 from hilserver.io.world import Figure, World
 from hilserver.opcua.encoding import FixedDataValue
 from hilserver.opcua.logs import log
-from hilserver.opcua.server import HardenedServer
+from hilserver.opcua.server import HardenedServer, application_uri
 from hilserver.opcua.settings import Role
 from hilserver.signals import State
 
@@ -148,6 +149,7 @@ class OpcUaServer(Part):
         di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
         builder.roots()
+        builder.nameplate(nameplate(world.config, application_uri(self._config)))
         builder.folders(self._folders)
         for row in self._rows:
             builder.variable(row)

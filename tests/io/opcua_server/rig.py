@@ -12,6 +12,7 @@ from typing import Any
 
 from asyncua import Client, ua
 
+from hilserver.config.root import Config
 from hilserver.config.server import OpcUaConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.control import Control
@@ -97,7 +98,7 @@ class Rig:
     def make_server(self, **config: Any) -> OpcUaServer:
         changed = self.config.model_copy(update=config)
         world: Any = SimpleNamespace(
-            config=SimpleNamespace(opcua=changed),
+            config=Config().model_copy(update={"opcua": changed}),
             folder=None,
             table=self.table,
             image=self.image,

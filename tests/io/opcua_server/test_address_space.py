@@ -1,10 +1,12 @@
 """What a client finds when it browses."""
 
+import re
 from pathlib import Path
 
 import pytest
 from asyncua import ua
 
+import hilserver
 from hilserver.errors import ConfigError
 from hilserver.io.opcua_server.application import STATUS_OF
 from hilserver.io.opcua_server.method_table import METHODS
@@ -39,6 +41,28 @@ async def test_robot_is_found_from_objects_by_way_of_di(client: RobotClient) -> 
     assert node.nodeid == ua.NodeId("pose.x_m", client.index)
     device_set = await client.nodes.objects.get_child(path[:1])
     assert device_set.nodeid == ua.NodeId(5001, di)
+
+
+async def test_the_robot_has_a_nameplate_where_asset_tools_look(client: RobotClient) -> None:
+    di = await client.get_namespace_index(DI_NAMESPACE_URI)
+    robot = client.path("robot")
+    found = {}
+    for node in await robot.get_properties():
+        name = await node.read_browse_name()
+        assert name.NamespaceIndex == di
+        value = await node.read_data_value()
+        assert value.Value.VariantType.value == (await node.read_data_type()).Identifier
+        found[name.Name] = getattr(value.Value.Value, "Text", value.Value.Value)
+    assert found["Manufacturer"] == "hilserver"
+    assert found["SoftwareRevision"] == hilserver.__version__
+    assert re.fullmatch("[0-9a-f]{12}", found["SerialNumber"])
+    assert found["ProductInstanceUri"].endswith(found["SerialNumber"])
+    mandatory = {"Manufacturer", "Model", "HardwareRevision", "SoftwareRevision", "DeviceRevision"}
+    mandatory |= {"DeviceManual", "SerialNumber", "RevisionCounter"}
+    assert found.keys() >= mandatory
+    group = await robot.get_child(f"{di}:Identification")
+    members = await group.get_referenced_nodes(ua.ObjectIds.Organizes)
+    assert {(await node.read_browse_name()).Name for node in members} == found.keys()
 
 
 async def test_namespaces_have_fixed_order(client: RobotClient) -> None:
