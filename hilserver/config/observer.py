@@ -10,14 +10,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError
-from hilserver.observer.consider import constants, directions
+from hilserver.observer.consider import alternatives, constants, directions
 from hilserver.observer.figures import READMIT_AFTER, Noise, figures
+from hilserver.observer.layout import MOST_DIRECTIONS
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 
 DEFAULT_SLICE = "observer"
 DEFAULT_PERIOD_MS = 10.0
 MOST_BYTES = 10_000_000
+NAMELESS = ("structure_not_in_library", "drift")
+"""Verdicts by which the model is wrong in a way that no constant describes."""
 
 
 class ObserverConfig(Section):
@@ -82,6 +85,15 @@ class _Detectable(_Read):
     size: float = Field(ge=0)
 
 
+class _Value(_Read):
+    value: float
+
+
+class _Finding(_Read):
+    verdict: str
+    parameters: dict[str, _Value] = Field(default_factory=dict)
+
+
 class Found(_Read):
     """What a diagnosis says that the observer uses."""
 
@@ -89,6 +101,7 @@ class Found(_Read):
     noise: dict[str, _Noise] = Field(default_factory=dict)
     joint: _Joint | None = None
     smallest_detectable: tuple[_Detectable, ...] = ()
+    findings: tuple[_Finding, ...] = ()
 
 
 def load_found(path: Path) -> Found:
@@ -136,4 +149,12 @@ def constants_of(
     moved = []
     if found.joint is not None:
         moved = directions(robot, found.joint.parameters, np.array(found.joint.covariance))
-    return constants(figures(robot, noise, unknown=unknown, readmit_after=readmit_after), moved)
+    groups = [
+        {name: one.value for name, one in finding.parameters.items()}
+        for finding in found.findings
+        if finding.verdict == "named_group"
+    ]
+    moved = [*alternatives(robot, groups), *moved][:MOST_DIRECTIONS]
+    wanders = any(finding.verdict in NAMELESS for finding in found.findings)
+    known = figures(robot, noise, unknown=unknown, wanders=wanders, readmit_after=readmit_after)
+    return constants(known, moved)

@@ -54,6 +54,38 @@ def directions(
     return found
 
 
+def alternatives(robot: RobotParameters, groups: Sequence[Mapping[str, float]]) -> list[Parameters]:
+    """Return what else the model could be, where a diagnosis cannot tell causes apart.
+
+    Any of a group is as likely as the one that the model has, so that the mean square of the error
+    is half the square of what changes with the other: a direction of 1/sqrt(2) of it.
+
+    Parameters
+    ----------
+    groups : sequence of mapping
+        Terms of all causes of a group by name, with the value that each would have.
+    """
+    found, base = [], pack(robot)
+    for group in groups:
+        terms = {name: value for name, value in group.items() if _is_seen(name)}
+        taken = {TERMS[name].cause for name in terms if robot.terms.get(name) not in {None, 0.0}}
+        if not taken:
+            continue
+        kept = {n: v for n, v in robot.terms.items() if n not in terms}
+        for cause in dict.fromkeys(TERMS[name].cause for name in terms):
+            own = {name: value for name, value in terms.items() if TERMS[name].cause == cause}
+            if cause in taken:
+                continue
+            try:
+                other = pack(replace(robot, terms=kept | own))
+            except PlantError:
+                continue  # the other cause has no meaning for this robot
+            same = other.numbers == base.numbers
+            by = np.where(same, 0.0, other.numbers) - np.where(same, 0.0, base.numbers)
+            found.append(Parameters.of(base.numbers + by / np.sqrt(2.0)))
+    return found
+
+
 def _moved(robot: RobotParameters, by: Mapping[str, float]) -> Parameters:
     """Return the parameters with terms moved; what lies outside its range moves the other way."""
     last: PlantError | None = None

@@ -83,6 +83,7 @@ def figures(
     noise: Mapping[str, Noise],
     *,
     unknown: Mapping[str, float] | None = None,
+    wanders: bool = False,
     readmit_after: int = READMIT_AFTER,
 ) -> Figures:
     """Return the figures of the filter.
@@ -94,6 +95,8 @@ def figures(
     unknown : mapping of float, optional
         Largest size of a cause that a diagnosis has left unseen, by cause. Without a diagnosis all
         may have the size at which one has to name them, and wander.
+    wanders : bool
+        The diagnosis found what it has no name for: what it left unseen wanders, too.
     """
     shown = configured(robot) | dict(noise)
     c = Figures.zeros()
@@ -109,11 +112,13 @@ def figures(
     c.position_ou, c.position_tau = place.slow, place.tau_s
     c.yaw_sd = max(yaw.of_a_sample, _LEAST_RAD)
     c.yaw_ou, c.yaw_tau = yaw.slow, yaw.tau_s
-    _leave_unknown(c, robot, unknown)
+    _leave_unknown(c, robot, unknown, wanders=wanders)
     return c
 
 
-def _leave_unknown(c: Figures, robot: RobotParameters, unknown: Mapping[str, float] | None) -> None:
+def _leave_unknown(
+    c: Figures, robot: RobotParameters, unknown: Mapping[str, float] | None, *, wanders: bool
+) -> None:
     """Say how far gyro bias, slip and rotation gain may be off, and how they wander."""
     on = {name for name, value in robot.terms.items() if value not in (None, TERMS[name].null)}
     for name, cause, covered_by in (
@@ -121,10 +126,7 @@ def _leave_unknown(c: Figures, robot: RobotParameters, unknown: Mapping[str, flo
         ("slip", "wheel_radius", OF_SPEED),
         ("gain", "rotation_gain", OF_TURNING),
     ):
-        if unknown is None:
-            sd = TERMS[cause].reference or 0.0
-            walk = 0.0 if on.intersection(covered_by) else sd * sd / WANDER_S
-        else:
-            sd, walk = 0.5 * unknown.get(cause, 0.0), 0.0
-        c[f"{name}_sd"] = 0.0 if on.intersection(covered_by) else sd
-        c[f"{name}_walk"] = walk
+        known = TERMS[cause].reference if unknown is None else 0.5 * unknown.get(cause, 0.0)
+        sd = 0.0 if on.intersection(covered_by) else known or 0.0
+        c[f"{name}_sd"] = sd
+        c[f"{name}_walk"] = sd * sd / WANDER_S if unknown is None or wanders else 0.0

@@ -22,8 +22,8 @@ from hilserver.plant.kernels import part
 from hilserver.plant.layout import Parameters
 
 _SAME_S = 1e-9
-BEND = 0.2
-"""Of the second difference, as error of a chord: between a kink (1/8) and a jump (1/sqrt(12))."""
+BEND = 0.2887
+"""Of the second difference: error of a chord if the wheel jumps at some instant, 1/sqrt(12)."""
 
 
 @part

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilserver.observer.consider import directions
+from hilserver.observer.consider import alternatives, directions
+from hilserver.observer.figures import figures
 from hilserver.observer.layout import N_ESTIMATED
 from hilserver.plant.packing import pack
 from tests.observer.rig import MANY, NOISE, Observed, drive, robot
@@ -119,3 +120,23 @@ def test_errors_of_wrong_parameters_are_within_what_is_said():
 
 def test_noise_of_the_rig_has_every_channel():
     assert len(NOISE) == 8
+
+
+def test_what_a_diagnosis_cannot_tell_apart_is_a_direction():
+    """The heading's frame or the toe of the wheels: half the square of what the other changes."""
+    machine = robot(nav_frame_yaw=-0.03, rotation_gain=0.02)
+    group = {"nav_frame_yaw": -0.03, "wheel_misalignment": 0.03}
+    (other,) = alternatives(machine, [group, {"gyro_scale": 0.1, "no_term": 1.0}])
+    base = pack(machine)
+    assert other.nav_frame_yaw - base.nav_frame_yaw == pytest.approx(0.03 / 2**0.5)
+    assert other.misalignment == pytest.approx(0.03 / 2**0.5)
+    assert other.yaw_gain == base.yaw_gain
+    assert np.isfinite(other.numbers).sum() == np.isfinite(base.numbers).sum()
+
+
+def test_what_has_no_name_lets_slip_and_gain_wander():
+    machine, unseen = robot(), {"rotation_gain": 0.2, "wheel_radius": 0.1}
+    calm = figures(machine, {}, unknown=unseen)
+    loose = figures(machine, {}, unknown=unseen, wanders=True)
+    assert (calm.gain_sd, calm.gain_walk) == (0.1, 0.0)
+    assert (loose.gain_sd, loose.gain_walk) == (0.1, pytest.approx(0.1**2 / 60.0))

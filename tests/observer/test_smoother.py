@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from hilserver.observer.filter import BEND
 from hilserver.observer.layout import YAW
 from hilserver.observer.offline import GYRO, HEADING, POSITION, Series, run
 from hilserver.observer.smoother import smooth
@@ -62,8 +63,8 @@ def test_smoother_is_that_of_filterpy():
         a.estimate[:] = course.estimate[k]
         a.covariance[:] = course.covariance[k]
         if k > 0:
-            b.bend_left = (b.left - 2.0 * a.left + s.wheels[k - 1, 1]) * 0.2
-            b.bend_right = (b.right - 2.0 * a.right + s.wheels[k - 1, 2]) * 0.2
+            b.bend_left = (b.left - 2.0 * a.left + s.wheels[k - 1, 1]) * BEND
+            b.bend_right = (b.right - 2.0 * a.right + s.wheels[k - 1, 2]) * BEND
         predict(observed.p, observed.c, Head.zeros(), a, b)
         predicted.append(b.estimate.copy())
 

@@ -1,0 +1,122 @@
+"""Drives of the injector for the observer: diagnosed once, then driven anew, with dense truth."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from hilserver_injector import Recipe, make
+from hilserver_injector.cases import pairs
+
+from benchmarks.default_filter import default_filter
+from benchmarks.diagnose_worker import measured
+from hilserver.config.observer import constants_of, load_found
+from hilserver.config.patch import load_patch
+from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble, assemble_config
+from hilserver.diagnosis.engine import diagnose
+from hilserver.diagnosis.output import documents
+from hilserver.measured.arrays import Array
+from hilserver.measured.observed import series_of
+from hilserver.observer.layout import YAW
+from hilserver.observer.offline import GYRO, Series, run
+from hilserver.plant.packing import pack
+from hilserver.plant.parameters import RobotParameters
+
+DRIVE_S: Final = 150.0
+CUT_S: Final = (80.0, 140.0)
+"""In which the navigation is silent."""
+ASKED_S: Final = (20.0, 80.0)
+"""Out of which one instant is drawn."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one drive shows."""
+
+    key: str
+    nees: float  # of the pose at a random instant
+    cut: float  # of the position at the end of the cut
+    observer_m: float  # errors of the position there
+    reckoning_m: float  # of the wheels alone, unpatched
+    default_m: float
+
+
+def recipes() -> Iterator[tuple[str, Recipe]]:
+    """Yield driving robots with two hidden causes each, drawn by seed, without end."""
+    seed = 0
+    while True:
+        for case in pairs(seed):
+            if case.recipe.kind == "drive":
+                yield case.key.replace("/", "_"), case.recipe
+        seed += 1
+
+
+def diagnosed(key: str, recipe: Recipe, keep: Path) -> tuple[RobotParameters, Array]:
+    """Return the robot with its patch, and the constants of its filter; diagnoses are kept."""
+    folder = keep / key
+    if not (folder / "findings.json").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        log = measured(make(recipe)[0], recipe)
+        result = diagnose(log, assemble(None), seed=recipe.seed, jobs=1, progress=None)
+        for name, text in documents(result).items():
+            if name.endswith((".json", ".yaml")):
+                (folder / name).write_text(text, encoding="utf-8")
+    path = folder / "model_patch.yaml"
+    patch = load_patch(path) if path.exists() else None
+    robot = assemble_config(Config(), None, patch).robot
+    return robot, constants_of(robot, load_found(folder / "findings.json"))
+
+
+def without_navigation(series: Series, cut_s: tuple[float, float]) -> Series:
+    """Return a series whose navigation is silent for a while."""
+    s = series.samples
+    silent = (s[:, 0] != GYRO) & (s[:, 1] >= cut_s[0]) & (s[:, 1] < cut_s[1])
+    return Series(series.wheels, s[~silent])
+
+
+def angle(values: Array) -> Array:
+    """Return angles within -pi .. pi."""
+    return np.asarray(np.angle(np.exp(1j * values)))
+
+
+def score(key: str, recipe: Recipe, robot: RobotParameters, c: Array, number: int) -> Score:
+    """Return what drive `number` of a diagnosed robot shows."""
+    again = replace(recipe, seed=recipe.seed + 1000 * (number + 1), duration_s=DRIVE_S)
+    table, truth = make(again)
+    series = without_navigation(series_of(measured(table, again), 0, robot), CUT_S)
+    course, t = run(pack(robot), c, series), series.wheels[:, 0]
+    true = np.stack([np.interp(t, truth.dense[:, 0], truth.dense[:, k]) for k in (1, 2, 3)], axis=1)
+    error = course.estimate[:, :3] - true
+    error[:, YAW] = angle(error[:, YAW])
+    rng = np.random.default_rng([recipe.seed, number])
+    at, end = (int(np.searchsorted(t, when)) for when in (rng.uniform(*ASKED_S), CUT_S[1]))
+    end -= 1  # the last moment before it speaks again
+    nees, cut = (
+        float(error[k, :n] @ np.linalg.solve(course.covariance[k, :n, :n], error[k, :n]))
+        for k, n in ((at, 3), (end, 2))
+    )
+    plain = assemble(None).robot
+    base = pack(plain)
+    raw = without_navigation(series_of(measured(table, again), 0, plain), CUT_S)
+    wheels = run(base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))).estimate
+    begin = int(np.searchsorted(t, CUT_S[0]))
+    turn = true[begin, 2] - wheels[begin, 2]
+    cos, sin = np.cos(turn), np.sin(turn)
+    away = np.array([[cos, -sin], [sin, cos]]) @ (wheels[end, :2] - wheels[begin, :2])
+    rival = default_filter(base, raw)
+    return Score(
+        key=f"{key}/{number}",
+        nees=nees,
+        cut=cut,
+        observer_m=float(np.hypot(*error[end, :2])),
+        reckoning_m=float(np.hypot(*(true[begin, :2] + away - true[end, :2]))),
+        default_m=float(np.hypot(*(rival[end, :2] - true[end, :2]))),
+    )
+
+
+def as_line(one: Score) -> str:
+    """Return a drive as a line of JSON."""
+    return json.dumps(one.__dict__)
