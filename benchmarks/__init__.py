@@ -15,6 +15,7 @@ BENCHES = {
     "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",
     "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
     "observer": "where the robot is: consistency, error beside other filters, cost of a step",
+    "tune": "wake latency while parameters change 20 times a second, against none",
     "sweep": "machines a minute, what Dask adds, memory; sweeps whose truth is known",
     "diagnose": "hidden causes in hundreds of logs: found, missed, misnamed",
 }

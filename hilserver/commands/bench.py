@@ -20,7 +20,7 @@ BENCHES = {
 }
 ELSEWHERE = (
     "attack", "diagnose", "mechatronic", "opcua", "page", "ros2", "s7", "shield", "start", "stop",
-    "sweep",
+    "sweep", "tune",
 )  # fmt: skip
 """Those of a checkout, in its folder ``benchmarks``."""
 

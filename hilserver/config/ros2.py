@@ -55,6 +55,11 @@ class Ros2Config(LinkSection):
     allow_insecure_network: bool = Field(
         False, description="Use another interface than lo: everybody there may then command"
     )
+    role: Literal["operator", "engineer"] | None = Field(
+        None,
+        description="What everybody there may do: operator commands, engineer also sets parameters;"
+        " null: engineer on lo, operator elsewhere",
+    )
     peers: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.:-]{1,253}$")], ...] = (
         Field((), max_length=50, description="Addresses to look for where there is no multicast")
     )
@@ -112,6 +117,13 @@ class Ros2Config(LinkSection):
         """The host."""
         limit_ms = self.stale_after_ms
         return Driver("ros2", "ros2", "the ROS 2 host", limit_ms, self.on_stale, self.enabled)
+
+    @property
+    def may_set_parameters(self) -> bool:
+        """Whether nodes of others change the robot itself."""
+        return (
+            self.role or ("engineer" if self.interface in LOOPBACK else "operator")
+        ) == "engineer"
 
     def full_name(self, name: str) -> str:
         """Return the absolute name of a topic or service, renamed, within the namespace."""

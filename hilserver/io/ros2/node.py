@@ -144,7 +144,8 @@ class Ros2Node(Part):
         parameters = self._world.parameters
         if parameters is None:
             return ()
-        return ParameterServices(NAME, parameters, self._types).served()
+        may_set = self.config.may_set_parameters
+        return ParameterServices(NAME, parameters, self._types, may_set=may_set).served()
 
     def _published(self) -> list[Published]:
         asked = self.config.publish.model_dump()

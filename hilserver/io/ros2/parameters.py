@@ -18,6 +18,7 @@ from hilserver.ros.types import Types
 NODE: Final = "hilserver"
 NOT_SET, INTEGER, DOUBLE = 0, 2, 3
 """Of rcl_interfaces/msg/ParameterType."""
+_NOT_ALLOWED: Final = "parameters are set by engineers: ros2.role says what this network may do"
 _SERVICES: Final = (
     ("get_parameters", "GetParameters"),
     ("get_parameter_types", "GetParameterTypes"),
@@ -29,10 +30,19 @@ _SERVICES: Final = (
 
 
 class ParameterServices:
-    """What the services of the node answer."""
+    """What the services of the node answer.
 
-    def __init__(self, source: str, parameters: LiveParameters, types: Types) -> None:
+    Parameters
+    ----------
+    may_set : bool
+        Whether nodes of others may change parameters; all read them.
+    """
+
+    def __init__(
+        self, source: str, parameters: LiveParameters, types: Types, *, may_set: bool = True
+    ) -> None:
         self._source, self._parameters, self._types = source, parameters, types
+        self._may_set = may_set
 
     def served(self) -> Iterator[Served]:
         """Yield the services."""
@@ -62,6 +72,8 @@ class ParameterServices:
 
     def set_parameters(self, request: Any) -> dict[str, Any]:
         """Change what is sound; answer for each."""
+        if not self._may_set:
+            return {"results": [self._result(_NOT_ALLOWED) for _ in request.parameters]}
         refused = self._parameters.write(self._source, _values(request))
         return {
             "results": [
@@ -72,6 +84,8 @@ class ParameterServices:
 
     def set_parameters_atomically(self, request: Any) -> dict[str, Any]:
         """Change all, or nothing."""
+        if not self._may_set:
+            return {"result": self._result(_NOT_ALLOWED)}
         try:
             self._parameters.apply(self._parameters.checked(_values(request)))
         except (PlantError, ControlRefused) as error:

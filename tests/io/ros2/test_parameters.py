@@ -45,8 +45,8 @@ def parameters(**values):
 class Asker:
     """Asks the services as a client does: by encoded messages."""
 
-    def __init__(self, core):
-        services = ParameterServices("ros2", core.parameters, TYPES)
+    def __init__(self, core, *, may_set=True):
+        services = ParameterServices("ros2", core.parameters, TYPES, may_set=may_set)
         self._served = {served.name.rpartition("/")[2]: served for served in services.served()}
         self.parameters = core.parameters
 
@@ -84,6 +84,29 @@ async def test_set_acts_on_all_that_are_sound(ask):
     assert "needs a restart" in answer.results[-1].reason
     changed = {"plant.controller.k_p": 15.0, "terms.rotation_gain": -0.3}
     assert ask.parameters.differing == changed
+
+
+async def test_only_an_engineer_changes_the_robot(tmp_path):
+    config = Config.model_validate({"scheduler": {"backend": "virtual"}})
+    async with build(assemble_config(config, tmp_path)) as core:
+        ask = Asker(core, may_set=False)
+        both = parameters(**{"plant.max_rpm": value(DOUBLE, 70.0)})
+        one = ask("set_parameters", **both).results[0]
+        all_ = ask("set_parameters_atomically", **both).result
+        assert not one.successful
+        assert one.reason == all_.reason
+        assert "ros2.role" in one.reason
+        assert core.parameters.differing == {}
+        assert ask("get_parameters", names=["plant.max_rpm"]).values[0].double_value == 90.0
+
+
+def test_what_everybody_on_a_network_may_do():
+    def may(**ros2):
+        return Config.model_validate({"ros2": {"enabled": True, **ros2}}).ros2.may_set_parameters
+
+    there = {"interface": "eth0", "allow_insecure_network": True}
+    assert [may(), may(**there)] == [True, False]
+    assert [may(role="operator"), may(role="engineer", **there)] == [False, True]
 
 
 async def test_atomically_is_all_or_nothing(ask):
