@@ -24,7 +24,7 @@ from hilserver.io.recorder import Recorder, Settings
 from hilserver.io.recorder.series import Limits
 from hilserver.program.ending import on_end
 
-NICENESS = -5
+RECORDER_NICENESS = -5
 """The ring holds two seconds: on a busy computer its reader must not wait for longer."""
 EXAMPLE = "hilserver record -o run.mcap --duration 60"
 
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     )
     on_end(recorder.stop.set)
     with contextlib.suppress(OSError):  # who may not, keeps up as long as the ring is long
-        os.nice(NICENESS)
+        os.nice(RECORDER_NICENESS)
     print(f"recording to {recorder.path}; stop it with Ctrl-C", flush=True)
     if recorder.lacks_inputs or args.sparse:
         warn("without all inputs this recording cannot be replayed")

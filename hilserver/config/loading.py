@@ -15,7 +15,7 @@ Path_ = Sequence[str | int]
 MAX_BYTES = 1_000_000
 LIVE_BYTES = 100_000  # of a file that a running daemon reads: validating more holds its loop up
 MAX_COMPLAINTS = 20
-MAX_DEPTH = 50
+MAX_NESTING = 50
 MAX_VALUES = 100_000
 """Aliases counted as often as they are used."""
 
@@ -78,7 +78,7 @@ def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > MAX_DEPTH:
+            if depth > MAX_NESTING:
                 raise _too_deep(path, event.start_mark)
         return yaml.compose(text, Loader=yaml.SafeLoader)
     except UnicodeDecodeError as error:
@@ -111,7 +111,7 @@ def _read(path: Path, most_bytes: int) -> bytes:
 
 def _too_deep(path: Path, mark: Any) -> ConfigError:
     return ConfigError(
-        f"{path}:{mark.line + 1}: nested more than {MAX_DEPTH} levels deep; flatten it"
+        f"{path}:{mark.line + 1}: nested more than {MAX_NESTING} levels deep; flatten it"
     )
 
 
@@ -122,7 +122,7 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
     if root is None:
         return {}
     for number, (node, depth) in enumerate(_walk(root)):
-        if depth > MAX_DEPTH:
+        if depth > MAX_NESTING:
             raise _too_deep(path, node.start_mark)
         if number >= MAX_VALUES:
             raise ConfigError(

@@ -15,7 +15,7 @@ from hilserver.faults.model import Fault
 
 T = TypeVar("T")
 MAX_QUEUED = 1024
-LOOK_AGAIN_S = 0.01
+QUEUE_LOOK_S = 0.01
 
 
 class LinkFault:
@@ -111,7 +111,7 @@ class Line:
 
     async def _next_look(self) -> None:
         if self._faults:
-            await asyncio.sleep(LOOK_AGAIN_S)  # they begin and end by themselves
+            await asyncio.sleep(QUEUE_LOOK_S)  # they begin and end by themselves
             return
         await self._news.wait()
         self._news.clear()

@@ -14,7 +14,7 @@ from hilserver.logs.provenance import SCHEMA
 from hilserver.logs.table import BLOCK, SEGMENT, TIME
 from hilserver.logs.writer import LogWriter, Segmented
 
-BATCH: Final = 1024
+ROWS_AT_ONCE: Final = 1024
 BAD_NO_DATA: Final = 0x809B_0000
 GAP_NS: Final = NS_PER_S
 """Between the stamps of two segments, which are placed one behind the other."""
@@ -61,8 +61,8 @@ def _batches(log: Log) -> Iterator[Segmented]:
     words = np.concatenate(
         [ticks[:, None], stamps(log)[:, None], np.zeros((len(ticks), 1), np.int64), status], axis=1
     )
-    for first in range(0, len(ticks), BATCH):
-        rows = slice(first, first + BATCH)
+    for first in range(0, len(ticks), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
         yield Segmented(FrameBatch(first, words[rows], values[rows]), log.segment[rows])
 
 

@@ -18,7 +18,7 @@ from asyncua.server.internal_server import InternalServer
 
 from hilserver.cache import cache_folder
 
-BATCH: Final = 50
+NODES_PER_PICKLE: Final = 50
 """Nodes of one pickle: reading holds on to all its intermediates, some 100 MB for all nodes."""
 
 
@@ -50,8 +50,10 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
             handle, unfinished = tempfile.mkstemp(dir=path.parent)
             try:
                 with os.fdopen(handle, "wb") as file:
-                    for first in range(0, len(nodes), BATCH):
-                        pickle.dump(nodes[first : first + BATCH], file, pickle.HIGHEST_PROTOCOL)
+                    for first in range(0, len(nodes), NODES_PER_PICKLE):
+                        pickle.dump(
+                            nodes[first : first + NODES_PER_PICKLE], file, pickle.HIGHEST_PROTOCOL
+                        )
                 Path(unfinished).replace(path)
             except OSError:
                 Path(unfinished).unlink(missing_ok=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TextIO
 
 LIMIT_BYTES = 256_000
-CLOSE_WITHIN_S = 0.3
+DRAIN_WITHIN_S = 0.3
 _RETRY_S = 0.05
 
 
@@ -71,7 +71,7 @@ class Writer:
     def flush(self) -> None:
         """Nothing to do: the thread writes at once."""
 
-    def drain(self, within_s: float = CLOSE_WITHIN_S) -> None:
+    def drain(self, within_s: float = DRAIN_WITHIN_S) -> None:
         """Wait until everything is written, at most so long."""
         with self._news:
             self._news.wait_for(lambda: not self._held_bytes, within_s)

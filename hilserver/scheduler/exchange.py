@@ -51,7 +51,7 @@ N_COMM = 4
     R_CODE,
 ) = range(12)
 N_RECORD = 12
-RING_LENGTH = 256
+MOST_RECORDS = 256
 
 _WORDS = types.int64[::1]
 
@@ -145,7 +145,7 @@ class Exchange:
         self.control = np.zeros(N_CONTROL, dtype=np.int64)
         self.comm = np.zeros(len(comm_period_ticks) * N_COMM, dtype=np.int64)
         self.comm[COMM_PERIOD_TICKS::N_COMM] = comm_period_ticks
-        self.ring = np.zeros((RING_LENGTH, N_RECORD), dtype=np.int64)
+        self.ring = np.zeros((MOST_RECORDS, N_RECORD), dtype=np.int64)
         self._generation = 0
         self.control[COMMAND] = FREE_RUN
         self.control[PACED_PERIOD] = base_period_ns
@@ -197,7 +197,7 @@ class Exchange:
         taken = self.get(RECORDS_TAKEN)
         if taken == self.get(RECORDS_MADE):
             return None
-        row = self.ring[taken % RING_LENGTH]
+        row = self.ring[taken % MOST_RECORDS]
         if row[R_PLANNED] + row[R_LATENCY] + row[R_EXECUTION] > ended_before_ns:
             return None
         record = OverrunRecord(*(int(word) for word in row))
