@@ -6,13 +6,16 @@ has the noise of real sensors; the set-points that it follows are served beside 
 
 import argparse
 import asyncio
+import itertools
 import math
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
-from hilserver_injector import Recipe, Sensor, make
+from hilserver_injector import Recipe, Sensor, Table, Truth, make
 from numpy.typing import NDArray
 
 import hilserver.scenarios  # noqa: F401 - makes the injector known where it is installed
@@ -24,8 +27,7 @@ from hilserver.measured.channels import TAG
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 
-CAUSE: Final[Mapping[str, float]] = {"rotation_gain": 0.08}
-"""It turns 8 % more than its wheels say: another floor."""
+CAUSE: Final[Mapping[str, float]] = {"rotation_gain": 0.08}  # another floor
 APPEARS_S: Final = 60.0
 DRIVE_S: Final = 600.0
 MEASURES: Final = (
@@ -34,9 +36,9 @@ MEASURES: Final = (
     "imu.gyro_z_rad_s",
     "battery.voltage_v",
 )
-LIMITED: Final = {"duty_pct": Sensor(limit=100.0)}
-PUBLISHING_MS: Final = 5.0
-"""A quarter of a row: values get the stamp of the tick at which they arrive."""
+# A set-point that jumps would show how late a row arrives rather than how the robot turns.
+RAMPS: Final = Recipe(manoeuvre="ramps", sensors={"duty_pct": Sensor(limit=100.0)})
+PUBLISHING_MS: Final = 5.0  # a quarter of a row: values get the stamp of their arrival
 STALE_MS: Final = 2000.0
 Pose = NDArray[np.float64]
 
@@ -58,16 +60,7 @@ def peer(endpoint: str) -> PeerConfig:
 def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield time [s] and values of every row, without end; the cause appears at `APPEARS_S`."""
     begin_s, at = 0.0, None
-    for number, length_s in _drives():
-        causes = CAUSE if number else {}
-        recipe = Recipe(
-            seed=seed + number,
-            causes=causes,
-            duration_s=length_s,
-            manoeuvre="ramps",
-            sensors=LIMITED,
-        )
-        table, truth = make(recipe)
+    for length_s, (table, truth) in _drives(seed):
         dense = truth.dense
         at = dense[0, 1:4] if at is None else at
         columns = _moved(table.columns, dense[0, 1:4], at)
@@ -78,12 +71,19 @@ def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
         begin_s += length_s
 
 
-def _drives() -> Iterator[tuple[int, float]]:
-    yield 0, APPEARS_S
-    number = 0
-    while True:
-        number += 1
-        yield number, DRIVE_S
+def _drives(seed: int) -> Iterator[tuple[float, tuple[Table, Truth]]]:
+    """Yield length [s] and content of one drive after the other; the next is made meanwhile."""
+
+    def made(number: int) -> tuple[float, tuple[Table, Truth]]:
+        length_s, causes = (DRIVE_S, CAUSE) if number else (APPEARS_S, {})
+        recipe = replace(RAMPS, seed=seed + number, causes=causes, duration_s=length_s)
+        return length_s, make(recipe)
+
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(made, 0)
+        for number in itertools.count(1):
+            now, coming = coming, pool.submit(made, number)
+            yield now.result()
 
 
 def _pose(start: Pose, at: Pose, pose: Pose) -> Pose:
@@ -107,6 +107,7 @@ async def drive(server: ControllerServer, seed: int) -> None:
     loop = asyncio.get_running_loop()
     nodes = {signal: node for node, signal in SETPOINTS.items()} | {n: n for n in MEASURES}
     source = rows(seed)
+    # The first row compiles the injector.
     first = await asyncio.to_thread(next, source)
     begin_s, sequence = loop.time() - first[0], 0
     while True:

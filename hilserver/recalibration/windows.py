@@ -16,12 +16,11 @@ SIGNALS: Final = (
     "wheel.*.duty_command_pct",
     "twist.*",
     "control.mode",
-    "drive.enable",
     "internal.command",
     "internal.pose_request",
     "measured.*",
 )
-"""What a diagnosis of a window needs: set-points as they were in force, and what was measured."""
+"""What a look needs; not `drive.enable`: the safe state of the model stops no real robot."""
 _NAME: Final = re.compile(rf"{STEM}_(\d{{4,6}}){re.escape(SUFFIX)}")
 
 
