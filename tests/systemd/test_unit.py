@@ -42,3 +42,10 @@ def test_nothing_takes_the_real_time_rights_away() -> None:
     assert int(keys["LimitRTPRIO"]) >= 80
     assert keys["LimitMEMLOCK"] == "infinity"
     assert "78" in keys["RestartPreventExitStatus"].split()
+
+
+def test_memory_is_limited_and_a_child_that_is_killed_for_it_ends_no_plant() -> None:
+    """Without OOMPolicy a diagnosis of the page that is too large would stop the whole service."""
+    keys = dict(re.findall(r"(?m)^([A-Z]\w+)=(.*)$", UNIT.read_text(encoding="utf-8")))
+    assert re.fullmatch(r"[1-4]G", keys["MemoryMax"])
+    assert keys["OOMPolicy"] == "continue"
