@@ -248,7 +248,7 @@ def _add_estimate(b: _Builder) -> None:
         b.add(f"estimate.{name}", unit, out, -size, size, f"Observer: {text}")
     for name, unit, low, high, text in known:
         b.add(f"estimate.{name}", unit, out, low, high, text)
-    for one, other, unit in (("x", "y", "m²"), ("x", "yaw", "m·rad"), ("y", "yaw", "m·rad")):
+    for one, other, unit in (("x", "y", "m²"), ("x", "yaw", "m"), ("y", "yaw", "m")):
         text = f"Covariance of the errors in {one} and {other}"
         b.add(f"estimate.{one}_{other}_cov", unit, out, -1e9, 1e9, text)
     text = "Innovation of the newest sample, squared and by its covariance: 1 on average"

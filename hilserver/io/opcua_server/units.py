@@ -37,6 +37,7 @@ _ROWS = (
     ("deg/s", "E96", "degree per second"),
     ("rad/s²", "2B", "radian per second squared"),
     ("m", "MTR", "metre"),
+    ("m²", "MTK", "square metre"),
     ("mm", "MMT", "millimetre"),
     ("cm", "CMT", "centimetre"),
     ("m/s", "MTS", "metre per second"),

@@ -45,3 +45,9 @@ def test_unknown_unit_is_one_sentence() -> None:
 def test_every_signal_has_a_known_unit() -> None:
     table = robot_table(Ranges(90.0, 0.8, 3.0), body=True)
     assert {signal.unit for signal in table.scalars} <= UNECE.keys()
+
+
+def test_every_unit_of_a_signal_has_a_code():
+    table = robot_table(Ranges(1.0, 1.0, 1.0), body=True, observer=True)
+    for signal in table:
+        assert find_unit(signal.unit).unit_id
