@@ -2,7 +2,7 @@
 
 import { WHEELS, type Context } from "./context";
 import { live } from "./net";
-import { ghostPose, ghosts, gridStep, hallOf, rays, robotPose, robotSize, TRAIL_STEP_M, type Pose } from "./poses";
+import { ellipse95, ghostPose, ghosts, gridStep, hallOf, rays, robotPose, robotSize, TRAIL_STEP_M, type Pose } from "./poses";
 import type { Camera, Picture } from "./scene";
 import { h } from "./ui";
 
@@ -95,6 +95,15 @@ export class Plan implements Picture {
       const at = ghostPose(ghost);
       return at ? [{ ...ghost, at }] : [];
     });
+    for (const ghost of shown) {
+      const around = ellipse95(ghost);
+      if (!around) continue;
+      pen.beginPath();
+      pen.ellipse(toX(ghost.at.x), toY(ghost.at.y), around.long * scale, around.short * scale, -around.turn, 0, 2 * Math.PI);
+      pen.strokeStyle = ghost.colour;
+      pen.lineWidth = 1.5;
+      pen.stroke();
+    }
     for (const { at, colour } of shown) this.robot(pen, toX(at.x), toY(at.y), at.yaw, scale, colour, 0.45);
     this.robot(pen, toX(pose.x), toY(pose.y), pose.yaw, scale, ink("accent"), 1);
     const names = shown.map(({ name }) => name).join();

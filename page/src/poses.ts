@@ -21,10 +21,17 @@ const AXES = ["x_m", "y_m", "yaw_rad"];
 const PLANAR = AXES.map((axis) => `pose.${axis}`);
 const BODY = [...AXES, "z_m", "roll_rad", "pitch_rad"].map((axis) => `mech.${axis}`);
 
+const ESTIMATE = AXES.map((axis) => `estimate.${axis}`);
+/** Standard deviations in x and y, and their covariance. */
+const SPREAD = ["estimate.x_m_sd", "estimate.y_m_sd", "estimate.x_y_cov"];
+/** Of the chi-squared distribution with two degrees of freedom: 95 % lie within. */
+const CHI_SQUARED_95 = 5.991;
+
 export interface Ghost {
   name: string;
   colour: string;
   signals: string[];
+  spread?: string[];
 }
 
 /** Where another model, or the real robot, is. The body is the robot itself where there is one: walls stop it. */
@@ -33,6 +40,7 @@ export function ghosts(context: Context): Ghost[] {
     ...(context.robot.has_body ? [{ name: "Planar model", colour: "#0f8a6d", signals: PLANAR }] : []),
     { name: "Measured", colour: "#d97706", signals: AXES.map((axis) => `measured.pose.${axis}`) },
     { name: "Measured tag", colour: "#b4308f", signals: AXES.map((axis) => `measured.nav.${axis}`) },
+    { name: "Estimate", colour: "#5b4bc4", signals: ESTIMATE, spread: SPREAD },
   ];
 }
 
@@ -68,6 +76,22 @@ export function ghostPose(ghost: Ghost): Pose | null {
   return pose && (pose.x || pose.y || pose.yaw) ? pose : null;
 }
 
+export interface Ellipse {
+  long: number;
+  short: number;
+  turn: number;
+}
+
+/** Half axes [m] and direction [rad] of the ellipse in which a ghost is with 95 %; null where nobody says so. */
+export function ellipse95(ghost: Ghost): Ellipse | null {
+  const [sx, sy, xy] = (ghost.spread ?? []).map((name) => live.value(name));
+  if (!Number.isFinite(sx! + sy! + xy!) || sx! > 1e3) return null;
+  const [xx, yy] = [sx! * sx!, sy! * sy!];
+  const [mean, apart] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy!)];
+  const axis = (variance: number): number => Math.sqrt(CHI_SQUARED_95 * Math.max(variance, 0));
+  return { long: axis(mean + apart), short: axis(mean - apart), turn: 0.5 * Math.atan2(2 * xy!, xx - yy) };
+}
+
 /** Beginning and end of every range finder's ray that meets something, on the floor. */
 export function rays(context: Context): ([number, number, number, number] | null)[] {
   const { x, y, yaw } = sensorPose(context);
@@ -89,7 +113,7 @@ export function lampOf(place: string): string[] {
 
 /** Signals that the picture is made of. */
 export function pictureSignals(context: Context): string[] {
-  const names = [...PLANAR, ...BODY, ...ghosts(context).flatMap(({ signals }) => signals)];
+  const names = [...PLANAR, ...BODY, ...ghosts(context).flatMap(({ signals, spread = [] }) => [...signals, ...spread])];
   for (const wheel of WHEELS) names.push(`wheel.${wheel}.angle_rad`);
   for (const corner of CORNERS) names.push(`tof.${corner}_m`, ...lampOf(corner));
   const known = new Set(context.signals.map((signal) => signal.name));

@@ -5,7 +5,7 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { Context } from "./context";
 import { WHEELS } from "./context";
 import { live } from "./net";
-import { CORNERS, ghostPose, ghosts, gridStep, hallOf, lampOf, pictureSignals, rays, robotPose, robotSize, TRAIL_STEP_M, type Ghost, type Pose } from "./poses";
+import { CORNERS, ellipse95, ghostPose, ghosts, gridStep, hallOf, lampOf, pictureSignals, rays, robotPose, robotSize, TRAIL_STEP_M, type Ghost, type Pose } from "./poses";
 import { h } from "./ui";
 
 export type Camera = "orbit" | "follow" | "top";
@@ -48,6 +48,13 @@ function isDark(): boolean {
 interface ShownGhost extends Ghost {
   group: THREE.Group;
   key: HTMLElement;
+  around: THREE.LineLoop;
+}
+
+/** A circle of 1 m on the floor, to be stretched. */
+function ring(colour: string): THREE.LineLoop {
+  const points = new THREE.EllipseCurve(0, 0, 1, 1).getPoints(64).map(({ x, y }) => new THREE.Vector3(x, y, 0.02));
+  return new THREE.LineLoop(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color: colour }));
 }
 
 /** A word on the floor. */
@@ -294,8 +301,10 @@ export class Scene implements Picture {
       group.rotation.order = "ZYX";
       const swatch = h("span", { class: "swatch" });
       swatch.style.background = ghost.colour;
-      this.scene.add(group);
-      return { ...ghost, group, key: h("li", { hidden: true }, swatch, ghost.name) };
+      const around = ring(ghost.colour);
+      around.visible = false;
+      this.scene.add(group, around);
+      return { ...ghost, group, around, key: h("li", { hidden: true }, swatch, ghost.name) };
     });
     this.keys.replaceChildren(...this.ghosts.map(({ key }) => key));
   }
@@ -389,6 +398,12 @@ export class Scene implements Picture {
     ghost.group.visible = pose !== null;
     ghost.key.hidden = pose === null;
     if (pose) this.put(ghost.group, pose);
+    const ellipse = pose && ellipse95(ghost);
+    ghost.around.visible = Boolean(ellipse);
+    if (!pose || !ellipse) return;
+    ghost.around.position.set(pose.x, pose.y, 0);
+    ghost.around.scale.set(Math.max(ellipse.long, 1e-3), Math.max(ellipse.short, 1e-3), 1);
+    ghost.around.rotation.z = ellipse.turn;
   }
 
   private placeRays(): void {
