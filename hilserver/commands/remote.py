@@ -4,7 +4,7 @@ import argparse
 import asyncio
 import getpass
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
 from hilserver.commands.options import add_config, config_path
@@ -12,7 +12,6 @@ from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.io.opcua_server.model import SHELL
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
-from hilserver.parameters import table_of
 from hilserver.program import event_loop
 from hilserver.signals import Ranges, ValueType, robot_table
 
@@ -40,8 +39,17 @@ def from_json(text: str) -> Any:
         return text
 
 
-def ask(args: argparse.Namespace, request: Callable[[Hand], Awaitable[None]]) -> int:
+def ask(
+    args: argparse.Namespace,
+    request: Callable[[Hand], Awaitable[None]],
+    parameters: Iterable[str] = (),
+) -> int:
     """Connect, do `request`, leave; return 0.
+
+    Parameters
+    ----------
+    parameters : iterable of str
+        Names of those that it writes.
 
     Raises
     ------
@@ -50,14 +58,18 @@ def ask(args: argparse.Namespace, request: Callable[[Hand], Awaitable[None]]) ->
     """
     endpoint = args.endpoint or configured(args)
     password = getpass.getpass() if args.user else ""
-    return event_loop.run(_ask(endpoint, args.user, password, request))
+    return event_loop.run(_ask(endpoint, args.user, password, request, parameters))
 
 
 async def _ask(
-    endpoint: str, user: str, password: str, request: Callable[[Hand], Awaitable[None]]
+    endpoint: str,
+    user: str,
+    password: str,
+    request: Callable[[Hand], Awaitable[None]],
+    parameters: Iterable[str],
 ) -> int:
     types = {signal.name: signal.type.value for signal in robot_table(Ranges(1.0, 1.0, 1.0))}
-    types |= {f"{PARAMETERS}{name}": ValueType.DOUBLE.value for name in table_of()}
+    types |= dict.fromkeys(parameters, ValueType.DOUBLE.value)
     hand = Hand(OpcUaAccess(endpoint, SHELL), types)
     try:
         async with asyncio.timeout(_WITHIN_S):

@@ -10,7 +10,6 @@ from typing import Any
 
 from hilserver.commands.remote import PARAMETERS, add_connection, ask, from_json
 from hilserver.errors import FailedError, meant
-from hilserver.parameters import table_of
 from hilserver.signals import Ranges, robot_table
 
 EXAMPLE = "hilserver set control.source=opcua"
@@ -29,12 +28,16 @@ def run(args: argparse.Namespace) -> int:
     """Write; return 0 when the daemon has taken all of them."""
     values = _values(args.values)
     names = [SOURCE, *(signal.name for signal in robot_table(Ranges(1.0, 1.0, 1.0)))]
-    names += [f"{PARAMETERS}{name}" for name in table_of()]
+    parameters = [name for name in values if name.startswith(PARAMETERS)]
+    if parameters:
+        from hilserver.parameters import table_of  # noqa: PLC0415 -- needs the compiler
+
+        names += [f"{PARAMETERS}{name}" for name in table_of()]
     for name in values:
         if name not in names:
             hint = meant(name, names, "see 'hilserver signals'")
             raise FailedError(f"there is no signal '{name}'; {hint}")
-    return ask(args, lambda hand: hand.write(values))
+    return ask(args, lambda hand: hand.write(values), parameters)
 
 
 def _values(texts: list[str]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hilserver.compiled.histogram import N_BUCKETS, Histogram125
 from hilserver.core import metrics as core
 from hilserver.core.inputs import Refusal
+from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures
 from hilserver.daemon import metrics as daemon
 from hilserver.daemon.outputs import EXPORTED
 from hilserver.faults import metrics as faults
@@ -25,6 +26,7 @@ from hilserver.scheduler import metrics as scheduler
 from hilserver.scheduler.statistics import SliceFigures, Window
 from hilserver.signals import State
 
+OF_S7 = {FaultKind.TORN_READ, FaultKind.NO_SLOT, FaultKind.NO_S7}
 SLICES = ("plant", "sensors", "publish", "supervise", "own")
 
 
@@ -64,6 +66,7 @@ class FakeDaemon:
         self.faults: dict[str, int] = {}
         self.tasks = 8
         self.observed = [observer.Counted({"rejected": 0}, 0, 0)]
+        self.recalibration: Figures | None = Figures()
         self.n_reads = 0
 
     def sources(self) -> list[Source[Any]]:
@@ -80,9 +83,14 @@ class FakeDaemon:
             Source(daemon.OUTPUT_METRICS, lambda: self.outputs),
             Source(faults.METRICS, lambda: self.faults),
             Source(observer.METRICS, lambda: self.observed),
+            *self.looks(),
             Source(audit.METRICS, lambda: self.audit),
             Source(daemon.PROGRAM_METRICS, self.program),
         ]
+
+    def looks(self) -> list[Source[Any]]:
+        figures = self.recalibration
+        return [Source(RECALIBRATION_METRICS, lambda: figures)] if figures else []
 
     def pace(self) -> scheduler.Pace:
         self.n_reads += 1
@@ -93,7 +101,7 @@ class FakeDaemon:
 
     def fill(self) -> None:
         """Set everything that a daemon in its default configuration can ever show."""
-        self.shields, self.observed = [], []
+        self.shields, self.observed, self.recalibration = [], [], None
         window = Window(1000, 30e3, 9e3, 5e3, 80e3)
         self.slices = {
             name: slice_figures(name, window=window, margin_min_ns=900_000) for name in SLICES
@@ -102,7 +110,7 @@ class FakeDaemon:
         self.realtime_factor = 1.0
         peer = self.peers[0]
         peer.connected, peer.clock_offset_s = True, 0.002
-        for kind in FaultKind:
+        for kind in set(FaultKind) - OF_S7:
             peer.fault_counts[kind] = 1
         for source in ("opcua", "peer:iot2050"):
             self.input_ages_s[source] = 0.01

@@ -108,6 +108,12 @@ STIMULI = {
     "hil_observer_readmitted_total": lambda d: d.observed.__setitem__(
         0, d.observed[0]._replace(readmitted=1)
     ),
+    "hil_recalibration_looks_total": lambda d: d.recalibration.looks.update(named=1),
+    "hil_recalibration_failures_total": lambda d: setattr(d.recalibration, "failures", 1),
+    "hil_recalibration_proposal_open": lambda d: setattr(d.recalibration, "waits", True),
+    "hil_recalibration_gap_changed": lambda d: setattr(d.recalibration, "changed", True),
+    "hil_recalibration_looking": lambda d: setattr(d.recalibration, "is_looking", True),
+    "hil_recalibration_effect_ratio": lambda d: d.recalibration.effect.update({"pose.x_m": 3.0}),
     "hil_asyncio_tasks": lambda d: setattr(d, "tasks", 9),
     "hil_audit_ok": lambda d: d.audit.update(rtprio=True),
 }
