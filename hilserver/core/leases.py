@@ -21,7 +21,7 @@ class Lapse(NamedTuple):
     source: str
     action: str  # what the step has done: hold, zero, ramp or device
     limit_ms: float  # what it was given
-    stalled_ticks: int  # how long the daemon's event loop had not been heard by then
+    stalled_ticks: int  # how long the event loop of the daemon had stood still by then
 
 
 class Leases:

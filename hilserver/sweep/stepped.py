@@ -76,7 +76,7 @@ class Stepped:
         """
         job = self.job
         config = Config.model_validate(machine_config(job.config, job.folder, machine))
-        assembly = assemble_config(_heard(config), job.folder)
+        assembly = assemble_config(_reachable(config), job.folder)
         play = Play(scenario_of(job.scenario, machine), job.scenario_path)
         daemon = Daemon(assembly, play=play, paused=True, links=(opcua_server.parts,))
         async with daemon:
@@ -226,7 +226,7 @@ class _Watch:
         self._newest, self._done = inputs[-1], int(ticks[-1]) + 1
 
 
-def _heard(config: Config) -> Config:
+def _reachable(config: Config) -> Config:
     """Return the robot with a server that programs of this computer reach and nobody else."""
     update = {
         "opcua": type(config.opcua)(endpoint=_ADDRESS),

@@ -30,18 +30,18 @@ class Thinner:
     def __init__(self, slots: Sequence[int]) -> None:
         self._slots = np.array(slots, dtype=np.intp)
         self._held: Segmented | None = None
+        self._is_kept = True  # the frame that waits, whatever the next one brings
 
     def thinned(self, batch: Segmented) -> Segmented:
         """Return what is to be written of the frames before the newest; perhaps none."""
         whole = batch if self._held is None else _joined(self._held, batch)
         seen = _content(whole.frames, self._slots)
-        changed = np.ones(len(seen), dtype=np.bool_)
+        changed = np.full(len(seen), self._is_kept)
         changed[1:] = (seen[1:] != seen[:-1]).any(axis=1)
-        changed[0] = self._held is None
         changed[1:] |= np.diff(whole.segments) != 0
         kept = changed | (whole.frames.ticks % LEAST_EVERY == 0)
         kept[:-1] |= changed[1:]
-        kept[-1] = False
+        self._is_kept, kept[-1] = bool(kept[-1]), False
         self._held = _some(whole, np.arange(len(kept)) == len(kept) - 1)
         return replace(_some(whole, kept), changes=batch.changes)
 

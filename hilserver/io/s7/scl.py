@@ -72,7 +72,7 @@ def _declared(members: Iterable[Member]) -> Iterator[str]:
 def _filling(at: int, place: Place) -> Iterator[tuple[str, int]]:
     """Yield type and end [bits] of what has to stand between `at` and a place."""
     start = place.bits.start
-    if place.type == "BOOL" and start // 8 == at // 8:
+    if place.type == "BOOL" and place.byte <= -(-at // 8):  # else bits would share a byte
         for bit in range(at, start):
             yield "BOOL", bit + 1
         return

@@ -31,7 +31,7 @@ async def test_a_host_drives_by_rpm_and_reads_every_topic(peer, domain):
     async with robot(domain, publish=published) as daemon, host, driving:
         seen = await host.sees("rt/iotbot/rpm/return", lambda m: m.front_left_rpm > 39.5)
         assert seen.front_right_rpm == pytest.approx(-30, abs=1)
-        for topic in host.received:
+        for topic in set(host.received) - {"rt/iotbot/odometry/filtered", "rt/odometry/filtered"}:
             await host.sees(topic)
         imu = host.last("rt/iotbot/imu")
         assert imu.header.frame_id == "imu_link"
@@ -126,18 +126,22 @@ async def test_what_is_no_command_is_a_fault_and_nothing_else(fast_dds, domain):
         assert value(daemon, "wheel.fl.setpoint_rpm") == 0.0
 
 
+NOT_ASKED_FOR = {
+    "rt/tf",
+    "rt/clock",
+    "rt/poseStamped",
+    "rt/eduard/odom",
+    "rt/eduard/odometry/filtered",
+}
+
+
 async def test_edu_robot(peer, domain):
     host = Host(peer, domain, *endpoints("eduard", "/eduard"))
     async with robot(domain, flavour="eduard") as daemon, host:
         async with host.repeating("rt/eduard/cmd_vel", **twist(0.2)):
             seen = await host.sees("rt/eduard/odometry", lambda m: m.twist.twist.linear.x > 0.19)
             assert seen.header.frame_id == "eduard/odom"
-            for topic in set(host.received) - {
-                "rt/tf",
-                "rt/clock",
-                "rt/poseStamped",
-                "rt/eduard/odom",
-            }:
+            for topic in set(host.received) - NOT_ASKED_FOR:
                 if "kinematic" not in topic:  # a latched one, for a reader that asks for no past
                     await host.sees(topic)
             # edu_robot's signs: right forward, left backward
