@@ -16,6 +16,7 @@ from structlog.testing import capture_logs
 
 from hilserver.controller.nodes import demo_peer
 from hilserver.daemon.metrics import METRICS
+from hilserver.io.opcua_client.validation import judge
 from hilserver.monitoring.health_http import RENDER_EVERY_S
 from tests.helpers.prom_diff import PromDiff, series_of_text
 from tests.loopback.rig import call, configuration, run_ticks, running, scrape, take, wait_until
@@ -180,7 +181,7 @@ async def lying_values(robot):
     """The link judges a sample that no sane controller sends."""
     node = next(iter(robot.daemon.config.peers[0].read))
     intake = robot.daemon.parts_of("peers")[0]._intake
-    intake.receive([(node, ua.DataValue(ua.Variant(math.nan)))], time.monotonic_ns())
+    intake.receive([(node, judge(ua.DataValue(ua.Variant(math.nan))))], time.monotonic_ns())
 
 
 async def recovered(robot):
@@ -228,6 +229,12 @@ MOVED_ELSEWHERE = {
     "hil_shield_lateness_seconds",
     "hil_observer_samples_total",  # in tests/daemon/test_observer.py
     "hil_observer_readmitted_total",
+    "hil_recalibration_looks_total",  # in tests/prometheus
+    "hil_recalibration_failures_total",
+    "hil_recalibration_proposal_open",
+    "hil_recalibration_gap_changed",
+    "hil_recalibration_looking",
+    "hil_recalibration_effect_ratio",
 }
 
 

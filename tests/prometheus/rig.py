@@ -65,6 +65,8 @@ def assembly(endpoint: str, port: int, line: Path, *, blocks: bool, **realtime: 
             },  # a line without a host counts as lost
             "control": {"source": "peer"},
             "recalibration": {"enabled": blocks, "folder": str(line.parent / "recalibration")},
+            "sensors": {"nav": {"enabled": blocks}},
+            "observer": {"enabled": blocks},
             "shadow": {"limits": {"wheel.fl.speed_rpm": 120.0}, "after_s": 0.0},
         }
     )

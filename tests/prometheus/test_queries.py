@@ -227,7 +227,7 @@ STIMULI = (
     Stimulus(measure, appears=("Model gap",)),
     Stimulus(inject_a_fault, up=("Faults at work",)),
     Stimulus(tune, up=("Parameters changed",)),
-    Stimulus(put_far_away, up=("Pose",)),
+    Stimulus(put_far_away, up=("Pose", "Samples of the navigation", "Found elsewhere")),
     Stimulus(slow_motion, up=("End to end",), down=("Real-time factor",), repeatable=True),
     Stimulus(let_the_peer_stutter, up=("Interval", "Round trip", "One way"), repeatable=True),
     Stimulus(make_garbage, up=("Garbage collector",), repeatable=True),
