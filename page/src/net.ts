@@ -318,6 +318,7 @@ export class Live {
     const names = new Set<string>();
     for (const set of this.wanted.values()) for (const name of set) names.add(name);
     this.names = [...names].sort();
+    for (const name of this.values.keys()) if (!names.has(name)) this.values.delete(name); // it would be old
     this.number = (this.number + 1) & 0xff;
     if (this.socket?.readyState === WebSocket.OPEN && this.connected) {
       this.socket.send(JSON.stringify({ subscribe: this.names, number: this.number }));

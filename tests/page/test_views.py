@@ -1,5 +1,7 @@
 """Every view by keyboard alone, and without serious faults of accessibility, light and dark."""
 
+import re
+
 import pytest
 
 from hilserver.diagnosis.report import render
@@ -171,3 +173,22 @@ def test_a_gain_is_tuned_by_keyboard_alone_saved_and_undone(browser, url, plant,
     browser.do("press", key="Enter")
     waits_for("As configured.")
     assert browser.do("errors") == []
+
+
+def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(browser, url, plant):
+    """Drive is left while the wheels turn; when Tune opens, they have stood for long."""
+    browser.do("open", url=url)
+    browser.do("take")
+    browser.do("down", key="ArrowUp")
+    plant.wait(lambda: plant.value("wheel.fl.speed_rpm") > 10)
+    browser.do("view", name="Time")
+    browser.do("up", key="ArrowUp")
+    plant.wait(lambda: abs(plant.value("wheel.fl.speed_rpm")) < 0.01)
+    tick = plant.value("sim.tick")
+    plant.wait(lambda: plant.value("sim.tick") > tick + 6000)  # longer than Tune looks back
+    browser.do("view", name="Tune")
+    path = "document.querySelector('path.speed_rpm').getAttribute('d')"
+    once = f"(r) => {{ const look = () => ({path} ?? '').includes('L') ? r({path}) :"
+    drawn = browser.do("run", script=f"new Promise({once} setTimeout(look, 50); look(); }})")
+    heights = {float(point.split(",")[1]) for point in re.split("[ML]", drawn) if point}
+    assert all(abs(height - 100) < 1 for height in heights), heights
