@@ -1,4 +1,4 @@
-"""`hilserver signals` in its three formats."""
+"""`hilserver signals` in its four formats."""
 
 import csv
 import io
@@ -10,6 +10,7 @@ from asyncua import Server, ua
 from hilserver.commands import main
 from hilserver.commands.signals import COLUMNS, as_csv
 from hilserver.daemon.assembly import assemble
+from hilserver.errors import EXIT_BAD_CONFIGURATION
 from hilserver.io.opcua_server.address_space import AddressSpaceBuilder
 from hilserver.io.opcua_server.method_table import METHODS
 from hilserver.io.opcua_server.model import DI_NAMESPACE_URI, NAMESPACE_URI, describe
@@ -43,6 +44,32 @@ def test_command_prints_and_writes(tmp_path, monkeypatch, capsys) -> None:
     assert (tmp_path / "x.xml").read_text(encoding="utf-8").startswith("<?xml")
     assert main(["signals", "-o", "no/such/folder/x.md"]) == 1
     assert "cannot write" in capsys.readouterr().err
+
+
+S7 = """
+s7:
+  server: {port: 1102, blocks: {7: [{signal: sim.tick, at: 0, type: UDINT},
+                                    {signal: drive.enable, at: 4.1, type: BOOL}]}}
+peers:
+  - {name: plc, endpoint: s7://192.0.2.20/0/1, read: {"DB1,REAL4": wheel.fl.setpoint_rpm}}
+"""
+
+
+def test_scl_prints_the_data_blocks_of_the_configuration(tmp_path, capsys) -> None:
+    path, out = tmp_path / "config.yaml", tmp_path / "blocks.scl"
+    path.write_text(S7, encoding="utf-8")
+    words = ["signals", "--format", "scl", "-c", str(path)]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if line.startswith("DATA_BLOCK")] == [
+        'DATA_BLOCK "hilserver_DB7"',
+        'DATA_BLOCK "plc_DB1"',
+    ]
+    assert main([*words, "-o", str(out)]) == 0
+    assert out.read_text(encoding="utf-8") == printed
+    path.write_text("", encoding="utf-8")
+    assert main(words) == EXIT_BAD_CONFIGURATION
+    assert "has no data block: add s7.server, or a peer at s7://" in capsys.readouterr().err
 
 
 async def test_nodeset_is_the_address_space_of_the_server(table) -> None:

@@ -8,7 +8,6 @@ import random
 import ssl
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from enum import StrEnum
 from typing import Any, Final
 
@@ -27,7 +26,7 @@ from hilserver.io.world import World
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 ANSWER_S: Final = 5.0
-LEAVE_S: Final = 0.3
+LEAVE_S, DISCONNECT_S = 0.3, 0.1
 KEEPALIVE_S: Final = 10
 EARLY_NS: Final = 2_000_000
 """A frame that comes so much before a group is due is taken for it."""
@@ -81,6 +80,7 @@ class EdgeLink(Part):
         self._numbers = [0] * len(self._collections)
         self._status_number = 0
         self._task: asyncio.Task[None] | None = None
+        self._client: aiomqtt.Client | None = None
 
     @property
     def address(self) -> str:
@@ -100,10 +100,14 @@ class EdgeLink(Part):
         self._task = asyncio.create_task(self._stay_connected(password, context), name="edge")
 
     async def stop(self) -> None:
-        """Say that we leave, and disconnect; if that fails the last will says it."""
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+        """Say that we leave, and disconnect; where that takes too long the last will says it."""
+        try:
+            for _ in range(2):  # a library may swallow the first cancellation
+                if self._task is not None:
+                    self._task.cancel()
+                    await asyncio.wait({self._task}, timeout=LEAVE_S + DISCONNECT_S)
+        finally:
+            self._drop()
         self.status.connected, self.status.state = False, LinkState.STOPPED
 
     def publish(self, frame: Frame) -> None:
@@ -129,19 +133,29 @@ class EdgeLink(Part):
         while True:
             begun_s = time.monotonic()
             try:
-                async with self._client(password, context) as client:
+                self._client = self._new_client(password, context)
+                async with self._client as client:
                     await self._serve(client)
             except* (aiomqtt.MqttError, OSError, TimeoutError) as group:
                 error = group.exceptions[0]
                 while isinstance(error, BaseExceptionGroup):
                     error = error.exceptions[0]
                 self._lost(str(error) or type(error).__name__)
+            self._drop()  # the library keeps the socket of a connection that was not answered
             if time.monotonic() - begun_s > LONGEST_PAUSE_S:
                 pause_s = FIRST_PAUSE_S
             await asyncio.sleep(pause_s * random.uniform(0.8, 1.2))  # noqa: S311 -- no secret
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
-    def _client(self, password: str | None, context: ssl.SSLContext | None) -> aiomqtt.Client:
+    def _drop(self) -> None:
+        """Close the socket without a word, if it is open: the broker then publishes the last will.
+
+        A disconnection in due form withdraws the will; an open socket lets the library answer.
+        """
+        if self._client is not None:
+            self._client._client._sock_close()
+
+    def _new_client(self, password: str | None, context: ssl.SSLContext | None) -> aiomqtt.Client:
         config = self._config
         will = payload.status(config, 0, time.time_ns(), available=False)
         return aiomqtt.Client(
@@ -186,9 +200,11 @@ class EdgeLink(Part):
                 group.create_task(self._send(client))
                 group.create_task(_until_lost(client))
         except asyncio.CancelledError:
-            with suppress(aiomqtt.MqttError, TimeoutError):
+            try:
                 async with asyncio.timeout(LEAVE_S):
                     await self._say(client, available=False)
+            except (aiomqtt.MqttError, TimeoutError, asyncio.CancelledError):
+                self._drop()
             raise
 
     def _lost(self, reason: str) -> None:

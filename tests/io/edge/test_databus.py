@@ -1,5 +1,6 @@
 """The databus as a client sees it that knows the metadata alone; a real broker, killed and back."""
 
+import asyncio
 import gc
 import re
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
+from hilserver.io.edge.link import EdgeLink
 from hilserver.io.peer_status import LinkState
 from tests.io.edge.rig import Reader, broker, free_port
 from tests.loopback.rig import configuration, wait_until
@@ -129,16 +131,53 @@ async def test_a_broker_that_is_killed_and_comes_back_gets_the_newest_values(tmp
         assert link.status.faults == {} or not link.status.connected
 
 
+async def is_unavailable(port):
+    """Wait until the broker says that the daemon is gone."""
+    reader = Reader(port)
+    reader.subscribe(STATUS)
+    while (await reader.next(STATUS))["connector"]["status"] != "unavailable":
+        pass
+    reader.close()
+
+
 async def test_the_last_will_speaks_for_a_daemon_that_is_gone(tmp_path):
     port = free_port()
     with broker(tmp_path, port, "allow_anonymous true"):
-        async with daemon_at(port, tmp_path), reading(port) as (reader, _):
+        async with daemon_at(port, tmp_path), reading(port):
             pass
-        reader = Reader(port)
-        reader.subscribe(STATUS)
-        while (await reader.next(STATUS))["connector"]["status"] != "unavailable":
-            pass
-        reader.close()
+        await is_unavailable(port)
+
+
+async def _never(*_, **__):
+    await asyncio.Event().wait()
+
+
+async def _not_at_once(*_):
+    """Wait as a library does that swallows one cancellation."""
+    try:
+        await _never()
+    except asyncio.CancelledError:
+        await _never()
+
+
+async def test_the_last_will_speaks_where_we_cannot(tmp_path, monkeypatch):
+    port = free_port()
+    with broker(tmp_path, port, "allow_anonymous true"):
+        async with daemon_at(port, tmp_path) as daemon:
+            link = daemon.part("edge")
+            await wait_until(lambda: link.status.connected)
+            monkeypatch.setattr(link, "_say", _never)
+        await is_unavailable(port)
+
+
+async def test_the_last_will_speaks_where_the_connection_does_not_end(tmp_path, monkeypatch):
+    port = free_port()
+    monkeypatch.setattr(EdgeLink, "_send", _not_at_once)
+    with broker(tmp_path, port, "allow_anonymous true"):
+        async with daemon_at(port, tmp_path) as daemon:
+            link = daemon.part("edge")
+            await wait_until(lambda: link.status.connected)
+        await is_unavailable(port)
 
 
 @pytest.mark.parametrize("trusted", [True, False])
