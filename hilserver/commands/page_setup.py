@@ -31,6 +31,7 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
                 "unit": "" if s.unit == "1" else s.unit,
                 "type": s.type.value,
                 "writable": s.writable,
+                "labels": s.labels,
                 "low": s.low,
                 "high": s.high,
                 "description": s.description,

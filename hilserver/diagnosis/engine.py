@@ -31,6 +31,7 @@ from hilserver.diagnosis.report.collecting import evidence
 from hilserver.diagnosis.report.merging import merged
 from hilserver.diagnosis.schema.evidence import Diagnosis, Evidence, FittedTerm
 from hilserver.diagnosis.schema.findings import (
+    ON_OTHER_LOGS,
     Finding,
     Findings,
     Gain,
@@ -109,7 +110,7 @@ def judge(
         total, patched = _on_other_logs(member, test, rng)
         of_patch.append(patched)
         files = ", ".join(s.file for s in test.sources)
-        notices = (*notices, *test.notices, f"the gain was measured on other logs: {files}")
+        notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}")
     # the gain of all that predicts is that of a single cause where nothing else predicts
     alone = [j.whole is j.point for j in member.judged.values()]
     gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]

@@ -6,7 +6,7 @@ import { may, WHEELS } from "./context";
 import { call, get, live, type Session, type Signal } from "./net";
 import { lateness } from "./overruns";
 import { Wheel } from "./wheel";
-import { action, ask, field, h, micros, number, setText, svg, toast } from "./ui";
+import { action, ask, field, h, micros, number, recall, setText, store, svg, toast } from "./ui";
 import { diagnosisView } from "./views/diagnosis";
 import { driveView } from "./views/drive";
 import { signalsView } from "./views/signals";
@@ -73,7 +73,7 @@ function header(context: Context): HTMLElement {
     const now = document.documentElement.dataset.theme;
     const dark = now ? now === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
     document.documentElement.dataset.theme = dark ? "light" : "dark";
-    store("theme", document.documentElement.dataset.theme);
+    store("page", { theme: document.documentElement.dataset.theme });
     window.dispatchEvent(new Event("themechange"));
   });
   wheel.addEventListener("click", () => void (live.drives ? give(giveTo()) : take()));
@@ -211,14 +211,6 @@ function keys(event: KeyboardEvent): void {
   if (place >= 0) location.hash = VIEWS[place]!.id;
 }
 
-function store(key: string, value: string): void {
-  try {
-    localStorage.setItem(key, value);
-  } catch {
-    /* a private window keeps nothing */
-  }
-}
-
 function login(session: Session): Promise<Session> {
   const name = h("input", { name: "name", autocomplete: "username", required: true });
   const password = h("input", { name: "password", type: "password", autocomplete: "current-password" });
@@ -249,12 +241,8 @@ function login(session: Session): Promise<Session> {
 }
 
 async function start(): Promise<void> {
-  try {
-    const theme = localStorage.getItem("theme");
-    if (theme) document.documentElement.dataset.theme = theme;
-  } catch {
-    /* nothing kept */
-  }
+  const { theme } = recall<{ theme: string }>("page");
+  if (theme) document.documentElement.dataset.theme = theme;
   let session = await call<Session>("session");
   if (session.needs_login) session = await login(session);
   const [table, hall] = await Promise.all([

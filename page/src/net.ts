@@ -8,6 +8,8 @@ export interface Signal {
   low: number;
   high: number;
   description: string;
+  /** Names of the values 0, 1, ...; empty without. */
+  labels: string[];
 }
 
 export interface Session {

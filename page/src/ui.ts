@@ -1,5 +1,7 @@
 /** Elements, messages and numbers: what every view is made of. */
 
+import type { Signal } from "./net";
+
 type Child = Node | string | null | false | undefined;
 type Attributes = Record<string, unknown>;
 
@@ -58,6 +60,11 @@ export function number(value: number | null | undefined, type = "Double"): strin
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "\u2212");
 }
 
+/** A value as a reader wants it: by its name where it has one. */
+export function valueText({ type, labels }: Signal, value: number | null | undefined): string {
+  return labels[value ?? -1] ?? number(value, type);
+}
+
 /** Microseconds in the unit a reader expects. */
 export function micros(value: number | null | undefined): string {
   if (value === null || value === undefined) return "–";
@@ -77,6 +84,36 @@ export function seconds(value: number): string {
   if (value < 10) return `${value.toFixed(1)} s`;
   if (value < 120) return `${value.toFixed(0)} s`;
   return value < 7200 ? `${(value / 60).toFixed(0)} min` : `${(value / 3600).toFixed(0)} h`;
+}
+
+/** Keep something in this browser; a private window keeps nothing. */
+export function store(key: string, value: unknown): void {
+  try {
+    localStorage.setItem(key, JSON.stringify(value));
+  } catch {
+    /* then it is gone with the page */
+  }
+}
+
+/** What was kept, as far as it can be read. */
+export function recall<T>(key: string): Partial<T> {
+  try {
+    return (JSON.parse(localStorage.getItem(key) ?? "null") as Partial<T> | null) ?? {};
+  } catch {
+    return {};
+  }
+}
+
+/** Put text on the clipboard, where the page is not encrypted, too. */
+export async function copy(text: string): Promise<void> {
+  if (navigator.clipboard) return navigator.clipboard.writeText(text);
+  const area = h("textarea", { class: "hidden" });
+  area.value = text;
+  document.body.append(area);
+  area.select();
+  const done = document.execCommand("copy");
+  area.remove();
+  if (!done) throw new Error("This browser lets no page copy.");
 }
 
 /** The name of a signal, which a narrow column breaks between its words. */

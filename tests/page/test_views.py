@@ -53,7 +53,8 @@ def test_every_control_is_reached_and_seen_by_the_tab_key(browser, url, key, vie
     browser.do("open", url=url)
     browser.do("take")
     browser.do("press", key=key)
-    browser.do("wait", selector=f"main[data-view='{view.lower()}']")
+    came_later = " input[type='range']" if view == "Tune" else ""  # the table of parameters
+    browser.do("wait", selector=f"main[data-view='{view.lower()}']{came_later}")
     count = browser.do("run", script=_CONTROLS)
     assert count >= 8
     browser.do("press", key="Tab", times=count + 4)
@@ -192,3 +193,114 @@ def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(browser, 
     drawn = browser.do("run", script=f"new Promise({once} setTimeout(look, 50); look(); }})")
     heights = {float(point.split(",")[1]) for point in re.split("[ML]", drawn) if point}
     assert all(abs(height - 100) < 1 for height in heights), heights
+
+
+_PLAIN_HTTP = """
+Object.defineProperty(navigator, "clipboard", { value: undefined }); window.copied = "";
+document.addEventListener("copy", () => (window.copied = getSelection().toString()))
+"""
+
+
+def chosen(browser, label, option):
+    script = f"""const select = document.querySelector('[aria-label="{label}"]');
+    select.value = [...select.options].find((o) => o.text === '{option}').value;
+    for (const kind of ["input", "change"]) select.dispatchEvent(new Event(kind))"""
+    browser.do("run", script=script)
+
+
+def becomes(browser, script, expected):
+    """Wait until what a script gives is as expected."""
+    look = f"""new Promise((done) => {{ const end = Date.now() + 60000, look = () => {{
+      const now = {script};
+      now === {expected} || Date.now() > end ? done(now) : setTimeout(look, 50); }}; look(); }})"""
+    assert browser.do("run", script=f"{look}.then((now) => now === {expected})"), script
+
+
+def test_a_paused_plot_is_read_at_a_cursor_that_keys_move(browser, url):
+    browser.do("open", url=url)
+    browser.do("view", name="Watch")
+    assert browser.do("run", script="document.querySelector('[aria-label=Cursor]').hidden")
+    becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
+    browser.do("click", role="button", name="Pause")
+    browser.do("to", name="Cursor")
+    moment = "document.querySelector('.moment').textContent"
+    last = browser.do("run", script=moment)
+    browser.do("press", key="ArrowLeft")
+    becomes(browser, f"parseFloat({moment}) < {float(last.removesuffix(' s'))}", "true")
+    browser.do("press", key="Home")
+    becomes(browser, "document.querySelector('[aria-label=Cursor]').value", "'0'")
+    assert browser.do("run", script=moment) != last
+    browser.do("click", role="button", name="Run on")
+    assert browser.do("run", script="document.querySelector('[aria-label=Cursor]').hidden")
+    assert browser.do("errors") == []
+
+
+def test_plots_are_as_they_were_after_a_reload_and_states_have_names(browser, url):
+    browser.do("open", url=url)
+    browser.do("view", name="Watch")
+    browser.do("fill", label="Find a signal", text="sim.state")
+    browser.do("click", role="button", name="sim.state")
+    state = "document.querySelector('b[data-name=\"sim.state\"]')?.textContent"
+    becomes(browser, state, "'running'")
+    browser.do("open", url=url)
+    browser.do("view", name="Watch")
+    becomes(browser, state, "'running'")
+    browser.do(
+        "run",
+        script='localStorage.setItem(\'watch\', \'{"groups": [[1], ["gone"]], "windowS": 7}\')',
+    )
+    browser.do("open", url=url)
+    browser.do("view", name="Watch")
+    browser.do("wait", selector=".drop")
+    assert browser.do("run", script="document.querySelectorAll('.plot').length") == 0
+    assert browser.do("errors") == []
+
+
+def test_signals_that_are_not_good_are_found_and_copied(browser, url):
+    shown = "[...document.querySelectorAll('tbody tr')].filter((e) => !e.hidden).length"
+    browser.do("open", url=url)
+    browser.do("view", name="Signals")
+    everything = browser.do("run", script=shown)
+    browser.do("click", role="button", name="Force battery.voltage_v")
+    browser.do("type", text="21.2512345")
+    browser.do("press", key="Enter")
+    chosen(browser, "Signals shown", "forced")
+    becomes(browser, shown, "1")
+    browser.do(
+        "run", script="navigator.clipboard.writeText = async (text) => { window.copied = text }"
+    )
+    browser.do("click", role="button", name="Copy the values shown")
+    becomes(browser, "window.copied", "'battery.voltage_v\\t21.2512345\\tV\\tForced'")
+    browser.do("run", script=_PLAIN_HTTP)
+    browser.do("click", role="button", name="Copy the values shown")
+    becomes(browser, "window.copied", "'battery.voltage_v\\t21.2512345\\tV\\tForced'")
+    browser.do("click", role="button", name="Release battery.voltage_v")
+    becomes(browser, shown, "0")
+    chosen(browser, "Signals shown", "all signals")
+    becomes(browser, shown, str(everything))
+
+
+def test_events_are_found_by_text_and_severity(browser, url):
+    shown = "document.querySelectorAll('.events li:not(.note)').length"
+    browser.do("open", url=url)
+    browser.do("view", name="Time")
+    browser.do("click", role="button", name="Pause")
+    browser.do("click", role="button", name="Run on")
+    browser.do("wait", selector=".events li", text="running")
+    browser.do("fill", label="Find an event", text="no event says this")
+    becomes(browser, shown, "0")
+    browser.do("fill", label="Find an event", text="RUNNING")
+    becomes(browser, f"{shown} > 0", "true")
+    chosen(browser, "Severity", "errors only")
+    becomes(browser, shown, "0")
+
+
+def test_pace_and_time_of_a_step_are_seen_on_a_phone(browser, url):
+    browser.do("fresh", width=390, height=844)
+    browser.do("open", url=url)
+    browser.do("view", name="Time")
+    pace = "document.querySelector('[aria-label=Clock] dd')?.textContent"
+    becomes(browser, f"parseFloat({pace}) > 0.2", "true")
+    browser.do("wait", selector="[aria-label=Clock] dd", text="1 ms")
+    hidden = "!document.querySelector('.figures').checkVisibility()"
+    assert browser.do("run", script=hidden)  # of the bar: no room for it there

@@ -17,6 +17,7 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import of_halves
 from hilserver.diagnosis.regression.stages import without
 from hilserver.diagnosis.replay.model import Model
+from hilserver.diagnosis.schema.findings import Finding
 from hilserver.measured.arrays import Array
 
 Halves = Sequence[Judged | None]
@@ -33,8 +34,16 @@ def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answe
         if any(half is not None and half.whole is not half.point for half in mine):
             named = cross_validated(j, mine, before, named=True)
         estimate = estimate_of(problem, j.point)
-        answers.append(Answer(whole, named, j.point.model, named_findings(j), estimate))
+        found = tuple(in_halves(finding, mine) for finding in named_findings(j))
+        answers.append(Answer(whole, named, j.point.model, found, estimate))
     return answers
+
+
+def in_halves(finding: Finding, halves: Halves) -> Finding:
+    """Return a finding with the number of halves that show it, or one that could stand for it."""
+    shown = [h is not None and not {*finding.causes}.isdisjoint(h.whole.model.causes)
+             for h in halves]  # fmt: skip
+    return finding.model_copy(update={"halves": sum(shown)})
 
 
 def judged_by_halves(judged: Mapping[str, Judged], seed: int, jobs: int) -> dict[str, Halves]:

@@ -46,7 +46,7 @@ def evidence(
     timings_s: Mapping[str, float],
 ) -> Evidence:
     """Collect what stands behind the findings of one member."""
-    extended = bool(terms)
+    extended = bool(terms) and any((p.after != p.before).any() for p in stages)
     prepared = [part.judged.prepared for part in stages]
     start_s = min((float(c.t_s[0]) for c in log.channels.values() if len(c.t_s)), default=0.0)
     return Evidence(

@@ -55,6 +55,8 @@ def render(findings: Findings, evidence: Evidence) -> str:
             models=MODELS if extended else MODELS[:2],
             headline=words.headline(findings),
             best=words.best(gains),
+            held_out=words.held_out(findings),
+            understated=words.understated(findings),
             changed=[g for g in gains if not words.is_unchanged(g.gain)],
             unchanged=[g for g in gains if words.is_unchanged(g.gain)],
             causes=[f for f in findings.findings if f.verdict is not Verdict.DATA_FAULT],

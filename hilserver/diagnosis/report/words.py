@@ -8,6 +8,7 @@ from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, nu
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.schema.evidence import CutRow
 from hilserver.diagnosis.schema.findings import (
+    ON_OTHER_LOGS,
     Finding,
     Findings,
     Gain,
@@ -149,6 +150,29 @@ def best(gained: Sequence[Gained]) -> Gained | None:
     better = [g for g in gained if g.gain.ratio > 1.0]
     largest = max(better, key=lambda g: g.gain.ratio, default=None)
     return next((g for g in gained if g.is_clear), largest)
+
+
+def held_out(findings: Findings) -> str:
+    """Return what the total gain was measured on, in words."""
+    other = any(notice.startswith(ON_OTHER_LOGS) for notice in findings.notices)
+    return "other logs" if other else "parts of the recording that were not used for the fit"
+
+
+def understated(findings: Findings) -> str:
+    """Return why the total gain leaves causes out that were found; nothing where it does not."""
+    if held_out(findings) == "other logs":
+        return ""
+    by = {0: "by neither", 1: "by one alone"}
+    missing = [
+        f"{' or '.join(f.causes)} ({by[f.halves]})" for f in findings.findings if f.halves < 2
+    ]
+    if not missing:
+        return ""
+    return (
+        "The gain of the extended model is measured on each half of the recording with what the"
+        f" other half shows by itself. Not shown by both: {', '.join(missing).replace('_', ' ')}."
+        " So it is more than was measured; a longer recording shows how much."
+    )
 
 
 def quantity(key: str) -> tuple[str, str]:

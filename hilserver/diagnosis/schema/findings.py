@@ -9,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 from hilserver.diagnosis.schema.decisions import Decision
 
 SCHEMA: Final = "hilserver.diagnosis/1"
+ON_OTHER_LOGS: Final = "the gain was measured on other logs: "
+"""How the notice begins that says where the total gain comes from."""
 
 
 class Verdict(StrEnum):
@@ -123,7 +125,14 @@ class Noise(_Model):
 
 
 class Finding(_Model):
-    """One thing that the simulation, or the log, gets wrong."""
+    """One thing that the simulation, or the log, gets wrong.
+
+    Attributes
+    ----------
+    halves : int
+        In how many halves of the log, without the other, it is found. Gains leave it out of a half
+        without it.
+    """
 
     verdict: Verdict
     causes: tuple[str, ...]
@@ -135,11 +144,13 @@ class Finding(_Model):
     regressors: tuple[str, ...] = ()
     gain: dict[str, Gain] = Field(default_factory=dict)
     matters: dict[str, Matters] = Field(default_factory=dict)
+    halves: Literal[0, 1, 2] = 2
 
     @model_serializer(mode="wrap")
     def _lean(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = handler(self)
-        return {key: value for key, value in data.items() if key != "matters" or value}
+        usual = {"matters": {}, "halves": 2}
+        return {key: value for key, value in data.items() if usual.get(key, ...) != value}
 
 
 class Detectable(_Model):

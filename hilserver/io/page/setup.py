@@ -49,7 +49,7 @@ class Setup:
     image : str
         Name of the process image.
     signals : list of dict
-        Name, unit, type, writable, low, high, description and slot of every scalar.
+        Name, unit, type, writable, labels, low, high, description and slot of every scalar.
     robot : dict
         Dimensions [m] and largest speeds.
     walls : list of list of float

@@ -2,7 +2,7 @@
 
 import { may, type Context, type FaultForm, type View } from "../context";
 import { call, get, live, type Signal } from "../net";
-import { action, field, h, number, quality, qualityName, seconds, setText, signalName, toast } from "../ui";
+import { action, copy, field, h, quality, qualityName, seconds, setText, signalName, toast, valueText } from "../ui";
 
 /** Where a number begins that the one who injects has not thought about. */
 const DEFAULTS: Record<string, number> = {
@@ -21,19 +21,35 @@ interface Row {
   changed: number;
 }
 
+/** Which signals are shown, by what they are now. */
+const WHICH: Record<string, (row: Row) => boolean> = {
+  "all signals": () => true,
+  "not good": ({ status }) => status > 0 && quality(status) !== "forced",
+  forced: ({ status }) => quality(status) === "forced",
+  "changed lately": ({ changed }) => performance.now() - changed < LATELY_MS,
+};
+const LATELY_MS = 2000;
+
 export function signalsView(context: Context): View {
   const rows: Row[] = context.signals.map((signal) => makeRow(context, signal));
   const body = h("tbody", {}, ...rows.map((row) => row.element));
   const count = h("span", { class: "hint", role: "status" });
   const search = h("input", { type: "search", placeholder: "Find a signal", "aria-label": "Find a signal" });
   search.addEventListener("input", filter);
+  const which = h("select", { "aria-label": "Signals shown" }, ...Object.keys(WHICH).map((name) => h("option", {}, name)));
+  which.addEventListener("change", filter);
+  const copied = action("Copy", async () => {
+    const shown = rows.filter((row) => !row.element.hidden);
+    await copy(shown.map(({ signal, last, status }) => [signal.name, last, signal.unit, qualityName(status)].join("\t")).join("\n"));
+    toast(`${shown.length} values in full precision are on the clipboard.`);
+  }, { "aria-label": "Copy the values shown" });
 
   function filter(): void {
     const words = search.value.toLowerCase().split(/\s+/);
     let n = 0;
     for (const row of rows) {
       const text = `${row.signal.name} ${row.signal.description}`.toLowerCase();
-      row.element.hidden = !words.every((word) => text.includes(word));
+      row.element.hidden = !WHICH[which.value]!(row) || !words.every((word) => text.includes(word));
       if (!row.element.hidden) n += 1;
     }
     setText(count, `${n} of ${rows.length}`);
@@ -133,6 +149,7 @@ export function signalsView(context: Context): View {
     }
     if (now < due) return; // ten times a second is as fast as one can read
     due = now + 100;
+    if (which.value !== "all signals") filter();
     for (const row of rows) if (!row.element.hidden) show(row, now);
   });
   const stopSlow = live.onSlow(slow);
@@ -143,7 +160,7 @@ export function signalsView(context: Context): View {
     h(
       "section",
       { class: "panel table" , "aria-label": "All signals" },
-      h("div", { class: "tools" }, search, count),
+      h("div", { class: "tools" }, search, which, copied, count),
       h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Table of signals" },
         h("table", {}, h("thead", {}, h("tr", {}, ...["Signal", "Value", "Unit", "Quality", "Age", "Force"].map((name) => h("th", { scope: "col" }, name)))), body)),
     ),
@@ -205,7 +222,7 @@ function offerForce(row: Row): void {
 
 function show(row: Row, now: number): void {
   const bad = row.status >= 0x80000000;
-  setText(row.value, bad || row.status < 0 ? "–" : number(row.last, row.signal.type));
+  setText(row.value, bad || row.status < 0 ? "–" : valueText(row.signal, row.last));
   setText(row.quality, row.status < 0 ? "–" : qualityName(row.status));
   const kind = row.status < 0 ? "bad" : quality(row.status);
   if (row.quality.dataset.quality !== kind) row.quality.dataset.quality = kind;

@@ -2,7 +2,7 @@
 
 import { may, type Context, type View } from "../context";
 import { call, get, live } from "../net";
-import { action, bytes, download, field, h, seconds, setText, toast } from "../ui";
+import { action, bytes, download, field, h, micros, seconds, setText, toast } from "../ui";
 
 interface File {
   name: string;
@@ -17,6 +17,8 @@ const GROUPS: Record<string, string[]> = {
   "Model gap": ["model_gap"],
   Overruns: ["overrun"],
 };
+/** Least severities, as OPC UA counts them. */
+const SEVERITIES: Record<string, number> = { "every severity": 0, "warnings and above": 300, "errors only": 700 };
 const hiddenGroups = new Set<string>();
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
@@ -24,6 +26,7 @@ const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 export function timeView(context: Context): View {
   const clock = h("output", { class: "clock", "aria-label": "Simulated time" }, "0.000 s");
   const tick = h("span", { class: "hint" });
+  const pace = h("dl", { class: "pairs" });
   const run = action("Pause", () => call(paused() ? "Start" : "Pause"), { class: "primary large" });
   const steps = h("input", { type: "number", min: 1, max: 1000000, value: 100, "aria-label": "Ticks to step" });
   const step = action("Step", () => call("Step", Number(steps.value)), {});
@@ -73,6 +76,9 @@ export function timeView(context: Context): View {
     });
     filters.append(button);
   }
+  const search = h("input", { type: "search", placeholder: "Find an event", "aria-label": "Find an event" });
+  const least = h("select", { "aria-label": "Severity" }, ...Object.entries(SEVERITIES).map(([name, value]) => h("option", { value }, name)));
+  for (const control of [search, least]) control.addEventListener("input", slow);
   const events = h("ol", { class: "events", tabindex: "0", "aria-label": "Events, the newest first" });
 
   function slow(): void {
@@ -85,6 +91,16 @@ export function timeView(context: Context): View {
       button.setAttribute("aria-pressed", String(Number((button as HTMLElement).dataset.speed) === board.speed));
       (button as HTMLButtonElement).disabled = !may(context, "SetSpeed");
     }
+    const plant = board.slices?.["plant"];
+    const us = (key: string): string => micros(plant?.[key] as number | null | undefined);
+    const figures = {
+      "Real-time factor": board.realtime_factor == null ? "–" : `${board.realtime_factor.toFixed(3)}×`,
+      "Step, every": plant ? `${plant.period_ms} ms` : "–",
+      "Step takes, mean": us("execution_mean_us"),
+      "Step takes, max": us("execution_max_us"),
+      "Margin, least": us("margin_min_us"),
+    };
+    pace.replaceChildren(...Object.entries(figures).map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
     setText(record, board.recording ? "Stop" : "Record");
     setText(recording, board.recording ? `${board.recording.name}: ${bytes(board.recording.bytes)}` : "Nothing is being recorded.");
     const order = Object.keys(GROUPS);
@@ -93,7 +109,8 @@ export function timeView(context: Context): View {
       const count = known.reduce((sum, event) => sum + (event.group === button.dataset.group ? event.count : 0), 0);
       setText(button, `${button.dataset.group} ${count}`);
     }
-    const shown = known.filter(({ group }) => !hiddenGroups.has(group));
+    const words = search.value.toLowerCase();
+    const shown = known.filter((event) => !hiddenGroups.has(event.group) && event.severity >= Number(least.value) && `${event.source} ${event.text}`.toLowerCase().includes(words));
     const rest = (group: string): number => (group === "Overruns" ? 1 : 0); // one line each, below what was done
     shown.sort((one, other) => rest(one.group) - rest(other.group) || one.age_s - other.age_s);
     events.replaceChildren(...(shown.length ? shown : []).map((event) =>
@@ -114,13 +131,13 @@ export function timeView(context: Context): View {
     "div",
     { class: "time" },
     h("div", { class: "column" },
-      h("section", { class: "panel", "aria-label": "Clock" }, clock, tick,
+      h("section", { class: "panel", "aria-label": "Clock" }, clock, tick, pace,
         h("div", { class: "buttons" }, run, reset),
         h("div", { class: "buttons" }, steps, step, h("span", { class: "hint" }, "ticks, while paused")),
         h("h2", {}, "Speed"), speeds, resetNumbers),
       h("section", { class: "panel", "aria-label": "Snapshots" }, h("h2", {}, "Snapshots"), h("div", { class: "buttons" }, field("Name", name), save), snapshots),
       h("section", { class: "panel", "aria-label": "Recording" }, h("h2", {}, "Recording"), recording, h("div", { class: "buttons" }, field("File", file), record), recordings)),
-    h("section", { class: "panel happened", "aria-label": "Events" }, h("h2", {}, "Events"), filters, events),
+    h("section", { class: "panel happened", "aria-label": "Events" }, h("h2", {}, "Events"), filters, h("div", { class: "tools" }, search, least), events),
   );
   return {
     element,

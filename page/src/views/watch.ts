@@ -3,12 +3,11 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Context, View } from "../context";
-import { get, live, type Figures, type Slice } from "../net";
-import { grewLately, OVERRUNS } from "../overruns";
-import { bytes, h, micros, number, seconds, setText, signalName, toast } from "../ui";
+import { History } from "../history";
+import { get, live, type Signal } from "../net";
+import { bytes, h, recall, setText, signalName, store, toast, valueText } from "../ui";
+import { peerCard, sliceCard } from "./cards";
 
-const LONGEST_S = 120;
-const HOLE_S = 1;
 const COLOURS = ["#0b6bcb", "#d9480f", "#2b8a3e", "#9c36b5", "#b08900", "#0c8599"];
 const MOST_LINES = 6;
 
@@ -16,68 +15,26 @@ const START: string[][] = [
   ["wheel.fl.setpoint_rpm", "wheel.fl.speed_rpm"],
   ["velocity.linear_m_s", "velocity.angular_rad_s"],
 ];
-let kept: string[][] | null = null;
-let windowS = 20;
+const SPANS_S = [5, 10, 20, 60, 120];
+const KEPT = "watch";
+/** Types whose values hold until they change: no line slopes from one to the next. */
+const STEPS = new Set(["Boolean", "Byte", "UInt32", "Int64"]);
 
-/** What was seen of a signal, oldest first; shared by all plots. */
-class History {
-  readonly times: number[] = [];
-  readonly series = new Map<string, (number | null)[]>();
-
-  add(t: number): void {
-    if (this.times.length && t < this.times[this.times.length - 1]!) this.clear();
-    const last = this.times[this.times.length - 1];
-    if (last === t) return;
-    if (last !== undefined && t - last > HOLE_S * Math.max(1, live.slow.board.speed ?? 1)) {
-      this.times.push((last + t) / 2); // nothing was seen: no line is drawn there
-      for (const values of this.series.values()) values.push(null);
-    }
-    this.times.push(t);
-    for (const [name, values] of this.series) {
-      const value = live.value(name);
-      values.push(Number.isFinite(value) ? value : null);
-    }
-    const old = this.times.findIndex((time) => time >= t - LONGEST_S);
-    if (old > 300) {
-      this.times.splice(0, old);
-      for (const values of this.series.values()) values.splice(0, old);
-    }
-  }
-
-  follow(name: string): void {
-    if (!this.series.has(name)) this.series.set(name, this.times.map(() => null));
-  }
-
-  /** Take in what the ring held: older times in front, and what a new signal was meanwhile. */
-  merge(times: number[], series: Record<string, (number | null)[]>): void {
-    const first = this.times[0] ?? Infinity;
-    const older = times.filter((t) => t < first);
-    if (older.length && first - older[older.length - 1]! > HOLE_S) return;
-    for (const [name, values] of this.series) {
-      const past = series[name];
-      let at = 0;
-      for (let i = 0; past && i < values.length && times.length; i++) {
-        while (at + 1 < times.length && times[at + 1]! <= this.times[i]!) at++;
-        if (values[i] === null && this.times[i]! <= times[times.length - 1]!) values[i] = past[at] ?? null;
-      }
-      values.unshift(...older.map((_, i) => past?.[i] ?? null));
-    }
-    this.times.unshift(...older);
-  }
-
-  clear(): void {
-    this.times.length = 0;
-    for (const values of this.series.values()) values.length = 0;
-  }
+/** The plots as they were when the page was last open in this browser. */
+function recalled(known: Map<string, Signal>): { groups: string[][]; windowS: number } {
+  const { groups, windowS } = recall<{ groups: string[][]; windowS: number }>(KEPT);
+  const sound = Array.isArray(groups) ? groups.map((group) => [group].flat().filter((name) => known.has(name)).slice(0, MOST_LINES)) : START;
+  return { groups: sound.filter((group) => group.length).map((group) => [...group]), windowS: SPANS_S.includes(windowS!) ? windowS! : 20 };
 }
 
 export function watchView(context: Context): View {
   const history = new History();
-  const groups: string[][] = (kept ??= START.map((group) => [...group]));
+  const known = new Map(context.signals.map((signal) => [signal.name, signal]));
+  let { groups, windowS } = recalled(known);
   const plots: Plot[] = [];
   let paused = false;
   let plotsDue = 0;
-  const units = new Map(context.signals.map((signal) => [signal.name, signal.unit]));
+  let at: number | null = null; // where the cursor stands while the plots are paused
 
   class Plot {
     readonly element: HTMLElement;
@@ -97,7 +54,7 @@ export function watchView(context: Context): View {
         event.stopPropagation();
         this.element.classList.remove("target");
         const name = event.dataTransfer?.getData("text/plain") ?? "";
-        if (units.has(name)) this.add(name);
+        if (known.has(name)) this.add(name);
       });
       this.observer.observe(this.holder);
       this.build();
@@ -126,7 +83,7 @@ export function watchView(context: Context): View {
       const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", labelFont: "11px system-ui" };
       this.element.firstElementChild!.replaceChildren(
         ...this.names.map((name, i) =>
-          h("span", { class: "legend" }, this.swatch(i), signalName(name), h("b", { "data-name": name }, "–"), h("i", {}, units.get(name) ?? ""),
+          h("span", { class: "legend" }, this.swatch(i), signalName(name), h("b", { "data-name": name }, "–"), h("i", {}, known.get(name)!.unit),
             h("button", { type: "button", class: "x", "aria-label": `Remove ${name}`, onclick: () => this.remove(name) }, "×")),
         ),
       );
@@ -136,15 +93,22 @@ export function watchView(context: Context): View {
           width: Math.max(this.holder.clientWidth, 200),
           height: 190,
           legend: { show: false },
-          cursor: { drag: { x: true, y: false }, sync: { key: "watch" } },
+          cursor: { y: false, drag: { x: true, y: false }, sync: { key: "watch" } },
           scales: { x: { time: false } },
-          axes: [{ ...axis, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 48 }],
-          series: [{}, ...this.names.map((_, i) => ({ stroke: COLOURS[i], width: 1.6, points: { show: false }, spanGaps: false }))],
+          axes: [{ ...axis, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 48, ...this.named() }],
+          series: [{}, ...this.names.map((name, i) => ({ stroke: COLOURS[i], width: 1.6, points: { show: false }, spanGaps: false, ...(STEPS.has(known.get(name)!.type) && { paths: uPlot.paths.stepped!({ align: 1 }) }) }))],
           hooks: { setCursor: [() => this.readings()] },
         },
         this.data(),
         this.holder,
       );
+    }
+
+    /** The axis of a single signal whose values have names: these. */
+    private named(): uPlot.Axis {
+      const { labels } = known.get(this.names[0]!)!;
+      if (this.names.length > 1 || !labels.length) return {};
+      return { size: 72, incrs: [1, 2, 5], values: (_, ticks) => ticks.map((tick) => labels[tick] ?? "") };
     }
 
     private swatch(i: number): HTMLElement {
@@ -166,13 +130,23 @@ export function watchView(context: Context): View {
     }
 
     private readings(): void {
-      const at = this.chart?.cursor.idx;
+      const place = this.chart?.cursor.idx ?? at;
       for (const name of this.names) {
         const values = history.series.get(name)!;
-        const value = at == null ? values[values.length - 1] : values[at];
+        const value = place === null ? values[values.length - 1] : values[place];
         const shown = this.element.querySelector(`b[data-name="${name}"]`);
-        if (shown) setText(shown, number(value));
+        if (shown) setText(shown, valueText(known.get(name)!, value));
       }
+    }
+
+    /** Show a time, and what was then. */
+    seek(t: number): void {
+      const { min = 0, max = 0 } = this.chart!.scales["x"]!;
+      if (t < min || t > max) this.chart!.setScale("x", { min: t - windowS / 2, max: t + windowS / 2 });
+      queueMicrotask(() => { // a scale is set by then
+        this.chart?.setCursor({ left: this.chart.valToPos(t, "x"), top: 0 });
+        this.readings();
+      });
     }
 
     private resize(): void {
@@ -189,12 +163,16 @@ export function watchView(context: Context): View {
   function subscribe(): void {
     const names = [...new Set(groups.flat())];
     live.want("watch", ["sim.time_s", ...names]);
+    store(KEPT, { groups, windowS });
     const fresh = names.filter((name) => !begun.has(name)).slice(0, 24);
     for (const name of fresh) begun.add(name);
     if (!fresh.length) return;
     const query = fresh.map((name) => `name=${encodeURIComponent(name)}`).join("&");
     get<{ times: number[]; series: Record<string, (number | null)[]> }>(`history?${query}`)
-      .then(({ times, series }) => history.merge(times, series))
+      .then(({ times, series }) => {
+        history.merge(times, series);
+        if (paused) pauseHere();
+      })
       .catch(() => {}); // the plot begins with what comes in
   }
 
@@ -244,9 +222,34 @@ export function watchView(context: Context): View {
     paused = !paused;
     pause.setAttribute("aria-pressed", String(paused));
     setText(pause, paused ? "Run on" : "Pause");
+    cursor.hidden = moment.hidden = !paused;
+    if (paused) pauseHere();
+    else at = null;
   } }, "Pause");
-  const span = h("select", { "aria-label": "Length of the plots" }, ...[5, 10, 20, 60, 120].map((s) => h("option", { value: s, selected: s === windowS }, `${s} s`)));
-  span.addEventListener("change", () => (windowS = Number(span.value)));
+  const cursor = h("input", { type: "range", min: 0, class: "cursor", "aria-label": "Cursor", hidden: true });
+  const moment = h("output", { class: "moment", hidden: true });
+  cursor.addEventListener("input", () => seek(Number(cursor.value)));
+
+  /** Let the cursor, which keys and fingers move as well, reach all that was seen. */
+  function pauseHere(): void {
+    cursor.max = String(Math.max(0, history.times.length - 1));
+    cursor.value = cursor.max;
+    for (const plot of plots) plot.draw();
+    seek(Number(cursor.value));
+  }
+
+  function seek(place: number): void {
+    const t = history.times[place];
+    if (t === undefined) return;
+    at = place;
+    setText(moment, `${t.toFixed(3)} s`);
+    for (const plot of plots) plot.seek(t);
+  }
+  const span = h("select", { "aria-label": "Length of the plots" }, ...SPANS_S.map((s) => h("option", { value: s, selected: s === windowS }, `${s} s`)));
+  span.addEventListener("change", () => {
+    windowS = Number(span.value);
+    store(KEPT, { groups, windowS });
+  });
   const save = h("button", { type: "button", onclick: exported }, "Export CSV");
 
   function exported(): void {
@@ -265,7 +268,7 @@ export function watchView(context: Context): View {
   board.addEventListener("drop", (event) => {
     event.preventDefault();
     const name = event.dataTransfer?.getData("text/plain") ?? "";
-    if (units.has(name)) add(name);
+    if (known.has(name)) add(name);
   });
 
   // --- slices and peers -------------------------------------------------------------------------
@@ -301,7 +304,7 @@ export function watchView(context: Context): View {
     "div",
     { class: "watch" },
     h("aside", { class: "panel chooser", "aria-label": "Choose signals" }, search, list),
-    h("div", { class: "column" }, h("div", { class: "tools" }, pause, span, save, h("span", { class: "hint" }, "Drag in a plot to zoom, double-click to see all.")), board,
+    h("div", { class: "column" }, h("div", { class: "tools" }, pause, cursor, moment, span, save, h("span", { class: "hint" }, "Drag in a plot to zoom, double-click to see all.")), board,
       h("h2", {}, "Time slices"), slices, h("h2", {}, "Peers"), peers),
   );
   return {
@@ -315,65 +318,4 @@ export function watchView(context: Context): View {
       live.want("watch", []);
     },
   };
-}
-
-function rows(pairs: [string, string, boolean?][]): HTMLElement {
-  return h("dl", { class: "pairs" }, ...pairs.map(([name, value, warn]) => h("div", { class: warn ? "warn" : "" }, h("dt", {}, name), h("dd", {}, value))));
-}
-
-function figure(value: unknown): number | null {
-  return typeof value === "number" ? value : null;
-}
-
-function sliceCard(name: string, slice: Slice, bounds: number[]): HTMLElement {
-  const us = (key: string): string => micros(figure(slice[key]));
-  const count = (key: (typeof OVERRUNS)[number]): [string, string, boolean] => {
-    const value = Number(slice[key] ?? 0);
-    return [key.replace("_", " "), String(value), grewLately(`${name} ${key}`, value)];
-  };
-  return h(
-    "section",
-    { class: "panel card", "aria-label": `Slice ${name}` },
-    h("h3", {}, name, h("small", {}, `every ${slice.period_ms} ms`)),
-    rows([
-      ["execution, mean", us("execution_mean_us")],
-      ["execution, max", us("execution_max_us")],
-      ["margin, last", us("margin_last_us")],
-      ["margin, least", us("margin_min_us")],
-      ["wake latency, max", us("latency_max_us")],
-      ["jitter", us("jitter_us")],
-      ...OVERRUNS.map(count),
-    ]),
-    histogram(slice.latency_counts ?? [], bounds),
-  );
-}
-
-/** Wake latencies on a logarithmic axis: heights are logarithms too, so that one count shows. */
-function histogram(counts: number[], bounds: number[]): HTMLElement {
-  const most = Math.log1p(Math.max(1, ...counts));
-  const bars = counts.map((count, i) => {
-    const bar = h("span", { title: `up to ${i < bounds.length ? micros(bounds[i]) : "more"}: ${count}` });
-    bar.style.height = `${(100 * Math.log1p(count)) / most}%`;
-    return bar;
-  });
-  return h("figure", { class: "histogram" }, h("div", { role: "img", "aria-label": "Histogram of the wake latency" }, ...bars), h("figcaption", {}, h("span", {}, "1 µs"), h("span", {}, "wake latency"), h("span", {}, "10 s")));
-}
-
-function peerCard(name: string, peer: Figures): HTMLElement {
-  const ms = (key: string): string => (typeof peer[key] === "number" ? `${number(peer[key] as number)} ms` : "–");
-  const age = peer["input_age_s"];
-  return h(
-    "section",
-    { class: "panel card", "aria-label": `Peer ${name}` },
-    h("h3", {}, name, h("small", { class: peer["connected"] ? "ok" : "warn" }, String(peer["state"] ?? "unknown"))),
-    rows([
-      ["mode", String(peer["mode"] ?? "–")],
-      ["age of input", typeof age === "number" ? seconds(age) : "–", peer["stale"] === true],
-      ["round trip", ms("round_trip_ms")],
-      ["one way", ms("one_way_ms")],
-      ["interval", ms("interval_ms")],
-      ["reconnects", String(peer["reconnects"] ?? 0)],
-      ["last fault", String(peer["faults"] || peer["last_error"] || "none")],
-    ]),
-  );
 }

@@ -13,6 +13,7 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import Prepared, without
 from hilserver.diagnosis.replay.stack import FOLD_RUNS
+from hilserver.diagnosis.schema.findings import Finding, Verdict
 from tests.diagnosis import toy
 from tests.diagnosis.mutation import mutated
 
@@ -128,3 +129,12 @@ def test_a_column_without_a_name_predicts_and_is_in_no_patch():
     assert np.allclose(whole.parts[0].after, j.point.predicted)
     assert np.allclose(patch.parts[0].after, less.predicted)
     assert whole.gains(5.0, np.random.default_rng(0))["speed_rpm"].ratio > 1.5
+
+
+def test_a_finding_says_how_many_halves_show_it():
+    values, columns = drawn()
+    j = judged(values, columns)
+    blind = replace(j, whole=j.prepared.base)
+    finding = Finding(verdict=Verdict.NAMED, causes=("c0",), block="drive")
+    for halves, shown in (((j, j), 2), ((j, blind), 1), ((None, j), 1), ((None, blind), 0)):
+        assert nested.in_halves(finding, halves).halves == shown

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hilserver_injector import Noise
+from hilserver_injector import Noise, Recipe
 from hilserver_injector.cases import cases, twins
 
+from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.schema.findings import Verdict
 from hilserver.plant.terms import TERMS, main_part
 from hilserver.scenarios import SCENARIOS
@@ -233,3 +234,12 @@ def test_drives_that_excite_little_are_judged_and_found_sound(manoeuvre):
     """On the spot no forward speed, in ramps no step of a set-point, on straights no turn."""
     made = replace(recipe("nothing drive", 21, 90.0), manoeuvre=manoeuvre)
     nothing_is_found(judged(made).findings)
+
+
+def test_a_short_log_is_not_said_to_gain_nothing_by_the_cause_that_it_shows():
+    """Twenty seconds show that the robot turns 15 % more; half of them may not."""
+    found = judged(Recipe(seed=3, causes={"rotation_gain": 0.15}, duration_s=20.0))
+    text = " ".join(summary(found.findings).split())
+    assert "15 % more" in text
+    is_better = found.findings.total_gain["yaw_rad"].ratio > 1.1
+    assert is_better or "it is more than was measured" in text, text

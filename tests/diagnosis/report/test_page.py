@@ -13,7 +13,7 @@ from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import Evidence
-from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.schema.findings import ON_OTHER_LOGS, Finding
 from hilserver.signals import Ranges, robot_table
 from tests.diagnosis.sample import evidence, findings, gain, nothing_found
 
@@ -272,3 +272,41 @@ def test_without_an_extension_there_is_no_gain():
 def test_levels_are_those_of_the_screen(page):
     assert "in at most one of 500, over all causes" in page
     assert "at most 0.002; its size" in page
+
+
+def as_halves_show(*halves):
+    """Findings of a short log: so many halves of it show each cause."""
+    given = findings()
+    causes = [f for f in given.findings if f.parameters and f.verdict != "data_fault"]
+    same = gain(0.31, 0.31, 0.99, 1.01)
+    shown = tuple(
+        f.model_copy(update={"halves": n, "gain": {"yaw_rad": same}})
+        for f, n in zip(causes, halves, strict=True)
+    )
+    return given.model_copy(update={"findings": shown, "total_gain": {"yaw_rad": same}})
+
+
+def test_what_no_half_shows_is_not_called_unchanged():
+    """The headline says that it turns less: its gain is not known, which is not none."""
+    text = Reader(
+        render(as_halves_show(0, 0), Evidence()).partition("</head>")[2].removesuffix("</html>")
+    ).text
+    for said in (text, summary(as_halves_show(0, 0))):
+        assert "unchanged" not in said.lower()
+        assert "not changed" not in said.lower()
+        assert "rotation gain (by neither)" in " ".join(said.split())
+    assert "not measured, since neither half" in text
+
+
+def test_a_gain_that_one_half_lacks_says_so():
+    said = " ".join(summary(as_halves_show(1, 2)).split())
+    assert "rotation gain (by one alone)" in said
+    assert "icr offset" not in said.partition("Not shown by both")[2]
+    assert "one half of the recording does not show it" in render(as_halves_show(1, 2), Evidence())
+
+
+def test_a_gain_on_other_logs_leaves_nothing_out():
+    there = as_halves_show(0, 0).model_copy(update={"notices": (f"{ON_OTHER_LOGS}b.csv",)})
+    text = Reader(render(there, Evidence())).text
+    assert "by neither" not in text
+    assert "Not changed: heading" in text
