@@ -14,6 +14,7 @@ BENCHES = {
     "s7": "a controller closes a loop of 100 Hz over S7: age, round trip, next to python-snap7",
     "ros2": "ROS 2 over DDS: rate, latency, losses, cost, next to two other DDS programs",
     "mechatronic": "a step of the body beside plain mj_step; the plant's wake latency with it",
+    "recalibration": "a robot changes and its model follows: right, wrong, false, taken back",
     "observer": "where the robot is: consistency, error beside other filters, cost of a step",
     "tune": "wake latency while parameters change 20 times a second, against none",
     "sweep": "machines a minute, what Dask adds, memory; sweeps whose truth is known",

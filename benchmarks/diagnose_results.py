@@ -6,7 +6,7 @@ stay in the file and are not counted.
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -17,15 +17,24 @@ from benchmarks.diagnose_table import Record
 
 ROOMS: Final = ("diagnosis", "measured", "plant", "scenarios")
 """What a finding or its score depends on, beside the campaign's own worker and scoring."""
+OWN: Final = ("diagnose_scoring", "diagnose_worker")
 DIGITS: Final = 12
 
 
-def sources() -> str:
-    """Return the hash of the sources of engine, injector and scoring."""
+def sources(own: Sequence[str] = OWN, more: Sequence[str] = ()) -> str:
+    """Return the hash of the sources of engine, injector and scoring.
+
+    Parameters
+    ----------
+    own : sequence of str
+        Modules of the campaign itself.
+    more : sequence of str
+        Rooms of the package, beside those of the engine.
+    """
     package = Path(hilserver.__file__).parent
-    folders = [package / room for room in ROOMS] + [Path(hilserver_injector.__file__).parent]
+    folders = [package / r for r in (*ROOMS, *more)] + [Path(hilserver_injector.__file__).parent]
     files = [file for folder in folders for file in folder.rglob("*.py")]
-    files += [Path(__file__).with_name(f"diagnose_{part}.py") for part in ("scoring", "worker")]
+    files += [Path(__file__).with_name(f"{part}.py") for part in own]
     total = hashlib.sha256()
     for file in sorted(files, key=lambda file: file.parts[-3:]):
         total.update("/".join(file.parts[-3:]).encode())
@@ -40,6 +49,8 @@ class Results:
     ----------
     setting : str
         How the logs were changed: results of other lengths or noise are others.
+    of : str, optional
+        Hash of the sources; those of the campaign of the diagnosis.
 
     Attributes
     ----------
@@ -49,8 +60,8 @@ class Results:
         Lines of the file that are not counted.
     """
 
-    def __init__(self, file: Path, setting: str = "") -> None:
-        self.file, self.stamp = file, {"sources": sources(), "setting": setting}
+    def __init__(self, file: Path, setting: str = "", of: str | None = None) -> None:
+        self.file, self.stamp = file, {"sources": of or sources(), "setting": setting}
         self.records: dict[str, Record] = {}
         self.others = 0
         for record in _lines(file):

@@ -1,11 +1,11 @@
-"""Whether the model keeps up: ``python -m benchmarks.recalibration``, from a checkout.
+"""Whether the model keeps up: a robot of another program changes, and its twin follows.
 
-A robot of another program drives over many windows and is looked at by the rules of the daemon: the
-same loop, the same looks, every window one look. Rows of the result:
+Every row of the table is some robots, each over several windows; all of it is in virtual time. A
+line for each robot is appended to a file: who stops goes on where it was.
 
 kinds
-    A hidden cause appears between two windows. Proposed within three, and nothing wrong; the gap
-    after it is accepted, on a window that took no part.
+    A hidden cause appears in the middle of a window. Proposed within three windows from that one,
+    and nothing wrong; the gap after it is accepted, on a window that took no part.
 back
     A cause appears, and goes again: the second proposal takes the first back.
 null
@@ -14,27 +14,23 @@ null
 """
 
 import argparse
-import json
-import sys
-import tempfile
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
 import numpy as np
-from hilserver_injector import Recipe, make
 from hilserver_injector.causes import CAUSES, TWINS
 
 from benchmarks.binomial import clopper_pearson
-from hilserver.config.root import Config, without_passwords
+from benchmarks.diagnose_results import Results, sources
+from benchmarks.recalibration_robot import Case, Drive, counts
+from benchmarks.recalibration_robot import run as run_case
+from hilserver.bench.report import Result
+from hilserver.errors import FailedError
 from hilserver.program.workers import in_processes
-from hilserver.recalibration.judging import Judge
-from hilserver.recalibration.loop import Loop, Note
-from hilserver.recalibration.orders import Order
-from hilserver.recalibration.proposals import Proposal, Stage, Step
 from hilserver.recalibration.spending import YEAR_S, Spending
 
 KINDS: Final = (
@@ -52,240 +48,170 @@ KINDS: Final = (
     "saturation_limit",
 )
 BACK: Final = ("rotation_gain", "gyro_bias", "actuation_delay", "nav_latency", "saturation_limit")
-BEFORE: Final = 3
-"""Windows without the cause; as many follow with it."""
+ROWS: Final = ("kinds", "back", "null")
 DEADLINE: Final = 3
+"""Windows within which it is proposed, from the one in which it appears."""
 FLOOR: Final = 0.001
 """Rotation gain by which the floor differs from window to window: below any size worth a name."""
-
-Values = Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Track:
-    """One drive: what is hidden in it, before and after its middle."""
-
-    name: str
-    seed: int
-    first: Values
-    last: Values
-    windows: int = 2 * BEFORE
+NULLS_OF_EACH: Final = 10
+RESULTS: Final = Path("build/recalibration/results.jsonl")
+Record = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Case:
-    """Tracks of one robot, one after the other; every proposal is accepted."""
-
-    row: str
-    name: str
-    tracks: tuple[Track, ...]
-    window_s: float
-
-
-@dataclass
-class Outcome:
-    """What came of a case.
-
-    Attributes
-    ----------
-    proposed : list of (int, str, list of str)
-        Window, what it says, and its causes.
-    looks : dict of int
-        By verdict.
-    effects : dict of list of float
-        By proposal: gap before by gap after of the quantities that gained where it was confirmed.
-    loaded : dict of float
-        Terms that run at the end.
-    """
-
-    row: str
-    name: str
-    proposed: list[tuple[int, str, list[str]]] = field(default_factory=list)
-    looks: dict[str, int] = field(default_factory=dict)
-    confirmations: dict[str, int] = field(default_factory=dict)
-    effects: dict[int, list[float]] = field(default_factory=dict)
-    loaded: dict[str, float] = field(default_factory=dict)
-
-
-def cut(track: Track, window_s: float, folder: Path) -> Iterator[Path]:
-    """Write the windows of a track, one after the other."""
-    recipe = Recipe(
-        seed=track.seed,
-        causes=track.last,
-        drift_from=track.first,
-        drift_step=True,
-        duration_s=track.windows * window_s,
-    )
-    table, _ = make(recipe)
-    number = np.minimum(table.t_s // window_s, track.windows - 1).astype(int)
-    for window in range(track.windows):
-        rows = number == window
-        part = type(table)(table.t_s[rows], {n: v[rows] for n, v in table.columns.items()})
-        path = folder / f"{track.name}_{window}.csv"
-        part.write_csv(path)
-        yield path
-
-
-class Robot:
-    """A robot of a case: its loop, the model that runs, and what has come of it."""
-
-    def __init__(self, case: Case) -> None:
-        self.outcome = Outcome(case.row, case.name)
-        self._window_s, self._number = case.window_s, 0
-        self._loop = Loop(case.window_s, Spending(), 0.0)
-        self._looks, self._confirmations = Counter[str](), Counter[str]()
-
-    def window(self, path: Path) -> None:
-        """Look at one window, and accept what is proposed."""
-        self._number += 1
-        now_s, loop, outcome = self._number * self._window_s, self._loop, self.outcome
-        todo = loop.todo(self._number, outcome.loaded, now_s)
-        if todo is None:
-            return
-        order = Order(todo, str(path), without_passwords(Config()), str(path.parent), {}, "")
-        self._count(loop.take(todo, Judge(order).result(), now_s))
-        proposal = loop.proposal
-        if proposal is not None and proposal.stage in (Stage.BETTER, Stage.NOT_BETTER):
-            outcome.effects[proposal.number] = _gained(proposal)
-        if proposal is not None and proposal.stage is Stage.OPEN:
-            outcome.proposed.append((self._number, proposal.sentence, list(proposal.causes)))
-            decided = loop.decided(Step.ACCEPT, proposal.number)
-            loop.adopt(decided, self._number)  # the window that follows begins after it
-            outcome.loaded = {n: t.value for n, t in decided.terms.items()}
-
-    def _count(self, notes: Sequence[Note]) -> None:
-        for note in notes:
-            verdict = str(note.fields.get("verdict", "failed"))
-            if note.kind in ("look", "failed"):
-                self._looks[verdict] += 1
-            if note.kind == "confirmation":
-                self._confirmations[verdict] += 1
-        self.outcome.looks = dict(self._looks)
-        self.outcome.confirmations = dict(self._confirmations)
-
-
-def _gained(proposal: Proposal) -> list[float]:
-    """Return the effect on the quantities that gained where it was confirmed."""
-    names = [n for n, q in proposal.gain.items() if q.ci95 is not None and q.ci95[0] > 1.0]
-    return [proposal.effect[n].ratio for n in names if n in proposal.effect]
-
-
-def run(case: Case) -> Outcome:
-    """Run one case."""
-    robot = Robot(case)
-    with tempfile.TemporaryDirectory() as name:
-        for track in case.tracks:
-            for path in cut(track, case.window_s, Path(name)):
-                robot.window(path)
-    return robot.outcome
-
-
-def kinds(names: Sequence[str], scale: float, window_s: float, seed: int) -> Iterator[Case]:
-    """Yield a case for every kind."""
-    for k, name in enumerate(names):
-        hidden = CAUSES[name].draw(np.random.default_rng([seed, k]), scale)
-        yield Case("kinds", name, (Track(name, seed + k, {}, hidden),), window_s)
-
-
-def back(names: Sequence[str], scale: float, window_s: float, seed: int) -> Iterator[Case]:
-    """Yield cases whose cause goes again."""
-    for k, name in enumerate(names):
-        hidden = CAUSES[name].draw(np.random.default_rng([seed, k]), scale)
-        tracks = (
-            Track(f"{name}_1", seed + k, {}, hidden),
-            Track(f"{name}_2", seed + 100 + k, hidden, {}),
-        )
-        yield Case("back", name, tracks, window_s)
-
-
-def nulls(windows: int, window_s: float, seed: int) -> Iterator[Case]:
-    """Yield cases without a change, of ten windows each."""
-    for k in range(-(-windows // 10)):
-        rng = np.random.default_rng([seed, k])
-        floor = [{"rotation_gain": float(rng.normal(0.0, FLOOR))} for _ in range(2)]
-        yield Case("null", str(k), (Track("null", seed + k, floor[0], floor[1], 10),), window_s)
-
-
-def is_right(name: str, causes: Sequence[str]) -> bool:
-    """Whether a proposal names a cause, or what no drive can tell from it."""
-    twins = {other for pair in TWINS if name in pair for other in pair}
-    return bool({name, *twins} & set(causes))
-
-
-def report(outcomes: Sequence[Outcome], window_s: float) -> dict[str, Any]:
-    """Return the rows of the table."""
-    found: dict[str, Any] = {"window_s": window_s}
-    of_kinds = [o for o in outcomes if o.row == "kinds"]
-    if of_kinds:
-        right = [o for o in of_kinds if _right_in_time(o)]
-        wrong = [o for o in of_kinds if any(not is_right(o.name, c) for _, _, c in o.proposed)]
-        effects = [e for o in right for each in o.effects.values() for e in each]
-        found["kinds"] = {
-            "of": len(of_kinds),
-            "right": len(right),
-            "wrong": len(wrong),
-            "missed": [o.name for o in of_kinds if o not in right],
-            "gap_smaller_median": round(median(effects), 2) if effects else None,
-        }
-    of_back = [o for o in outcomes if o.row == "back"]
-    if of_back:
-        undone = [o for o in of_back if len(o.proposed) >= 2 and not o.loaded]
-        found["back"] = {"of": len(of_back), "taken_back": len(undone)}
-    of_null = [o for o in outcomes if o.row == "null"]
-    if of_null:
-        found["null"] = _null(of_null, window_s)
-    return found
-
-
-def _right_in_time(outcome: Outcome) -> bool:
-    if not outcome.proposed:
-        return False
-    window, _, causes = outcome.proposed[0]
-    return BEFORE < window <= BEFORE + DEADLINE and is_right(outcome.name, causes)
-
-
-def _null(outcomes: Sequence[Outcome], window_s: float) -> dict[str, Any]:
-    looks = sum((Counter(o.looks) for o in outcomes), Counter[str]())
-    confirmations = sum((Counter(o.confirmations) for o in outcomes), Counter[str]())
-    n, named = looks.total(), looks["named"]
-    tried, confirmed = confirmations.total(), confirmations["confirmed"]
-    chance = Spending().confirmation(window_s)
-    return {
-        "windows": n,
-        "looks": dict(looks),
-        "named": named,
-        "named_share_95": clopper_pearson(named, n),
-        "confirmed": confirmed,
-        "confirmed_share_95": clopper_pearson(confirmed, tried),
-        "proposals": sum(len(o.proposed) for o in outcomes),
-        "extrapolated_per_year": named / max(n, 1) * chance * YEAR_S / window_s,
-    }
-
-
-def main() -> int:
-    """Run the rows that are asked for; print a line for each case, and the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.recalibration")
-    parser.add_argument("--rows", nargs="+", default=["kinds", "back", "null"])
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the rows."""
+    parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=sorted(CAUSES))
     parser.add_argument("--window-s", type=float, default=360.0)
     parser.add_argument("--scale", type=float, default=1.0, help="times the reference size")
     parser.add_argument("--nulls", type=int, default=1000, help="windows without a change")
+    parser.add_argument("--null-window-s", type=float, default=120.0)
+    parser.add_argument("--measured-noise", action="store_true",
+                        help="position noise from the recording in HIL_DATA_DIR")  # fmt: skip
     parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--jobs", type=int, default=2)
-    args = parser.parse_args()
-    how = (args.scale, args.window_s, args.seed)
-    cases = [
-        *(kinds(args.kinds, *how) if "kinds" in args.rows else ()),
-        *(back(BACK, *how) if "back" in args.rows else ()),
-        *(nulls(args.nulls, args.window_s, args.seed) if "null" in args.rows else ()),
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
+    parser.add_argument("--resume", type=Path, default=RESULTS, metavar="FILE",
+                        help=f"lines of results, default {RESULTS}")  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> list[Result]:
+    """Run what has no line yet; return the table."""
+    if unfit := [n for n in args.kinds if CAUSES[n].kind != "drive"]:
+        raise FailedError(f"--kinds: {unfit[0]} does not show in a drive; leave it out")
+    own = ("recalibration", "recalibration_robot")
+    results = Results(args.resume, of=sources(own, ("recalibration",)))
+    asked = list(cases(args))
+    missing = [case for case in asked if case.key not in results.records]
+    print(f"{len(missing)} of {len(asked)} robots to go; lines in {args.resume}")
+    with closing(in_processes(run_case, missing, args.jobs)) as found:
+        for index, outcome in found:
+            case = missing[index]
+            results.add({"key": case.key} | asdict(case) | asdict(outcome))
+            print(f"{case.key}: {outcome.seconds:g} s", flush=True)
+    return table([results.records[case.key] for case in asked])
+
+
+def cases(args: argparse.Namespace) -> Iterator[Case]:
+    """Yield the robots of the rows that are asked for."""
+    made = {"kinds": kinds, "back": back, "null": nulls}
+    for row in args.rows:
+        yield from made[row](args)
+
+
+def kinds(args: argparse.Namespace) -> Iterator[Case]:
+    """Yield a robot for every kind of cause."""
+    for name in args.kinds:
+        hidden = drawn(name, args)
+        drives = (Drive(1, {}), Drive(1, hidden, {}), Drive(4, hidden))
+        seed = args.seed + KINDS.index(name) if name in KINDS else args.seed
+        yield Case("kinds", name, drives, args.window_s, seed, hidden, 2, args.measured_noise)
+
+
+def back(args: argparse.Namespace) -> Iterator[Case]:
+    """Yield robots whose cause goes again."""
+    for k, name in enumerate(BACK):
+        hidden = drawn(name, args)
+        drives = (Drive(1, {}), Drive(3, hidden), Drive(3, {}))
+        seed = args.seed + 100 + k
+        yield Case("back", name, drives, args.window_s, seed, hidden, 2, args.measured_noise)
+
+
+def nulls(args: argparse.Namespace) -> Iterator[Case]:
+    """Yield robots without a change."""
+    for k in range(-(-args.nulls // NULLS_OF_EACH)):
+        floor = np.random.default_rng([args.seed, k]).normal(0.0, FLOOR, 2)
+        before, after = ({"rotation_gain": float(gain)} for gain in floor)
+        drives = (Drive(NULLS_OF_EACH, after, before),)
+        yield Case("null", str(k), drives, args.null_window_s, args.seed + 200 + k,
+                   measured_noise=args.measured_noise)  # fmt: skip
+
+
+def drawn(name: str, args: argparse.Namespace) -> dict[str, float]:
+    """Return a cause at its size; its sign and shape are drawn."""
+    rng = np.random.default_rng([args.seed, *name.encode()])
+    return CAUSES[name].draw(rng, args.scale)
+
+
+def is_right(name: str, terms: Mapping[str, Any]) -> bool:
+    """Whether a patch has a cause, or what no drive can tell from it, and nothing else."""
+    twins = {other for pair in TWINS if name in pair for other in pair}
+    return bool(terms) and {term.partition(".")[0] for term in terms} <= {name, *twins}
+
+
+def table(records: Sequence[Record]) -> list[Result]:
+    """Return the rows of the contract."""
+    rows = {row: [r for r in records if r["row"] == row] for row in ROWS}
+    return [*_kinds(rows["kinds"]), *_back(rows["back"]), *_null(rows["null"])]
+
+
+def _kinds(records: Sequence[Record]) -> Iterator[Result]:
+    if not records:
+        return
+    right = [r for r in records if _in_time(r)]
+    wrong = [
+        r["name"]
+        for r in records
+        if not all(is_right(r["name"], p["terms"]) for p in r["proposed"])
     ]
-    outcomes = []
-    for _, outcome in in_processes(run, cases, args.jobs):
-        outcomes.append(outcome)
-        print(json.dumps(asdict(outcome)), flush=True)
-    print(json.dumps(report(outcomes, args.window_s), indent=1))
-    return 0
+    missed = [r["name"] for r in records if r not in right]
+    yield Result("right within three windows", len(right), f"of {len(records)}", 11, "at least",
+                 raw=missed)  # fmt: skip
+    yield Result("robots with a wrong proposal", len(wrong), f"of {len(records)}", 0, "at most",
+                 raw=wrong)  # fmt: skip
+    effects = [ratio for r in right for one in r["effects"].values() for ratio in one]
+    if effects:
+        yield Result("gap before by after, median", median(effects), "x", 3, "at least")
+    sizes = [s for r in right if (s := _size(r)) is not None]
+    if sizes:
+        yield Result("error of the size, median", 100 * median(e for e, _ in sizes), "%")
+        yield Result("intervals that hold the size", sum(h for _, h in sizes), f"of {len(sizes)}")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _in_time(r: Record) -> bool:
+    if not r["proposed"]:
+        return False
+    first = r["proposed"][0]
+    in_time = r["appears"] <= first["window"] < r["appears"] + DEADLINE
+    return in_time and is_right(r["name"], first["terms"])
+
+
+def _size(r: Record) -> tuple[float, bool] | None:
+    """Return error, as a share of the size, and whether the interval holds it, at the end."""
+    name = next(iter(r["hidden"]))
+    last = r["proposed"][-1]["terms"].get(name)
+    if last is None:
+        return None
+    truth, (value, interval, _) = r["hidden"][name], last
+    held = interval is not None and interval[0] <= truth <= interval[1]
+    return abs(value - truth) / abs(truth), held
+
+
+def _back(records: Sequence[Record]) -> Iterator[Result]:
+    if records:
+        undone = [r for r in records if len(r["proposed"]) >= 2 and not r["loaded"]]
+        left = [r["name"] for r in records if r not in undone]
+        yield Result("taken back", len(undone), f"of {len(records)}", len(records), "at least",
+                     raw=left)  # fmt: skip
+
+
+def _null(records: Sequence[Record]) -> Iterator[Result]:
+    if not records:
+        return
+    looks, confirmations = counts(records, "looks"), counts(records, "confirmations")
+    n, named, window_s = looks.total(), looks["named"], records[0]["window_s"]
+    proposals = sum(len(r["proposed"]) for r in records)
+    yield Result("proposals without a change", proposals, f"of {n}", 0, "at most")
+    for what, k, of in (
+        ("named without a change", named, n),
+        ("confirmed of those", confirmations["confirmed"], confirmations.total()),
+    ):
+        low, high = clopper_pearson(k, of)
+        yield Result(what, k, f"of {of}", raw=(low, high))
+        yield Result(f"{what}, upper end of 95 %", 100 * high, "%")
+    # A confirmation has its level; that of a name is what was measured.
+    chance = Spending().confirmation(window_s) * YEAR_S / window_s
+    yield Result("false a year, extrapolated", named / n * chance, "", 1, "at most")
+    upper = clopper_pearson(named, n)[1] * chance
+    yield Result("its upper end of 95 %", upper, "")
+    others = {verdict: k for verdict, k in looks.items() if verdict not in ("nothing", "named")}
+    yield Result("other verdicts", sum(others.values()), f"of {n}", raw=others)

@@ -5,6 +5,7 @@ three differ in what their members share.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.standstill import at_rest, stood_still, too_little_motion
 from hilserver.diagnosis.compare.comparison import compared
+from hilserver.diagnosis.decide.beginning import Terms
 from hilserver.diagnosis.examine import Member, examine
 from hilserver.diagnosis.findings.ceiling import ceilings
 from hilserver.diagnosis.findings.estimate import joint
@@ -82,6 +84,7 @@ def judge(
     jobs: int = 2,
     progress: Report | None = None,
     test: MeasuredLog | None = None,
+    running: Terms = MappingProxyType({}),
 ) -> Diagnosis:
     """Judge measured data of one machine.
 
@@ -98,9 +101,12 @@ def judge(
         Called with what is being done and its share.
     test : MeasuredLog, optional
         Other logs of the machine: the total gain is measured on these, and nothing else is.
+    running : mapping of str to float
+        Terms that run already, over the configured plant: the search starts there, and their values
+        are estimated as totals.
     """
     tracker, rng = Tracker(progress), np.random.default_rng(seed)
-    member = examine(log, robot, rng, jobs, tracker)
+    member = examine(log, robot, rng, jobs, tracker, running=running)
     tracker("measuring the gain", 0.0)
     answers = answers_of(member.judged, seed, jobs)
     own = [answer.explained.gains(HORIZON_S, rng) for answer in answers]

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.checks.frame import unidentified, without_kinematics
 from hilserver.diagnosis.decide import limited_duty
+from hilserver.diagnosis.decide.beginning import Terms
 from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.turned_wheels import disproved, with_wheels
@@ -70,6 +72,7 @@ def examine(
     jobs: int,
     tracker: Tracker,
     name: str = "",
+    running: Terms = MappingProxyType({}),
 ) -> Member:
     """Check logs, select causes, swap, prune; map what remains; drop what that puts in doubt."""
     robot = machine(log, robot)
@@ -88,7 +91,7 @@ def examine(
     judged: dict[str, Judged] = {}
 
     def judge(p: Prepared, others: Sequence[Scores]) -> Judged:
-        selected = select(p.problem, p.library, p.base, rng, jobs, others)
+        selected = select(p.problem, p.library, p.base, rng, jobs, others, running)
         tracker.timed("selection")
         found = revised(p, selected, rng)
         tracker.timed("revision")

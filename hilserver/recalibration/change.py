@@ -27,6 +27,8 @@ ALARM_EVERY_S: Final = 30 * 86400.0
 LEAST_MOVED: Final = 0.5
 """Share of a block in which the robot has to move: at rest every model is right."""
 LEAST_SQUARE: Final = 1e-12
+LARGEST_GAP: Final = 1e9
+"""Beyond what any sensor of a robot shows, in any unit; the square of more may not be a number."""
 HEADINGS: Final = ("pose.yaw_rad", "nav.yaw_rad", "imu.yaw_rad")
 POSITIONS: Final = (("pose.x_m", "pose.y_m"), ("nav.x_m", "nav.y_m"))
 _INTEGRALS: Final = {*HEADINGS, *(name for pair in POSITIONS for name in pair)}
@@ -56,7 +58,7 @@ class Residuals:
             self._restart(t_s)
         shared = measured.keys() & simulated.keys()
         for name in shared - _INTEGRALS:
-            self._squares.setdefault(name, []).append((measured[name] - simulated[name]) ** 2)
+            self._squares.setdefault(name, []).append(_square(measured[name] - simulated[name]))
         self._stride(t_s, measured, simulated)
         self._seen += 1
         self._moved += moves
@@ -85,13 +87,17 @@ class Residuals:
             if all(name in values for values in (*both, *now)):
                 of_robot, of_model = (a[name] - b[name] for a, b in zip(now, both, strict=True))
                 gap = math.remainder(of_robot - of_model, math.tau)
-                self._squares.setdefault(name, []).append(gap**2)
+                self._squares.setdefault(name, []).append(_square(gap))
         for x, y in POSITIONS:
             if all({x, y} <= values.keys() for values in (*both, *now)):
                 of_robot, of_model = (
                     math.hypot(a[x] - b[x], a[y] - b[y]) for a, b in zip(now, both, strict=True)
                 )
-                self._squares.setdefault(x, []).append((of_robot - of_model) ** 2)
+                self._squares.setdefault(x, []).append(_square(of_robot - of_model))
+
+
+def _square(gap: float) -> float:
+    return min(abs(gap), LARGEST_GAP) ** 2
 
 
 class ChangeDetector:

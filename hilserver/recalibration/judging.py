@@ -1,9 +1,11 @@
 """A look: what is named on one window, and how two models explain another.
 
-The base is the configuration with what differs from it besides terms. Terms are estimated as
-totals, whatever runs now, so that a proposal can also take back what an earlier one has brought.
+The base is the configuration with what differs from it besides terms. The search starts at the
+terms that run, and estimates totals: a proposal is a change of what runs. A term that a window does
+not show stays; one that it speaks against goes.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -14,8 +16,10 @@ import numpy as np
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.catalogue.candidate import several
+from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.engine import HORIZON_S, judge
+from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.output import documents, write
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -82,7 +86,10 @@ class Judge:
         return Result(measure, confirm, look)
 
     def _look(self) -> Looked:
-        diagnosis = judge(self.log, self.robot, config_sha256=self._config_sha256, jobs=1)
+        running = self._todo.loaded
+        diagnosis = judge(
+            self.log, self.robot, config_sha256=self._config_sha256, jobs=1, running=running
+        )
         looked = self._looked(diagnosis)
         if looked.verdict == "named" and self._order.report:
             write(Path(self._order.report), documents(diagnosis))
@@ -98,30 +105,53 @@ class Judge:
 
     def _named(self, diagnosis: Diagnosis, found: list[Finding]) -> Looked:
         loaded = self._todo.loaded
-        named = [f for f in found if f.verdict in PROPOSABLE]
-        others = [f for f in found if f not in named]
-        if others and not named:
-            return Looked("unexplained", sentence_of(others))
         if diagnosis.findings.verdict is Overall.NOT_JUDGED:
             return Looked("not_judged")
-        terms = proposed(diagnosis, loaded)
-        values = {name: term.value for name, term in terms.items()}
+        terms = self._with_running(proposed(diagnosis, loaded))
+        values: Values = values_of(terms)
+        p, level = 1.0, self._level(terms)
+        if values != dict(loaded):
+            again = compared(self.log, self.robot, loaded, values)
+            p, values = again.p, values if again.flips.holds(level) else loaded
         if values == dict(loaded):
-            return Looked("as_running" if loaded else "nothing")
-        again = compared(self.log, self.robot, loaded, values)
-        if not again.flips.holds(NAMED_LEVEL / (2 * max(len({*values, *loaded}), 1))):
-            return Looked("as_running" if loaded else "nothing", p=again.p)
+            others = [f for f in found if f.verdict not in PROPOSABLE]
+            verdict = "unexplained" if others else "as_running" if loaded else "nothing"
+            return Looked(verdict, sentence_of(others), p=p)
         gone = {name: value for name, value in loaded.items() if name not in values}
+        changed = {name for name, value in values.items() if value != loaded.get(name)}
+        new = [f for f in found if f.verdict in PROPOSABLE and changed & f.parameters.keys()]
         return Looked(
             "named",
-            sentence_of(named) or f"No longer there: {', '.join(sorted(gone))}.",
-            tuple(cause for f in named for cause in f.causes) or tuple(sorted(gone)),
+            sentence_of(new) or f"No longer there: {', '.join(sorted(gone))}.",
+            tuple(cause for f in new for cause in f.causes) or tuple(sorted(gone)),
             terms,
             gone,
             loaded,
             diagnosis.evidence.fitted.model_dump(mode="json", exclude_none=True),
-            p=again.p,
+            p=p,
         )
+
+    def _with_running(self, found: dict[str, Term]) -> dict[str, Term]:
+        """Return terms, and those that run beside them; a cause goes that makes this window worse.
+
+        Parameters
+        ----------
+        found : dict of Term
+            What the diagnosis has a value for.
+        """
+        loaded = self._todo.loaded
+        unseen = {n: Term(v, unit_of(n), None, v) for n, v in loaded.items() if n not in found}
+        terms = {**found, **unseen}
+        level = self._level(terms)
+        for cause in sorted({cause_of(name).name for name in unseen}):
+            less = {n: t for n, t in terms.items() if n not in unseen or cause_of(n).name != cause}
+            again = compared(self.log, self.robot, values_of(terms), values_of(less))
+            terms = less if again.flips.holds(level) else terms
+        return terms
+
+    def _level(self, terms: Mapping[str, Term]) -> float:
+        """Return the level of one comparison of a look, which may have one for each term."""
+        return NAMED_LEVEL / (2 * max(len({*terms, *self._todo.loaded}), 1))
 
 
 def sentence_of(findings: list[Finding]) -> str:
@@ -130,14 +160,24 @@ def sentence_of(findings: list[Finding]) -> str:
 
 
 def proposed(diagnosis: Diagnosis, loaded: Values) -> dict[str, Term]:
-    """Return the terms of a diagnosis; one whose interval holds its present value keeps that."""
+    """Return the terms of a diagnosis; one whose interval holds its present value keeps that.
+
+    What changes along the window has no value.
+    """
+    found = diagnosis.findings.findings
+    drifting = {name for f in found if f.verdict is Verdict.DRIFT for name in f.parameters}
     terms: dict[str, Term] = {}
     for fitted in diagnosis.evidence.extension:
         p = fitted.parameter
         term = Term(p.value, p.unit, p.ci95, loaded.get(fitted.name))
-        stays = term.stays and term.present is not None
-        terms[fitted.name] = replace(term, value=term.present or 0.0) if stays else term
+        if fitted.name not in drifting:
+            terms[fitted.name] = replace(term, value=term.present or 0.0) if term.stays else term
     return terms
+
+
+def values_of(terms: Mapping[str, Term]) -> dict[str, float]:
+    """Return the values of terms."""
+    return {name: term.value for name, term in terms.items()}
 
 
 def fixed(values: Values) -> Model:

@@ -86,6 +86,10 @@ class Recalibration(Part):
         self.loop = Loop(config.every_s, Spending(config.false_per_year), begun_s)
         self.loop.restore(self._history.lines)
         self._history.lines.clear()
+        if (window := process.cut_short(self._folder)) is not None:
+            why = "the daemon was killed during its look"
+            text = f"window {window} was not judged: {why}; nothing of it was applied"
+            self._note(Note("failed", {"window": window, "error": why}, text, 500))
         self._tasks = [
             asyncio.create_task(self._record(), name="recalibration: windows"),
             asyncio.create_task(self._look(), name="recalibration: looks"),

@@ -1,6 +1,7 @@
 """Starts what records the windows and what looks at one; each a process that ends with ours."""
 
 import asyncio
+import contextlib
 import os
 import re
 import signal
@@ -19,12 +20,24 @@ RECORDER_STOP_S: Final = 5.0
 
 
 async def looked(order: Order, folder: Path, limit_s: float) -> Result:
-    """Run a look; whatever becomes of its process, there is a result."""
+    """Run a look; whatever becomes of its process, there is a result.
+
+    Its order stays in the folder while it runs: who finds one there comes after a daemon that was
+    killed meanwhile, see `cut_short`.
+    """
     path = folder / ORDER
     try:
         await asyncio.to_thread(path.write_text, order.text(), encoding="utf-8")
     except OSError as error:
         return Result(error=f"{path}: {(error.strerror or str(error)).lower()}")
+    try:
+        return await _run(path, limit_s)
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+async def _run(path: Path, limit_s: float) -> Result:
     async with children.started(
         children.python("-m", "hilserver.recalibration.worker", str(path)),
         name="recalibration",
@@ -41,6 +54,23 @@ async def looked(order: Order, folder: Path, limit_s: float) -> Result:
         return Result.of(out.decode())
     except (ValueError, TypeError, KeyError):
         return Result(error=_ended(process.returncode or 0, said))
+
+
+def cut_short(folder: Path) -> int | None:
+    """Return the window whose look ended with an earlier daemon, and forget it; else None.
+
+    0 where its order was only half written.
+    """
+    path = folder / ORDER
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        path.unlink()
+    except OSError:
+        return None
+    try:
+        return Order.of(text).todo.window
+    except (ValueError, TypeError, KeyError):
+        return 0
 
 
 def _ended(code: int, said: bytes) -> str:

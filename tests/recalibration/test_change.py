@@ -99,3 +99,30 @@ def test_a_clock_that_goes_back_begins_anew():
     residuals = Residuals()
     drive(residuals, 25.0, 1.0, from_s=1000.0)
     assert len(drive(residuals, 25.0, 1.0)) == 2
+
+
+@pytest.mark.parametrize("lie", [0.0, 1e9, -1e9, 1e200, -1e308])
+def test_a_robot_that_lies_is_a_change_whatever_it_says(lie):
+    residuals, detector = Residuals(1.0), ChangeDetector(1.0)
+    rng, found = np.random.default_rng(1), []
+    for k in range(600):
+        t_s = 0.1 * (k if k < 400 else k - 300)  # its clock goes back
+        noise = rng.standard_normal(2)
+        is_lying = k >= 300
+        measured = {
+            "wheel.fl.speed_rpm": lie if is_lying else 40.0 + noise[0],
+            "pose.x_m": lie if is_lying and k % 40 else t_s + 0.01 * noise[1],
+            "pose.y_m": 0.0,
+            "pose.yaw_rad": lie if is_lying else 0.0,
+        }
+        simulated = {
+            "wheel.fl.speed_rpm": 40.0,
+            "pose.x_m": t_s,
+            "pose.y_m": 0.0,
+            "pose.yaw_rad": 0.0,
+        }
+        block = residuals.take(t_s, measured, simulated, moves=True)
+        assert all(map(math.isfinite, block.values()))
+        found.append(detector.take(block))
+    assert not any(found[:300])
+    assert "wheel.fl.speed_rpm" in found

@@ -93,6 +93,70 @@ def test_a_sensor_that_is_stuck_is_a_fault_and_no_patch(tmp_path):
     assert "gyro" in look.faults[0]
 
 
+def stuck(t_s, columns):
+    for name in columns:
+        columns[name][:] = columns[name][50]
+
+
+def not_there(t_s, columns):
+    for name in ("nav.x_m", "nav.y_m", "nav.yaw_rad", "imu.gyro_z_rad_s"):
+        columns[name][:] = float("nan")
+
+
+def jumping(t_s, columns):
+    for name in columns:
+        if "setpoint" not in name:
+            columns[name][100::200] = 1e9
+
+
+def clock_back(t_s, columns):
+    t_s[len(t_s) // 2 :] -= 20.0
+
+
+@pytest.mark.parametrize("lie", [stuck, not_there, jumping, clock_back])
+def test_a_robot_that_lies_gets_no_patch(tmp_path, lie):
+    table, _ = make(Recipe(seed=9, duration_s=60.0))
+    lie(table.t_s, table.columns)
+    path = tmp_path / "window.csv"
+    table.write_csv(path)
+    result = judged(path, None)
+    if result.error:
+        assert "window.csv" in result.error
+    else:
+        assert result.look.verdict != "named"
+        assert not result.look.terms
+
+
+@pytest.mark.long
+def test_what_runs_and_does_not_show_stays_beside_what_is_new(window):
+    """A latency of 2 ms does not show in two minutes; the patch is the one that runs, and more."""
+    look = judged(window, Todo(2, {"nav_latency": 0.002}, look=True)).look
+    assert (look.verdict, look.causes) == ("named", ("rotation_gain",))
+    assert look.terms["rotation_gain"].value == pytest.approx(0.06, abs=0.005)
+    assert look.terms["nav_latency"].value == 0.002
+    assert look.gone == {}
+
+
+@pytest.mark.long
+def test_what_runs_and_shows_stays_beside_what_is_new(tmp_path):
+    both = {**HIDDEN, "nav_latency": 0.15}
+    path = write(tmp_path / "window.csv", both, seed=12)
+    look = judged(path, Todo(2, HIDDEN, look=True)).look
+    assert (look.verdict, look.causes) == ("named", ("nav_latency",))
+    assert look.terms["nav_latency"].value == pytest.approx(0.15, abs=0.02)
+    assert look.terms["rotation_gain"].value == pytest.approx(0.06, abs=0.005)
+    assert "rotat" not in look.sentence
+
+
+@pytest.mark.long
+def test_a_wrong_name_that_runs_goes_with_the_right_one(window):
+    """A wheel radius of -6 % turns the robot, too, but drives it another way."""
+    look = judged(window, Todo(2, {"wheel_radius": 0.05}, look=True)).look
+    assert look.verdict == "named"
+    assert look.gone == {"wheel_radius": 0.05}
+    assert look.terms["rotation_gain"].value == pytest.approx(0.06, abs=0.005)
+
+
 @pytest.mark.long
 def test_missing_samples_are_said_and_bar_nothing(tmp_path):
     table, _ = make(Recipe(seed=5, causes=HIDDEN, duration_s=120.0))

@@ -12,7 +12,7 @@ from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ControlRefused, FailedError
 from hilserver.recalibration import link, process
 from hilserver.recalibration.history import FILE, broken
-from hilserver.recalibration.orders import Compared, Looked, Result
+from hilserver.recalibration.orders import Compared, Looked, Order, Result, Todo
 from hilserver.recalibration.proposals import Quantity, Stage, Term
 from hilserver.recalibration.windows import Window
 from tests.io.opcua_server.rig import RobotClient
@@ -211,6 +211,37 @@ async def test_a_proposal_waits_for_the_next_run(tmp_path, answers):
         assert part.loop.proposal.number == before.number
         await part.accept(1, "eve")
         assert daemon.core.parameters.differing == {"terms.rotation_gain": 0.03}
+
+
+async def test_a_look_that_a_kill_cut_short_is_named_by_the_next_run(tmp_path, answers):
+    async with daemon_in(tmp_path) as (_, part):
+        await proposed(part, answers)
+    todo = Todo(9, {}, look=True)
+    order = Order(todo, "/window_0009.mcap", {}, "/", {}, "").text()
+    (tmp_path / "recalibration" / process.ORDER).write_text(order)
+    async with daemon_in(tmp_path) as (daemon, part):
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert said == [
+            "window 9 was not judged: the daemon was killed during its look; nothing of it was"
+            " applied"
+        ]
+        assert daemon.core.parameters.differing == {}
+        assert part.loop.proposal.stage is Stage.OPEN
+    last = lines(tmp_path)[-1]
+    assert (last["kind"], last["window"]) == ("failed", 9)
+    assert broken(lines(tmp_path)) is None
+
+
+async def test_a_disk_that_takes_no_patch_leaves_nothing_to_accept(tmp_path, answers):
+    (tmp_path / "patches").write_text("")  # no folder can be made in its place
+    async with daemon_in(tmp_path) as (daemon, part):
+        await proposed(part, answers)
+        said = [e.message for e in daemon.events.recent if e.kind == "recalibration"]
+        assert any("recalibrated-0001.yaml: cannot be written" in text for text in said)
+        with pytest.raises(ControlRefused, match="there is no patch"):
+            await part.accept(1, "eve")
+        assert daemon.core.parameters.differing == {}
+        assert part.loop.proposal.stage is Stage.OPEN
 
 
 async def test_a_damaged_history_is_one_sentence(tmp_path, answers):

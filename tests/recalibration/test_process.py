@@ -2,8 +2,10 @@
 
 import json
 import os
+import select
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -50,6 +52,73 @@ async def test_one_that_takes_too_long_is_ended(tmp_path, worker):
     pid = (tmp_path / "pid").read_text().strip()
     with pytest.raises(ProcessLookupError):
         os.kill(int(pid), 0)
+
+
+@pytest.mark.parametrize("script", ["kill -9 $$", "echo nonsense"])
+async def test_what_is_over_leaves_no_order(tmp_path, worker, script):
+    worker("sh", "-c", script)
+    await process.looked(order(tmp_path), tmp_path, 60.0)
+    assert process.cut_short(tmp_path) is None
+
+
+KILLED = """
+import asyncio, sys
+from dataclasses import replace
+from pathlib import Path
+from hilserver.recalibration import process
+from tests.recalibration.test_process import order
+folder = Path(sys.argv[1])
+made = order(folder, "window_0007.csv")
+share = replace(made.share, parent=__import__("os").getpid())
+made = replace(made, todo=replace(made.todo, window=7), share=share)
+asyncio.run(process.looked(made, folder, 600.0))
+"""
+
+
+def test_a_look_ends_with_a_daemon_that_is_killed_and_the_next_one_knows(tmp_path):
+    """Its window is a pipe that nobody writes: it is read as long as the look lives."""
+    window = tmp_path / "window_0007.csv"
+    os.mkfifo(window)
+    daemon = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)])
+    try:
+        writer = wait_for(lambda: reader_of(window))
+        assert process.cut_short(tmp_path / "elsewhere") is None
+    finally:
+        daemon.kill()
+        daemon.wait()
+    wait_for(lambda: is_broken(writer))
+    os.close(writer)
+    assert process.cut_short(tmp_path) == 7
+    assert process.cut_short(tmp_path) is None
+
+
+def test_half_an_order_was_a_look_of_some_window(tmp_path):
+    (tmp_path / process.ORDER).write_text('{"todo": {"win')
+    assert process.cut_short(tmp_path) == 0
+
+
+def wait_for(what, limit_s=60.0):
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        if found := what():
+            return found
+        time.sleep(0.02)
+    raise AssertionError("it has not come")
+
+
+def reader_of(pipe):
+    """The writing end of a pipe, once somebody reads it."""
+    try:
+        return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError:
+        return None
+
+
+def is_broken(writer):
+    """Whether nobody reads a pipe any more."""
+    poll = select.poll()
+    poll.register(writer, select.POLLOUT)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 async def test_a_folder_that_is_gone_is_named(tmp_path):

@@ -4,11 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from hilserver.diagnosis.catalogue.traits import traits_of
+from hilserver.diagnosis.decide.beginning import Terms, begun
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.shape_search import refined, searched
 from hilserver.diagnosis.decide.trial import (
@@ -159,6 +162,7 @@ def select(
     rng: np.random.Generator,
     jobs: int = 1,
     other: Sequence[Scores] = (),
+    running: Terms = MappingProxyType({}),
 ) -> Selected:
     """Select the causes of a stage, in so many threads.
 
@@ -166,9 +170,11 @@ def select(
     ----------
     other : sequence of Scores
         Of the other stages, which share the family-wise level.
+    running : mapping of str to float
+        Terms that run already: the search starts there, and their values are estimated as totals.
     """
     with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        search = partial(_forward, problem, library, base, other, rng, pool)
+        search = partial(_forward, problem, library, base, other, rng, pool, running)
         return _plausible(problem, library, base, search)
 
 
@@ -233,9 +239,14 @@ def _forward(
     other: Sequence[Scores],
     rng: np.random.Generator,
     pool: ThreadPoolExecutor,
+    running: Terms,
     barred: frozenset[str],
 ) -> Selected:
     selected, start = Selected(point), point
+    if running:
+        point = _already(
+            problem, library, begun(problem, library, point, running, barred), selected
+        )
     for _ in range(SELECTION_MOST_CAUSES):
         scores = library.scores(point)
         maxima = null_maxima([scores, *other], rng)
@@ -266,6 +277,19 @@ def _forward(
         point = with_noise_anew(problem, library, point)
     selected.point = point
     return selected
+
+
+def _already(problem: Problem, library: Library, point: Point, selected: Selected) -> Point:
+    """Return a model that a search starts from; its causes are taken, each with its own p."""
+    if not point.model.fitted:
+        return point
+    point = with_noise_anew(problem, library, point)
+    for index, cause in enumerate(point.model.causes):
+        z = wald(problem, point, index)
+        selected.p[cause] = 2.0 * float(ndtr(-z))
+        why = f"runs already, {z:.1f} standard errors from zero"
+        selected.rows.append(Decision(cause, "taken", None, why))
+    return point
 
 
 def own_error(problem: Problem, point: Point, before: float) -> float:

@@ -1,0 +1,78 @@
+"""Where a search begins: at the configuration, or at terms that run already."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hilserver.diagnosis.catalogue.candidate import Candidate, Theta
+from hilserver.diagnosis.decide.identifiability import prune
+from hilserver.diagnosis.decide.trial import at_bound
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.thresholds import LEAST_GAIN
+
+Terms = Mapping[str, float]
+
+
+def begun(
+    problem: Problem, library: Library, base: Point, terms: Terms, barred: Collection[str] = ()
+) -> Point:
+    """Return the model of terms that run already, at the values that these data give them.
+
+    What the data do not show, or know no cause for, is left out.
+
+    Parameters
+    ----------
+    terms : mapping of str to float
+        Total values by term.
+    barred : collection of str
+        Causes that have no place in it.
+    """
+    model = Model()
+    for f in causes_of(library.candidates, terms):
+        if f.candidate.cause not in barred:
+            model = model.plus(f.candidate, f.theta)
+    if not model.fitted:
+        return base
+    point = fit(problem, model, base, iterations=12)
+    while any(map(at_bound, point.model.fitted)):
+        inside = tuple(f for f in point.model.fitted if not at_bound(f))
+        point = fit(problem, Model(inside), point, iterations=3)
+    return prune(problem, point, LEAST_GAIN)
+
+
+def causes_of(candidates: Sequence[Candidate], terms: Terms) -> Iterator[Fitted]:
+    """Yield causes that set terms as they run; those that set most at once come first."""
+    left = dict(terms)
+    for c in sorted(candidates, key=lambda c: -len(c.terms(c.start))):
+        names = list(c.terms(c.start))
+        if left.keys() >= set(names):
+            yield _as_it_runs(c, {name: left.pop(name) for name in names})
+
+
+def _as_it_runs(c: Candidate, own: Terms) -> Fitted:
+    """Return a cause at given values; what only shapes it stays as given.
+
+    Parameters
+    ----------
+    own : mapping of str to float
+        By term, in the order of the candidate's: first those that are fitted.
+    """
+    values = list(own.values())
+    theta = tuple(values[: c.n])
+    shape = dict(list(own.items())[c.n :])
+    made = c.terms(theta)
+    if c.n == len(own) and not np.allclose(list(made.values()), values):
+        size, phase = values  # of a wave, which is fitted as cosine and sine
+        theta = (size * float(np.cos(phase)), size * float(np.sin(phase)))
+    if all(made[name] == value for name, value in shape.items()):
+        return Fitted(c, theta)
+
+    def terms(theta: Theta) -> dict[str, float]:
+        return {**c.terms(theta), **shape}
+
+    label = f"{c.cause}, as it runs"
+    return Fitted(replace(c, label=label, terms=terms, moved=None, region=None), theta)
