@@ -62,27 +62,37 @@ async def test_what_is_over_leaves_no_order(tmp_path, worker, script):
 
 
 KILLED = """
-import asyncio, sys
+import asyncio, os, sys
 from dataclasses import replace
 from pathlib import Path
+from hilserver.program import children
 from hilserver.recalibration import process
-from tests.recalibration.test_process import order
-folder = Path(sys.argv[1])
-made = order(folder, "window_0007.csv")
-share = replace(made.share, parent=__import__("os").getpid())
+from tests.recalibration.test_process import LASTS, order
+folder, pipe = Path(sys.argv[1]), sys.argv[2]
+children.python = lambda *words: [sys.executable, "-c", LASTS, words[-1], pipe]
+made = order(folder)
+share = replace(made.share, parent=os.getpid())
 made = replace(made, todo=replace(made.todo, window=7), share=share)
 asyncio.run(process.looked(made, folder, 600.0))
+"""
+LASTS = """
+import sys
+from hilserver.recalibration import judging, worker
+class Judge:
+    def __init__(self, order):
+        open(sys.argv[2]).read()
+judging.Judge = Judge
+worker.main()
 """
 
 
 def test_a_look_ends_with_a_daemon_that_is_killed_and_the_next_one_knows(tmp_path):
-    """Its window is a pipe that nobody writes: it is read as long as the look lives."""
-    window = tmp_path / "window_0007.csv"
-    os.mkfifo(window)
-    daemon = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)])
+    """It reads a pipe that nobody writes into, as long as it lives."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    daemon = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path), str(pipe)])
     try:
-        writer = wait_for(lambda: reader_of(window))
-        assert process.cut_short(tmp_path / "elsewhere") is None
+        writer = wait_for(lambda: reader_of(pipe))
     finally:
         daemon.kill()
         daemon.wait()
