@@ -1,7 +1,8 @@
 """The campaign: hidden causes in hundreds of logs, diagnosed in processes, then scored.
 
 Results are appended to a file as they come: an interrupted campaign goes on where it stopped.
-With `--recordings` the logs are real ones, and simple rivals are measured beside the diagnosis.
+With `--recordings` the logs are real ones, and simple rivals are measured beside the diagnosis; or
+drawings of their blocks take part in the campaign.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from hilserver_injector.causes import CAUSES, REQUIRED
 from benchmarks.diagnose_results import Results
 from benchmarks.diagnose_rivals import rival_table
 from benchmarks.diagnose_table import Record, markdown, rows
-from benchmarks.diagnose_worker import Staged, changed, work
+from benchmarks.diagnose_worker import Drawn, Staged, changed, work
 from hilserver import __version__
 from hilserver.bench.report import Result
 from hilserver.errors import FailedError
@@ -67,6 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recordings", nargs="+", type=_recordings, metavar="MAPPING=LOG,..",
         help="instead of hidden causes: the gain on these recordings, beside simple rivals",
     )  # fmt: skip
+    parser.add_argument(
+        "--drawn", type=int, default=0, metavar="N",
+        help="with --recordings: a campaign on N drawings of two thirds of their blocks instead",
+    )  # fmt: skip
 
 
 def _recordings(text: str) -> tuple[str, list[Path]]:
@@ -81,7 +86,7 @@ def _recordings(text: str) -> tuple[str, list[Path]]:
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Run what has no result yet, print the tables and return their rows."""
-    if args.recordings:
+    if args.recordings and not args.drawn:
         from benchmarks.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
 
         return measure(args.recordings)
@@ -123,9 +128,20 @@ def _groups(text: str) -> list[str]:
     return groups
 
 
+def _drawn(args: argparse.Namespace) -> Iterator[Drawn]:
+    """Yield so many drawings of the recordings, in turn."""
+    files = [(mapping, file) for mapping, files in args.recordings for file in files]
+    for k in range(args.drawn):
+        mapping, file = files[k % len(files)]
+        yield Drawn(mapping, file, args.first_seed + k // len(files))
+
+
 def _wanted(
     args: argparse.Namespace, group: str, records: Sequence[Record]
-) -> Iterator[Case | Staged]:
+) -> Iterator[Case | Staged | Drawn]:
+    if group == "recording":
+        yield from _drawn(args)
+        return
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     only = {word for word in args.only.split(",") if word}
     if group == "scenario":
@@ -159,7 +175,7 @@ def _work_off(args: argparse.Namespace, results: Results) -> list[str]:
     """Run every case that has no result; return the keys of all that were asked for."""
     asked: list[str] = []
     job = partial(work, with_rivals=True) if args.rivals else work
-    for group in _groups(args.groups):
+    for group in ["recording"] if args.recordings else _groups(args.groups):
         wanted = list(_wanted(args, group, list(results.records.values())))
         asked += [case.key for case in wanted]
         todo = [case for case in wanted if case.key not in results.records]

@@ -84,6 +84,7 @@ def rows(records: Sequence[Record]) -> list[Row]:
         Row("mujoco.sysid: in its ci95", sum(v["in_ci95"] for v in rival), len(rival)),
         Row("mujoco.sysid: within 20 %", sum(v["within_20"] for v in rival), len(rival)),
         row("confidently wrong, all tests", "any", lambda r: bool(r["wrong"]), most=0.02),
+        row("a patch makes a quantity worse, all logs", "any", _worse, most=0.0),
         row("diagnosis broke off, all tests", "any", _broken, most=0.0),
         row("outside the library flagged", "outside", _right, least=0.7),
         row("two effects: both named", "pair", _right, least=0.75),
@@ -102,6 +103,10 @@ def _alarmed(record: Record) -> bool:
 def _more_than_faults(record: Record) -> bool:
     """Return whether anything but a fault that is there was found in a sound machine's log."""
     return bool(record["wrong"]) or any("data_fault:" not in found for found in record["found"])
+
+
+def _worse(record: Record) -> bool:
+    return bool(record.get("worse"))
 
 
 def _broken(record: Record) -> bool:

@@ -1,11 +1,13 @@
 """One case of the campaign in a worker process: make the log, diagnose it, open the truth."""
 
 import time
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Final, Protocol
 
 import numpy as np
 from hilserver_injector import Recipe, Table, make
@@ -16,6 +18,7 @@ from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.reading import read_measured
 from hilserver.scenarios import judge, scenario
 from hilserver.scenarios.expectation import causes_of
 
@@ -62,7 +65,47 @@ class Staged:
         return f"{self.group}/{self.name}/{self.seed}"
 
 
-def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
+DRAWN: Final = 2.0 / 3.0
+"""Share of a recording's blocks in a drawing; drawn twice, a block would predict itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Two thirds of the blocks of a recording, as a case of the campaign: its truth is unknown."""
+
+    mapping: str
+    file: Path
+    seed: int
+    group: str = "recording"
+    kind: str = "recording"
+
+    @property
+    def name(self) -> str:
+        """The recording."""
+        return self.file.stem
+
+    @property
+    def key(self) -> str:
+        """Its name among all cases of a campaign."""
+        return f"{self.group}/{self.name}/{self.seed}"
+
+    def log(self) -> MeasuredLog:
+        """Return the blocks that are drawn; segments where the recording names none."""
+        whole = read_measured([self.file], self.mapping)
+        blocks = np.array([k if s.block is None else s.block for k, s in enumerate(whole.spans)])
+        rng = np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
+        names = np.unique(blocks)
+        drawn = rng.choice(names, size=max(round(DRAWN * len(names)), 1), replace=False)
+        kept = np.flatnonzero(np.isin(blocks, drawn))
+        channels = {}
+        for name, channel in whole.channels.items():
+            rows = np.isin(channel.span, kept)
+            span = np.searchsorted(kept, channel.span[rows])
+            channels[name] = Channel(channel.t_s[rows], channel.values[rows], span)
+        return replace(whole, channels=channels, spans=tuple(whole.spans[k] for k in kept))
+
+
+def work(case: Case | Staged | Drawn, *, with_rivals: bool = False) -> dict[str, Any]:
     """Return the record of one case: plain data, one line of the results file.
 
     An engine that breaks on a log is a result too: outcome ``crashed``.
@@ -73,16 +116,17 @@ def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
         Record what rivals of the diagnosis say, too.
     """
     seed, kind = (
-        (case.seed, case.kind) if isinstance(case, Staged) else (case.recipe.seed, case.recipe.kind)
+        (case.recipe.seed, case.recipe.kind) if isinstance(case, Case) else (case.seed, case.kind)
     )
     record = {
         "key": case.key, "group": case.group, "name": case.name, "seed": seed, "kind": kind,
     }  # fmt: skip
     logs, against = _logs(case)
-    begin, smallest, gain = time.perf_counter(), {}, {}
+    begin, smallest, gain, worse = time.perf_counter(), {}, {}, []
     try:
-        found = _findings(logs, against, seed)
-        result = _judged(case, found) if isinstance(case, Staged) else score(case, found)
+        diagnosis = _diagnosis(logs, against, seed)
+        found, worse = diagnosis.findings, made_worse(diagnosis)
+        result = _judged(case, found)
         gain = {quantity: one.ratio for quantity, one in found.total_gain.items()}
         if case.group == "null":
             smallest = {row.cause: row.size for row in found.smallest_detectable}
@@ -92,24 +136,39 @@ def work(case: Case | Staged, *, with_rivals: bool = False) -> dict[str, Any]:
     if with_rivals and isinstance(case, Case):
         rivals = import_module("benchmarks.campaign_rivals")
         record |= rivals.answers(case, logs, assemble(None).robot)
-    return record | {"seconds": seconds, "smallest": smallest, "gain": gain} | result.as_json()
+    record |= {"seconds": seconds, "smallest": smallest, "gain": gain, "worse": worse}
+    return record | result.as_json()
 
 
-def _logs(case: Case | Staged) -> tuple[MeasuredLog, MeasuredLog | None]:
+def made_worse(diagnosis: Diagnosis) -> list[str]:
+    """Return the reported quantities that a model patch makes worse: whole intervals below 1."""
+    if not diagnosis.evidence.extension:
+        return []
+    gains = diagnosis.findings.total_gain
+    return [key for key, gain in gains.items() if gain.ci95 is not None and gain.ci95[1] < 1.0]
+
+
+def _logs(case: Case | Staged | Drawn) -> tuple[MeasuredLog, MeasuredLog | None]:
     """Return the log of a case and, if two are to be compared, the other one."""
+    if isinstance(case, Drawn):
+        return case.log(), None
     if not isinstance(case, Staged):
         return measured(make(case.recipe)[0], case.recipe), None
     drive = scenario(case.name).draw(case.seed)
     return _pooled(drive.logs), _pooled(drive.against) if drive.against else None
 
 
-def _findings(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Findings:
+def _diagnosis(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Diagnosis:
     engine, assembly = _engine()
     if against is None:
-        return engine(log, assembly, seed=seed, jobs=1, progress=None).findings
+        return engine(log, assembly, seed=seed, jobs=1, progress=None)
     compare = import_module("hilserver.diagnosis.engine").compare
     compared: Diagnosis = compare(log, against, assembly, seed=seed, jobs=1, progress=None)
-    return compared.findings
+    return compared
+
+
+def _findings(log: MeasuredLog, against: MeasuredLog | None, seed: int) -> Findings:
+    return _diagnosis(log, against, seed).findings
 
 
 def _pooled(recipes: Mapping[str, Recipe]) -> MeasuredLog:
@@ -127,7 +186,12 @@ def _pooled(recipes: Mapping[str, Recipe]) -> MeasuredLog:
     return MeasuredLog(tuple(log.sources[0] for log in logs), channels, spans)
 
 
-def _judged(case: Staged, found: Findings) -> Score:
+def _judged(case: Case | Staged | Drawn, found: Findings) -> Score:
+    if isinstance(case, Case):
+        return score(case, found)
+    if isinstance(case, Drawn):
+        said = [f"{f.verdict}:{'|'.join(f.causes)}" for f in found.findings]
+        return Score("unscored", found=said)
     verdict = judge(scenario(case.name).draw(case.seed).expectation, found)
     said = [f"{f.verdict}:{'|'.join(sorted(causes_of(f)))}" for f in found.findings]
     return Score("right" if verdict.right else "missed", wrong=list(verdict.wrong), found=said)

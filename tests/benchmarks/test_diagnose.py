@@ -15,7 +15,14 @@ from benchmarks.binomial import clopper_pearson
 from benchmarks.diagnose_scoring import ellipsoid_of, score
 from benchmarks.diagnose_table import Row, rows
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.schema.findings import Detectable, Finding, Findings, Joint, Parameter
+from hilserver.diagnosis.schema.findings import (
+    Detectable,
+    Finding,
+    Findings,
+    Gain,
+    Joint,
+    Parameter,
+)
 from hilserver.errors import FailedError
 
 
@@ -161,7 +168,8 @@ def engine(monkeypatch):
         calls.append(log)
         found = findings(said("named", "gyro_bias"))
         sizes = (Detectable(cause="gyro_bias", size=0.003, unit="rad/s"),)
-        return types.SimpleNamespace(findings=replace_sizes(found, sizes))
+        evidence = types.SimpleNamespace(extension=())
+        return types.SimpleNamespace(findings=replace_sizes(found, sizes), evidence=evidence)
 
     def replace_sizes(found, sizes):
         return found.model_copy(update={"smallest_detectable": sizes})
@@ -241,6 +249,63 @@ def test_size_hides_what_the_null_logs_stated(tmp_path, engine):
     records = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     sized = [record for record in records if record["group"] == "size"]
     assert [record["name"] for record in sized] == ["gyro_bias"]
+
+
+@pytest.mark.parametrize(
+    ("interval", "patch", "worse"),
+    [
+        ((0.80, 0.99), True, ["yaw_rad"]),
+        ((0.80, 0.99), False, []),
+        ((0.80, 1.01), True, []),
+        (None, True, []),
+    ],
+)
+def test_no_patch_makes_a_reported_quantity_worse(interval, patch, worse):
+    gain = Gain(horizon_s=5.0, before=0.1, after=0.11, ratio=0.9, ci95=interval)
+    found = findings().model_copy(update={"total_gain": {"yaw_rad": gain}})
+    evidence = types.SimpleNamespace(extension=("a term",) if patch else ())
+    diagnosis = types.SimpleNamespace(findings=found, evidence=evidence)
+    assert diagnose_worker.made_worse(diagnosis) == worse
+    (row,) = (r for r in rows([{**HARMLESS, "worse": worse}]) if r.name.startswith("a patch"))
+    assert row.verdict == ("no" if worse else "yes")
+
+
+HARMLESS = {"group": "null", "outcome": "right", "wrong": [], "values": {}}
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """Twelve segments of one channel, three a block, each with a value of its own."""
+    lines = ["t_s,block,segment,nav.x_m"]
+    lines += [f"{0.1 * i:.1f},{s // 3},{s},{s}.0" for s in range(12) for i in range(10)]
+    file = tmp_path / "drive.csv"
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text(
+        "time: {column: t_s}\nsegment: {column: segment}\nblock: {column: block}\n"
+        "channels: {nav.x_m: {column: nav.x_m}}\n",
+        encoding="utf-8",
+    )
+    return file, mapping
+
+
+def test_a_drawing_has_whole_blocks_each_once(recorded):
+    file, mapping = recorded
+    logs = [diagnose_worker.Drawn(str(mapping), file, seed).log() for seed in range(8)]
+    for log in logs:
+        x = log["nav.x_m"]
+        drawn = [x.of(k)[1][0] for k in range(len(log.spans))]
+        assert len(drawn) == len(set(drawn)) == 9
+        assert {int(s) // 3 for s in drawn} == {span.block for span in log.spans}
+        assert all((x.of(k)[1] == s).all() and len(x.of(k)[0]) == 10 for k, s in enumerate(drawn))
+    assert len({tuple(span.number for span in log.spans) for log in logs}) > 1
+
+
+def test_drawings_of_recordings_are_a_campaign(tmp_path, recorded, engine):
+    file, mapping = recorded
+    words = ("--recordings", f"{mapping}={file}", "--drawn", "3")
+    results = {row.name: row for row in diagnose.run(arguments(tmp_path, words))}
+    assert results["a patch makes a quantity worse, all logs"].raw["trials"] == len(engine) == 3
 
 
 def test_unknown_class(tmp_path):
