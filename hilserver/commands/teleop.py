@@ -106,9 +106,7 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
                 ends = [asyncio.ensure_future(e.wait()) for e in (asked, hung_up, driver.ended)]
                 work = asyncio.ensure_future(driver.run())
                 await asyncio.wait([*ends, work], return_when=asyncio.FIRST_COMPLETED)
-                for task in (*ends, work):
-                    task.cancel()
-                await asyncio.wait([*ends, work])
+                await event_loop.end(*ends, work)
         finally:
             with contextlib.suppress(RefusedError):
                 await hand.write(driver.command(frozenset()))

@@ -9,7 +9,7 @@ from hilserver.config.section import Section, of
 from hilserver.plant.parameters import RobotParameters
 
 DEFAULT_SLICE = "mechatronic"
-DEFAULT_PERIOD_MS = 2.0
+BODY_PERIOD_MS = 2.0
 
 
 class TyreConfig(Section):
@@ -27,7 +27,7 @@ class MechatronicConfig(Section):
     enabled: bool = Field(default=False, description="true: needs the extra physics")
     slice: str = Field(
         DEFAULT_SLICE,
-        description=f"slice in which it runs; {DEFAULT_SLICE} has {DEFAULT_PERIOD_MS:g} ms unless"
+        description=f"slice in which it runs; {DEFAULT_SLICE} has {BODY_PERIOD_MS:g} ms unless"
         " scheduler.slices says otherwise",
     )
     step_ms: float = Field(1.0, gt=0, le=100, description="step; the slice is a multiple of it")

@@ -18,7 +18,7 @@ from hilserver.plant.parameters import RobotParameters
 
 DEFAULT_SLICE = "observer"
 DEFAULT_PERIOD_MS = 10.0
-MOST_BYTES = 10_000_000
+MOST_READ_BYTES = 10_000_000
 NAMELESS = ("structure_not_in_library", "drift")
 """Verdicts by which the model is wrong in a way that no constant describes."""
 
@@ -113,8 +113,8 @@ def load_found(path: Path) -> Found:
         One sentence with file, key and remedy.
     """
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ConfigError(f"{path}: is larger than {MOST_BYTES} bytes: no findings.json")
+        if path.stat().st_size > MOST_READ_BYTES:
+            raise ConfigError(f"{path}: is larger than {MOST_READ_BYTES} bytes: no findings.json")
         data = json.loads(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None

@@ -30,6 +30,7 @@ from hilserver.image.layout import (
 )
 from hilserver.image.requests import is_done, post_request
 from hilserver.kernel.adoption import unfit
+from hilserver.program.whole_file import whole
 
 SCHEMA = "hilserver.core.snapshot/1"
 _DAMAGED = (
@@ -191,12 +192,10 @@ def _short(value: Any) -> str:
 
 def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".part")
-    with partial.open("wb") as file:
+    with whole(path) as partial, partial.open("wb") as file:
         np.savez(file, state=state, meta=np.array(json.dumps(meta)))
         file.flush()
         os.fsync(file.fileno())
-    partial.replace(path)
 
 
 def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:

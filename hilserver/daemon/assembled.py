@@ -11,7 +11,7 @@ from hilserver import __version__
 from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
-from hilserver.config.mechatronic import DEFAULT_PERIOD_MS
+from hilserver.config.mechatronic import BODY_PERIOD_MS
 from hilserver.config.patch import Patch
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
@@ -54,7 +54,7 @@ class Assembly:
             If it could not stand.
         """
         try:
-            return self.config.mechatronic.body(self.robot, DEFAULT_PERIOD_MS * 1e-3)
+            return self.config.mechatronic.body(self.robot, BODY_PERIOD_MS * 1e-3)
         except PlantError as error:
             raise ConfigError(str(error)) from None
 

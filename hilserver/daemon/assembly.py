@@ -13,7 +13,7 @@ from typing import TypeVar
 from hilserver.body.engine import Engine
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
-from hilserver.config.mechatronic import DEFAULT_PERIOD_MS, DEFAULT_SLICE
+from hilserver.config.mechatronic import BODY_PERIOD_MS, DEFAULT_SLICE
 from hilserver.config.observer import DEFAULT_PERIOD_MS as OBSERVER_PERIOD_MS
 from hilserver.config.observer import DEFAULT_SLICE as OBSERVER_SLICE
 from hilserver.config.observer import constants_of, load_found
@@ -208,7 +208,7 @@ class _Builder:
         periods_ms = dict(self._config.scheduler.slices)
         mechatronic = self._config.mechatronic
         if mechatronic.enabled and mechatronic.slice == DEFAULT_SLICE:
-            periods_ms.setdefault(DEFAULT_SLICE, DEFAULT_PERIOD_MS)
+            periods_ms.setdefault(DEFAULT_SLICE, BODY_PERIOD_MS)
         observer = self._config.observer
         if observer.enabled and observer.slice == OBSERVER_SLICE:
             periods_ms.setdefault(OBSERVER_SLICE, OBSERVER_PERIOD_MS)

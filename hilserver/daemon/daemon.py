@@ -48,7 +48,7 @@ from hilserver.scheduler.pacing_virtual import BATCH_TICKS
 
 _log = structlog.get_logger(__name__)
 IDLE_PERIOD_S, SIMULATED_POLL_S = 0.1, 0.01
-STOP_LIMIT_S = 1.0
+PART_STOP_S = 1.0
 
 
 class Daemon:
@@ -326,7 +326,7 @@ async def stop_all(parts: Sequence[Part]) -> None:
 
 async def _stop(part: Part) -> None:
     task = asyncio.ensure_future(part.stop())
-    await asyncio.wait({task}, timeout=STOP_LIMIT_S)
+    await asyncio.wait({task}, timeout=PART_STOP_S)
     if not task.done():
         task.cancel()  # and not waited for: a library may swallow it
         _log.warning("did not stop in time and was left", part=part.label)

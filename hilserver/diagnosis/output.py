@@ -1,10 +1,8 @@
 """What a diagnosis leaves in its folder: findings.json, report.html, model_patch.yaml."""
 
-import contextlib
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +12,7 @@ from hilserver.diagnosis.report import render
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
 from hilserver.errors import FailedError
+from hilserver.program.whole_file import write_whole
 
 FINDINGS: Final = "findings.json"
 REPORT: Final = "report.html"
@@ -75,19 +74,6 @@ def write_files(folder: Path, files: Mapping[str, str], known: Sequence[str] = (
             if name not in files:
                 (folder / name).unlink(missing_ok=True)
         for name, text in files.items():
-            _write_whole(folder / name, text)
+            write_whole(folder / name, text.encode())
     except OSError as error:
         raise FailedError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
-
-
-def _write_whole(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)

@@ -45,7 +45,7 @@ class ControlWords:
     request_done = _Word(word.REQUEST_DONE)
     request_tick = _Word(word.REQUEST_TICK)
     state = _Word(word.STATE)
-    fault = _Word(word.FAULT)
+    fault = _Word(word.FIRST_FAULT)
     safe_ramp = _Word(word.SAFE_RAMP)
     leases = _Word(word.LEASES)
     heartbeat = _Word(word.HEARTBEAT)

@@ -92,7 +92,7 @@ class ProcessImage(ImageReader):
             word.LIVE_LENGTH: region["live"].length,
             word.SHADOW_BASE: region["shadow"].base,
             word.BASE_PERIOD_NS: period_ns,
-            word.MAGIC: lay.MAGIC,
+            word.MAGIC_WORD: lay.MAGIC,
         }
         for index, value in header.items():
             words[index] = value

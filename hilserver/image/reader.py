@@ -68,7 +68,7 @@ class ImageReader:
         """
         buffer = map_read_only(name)
         words = np.frombuffer(buffer, dtype=np.int64, count=2)
-        if words[word.MAGIC] != lay.MAGIC or words[word.VERSION] != lay.VERSION:
+        if words[word.MAGIC_WORD] != lay.MAGIC or words[word.VERSION] != lay.VERSION:
             raise FailedError(f"the process image '{name}' was made by another hilserver version")
         return cls(buffer)
 

@@ -43,7 +43,7 @@ def press_stop(name: str) -> int:
     finally:
         os.close(file)
     words = (ctypes.c_int64 * lay.N_CONTROL_WORDS).from_buffer(memory)
-    if (words[word.MAGIC], words[word.VERSION]) != (lay.MAGIC, lay.VERSION):
+    if (words[word.MAGIC_WORD], words[word.VERSION]) != (lay.MAGIC, lay.VERSION):
         raise FailedError(f"cannot stop '{name}': another hilserver version made its image")
     pressed_ns = time.monotonic_ns()
     words[word.STOP_REQUEST] = pressed_ns  # one store of eight bytes

@@ -4,7 +4,7 @@ Kernels write ``words[word.STATE]``; everybody else writes ``image.control.state
 `control_words.ControlWords`.
 """
 
-MAGIC = 0
+MAGIC_WORD = 0
 VERSION = 1
 JSON_BYTES = 2
 PID = 3
@@ -31,7 +31,7 @@ REQUEST_KIND = 23
 REQUEST_DONE = 24
 REQUEST_TICK = 25
 STATE = 26  # state of the daemon, latched for sim.state; negative: it comes in rows (replay)
-FAULT = 27  # first fault number since the last acknowledge
+FIRST_FAULT = 27  # first fault number since the last acknowledge
 HEARTBEAT = 28  # counted up by the communication side
 HEARTBEAT_SEEN = 29
 HEARTBEAT_AGE = 30  # ticks since it moved

@@ -20,6 +20,7 @@ from hilserver.io.peer_faulty_intake import FaultyIntake
 from hilserver.io.peer_intake import Intake
 from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.io.source import Gate, Source
+from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 
 WATCH_S = 0.02
@@ -128,9 +129,7 @@ class Peer(Part):
     async def stop(self) -> None:
         """Close the session and end; limited by the session's close time."""
         tasks, self._tasks = self._tasks, []
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await event_loop.end(*tasks)
         self.status.state = LinkState.STOPPED
 
     async def _watch(self) -> None:

@@ -34,8 +34,8 @@ NOTHING, SAVES, RESTORES = range(3)
 @kernel()
 def enter_safe(code: int, at: Places, values: Any, words: Any) -> int:
     """Go to the safe state from the plant's side; the first fault number is kept."""
-    if words[word.FAULT] == 0:
-        words[word.FAULT] = code
+    if words[word.FIRST_FAULT] == 0:
+        words[word.FIRST_FAULT] = code
     values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE
     return 0
 
@@ -88,7 +88,7 @@ def _take_state(at: Places, values: Any, words: Any) -> None:
     if state < 0:
         return
     is_stopped = load_acquire(words, word.STOP_REQUEST) != words[word.STOP_ACKNOWLEDGED]
-    is_safe = is_stopped or state == SAFE or words[word.FAULT] != 0
+    is_safe = is_stopped or state == SAFE or words[word.FIRST_FAULT] != 0
     values[words[word.FRAME_BASE] + at.state] = state
     values[words[word.FRAME_BASE] + at.command] = COMMAND_SAFE if is_safe else COMMAND_NORMAL
     words[word.SAFE_TICKS] = words[word.SAFE_TICKS] + 1 if is_safe else 0

@@ -16,6 +16,7 @@ from hilserver.logs import changes as sparse
 from hilserver.logs.log import State
 from hilserver.logs.provenance import pack_meta
 from hilserver.logs.writer import Segmented, WholeFile
+from hilserver.program.whole_file import whole
 
 BAD = 0x8000_0000
 """A status code with this bit has no usable value."""
@@ -73,10 +74,8 @@ class CsvWriter:
         self._write_meta()
 
     def _write_meta(self) -> None:
-        path = meta_path(self._path)
-        partial = path.with_name(f"{path.name}.part")
-        partial.write_text(pack_meta(self._run, self._states), encoding="utf-8")
-        partial.replace(path)
+        with whole(meta_path(self._path)) as partial:
+            partial.write_text(pack_meta(self._run, self._states), encoding="utf-8")
 
     def flush(self) -> None:
         """Nothing is held back."""

@@ -22,6 +22,7 @@ import structlog
 from hilserver.errors import FailedError
 from hilserver.monitoring.health import HealthSources, Verdict, alive, ready
 from hilserver.monitoring.health_request import RefusedRequestError, Request, parse_request
+from hilserver.program import event_loop
 
 REQUEST_BYTES_MAX = 8192
 CONNECTIONS_MAX = 128
@@ -138,9 +139,7 @@ class HttpServer:
         if self._server is None:
             return
         self._server.close()
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await event_loop.end(*self._tasks)
         await self._server.wait_closed()
         self._server = None
 

@@ -21,7 +21,7 @@ from asyncua.common.utils import NotEnoughData, ServiceError
 from asyncua.ua import ua_binary
 
 MAX_MATRIX_ELEMENTS = 10_000
-MAX_ELEMENTS = 2000
+MAX_DECODED = 2000
 """In the lists of one operation, numbers apart."""
 _LENGTH_BYTES = 4
 _Type = ua.VariantType
@@ -46,7 +46,7 @@ def within_bounds(decode: Callable[[], T]) -> T:
     ServiceError
         BadEncodingLimitsExceeded, or BadDecodingError whatever else is wrong.
     """
-    _left[0] = MAX_ELEMENTS
+    _left[0] = MAX_DECODED
     try:
         return decode()
     except ServiceError:

@@ -41,3 +41,11 @@ def hang_ups() -> Iterator[asyncio.Event]:
         yield asked
     finally:
         loop.remove_signal_handler(signal.SIGHUP)
+
+
+async def end(*tasks: asyncio.Future[Any] | None) -> None:
+    """Cancel tasks and wait until they have ended, whatever their end is."""
+    running = [task for task in tasks if task is not None]
+    for task in running:
+        task.cancel()
+    await asyncio.gather(*running, return_exceptions=True)

@@ -1,18 +1,18 @@
 """Everything one scheduler's loop works on, in one place: the compiled step and its arrays."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.scheduler import turn as tn
 from hilserver.scheduler.exchange import Exchange
 from hilserver.scheduler.law import WARM_UP_LEFT, law_array
+from hilserver.scheduler.loop import N_SCRATCH, N_SLICE, S_PERIOD_TICKS, Loop
 from hilserver.scheduler.policies import OverrunLimits, OverrunPolicy
 from hilserver.scheduler.slices import Slice, check_slices
 from hilserver.scheduler.statistics import Statistics
 from hilserver.scheduler.step import StepFunction
+from hilserver.scheduler.turn import turn
 
 
 class Machine:
@@ -51,10 +51,10 @@ class Machine:
         self.statistics = Statistics(
             [*self.compiled, *self.communication], base_period_ns, statistics_array, linear_bins
         )
-        table = np.zeros((len(self.compiled), tn.N_SLICE), dtype=np.int64)
-        table[:, tn.S_PERIOD_TICKS] = [part.period_ticks for part in self.compiled]
-        self.arguments: tuple[Any, ...] = (
-            step,
+        table = np.zeros((len(self.compiled), N_SLICE), dtype=np.int64)
+        table[:, S_PERIOD_TICKS] = [part.period_ticks for part in self.compiled]
+        self.step = step
+        self.loop = Loop(
             self.law,
             self.exchange.control,
             table,
@@ -63,12 +63,12 @@ class Machine:
             self.exchange.ring,
             values,
             words,
-            np.zeros(tn.N_SCRATCH, dtype=np.int64),
+            np.zeros(N_SCRATCH, dtype=np.int64),
         )
 
     def turn(self, *, virtual: bool) -> int:
         """Do what is due now; return the flags of `turn.turn`."""
-        return int(tn.turn(*self.arguments, virtual))
+        return int(turn(self.step, self.loop, virtual))
 
     @property
     def slice_names(self) -> list[str]:
@@ -82,7 +82,7 @@ class Machine:
 
     def prefault(self) -> None:
         """Touch every page of every array once, without changing a bit."""
-        for array in self.arguments[1:]:
+        for array in self.loop:
             array.reshape(-1).view(np.int64)[::512] += 0
 
 

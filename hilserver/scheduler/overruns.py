@@ -15,7 +15,7 @@ from hilserver.scheduler.faults import fault_of
 from hilserver.scheduler.law import KIND_NAMES, LATE_WAKE, LONG_RUN, NO_OVERRUN, OK, STOP
 from hilserver.scheduler.machine import Machine
 
-PERIOD_S = 0.1
+LOOK_PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
 """A loop that does not respond for this long is reported at once: its own record may never come."""
 STALLED = "stalled"
@@ -82,7 +82,7 @@ class Overruns:
         self._finder = finder
         self._loop = asyncio.get_running_loop()
         self._watch_sigcont(finder)
-        self._period.start(PERIOD_S, PERIOD_S)
+        self._period.start(LOOK_PERIOD_S, LOOK_PERIOD_S)
 
     def stop(self) -> None:
         """Report what is left and end; may be called twice."""

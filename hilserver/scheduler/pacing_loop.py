@@ -2,35 +2,22 @@
 
 from typing import Any
 
-import numpy as np
 from numba.core import types
-from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
 from hilserver.compiled.libc import monotonic_ns, ring_doorbell, sleep_until
 from hilserver.scheduler import exchange as ex
 from hilserver.scheduler import law as lw
-from hilserver.scheduler.turn import ENDED, I8, ONE, RING, TURN_ARGUMENTS, turn
+from hilserver.scheduler.loop import ONE, TURN_ARGUMENTS, Loop
+from hilserver.scheduler.turn import ENDED, RING, turn
 
 LONGEST_SLEEP_NS = 50_000_000
 """The loop looks at its control words at least this often."""
 
 
-@kernel(types.int64(*TURN_ARGUMENTS, I8, types.int32))
-def pace(
-    step: Any,
-    law: NDArray[np.int64],
-    control: NDArray[np.int64],
-    slices: NDArray[np.int64],
-    stats: NDArray[np.int64],
-    comm: NDArray[np.int64],
-    ring: NDArray[np.int64],
-    values: NDArray[np.float64],
-    words: NDArray[np.int64],
-    scratch: NDArray[np.int64],
-    doorbell: int,
-) -> int:
+@kernel(types.int64(*TURN_ARGUMENTS, types.int32))
+def pace(step: Any, at: Loop, doorbell: int) -> int:
     """Pace ticks by absolute deadlines until a stop is requested or the policy ends the run.
 
     Parameters are those of `turn`, and `doorbell`: the eventfd rung for the event loop.
@@ -40,6 +27,7 @@ def pace(
     int
         1 if the policy ``fail`` ended the run, otherwise 0.
     """
+    law, control, scratch = at.law, at.control, at.scratch
     scratch[ONE] = 1
     one = scratch[ONE : ONE + 1]
     now_ns = monotonic_ns(scratch)
@@ -51,7 +39,7 @@ def pace(
             sleep_until(now_ns + LONGEST_SLEEP_NS, scratch)
             continue
         sleep_until(law[lw.PLANNED], scratch)
-        flags = turn(step, law, control, slices, stats, comm, ring, values, words, scratch, False)
+        flags = turn(step, at, False)
         if flags & RING:
             ring_doorbell(doorbell, one)
         if flags & ENDED:

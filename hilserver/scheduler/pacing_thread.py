@@ -86,7 +86,7 @@ class ThreadPacing:
             self.thread_id = threading.get_native_id()
             grants = request_for_this_thread(self._settings)
             self._tell(self._granted.set_result, grants)
-            failed = pace(*self._machine.arguments, self._doorbell)
+            failed = pace(self._machine.step, self._machine.loop, self._doorbell)
             reason = StopReason.OVERRUN if failed else StopReason.STOPPED
         finally:
             self._tell(self._finish, reason)

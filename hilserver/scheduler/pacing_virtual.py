@@ -62,7 +62,7 @@ class VirtualPacing:
         reason = StopReason.CRASHED
         try:
             while not self._stopping:
-                flags = run_batch(*self._machine.arguments, BATCH_TICKS)
+                flags = run_batch(self._machine.step, self._machine.loop, BATCH_TICKS)
                 if flags & RING:
                     self._rung()
                 for look in self._after_batch:

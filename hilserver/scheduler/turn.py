@@ -18,27 +18,26 @@ from hilserver.scheduler import exchange as ex
 from hilserver.scheduler import faults
 from hilserver.scheduler import law as lw
 from hilserver.scheduler import statistics_rows as rows
-from hilserver.scheduler.step import FAULT, LATCH, PUBLISH, STEP_TYPE
+from hilserver.scheduler.loop import (
+    PREVIOUS,
+    RUSAGE,
+    S_DUE,
+    S_END,
+    S_PERIOD_TICKS,
+    S_START,
+    TURN_ARGUMENTS,
+    Loop,
+)
+from hilserver.scheduler.step import FAULT, LATCH, PUBLISH
 
 # Flags returned by `turn`
 RAN, RING, ENDED, STANDING = 1, 2, 4, 8
 
-# Compiled slices: one row each
-S_PERIOD_TICKS, S_START, S_END, S_DUE = range(4)
-N_SLICE = 4
-
-# Scratch: timespec, the doorbell's 1, struct rusage, and its values at the end of the last tick
-TIMESPEC, ONE, RUSAGE, PREVIOUS = 0, 2, 4, 24
-N_SCRATCH = 32
 _RUSAGE_THREAD = 1
 _MINOR_FAULTS, _MAJOR_FAULTS, _INVOLUNTARY = 8, 9, 17  # words of struct rusage
 _P_CPU, _P_MINOR, _P_MAJOR, _P_INVOLUNTARY = range(4)
 
 getrusage: Any = ExternalFunction("getrusage", int32(int32, voidptr))
-
-I8 = types.int64[::1]
-F8 = types.float64[::1]
-TURN_ARGUMENTS: Any = (STEP_TYPE, I8, I8, types.int64[:, ::1], I8, I8, types.int64[:, ::1], F8, I8)
 
 
 @kernel()
@@ -66,16 +65,10 @@ def usage_since_last(scratch: NDArray[np.int64]) -> None:
 
 
 @kernel()
-def write_record(
-    law: NDArray[np.int64],
-    control: NDArray[np.int64],
-    ring: NDArray[np.int64],
-    scratch: NDArray[np.int64],
-    blamed: int,
-    code: int,
-) -> None:
+def write_record(at: Loop, blamed: int, code: int) -> None:
     """Put the tick that just ended into the ring of overruns and faults."""
-    row = ex.next_record(control, ring)
+    law, ring, usage = at.law, at.ring, at.scratch[RUSAGE:PREVIOUS]
+    row = ex.next_record(at.control, ring)
     if row < 0:
         return
     ring[row, ex.R_TICK] = law[lw.TICK] - 1
@@ -84,30 +77,23 @@ def write_record(
     ring[row, ex.R_PLANNED] = law[lw.START] - law[lw.LATENCY]
     ring[row, ex.R_LATENCY] = law[lw.LATENCY]
     ring[row, ex.R_EXECUTION] = law[lw.EXECUTION]
-    ring[row, ex.R_CPU] = scratch[RUSAGE + _P_CPU]
-    ring[row, ex.R_MINOR_FAULTS] = scratch[RUSAGE + _P_MINOR]
-    ring[row, ex.R_MAJOR_FAULTS] = scratch[RUSAGE + _P_MAJOR]
-    ring[row, ex.R_PREEMPTED] = scratch[RUSAGE + _P_INVOLUNTARY]
+    ring[row, ex.R_CPU] = usage[_P_CPU]
+    ring[row, ex.R_MINOR_FAULTS] = usage[_P_MINOR]
+    ring[row, ex.R_MAJOR_FAULTS] = usage[_P_MAJOR]
+    ring[row, ex.R_PREEMPTED] = usage[_P_INVOLUNTARY]
     ring[row, ex.R_MISSED] = law[lw.MISSED]
     ring[row, ex.R_CODE] = code
-    store_release(control, ex.RECORDS_MADE, control[ex.RECORDS_MADE] + 1)
+    store_release(at.control, ex.RECORDS_MADE, at.control[ex.RECORDS_MADE] + 1)
 
 
 @kernel()
-def run_phases(
-    step: Any,
-    law: NDArray[np.int64],
-    slices: NDArray[np.int64],
-    values: NDArray[np.float64],
-    words: NDArray[np.int64],
-    scratch: NDArray[np.int64],
-    now_ns: int,
-) -> int:
+def run_phases(step: Any, at: Loop, now_ns: int) -> int:
     """Run LATCH, the due slices and PUBLISH; return the first fault number, 0 if none.
 
     The first due slice carries the time of LATCH, the last one that of PUBLISH: the slices'
     executions add up to the tick's.
     """
+    law, slices, values, words = at.law, at.slices, at.values, at.words
     planned = law[lw.CURRENT]
     law[lw.TICK] = step(LATCH, law[lw.TICK], planned, values, words)
     tick = law[lw.TICK]
@@ -120,12 +106,12 @@ def run_phases(
             if fault == 0:
                 fault = answer
             slices[index, S_START] = start
-            start = monotonic_ns(scratch)
+            start = monotonic_ns(at.scratch)
             slices[index, S_END] = start
             last = index
     step(PUBLISH, tick, planned, values, words)
     if last >= 0:
-        slices[last, S_END] = monotonic_ns(scratch)
+        slices[last, S_END] = monotonic_ns(at.scratch)
     return fault
 
 
@@ -142,14 +128,9 @@ def blame(kind: int, slices: NDArray[np.int64]) -> int:
 
 
 @kernel()
-def count(
-    law: NDArray[np.int64],
-    slices: NDArray[np.int64],
-    stats: NDArray[np.int64],
-    now_ns: int,
-    blamed: int,
-) -> None:
+def count(at: Loop, now_ns: int, blamed: int) -> None:
     """Enter the tick that began at the real time `now_ns` into the statistics."""
+    law, slices, stats = at.law, at.slices, at.stats
     since_last = now_ns - law[lw.LAST_START] if law[lw.LAST_START] > 0 else 0
     law[lw.LAST_START] = now_ns
     latency = law[lw.LATENCY]
@@ -176,32 +157,51 @@ def count(
         )
 
 
-@kernel(types.int64(*TURN_ARGUMENTS, I8, types.boolean))
-def turn(
-    step: Any,
-    law: NDArray[np.int64],
-    control: NDArray[np.int64],
-    slices: NDArray[np.int64],
-    stats: NDArray[np.int64],
-    comm: NDArray[np.int64],
-    ring: NDArray[np.int64],
-    values: NDArray[np.float64],
-    words: NDArray[np.int64],
-    scratch: NDArray[np.int64],
-    virtual: bool,
-) -> int:
+@kernel()
+def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
+    """Run no tick; a state that was restored meanwhile is shown at once."""
+    law, control = at.law, at.control
+    tick = step(LATCH, law[lw.TICK], law[lw.PLANNED], at.values, at.words)
+    if tick != law[lw.TICK]:
+        step(PUBLISH, max(tick - 1, 0), law[lw.PLANNED], at.values, at.words)
+    law[lw.TICK] = tick
+    store_release(control, ex.NEXT_TICK, tick)
+    lw.hold(law, now_ns)
+    news = load_acquire(control, ex.ACKNOWLEDGED) != command
+    store_release(control, ex.ACKNOWLEDGED, command)
+    return STANDING | (RING if news else 0)
+
+
+@kernel()
+def report_fault(step: Any, at: Loop, fault: int, verdict: int, blamed: int) -> None:
+    """Go to the safe state if a slice or the law asks for it; record what is new."""
+    law, code = at.law, verdict
+    if fault > 0 and verdict == lw.OK:
+        code = faults.SLICE + fault
+    if code > 0:
+        step(FAULT, code, law[lw.CURRENT], at.values, at.words)
+    if law[lw.KIND] != lw.NO_OVERRUN or code not in (0, law[lw.LAST_FAULT]):
+        write_record(at, blamed, code)
+    law[lw.LAST_FAULT] = code if code >= faults.SLICE else 0
+
+
+@kernel()
+def announce_due(comm: NDArray[np.int64], tick: int, planned_ns: int) -> int:
+    """Announce the communication slices that are due; return ``RING`` if any is."""
+    flags = 0
+    for row in range(comm.shape[0] // ex.N_COMM):
+        if lw.is_due(tick, comm[row * ex.N_COMM + ex.COMM_PERIOD_TICKS]):
+            ex.announce(comm, row, tick, planned_ns)
+            flags = RING
+    return flags
+
+
+@kernel(types.int64(*TURN_ARGUMENTS, types.boolean))
+def turn(step: Any, at: Loop, virtual: bool) -> int:
     """Do what is due now.
 
     Parameters
     ----------
-    step : STEP_TYPE
-        The compiled step.
-    law, control, slices, stats, comm, ring
-        See `law`, `exchange`, this module, `statistics_rows`, `exchange`, `exchange`.
-    values, words
-        Handed through to the step.
-    scratch : ndarray of int64, shape (N_SCRATCH,)
-        Owned by the caller.
     virtual : bool
         True: every tick starts at its planned time and takes none of it.
 
@@ -210,47 +210,28 @@ def turn(
     int
         ``RAN | RING | ENDED | STANDING``.
     """
-    real_ns = monotonic_ns(scratch)
+    law, control = at.law, at.control
+    real_ns = monotonic_ns(at.scratch)
     now_ns = law[lw.PLANNED] if virtual else real_ns
     store_release(control, ex.HEARTBEAT, real_ns)
     law[lw.PERIOD] = load_acquire(control, ex.PACED_PERIOD)
     command = load_acquire(control, ex.COMMAND)
     if not may_run(law, command):
-        tick = step(LATCH, law[lw.TICK], law[lw.PLANNED], values, words)
-        if tick != law[lw.TICK]:  # restored: shown at once, although no tick runs
-            step(PUBLISH, max(tick - 1, 0), law[lw.PLANNED], values, words)
-        law[lw.TICK] = tick
-        store_release(control, ex.NEXT_TICK, tick)
-        lw.hold(law, now_ns)
-        news = load_acquire(control, ex.ACKNOWLEDGED) != command
-        store_release(control, ex.ACKNOWLEDGED, command)
-        return STANDING | (RING if news else 0)
+        return int(stand_still(step, at, command, now_ns))
     if lw.advance(law, now_ns) == lw.WAIT:
         return 0
 
     counted = law[lw.WARM_UP_LEFT] == 0
-    fault = run_phases(step, law, slices, values, words, scratch, real_ns)
+    fault = run_phases(step, at, real_ns)
     tick = law[lw.TICK]
-    verdict = lw.conclude(law, now_ns if virtual else monotonic_ns(scratch))
+    verdict = lw.conclude(law, now_ns if virtual else monotonic_ns(at.scratch))
     law[lw.STEPS_DONE] += 1
-    blamed = blame(law[lw.KIND], slices)
+    blamed = blame(law[lw.KIND], at.slices)
     if counted:
-        count(law, slices, stats, real_ns, blamed)
-    usage_since_last(scratch)
-
-    flags = RAN
-    code = verdict
-    if fault > 0 and verdict == lw.OK:
-        code = faults.SLICE + fault
-    if code > 0:
-        step(FAULT, code, law[lw.CURRENT], values, words)
-    if law[lw.KIND] != lw.NO_OVERRUN or code not in (0, law[lw.LAST_FAULT]):
-        write_record(law, control, ring, scratch, blamed, code)
-    law[lw.LAST_FAULT] = code if code >= faults.SLICE else 0
-    for row in range(comm.shape[0] // ex.N_COMM):
-        if lw.is_due(tick, comm[row * ex.N_COMM + ex.COMM_PERIOD_TICKS]):
-            ex.announce(comm, row, tick, law[lw.CURRENT])
-            flags |= RING
+        count(at, real_ns, blamed)
+    usage_since_last(at.scratch)
+    report_fault(step, at, fault, verdict, blamed)
+    flags = RAN | int(announce_due(at.comm, tick, law[lw.CURRENT]))
     store_release(control, ex.NEXT_TICK, law[lw.TICK])
     store_release(control, ex.TICKS_DONE, law[lw.EXECUTED])
     if command != ex.FREE_RUN and not may_run(law, command):

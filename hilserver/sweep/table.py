@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import FailedError, LogError
+from hilserver.program.whole_file import whole, write_whole
 from hilserver.sweep.journal import Journal
 from hilserver.sweep.prepare import Prepared
 
@@ -136,35 +137,26 @@ def _unit(prepared: Prepared, signal: str | None) -> str:
 def write_table(folder: Path, table: Table) -> Path:
     """Write the table, as Parquet where pyarrow is installed, else as CSV; return the file."""
     text = json.dumps(table.about, indent=1) + "\n"
-    _replace(folder / SUMMARY, text.encode())
+    write_whole(folder / SUMMARY, text.encode())
     if find_spec("pyarrow") is None:
         return _write_csv(folder / "results.csv", table)
     import pyarrow as pa  # noqa: PLC0415 -- an extra
     from pyarrow import parquet  # noqa: PLC0415 -- an extra
 
     path = folder / "results.parquet"
-    partial = path.with_suffix(".part")
-    parquet.write_table(pa.table(table.columns()), partial)
-    partial.replace(path)
+    with whole(path) as partial:
+        parquet.write_table(pa.table(table.columns()), partial)
     return path
 
 
 def _write_csv(path: Path, table: Table) -> Path:
     columns = table.columns()
-    partial = path.with_suffix(".part")
-    with partial.open("w", encoding="utf-8", newline="") as file:
+    with whole(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         plain = [c if isinstance(c, list) else c.tolist() for c in columns.values()]
         writer.writerows(zip(*plain, strict=True))
-    partial.replace(path)
     return path
-
-
-def _replace(path: Path, content: bytes) -> None:
-    partial = path.with_suffix(".part")
-    partial.write_bytes(content)
-    partial.replace(path)
 
 
 def read_table(folder: Path) -> Table:

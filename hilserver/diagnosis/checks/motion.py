@@ -103,6 +103,15 @@ def rolled(log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters
     return np.asarray(robot.wheel_radius_m * np.hypot(0.5 * (left - right), lateral))
 
 
+def turned(log: MeasuredLog, windows: Windows, robot: RobotParameters) -> Array | None:
+    """Return the turn rate that the wheels say, or else their set-points [rad/s]."""
+    for what in ("speed_rpm", "setpoint_rpm"):
+        left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
+        if left is not None and right is not None:
+            return np.asarray(robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right))
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class Line:
     """A line through the origin.

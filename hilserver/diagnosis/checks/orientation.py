@@ -18,6 +18,7 @@ from hilserver.diagnosis.checks.motion import (
     mean_in,
     rate_in,
     side_mean,
+    turned,
     windows_of,
 )
 from hilserver.diagnosis.checks.support import data_fault, listed
@@ -187,18 +188,8 @@ def _other_rates(log: MeasuredLog, robot: RobotParameters) -> list[Array]:
     windows, rates = windows_of(log), []
     if GYRO in log:
         rates.append(mean_in(log[GYRO], windows))
-    wheels = _wheel_rate(log, robot)
+    wheels = turned(log, windows, robot)
     return rates if wheels is None else [*rates, wheels]
-
-
-def _wheel_rate(log: MeasuredLog, robot: RobotParameters) -> Array | None:
-    for what in ("speed_rpm", "setpoint_rpm"):
-        windows = windows_of(log)
-        left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
-        if left is not None and right is not None:
-            rate: Array = robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)
-            return rate
-    return None
 
 
 def _sides_by_navigation(log: MeasuredLog, robot: RobotParameters) -> Found:
@@ -254,7 +245,7 @@ def _forward(log: MeasuredLog) -> tuple[Array, Array] | None:
 def _turning(log: MeasuredLog, robot: RobotParameters) -> Found:
     """Judge what is left: who turns against the others."""
     windows = windows_of(log)
-    wheels = _wheel_rate(log, robot)
+    wheels = turned(log, windows, robot)
     gyro = mean_in(log[GYRO], windows) if GYRO in log else None
     yaw = rate_in(log[YAW], windows) if YAW in log else None
     by_wheels = {name: _against(rate, wheels) for name, rate in ((GYRO, gyro), (YAW, yaw))}

@@ -11,7 +11,7 @@ from hilserver.diagnosis.checks.motion import (
     mean_in,
     rate_in,
     rolled,
-    side_mean,
+    turned,
     windows_of,
 )
 from hilserver.diagnosis.checks.support import data_fault, listed
@@ -20,7 +20,7 @@ from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
 from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, POSITION, YAW
 from hilserver.measured.data import MeasuredLog
-from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
+from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
@@ -142,17 +142,6 @@ def _chord(log: MeasuredLog) -> Array | None:
     return result
 
 
-def _turned(log: MeasuredLog, robot: RobotParameters) -> Array | None:
-    """Return the turn rate that the wheels say [rad/s]."""
-    windows = windows_of(log)
-    for what in ("speed_rpm", "setpoint_rpm"):
-        left, right = (side_mean(log, side, what, windows) for side in (LEFT_WHEELS, RIGHT_WHEELS))
-        if left is not None and right is not None:
-            result: Array = robot.yaw_sign * robot.wheel_radius_m * robot.k_om * (left + right)
-            return result
-    return None
-
-
 def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | None]:
     name, windows = GYRO, windows_of(log)
     if name not in log:
@@ -161,7 +150,7 @@ def _gyro(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | 
     if YAW in log:
         fault = _known(line(gyro, rate_in(log[YAW], windows), 0.02), ANGLE, 1.5)
     else:
-        fault = _known(line(gyro, _turned(log, robot), 0.02), ANGLE, 2.2)
+        fault = _known(line(gyro, turned(log, windows, robot), 0.02), ANGLE, 2.2)
     return [name], fault
 
 
@@ -172,10 +161,10 @@ def _yaw(log: MeasuredLog, robot: RobotParameters) -> tuple[list[str], Fault | N
         if name not in log or np.ptp(log[name].values) < 4.0 * np.pi:
             continue
         rate = rate_in(log[name], windows, 360.0)
-        turned = _turned(log, robot)
-        if turned is None and GYRO in log:
-            turned = mean_in(log[GYRO], windows)
-        fault = _known(line(rate, turned, 0.02), ANGLE, 2.5)
+        by_wheels = turned(log, windows, robot)
+        if by_wheels is None and GYRO in log:
+            by_wheels = mean_in(log[GYRO], windows)
+        fault = _known(line(rate, by_wheels, 0.02), ANGLE, 2.5)
         if fault is not None:
             return [name], fault
     return [], None

@@ -17,7 +17,7 @@ WINDOWS: Final = 8
 FEWEST_SEGMENTS: Final = 6
 """So many segments are windows of their own, or share them: what moves a pose moves it to the end
 of its segment."""
-LEAST_SHARE: Final = 0.05
+LEAST_INFORMED: Final = 0.05
 """Of the windows' mean information on a parameter: a window with less is left out."""
 
 
@@ -58,7 +58,7 @@ def _of(
     information = np.stack([(columns[rows] ** 2).sum(axis=0) for rows in windows])
     rows_of: dict[str, list[tuple[float, float, float]]] = {n: [] for n in names}
     for rows, own in zip(windows, information, strict=True):
-        if (own < LEAST_SHARE * information.mean(axis=0)).any():
+        if (own < LEAST_INFORMED * information.mean(axis=0)).any():
             continue
         step, spread, half = _estimate(problem, point.left[rows], columns[rows], rows)
         theta = np.asarray(f.theta) + step

@@ -10,6 +10,8 @@ import random
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Final
 
+from hilserver.program import event_loop
+
 CONNECTIONS: Final = 32
 HEAD_BYTES: Final = 8192
 HEAD_S: Final = 5.0
@@ -57,9 +59,7 @@ class Door:
         """Let nobody in any more, and end all connections."""
         if self._server is not None:
             self._server.close()
-        for task in tuple(self._open):
-            task.cancel()
-        await asyncio.gather(*self._open, return_exceptions=True)
+        await event_loop.end(*self._open)
 
     def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._open) >= CONNECTIONS:
@@ -106,9 +106,7 @@ async def _first_to_end(ways: Sequence[Awaitable[None]]) -> None:
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await event_loop.end(*tasks)
 
 
 async def _shown(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

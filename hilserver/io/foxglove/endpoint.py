@@ -26,6 +26,7 @@ from hilserver.io.part import Part
 from hilserver.io.world import World
 from hilserver.logs.mcap_writer import TOPIC
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, SCHEMA_NAME, make_layout
+from hilserver.program import event_loop
 from hilserver.ros.types import Types
 
 SOURCE: Final = "page:foxglove"
@@ -119,9 +120,7 @@ class Endpoint(Part):
 
     async def stop(self) -> None:
         """Close all connections."""
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+        await event_loop.end(self._task)
         await self._door.close()
         if self._server is not None:
             await asyncio.to_thread(self._server.stop)

@@ -20,7 +20,7 @@ from hilserver.io.peer_intake import Taker
 from hilserver.io.peer_status import PeerStatus
 from hilserver.period import every
 
-WINDOW_S = 2.0
+OBSERVED_S = 2.0
 MISSED_SHARE_MAX = 0.05
 SLOWER_THAN_ASKED = 1.5
 LOOK_AGAIN_S = 1.0
@@ -104,7 +104,7 @@ class Acquisition:
                 return slow
             if slow:
                 self.report_slow(f"{slow}, and mode is subscribe")
-            slow = await self._observe(subscription, WINDOW_S if not missing else LOOK_AGAIN_S)
+            slow = await self._observe(subscription, OBSERVED_S if not missing else LOOK_AGAIN_S)
             if slow:
                 await subscription.delete()
                 return slow

@@ -12,7 +12,7 @@ COOKIE = "hilserver_page"
 MAX_BROWSERS = 200
 MAX_TICKETS = 8
 TICKET_S = 10.0
-IDLE_S = 3600.0
+FORGOTTEN_AFTER_S = 3600.0
 
 
 @dataclass(eq=False)
@@ -104,7 +104,7 @@ class Browsers:
         """Forget who has not been here for an hour; close sessions that nobody needs."""
         now_s = time.monotonic()
         for browser in tuple(self._by_key.values()):
-            if not browser.live and now_s - browser.seen_s > IDLE_S:
+            if not browser.live and now_s - browser.seen_s > FORGOTTEN_AFTER_S:
                 await self.forget(browser)
 
     async def close(self) -> None:

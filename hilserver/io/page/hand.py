@@ -15,7 +15,7 @@ from hilserver.io.page.setup import OpcUaAccess
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
-TIMEOUT_S = 4.0
+HAND_ANSWER_S = 4.0
 _TEXTS = 0x80  # additional info of every operation
 _VARIANTS = {
     "Double": (ua.VariantType.Double, float),
@@ -79,7 +79,7 @@ class Hand:
         if not access.endpoint:
             raise RefusedError("the OPC UA server of the daemon is off: this page only shows")
         await self.close()
-        client = Client(access.endpoint, timeout=TIMEOUT_S, watchdog_intervall=30.0)
+        client = Client(access.endpoint, timeout=HAND_ANSWER_S, watchdog_intervall=30.0)
         client.name = "hilserver page"
         client.description = f"{access.secret or 'page'} {address} operator"
         try:
@@ -108,7 +108,7 @@ class Hand:
         self.rights = Rights()
         if client is not None:
             try:
-                async with asyncio.timeout(TIMEOUT_S):
+                async with asyncio.timeout(HAND_ANSWER_S):
                     await client.disconnect()
             except (OSError, TimeoutError, ua.UaError):
                 return

@@ -8,7 +8,7 @@ import numpy as np
 from hilserver.image import ImageReader
 
 POINTS = 600
-MAX_SIGNALS = 24
+MAX_PLOTTED = 24
 _BAD = 0x80000000
 _TIME = "sim.time_s"
 

@@ -15,9 +15,9 @@ from typing import Any
 from hilserver.io.page.files import file_in, files_in, is_plain, reports_in
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.setup import Setup
+from hilserver.program import event_loop
 
 MAX_KEPT = 20
-STOP_LIMIT_S = 5.0
 SHARE_OVER_S = 8.0
 MAPPING_CHARACTERS = 32_768
 MAPPING = ".mapping.yaml"
@@ -176,9 +176,7 @@ class Jobs:
         """End whatever runs."""
         for job in self._jobs:
             _terminate(job)
-        for task in tuple(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await event_loop.end(*self._tasks)
 
     async def _run(self, job: Job, log: Path, mapping: str) -> None:
         words = [sys.executable, "-m", "hilserver.io.page.quietly", "diagnose", str(log)]

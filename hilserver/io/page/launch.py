@@ -10,9 +10,9 @@ import structlog
 
 from hilserver.io.page.setup import Setup
 from hilserver.io.part import Part
-from hilserver.program import children
+from hilserver.program import children, event_loop
 
-STOP_LIMIT_S = 0.7
+PAGE_STOP_S = 0.7
 RESTART_S = 1.0
 LONGEST_RESTART_S = 60.0
 STEADY_S = 60.0
@@ -51,9 +51,7 @@ class PageBeside(Part):
 
     async def stop(self) -> None:
         """End it."""
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+        await event_loop.end(self._task)
 
 
 async def _keep_running(setup: Setup, listener: socket.socket) -> None:
@@ -87,4 +85,4 @@ async def _run(setup: Setup, listener: socket.socket) -> int:
                 await process.stdin.drain()
         return await process.wait()
     finally:
-        await children.end(process, "page", STOP_LIMIT_S)
+        await children.end(process, "page", PAGE_STOP_S)

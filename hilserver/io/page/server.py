@@ -21,7 +21,7 @@ from hilserver.io.page.driving import Driving
 from hilserver.io.page.files import LOG_SUFFIXES, files_in, reports_in, shown_report
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
 from hilserver.io.page.hand import Hand, RefusedError
-from hilserver.io.page.history import MAX_SIGNALS, history
+from hilserver.io.page.history import MAX_PLOTTED, history
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.listening import tls_context
 from hilserver.io.page.live import Live
@@ -228,7 +228,7 @@ class PageServer:
         self._reader(request)
         names = request.query.getall("name", [])
         unknown = next((name for name in names if name not in self._slots), None)
-        if unknown is not None or len(names) > MAX_SIGNALS:
+        if unknown is not None or len(names) > MAX_PLOTTED:
             raise web.HTTPBadRequest(
                 text=f"there is no signal '{unknown}', or too many are asked for"
             )

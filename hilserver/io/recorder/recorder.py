@@ -21,7 +21,7 @@ from hilserver.logs.writing import check_suffix, reason
 POLL_S = 0.02
 POLL_SIMULATED_S = 0.002
 SUPERVISE_S = 0.25
-REPEAT_S = 5.0
+SAY_AGAIN_S = 5.0
 STATE_WITHIN_S = 2.0
 CLOSE_WITHIN_S = 30.0
 
@@ -198,7 +198,7 @@ class Recorder:
             self._asked_s = now_s
             self._source.ask_for_state()
         counts = (self._source.lost, self._writing.dropped)
-        if counts != self._told and now_s - self._told_s > REPEAT_S:
+        if counts != self._told and now_s - self._told_s > SAY_AGAIN_S:
             self._told, self._told_s = counts, now_s
             _say(f"{_losses(*counts)} so far")
 

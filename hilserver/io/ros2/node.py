@@ -22,6 +22,7 @@ from hilserver.io.ros2.services import Service
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
 from hilserver.io.world import World
+from hilserver.program import event_loop
 from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published, Served, Subscribed
 from hilserver.ros.robot import Odometer, Robot
 from hilserver.ros.types import Types
@@ -155,9 +156,7 @@ class Ros2Node(Part):
     async def stop(self) -> None:
         """Leave the domain."""
         tasks, self._tasks = self._tasks, []
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await event_loop.end(*tasks)
         if self._participant is not None:
             await self._participant.close()
         self._outs, self._ins, self._services, self._participant = {}, {}, [], None

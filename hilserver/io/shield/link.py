@@ -175,7 +175,7 @@ class ShieldLink(Part):
             self._world.gate.leases.limit(NAME, self.device.limit_ns * 1e-6)
             self._world.gate.renew(NAME)
         while words[w.RING_TAIL] < words[w.RING_HEAD]:
-            row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.RING - 1))
+            row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.WAITING_MOST - 1))
             command, flags, payload, received_ns = words[row : row + 4].tolist()
             words[w.RING_TAIL] += 1
             if self._heard_ns is not None:

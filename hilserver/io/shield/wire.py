@@ -42,8 +42,8 @@ def _give(buffer: Any, flags: int, received_ns: int, state: Any, doorbell: int, 
     if command == IMU_RAW:
         state[w.RAW] = buffer[2] != 0
     head = state[w.RING_HEAD]
-    if head - load_acquire(state, w.RING_TAIL) < w.RING:
-        row = w.RING_ROWS + 4 * (head & (w.RING - 1))
+    if head - load_acquire(state, w.RING_TAIL) < w.WAITING_MOST:
+        row = w.RING_ROWS + 4 * (head & (w.WAITING_MOST - 1))
         payload = 0
         for i in range(8):
             payload |= int(buffer[2 + i]) << (8 * i)

@@ -6,7 +6,7 @@ from hilserver.compiled.histogram import N_BUCKETS
 
 PENDING: Final = 8
 """Responses that may wait for the line; a host that asks faster than it reads loses the rest."""
-RING: Final = 256
+WAITING_MOST: Final = 256
 """Requests that may wait for the event loop, a power of two."""
 STAMPS: Final = 4096
 """Writes whose times are kept, a power of two."""
@@ -52,6 +52,6 @@ ALONE: Final = 1
     LATE_COUNTS,
 ) = range(33)
 PENDING_ROWS: Final = LATE_COUNTS + N_BUCKETS  # PENDING x (command, due)
-RING_ROWS: Final = PENDING_ROWS + 2 * PENDING  # RING x (command, flags, payload, time)
-STAMP_ROWS: Final = RING_ROWS + 4 * RING  # STAMPS x (due, written)
+RING_ROWS: Final = PENDING_ROWS + 2 * PENDING  # WAITING_MOST x (command, flags, payload, time)
+STAMP_ROWS: Final = RING_ROWS + 4 * WAITING_MOST  # STAMPS x (due, written)
 N_WORDS: Final = STAMP_ROWS + 2 * STAMPS

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from hilserver import __version__
 from hilserver.diagnosis.report.page import environment
 from hilserver.diagnosis.report.svg import Figure
+from hilserver.program.whole_file import write_whole
 from hilserver.sweep.estimates import Influence, exact_interval, influences
 from hilserver.sweep.report.figures import distribution, failing_region
 from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
@@ -85,9 +86,7 @@ def render(table: Table) -> str:
 def write_report(folder: Path, table: Table) -> Path:
     """Write the report; return the file."""
     path = folder / REPORT
-    partial = path.with_suffix(".part")
-    partial.write_text(render(table), encoding="utf-8")
-    partial.replace(path)
+    write_whole(path, render(table).encode())
     return path
 
 
