@@ -83,17 +83,12 @@ class Loop:
             await asyncio.sleep(PERIOD_S)
 
     async def ready(self, ended: Callable[[], str | None]) -> None:
-        """Wait until the wheels turn as commanded.
+        """Wait until the wheels turn as commanded; FailedError if the daemon does not come up.
 
         Parameters
         ----------
         ended : callable
             What the daemon said if it has ended, else None.
-
-        Raises
-        ------
-        FailedError
-            If the daemon does not come up.
         """
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(DAEMON_WITHIN_S):

@@ -6,8 +6,7 @@ from xml.etree import ElementTree as Xml
 from hilserver.body.parameters import PLATES_M, WHEEL_WIDTH_M, BodyParameters
 from hilserver.plant.layout import WHEEL_WORDS, WHEELS
 
-FINDER_HEIGHT_M = 0.045
-"""EduArt's range finders above the floor."""
+FINDER_HEIGHT_M = 0.045  # EduArt's range finders above the floor
 _FINDERS = ("fl", "fr", "rl", "rr")
 
 

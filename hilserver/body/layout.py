@@ -112,5 +112,4 @@ STATUS: Final = SignalStatus.layout
 MOTION: Final = Motion.layout
 ADDRESSES: Final = Addresses.layout
 CONSTANTS: Final = Constants.layout
-MUJOCO: Final = Motion.where("time").start
-"""Where in the state that of MuJoCo begins."""
+MUJOCO: Final = Motion.where("time").start  # where in the state that of MuJoCo begins

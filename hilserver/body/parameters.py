@@ -14,11 +14,9 @@ from hilserver.plant.terms import complete
 from hilserver.plant.units import RPM_PER_RAD_S
 
 GRAVITY_M_S2 = 9.81
-PLATES_M = (0.38, 0.22, 0.10)
-"""EduArt's chassis with its superstructure: length, width, height."""
+PLATES_M = (0.38, 0.22, 0.10)  # EduArt's chassis with its superstructure: length, width, height
 WHEEL_WIDTH_M = 0.055
-BUMPER_GAP_M = 0.01
-"""How far the bumper stands in front of the wheels: these never touch a wall."""
+BUMPER_GAP_M = 0.01  # how far the bumper stands in front of the wheels: these never touch a wall
 _GRIP_ANGLE = (-1.0, 1.0, 1.0, -1.0)
 """Mecanum wheels fl, rl, fr, rr grip along this times 45 degrees from their plane: an X."""
 

@@ -16,8 +16,7 @@ from hilserver.program import event_loop
 from hilserver.signals import Ranges, ValueType, robot_table
 
 _WITHIN_S = 20.0
-PARAMETERS = "parameters."
-"""Begins the name of a parameter over OPC UA."""
+PARAMETERS = "parameters."  # begins the name of a parameter over OPC UA
 
 
 def add_connection(parser: argparse.ArgumentParser) -> None:

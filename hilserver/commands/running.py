@@ -63,8 +63,7 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     return dataclasses.replace(assembly, config=config)
 
 
-LINKS_AND_MORE = (*LINKS, recalibration.parts)
-"""What stands above the daemon is handed to it."""
+LINKS_AND_MORE = (*LINKS, recalibration.parts)  # what stands above the daemon is handed to it
 
 
 class Run:

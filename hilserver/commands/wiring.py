@@ -26,8 +26,7 @@ from hilserver.program import event_loop
 EXAMPLE = "hilserver wiring --demo"
 MOVES_RPM = 0.05
 SETTLE_S = 0.4
-STOOD_S = 0.4
-"""A controller that loses the pose for a moment stops and goes on with the same wheel."""
+STOOD_S = 0.4  # a controller that loses the pose for a moment stops and goes on with the same wheel
 LOOK_S = 0.005
 UNIT_TOLERANCE = 0.05
 STALE_TOLERANCE_MS = 150.0

@@ -8,8 +8,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from hilserver.config.section import Driver, LinkSection, Section
 
-Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
-"""One level of a topic."""
+Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]  # one level of a topic
 
 
 class EdgeGroup(Section):

@@ -14,8 +14,7 @@ from hilserver.signals.numbers import is_finite_number
 
 MOST_WALLS: Final = 4096
 MOST_SOLIDS: Final = 256
-SLAB_M: Final = 0.05
-"""Thickness of a slope."""
+SLAB_M: Final = 0.05  # thickness of a slope
 
 _KEYS: Final = ("walls", "height_m", "thickness_m", "slopes", "thresholds", "boxes")
 

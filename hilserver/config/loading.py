@@ -16,8 +16,7 @@ MAX_BYTES = 1_000_000
 LIVE_BYTES = 100_000  # of a file that a running daemon reads: validating more holds its loop up
 MAX_COMPLAINTS = 20
 MAX_NESTING = 50
-MAX_VALUES = 100_000
-"""Aliases counted as often as they are used."""
+MAX_VALUES = 100_000  # aliases counted as often as they are used
 
 _WANTED = {
     "model_type": "keys and values",

@@ -8,8 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 from hilserver.config.s7 import FORMS, Address, Place, check_address, overlap
 from hilserver.config.section import Section
 
-ONE_PART: Final = 222
-"""Bytes that the smallest message, of 240 bytes, brings at once."""
+ONE_PART: Final = 222  # bytes that the smallest message, of 240 bytes, brings at once
 COUNTERS: Final = frozenset(FORMS) - {"BOOL", "REAL", "LREAL"}
 
 Both = Annotated[

@@ -7,8 +7,7 @@ from hilserver.core.inputs import InputGate
 from hilserver.metrics import Kind, Metric, Row, by_name, counter
 from hilserver.signals import State
 
-MAX_SOURCES: Final = 16
-"""Sources whose age is exported; anybody may write under a name of his own."""
+MAX_SOURCES: Final = 16  # sources whose age is exported; anybody may write under a name of his own
 
 
 class Inputs(NamedTuple):

@@ -38,12 +38,10 @@ _DAMAGED = (
     zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 """What NumPy and zipfile raise on bytes that are none of theirs."""
-MOST_BYTES = 1 << 26
-"""That a snapshot may unpack to; a state has less than 1 MB."""
+MOST_BYTES = 1 << 26  # that a snapshot may unpack to; a state has less than 1 MB
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
-MOST_SNAPSHOTS = 100
-"""Files in the folder: whoever may call SaveSnapshot must not fill the disk."""
+MOST_SNAPSHOTS = 100  # files in the folder: whoever may call SaveSnapshot must not fill the disk
 
 
 class SnapshotStore:

@@ -43,12 +43,10 @@ from hilserver.scheduler import (
 from hilserver.signals import SignalTable
 
 LINEAR_BINS = 10_000
-VIRTUAL_RING = 2048
-"""Frames that are read between two batches of virtual time."""
+VIRTUAL_RING = 2048  # frames that are read between two batches of virtual time
 PUBLISHED_AHEAD = 2
 """Publish slices by which a scheduled change of the parameters is packed ahead of its tick."""
-OTHER_LEASES = 3
-"""Of those that are no links: see `leases_of`."""
+OTHER_LEASES = 3  # of those that are no links: see `leases_of`
 UNDEMANDING = RealtimeSettings(priority=0, lock_memory=False, hold_latency_target=False)
 """Asks nothing of the operating system."""
 

@@ -14,8 +14,7 @@ from hilserver.plant.layout import WHEELS, Parameters
 
 EXPORTED = ("pose.x_m", "pose.y_m", "pose.yaw_rad", *(f"wheel.{w}.speed_rpm" for w in WHEELS))
 """Outputs that metrics show: few, because every one is a series."""
-OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")
-"""More of them, where the mechatronic model runs."""
+OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")  # more of them, where the mechatronic model runs
 
 
 class Outputs:

@@ -17,8 +17,7 @@ from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import check, named
 from hilserver.plant.errors import PlantError
 
-MOST_FILES: Final = 100
-"""Patches in the folder: whoever may save one must not fill the disk."""
+MOST_FILES: Final = 100  # patches in the folder: whoever may save one must not fill the disk
 
 
 class Patches:

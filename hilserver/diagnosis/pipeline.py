@@ -21,31 +21,17 @@ from hilserver.measured.reading import read_measured
 
 @dataclass(frozen=True)
 class Task:
-    """What to diagnose, and how; travels to other processes.
+    """What to diagnose, and how; travels to other processes."""
 
-    Attributes
-    ----------
-    logs : tuple of Path
-        Of one machine, pooled.
-    groups : tuple of (str, tuple of Path)
-        Not empty: groups of logs of one machine, by name, in place of `logs`.
-    against : tuple of Path
-        Not empty: do these differ from `logs`, and in what?
-    mapping : str or None
-        Mapping file, or the name of a built-in one.
-    test : tuple of Path
-        Not empty: the gain is measured on these, which take no part in selection or fit.
-    jobs : int
-        Threads or processes that the diagnosis itself may use; no result depends on it.
-    """
-
-    logs: tuple[Path, ...]
+    logs: tuple[Path, ...]  # of one machine, pooled
     config: Path | None
-    mapping: str | None = None
-    against: tuple[Path, ...] = ()
+    mapping: str | None = None  # mapping file, or the name of a built-in one
+    against: tuple[Path, ...] = ()  # not empty: do these differ from `logs`, and in what?
     seed: int = 0
-    jobs: int = 1
+    jobs: int = 1  # threads or processes that the diagnosis itself may use; no result depends on it
+    # not empty: the gain is measured on these, which take no part in selection or fit
     test: tuple[Path, ...] = ()
+    # not empty: groups of logs of one machine, by name, in place of `logs`
     groups: tuple[tuple[str, tuple[Path, ...]], ...] = ()
 
 
@@ -88,13 +74,7 @@ def judge(task: Task, progress: Report | None = None) -> Diagnosis:
 
 
 def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
-    """Refuse a log that stands in two groups.
-
-    Raises
-    ------
-    LogError
-        If there is one.
-    """
+    """Refuse a log that stands in two groups; LogError if there is one."""
     seen: dict[str, tuple[str, str]] = {}
     for name, log in groups.items():
         for source in log.sources:

@@ -33,8 +33,7 @@ from hilserver.plant.errors import PlantError
 from hilserver.signals import SignalTable
 
 MAX_STEPS = 4000
-AFTER_S = 1.0
-"""How long a scenario runs on after its last step or fault."""
+AFTER_S = 1.0  # how long a scenario runs on after its last step or fault
 
 
 class Step(Section):

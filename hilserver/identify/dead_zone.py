@@ -13,8 +13,7 @@ from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel, MeasuredLog
 
 RESTING_RPM: Final = 1.0
-MOSTLY: Final = 0.5
-"""Share of the samples between the edges that must rest in a sweep."""
+MOSTLY: Final = 0.5  # share of the samples between the edges that must rest in a sweep
 
 
 @dataclass(frozen=True)

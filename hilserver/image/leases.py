@@ -18,10 +18,8 @@ from hilserver.image.status import GOOD
 
 REGION: Final = "leases"
 KINDS: Final = 6
-ROW: Final = 16
-"""Words of a row: the set-points, mode and enable are its first."""
-FIRST_OFFERING: Final = 3
-"""Kinds from here on say what they want whether or not they have control."""
+ROW: Final = 16  # words of a row: the set-points, mode and enable are its first
+FIRST_OFFERING: Final = 3  # kinds from here on say what they want whether or not they have control
 NO_KIND: Final = -1
 
 

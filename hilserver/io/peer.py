@@ -24,8 +24,7 @@ from hilserver.program import event_loop
 from hilserver.signals import MEASURED
 
 WATCH_S = 0.02
-SETTLED_S = 2.0
-"""A session that lived so long resets the back-off."""
+SETTLED_S = 2.0  # a session that lived so long resets the back-off
 
 Output = tuple[object, int, int]
 """Value, OPC UA status code, CLOCK_MONOTONIC [ns] of the tick that made it."""

@@ -3,8 +3,7 @@
 from hilserver.io.peer_samples import FaultKind
 
 REFUSED_PAUSE_S = 2.0
-LOG_IN_PAUSE_S = 20.0
-"""Servers lock an account after a few failures a minute."""
+LOG_IN_PAUSE_S = 20.0  # servers lock an account after a few failures a minute
 
 
 class LinkLostError(Exception):

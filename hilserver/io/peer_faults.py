@@ -8,11 +8,9 @@ import structlog
 from hilserver.core.events import Event, EventKind
 from hilserver.io.peer_status import PeerStatus
 
-HOLD_NS = 5_000_000_000
-"""A fault that was not seen again for so long has ended."""
+HOLD_NS = 5_000_000_000  # a fault that was not seen again for so long has ended
 
-FAULTS_MAX = 64
-"""More different faults than this are counted but not listed."""
+FAULTS_MAX = 64  # more different faults than this are counted but not listed
 
 _log = structlog.get_logger(__name__)
 

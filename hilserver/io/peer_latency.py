@@ -16,8 +16,7 @@ value that is up to a step old says nothing. Two reads in a row tell the two kin
 from collections import deque
 from dataclasses import dataclass
 
-PAIR_NS = 50_000_000
-"""Two reads further apart than this are not a pair."""
+PAIR_NS = 50_000_000  # two reads further apart than this are not a pair
 
 FRESH_NS = 2_000_000
 """By how much the advance of a fresh clock may differ from ours between two reads."""

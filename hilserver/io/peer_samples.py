@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 SEQUENCE_MODULUS = 2**32
-SEQUENCE_JUMP = 10_000
-"""A larger step is a restart of the controller, not that many lost numbers."""
+SEQUENCE_JUMP = 10_000  # a larger step is a restart of the controller, not that many lost numbers
 
 
 class FaultKind(StrEnum):

@@ -42,8 +42,7 @@ def _affected() -> NDArray[np.bool_]:
     return table
 
 
-AFFECTED: Final = _affected()
-"""Outputs that a term of each block changes."""
+AFFECTED: Final = _affected()  # outputs that a term of each block changes
 FIRST_OUTPUT: Final = Inputs.n_words
 
 

@@ -17,33 +17,24 @@ N_SHOWN = Shown.n_words
 
 
 class ObserverPlaces(NamedTuple):
-    """Where the observer's numbers begin, and the slots of what it reads.
+    """Where the observer's numbers begin, and the slots of what it reads."""
 
-    Attributes
-    ----------
-    c, c_end, f, f_end : int
-        Index into `values`: what it knows, and its state.
-    out, status : int
-        Index into `values` and `words`: its outputs and their status codes.
-    nav_ticks, imu_ticks : int
-        Period of the slices of the simulated sensors.
-    speed, gyro, nav : int
-        Slots of the measured values, the first of the group.
-    samples, stamps : tuple of int
-        Slots of the counters of imu and nav, and of when they came [s].
-    """
-
+    # index into `values`: what it knows, and its state
     c: int
     c_end: int
     f: int
     f_end: int
+    # index into `values` and `words`: its outputs and their status codes
     out: int
     status: int
+    # period of the slices of the simulated sensors
     nav_ticks: int
     imu_ticks: int
+    # slots of the measured values, the first of the group
     speed: int
     gyro: int
     nav: int
+    # slots of the counters of imu and nav, and of when they came [s]
     samples: tuple[int, int]
     stamps: tuple[int, int]
 

@@ -10,30 +10,20 @@ from hilserver.signals import SignalTable
 
 
 class Places(NamedTuple):
-    """Where the robot's numbers begin, and the slots that the phases need.
+    """Where the robot's numbers begin, and the slots that the phases need."""
 
-    Attributes
-    ----------
-    p, x, u, y, hall, edition : int
-        Index into `values`: parameters, state, inputs, outputs, walls, counter of the parameters.
-    q : int
-        Index into `words`: status codes of the outputs.
-    hall_end : int
-        Index into `values` behind the last wall.
-    command, enable, state, sim : int
-        Slots of the signals ``internal.command``, ``drive.enable``, ``internal.state`` and
-        ``sim.tick``; ``sim.time_s``, ``sim.state``, ``internal.state`` and ``internal.edition``
-        follow the last.
-    """
-
+    # index into `values`: parameters, state, inputs, outputs, walls, counter of the parameters
     p: int
     x: int
     u: int
     y: int
-    q: int
+    q: int  # index into `words`: status codes of the outputs
     hall: int
-    hall_end: int
+    hall_end: int  # index into `values` behind the last wall
     edition: int
+    # slots of the signals ``internal.command``, ``drive.enable``, ``internal.state`` and
+    # ``sim.tick``; ``sim.time_s``, ``sim.state``, ``internal.state`` and ``internal.edition``
+    # follow the last
     command: int
     enable: int
     state: int

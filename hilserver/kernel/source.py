@@ -13,8 +13,7 @@ from hilserver.kernel.places import find_body, find_places
 BODY = "body"
 """The part that can fail: the mechatronic model's own slice; it runs after the robot's others."""
 
-OBSERVER = "observer"
-"""The part that runs after all others of its slice."""
+OBSERVER = "observer"  # the part that runs after all others of its slice
 
 _BODY_CALL = "body_parts.body(AT, BODY, values, words)"
 _HEAD = '''\

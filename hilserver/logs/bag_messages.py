@@ -22,8 +22,7 @@ from hilserver.logs.unpacking import PIECE_BYTES, ZSTD_MAGIC, Budget
 
 SUFFIXES = (".db3", ".mcap")
 PACKED = tuple(f"{suffix}.zstd" for suffix in SUFFIXES)
-STEPS_PER_BYTE: Final = 10
-"""Of the machine in sqlite: what a table of this size cannot take."""
+STEPS_PER_BYTE: Final = 10  # of the machine in sqlite: what a table of this size cannot take
 _BROKEN = (ValueError, KeyError, struct.error, EndOfFile, McapError, RuntimeError)
 _TORN = "the recorder did not close the file; its contents were read"
 

@@ -17,8 +17,7 @@ __all__ = ["CHANGES", "FRAMES", "FRAME_TYPE", "RUN", "RUN_TYPE", "STATES", "STAT
 FRAME_TYPE: Final = SCHEMA_NAME
 RUN, RUN_TYPE = "/hilserver/run", "std_msgs/msg/String"
 """Where the recording comes from, as JSON; ``order``: the signals as the frames hold them."""
-STATES, STATE_TYPE = "/hilserver/state", "hilserver/msg/State"
-"""States to replay from."""
+STATES, STATE_TYPE = "/hilserver/state", "hilserver/msg/State"  # states to replay from
 STATE_TEXT: Final = "int64 segment\nint64 tick\nint64[] words\n"
 
 TARGET: Final = Published("iotbot/rpm", "iotbot_interface/msg/RotationSpeed", outgoing.rpm_target)

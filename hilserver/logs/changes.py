@@ -43,13 +43,7 @@ def as_text(change: Change) -> str:
 
 
 def from_text(text: str | bytes) -> Change:
-    """Return the change of a line.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If it is none.
-    """
+    """Return the change of a line; ValueError or KeyError or TypeError if it is none."""
     data = json.loads(text)
     packed = np.frombuffer(base64.b64decode(data["packed"], validate=True), dtype="<f8")
     values = {

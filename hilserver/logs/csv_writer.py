@@ -18,8 +18,7 @@ from hilserver.logs.provenance import pack_meta
 from hilserver.logs.writer import Segmented, WholeFile
 from hilserver.program.whole_file import whole
 
-BAD = 0x8000_0000
-"""A status code with this bit has no usable value."""
+BAD = 0x8000_0000  # a status code with this bit has no usable value
 
 
 def meta_path(path: Path) -> Path:

@@ -35,8 +35,7 @@ from hilserver.logs.table import BLOCK, TIME
 from hilserver.logs.unpacking import PIECE_BYTES, Budget
 
 BAD = 0x8000_0000
-_MESSAGE_HEAD = 9 + 22
-"""Bytes of a record before the data of its message."""
+_MESSAGE_HEAD = 9 + 22  # bytes of a record before the data of its message
 _TEXTS = (
     "schema",
     "version",

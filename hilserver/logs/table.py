@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from hilserver.errors import LogError
 
 TIME, SEGMENT, BLOCK = "t_s", "segment", "block"
-EXACT: Final = 1 << 53
-"""Whole numbers from here on are no doubles any more."""
-FEW_ROWS: Final = 10
-"""Rows that stand a little too late are sorted in; more are a run of their own."""
+EXACT: Final = 1 << 53  # whole numbers from here on are no doubles any more
+FEW_ROWS: Final = 10  # rows that stand a little too late are sorted in; more are a run of their own
 
 
 @dataclass

@@ -12,11 +12,9 @@ from mcap.records import Chunk
 
 from hilserver.errors import LogError
 
-PIECE_BYTES: Final = 1 << 28
-"""Of a chunk, a message, a blob; recorders write chunks of a few MB."""
+PIECE_BYTES: Final = 1 << 28  # of a chunk, a message, a blob; recorders write chunks of a few MB
 FREE_BYTES: Final = 1 << 28
-KEPT_BYTES: Final = 1 << 31
-"""Of messages at once; a diagnosis of eight hours at 100 Hz needs less."""
+KEPT_BYTES: Final = 1 << 31  # of messages at once; a diagnosis of eight hours at 100 Hz needs less
 RATIO: Final = 1000
 """Beyond the free ones a file may become so many times its size; a robot at rest packs 350 to 1."""
 

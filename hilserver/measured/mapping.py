@@ -15,8 +15,7 @@ from hilserver.logs.reading import refuse_others
 from hilserver.measured.names import conversion, known_signals, units_of
 
 PER_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ANY_NUMBER = "1"
-"""Unit of a bare number, which `scale` turns into the signal's unit."""
+ANY_NUMBER = "1"  # unit of a bare number, which `scale` turns into the signal's unit
 
 
 class TimeMap(Section):

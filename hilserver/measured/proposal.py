@@ -21,8 +21,7 @@ _WHEELS: Final = (
 )
 _TIMES: Final = {"t", "time", "timestamp", "stamp", "secs", "seconds", "nsecs"}
 _TIME_UNITS: Final = {"ms": "ms", "us": "us", "ns": "ns", "nsecs": "ns"}
-_TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}
-"""Of whole numbers that count from 1970."""
+_TIME_DIGITS: Final = {19: "ns", 16: "us", 13: "ms"}  # of whole numbers that count from 1970
 _SENT: Final = {"setpoint", "set", "cmd", "command", "target", "ref", "desired", "sp", "goal"}
 _DUTY: Final = {"duty", "pwm", "effort"}
 _SPEED: Final = {"speed", "vel", "velocity", "rpm", "omega", "w"}

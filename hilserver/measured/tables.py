@@ -22,21 +22,14 @@ from hilserver.measured.thresholds import ABSURD
 
 @dataclass(frozen=True)
 class Stamped:
-    """Signals with common stamps; NaN where there is no sample.
+    """Signals with common stamps; NaN where there is no sample."""
 
-    Attributes
-    ----------
-    t_s, segment, block : ndarray, shape (n,)
-    columns : mapping of str to ndarray of float64, shape (n,)
-        By signal name.
-    age_s : mapping of str to ndarray, shape (n,)
-        How long before its row a sample was taken; nothing where the key is absent.
-    """
-
+    # shape (n,)
     t_s: Array
     segment: Indices
-    columns: Mapping[str, Array]
+    columns: Mapping[str, Array]  # shape (n,): by signal name
     block: Indices | None = None
+    # shape (n,): how long before its row a sample was taken; nothing where the key is absent
     age_s: Mapping[str, Array] = field(default_factory=dict)
 
 

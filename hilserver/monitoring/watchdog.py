@@ -13,8 +13,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from hilserver.monitoring.sd_notify import notify, watchdog_period_s
 
 FEEDS_PER_PERIOD = 4
-LONGEST_LOOK_S = 0.5
-"""State and readiness are looked at this often at least."""
+LONGEST_LOOK_S = 0.5  # state and readiness are looked at this often at least
 
 
 class Watchdog:

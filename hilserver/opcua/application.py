@@ -28,8 +28,7 @@ from hilserver.opcua.settings import Role
 _Codes, _Attributes = ua.StatusCodes, ua.AttributeIds
 _CAN_WRITE = ua.AccessLevel.CurrentWrite.mask
 _INPUT_ARGUMENTS = ua.QualifiedName("InputArguments", 0)
-_SCALAR = -1
-"""ValueRank of what is no array (OPC 10000-3, 5.6.2)."""
+_SCALAR = -1  # ValueRank of what is no array (OPC 10000-3, 5.6.2)
 _BUILT_IN = {kind.value for kind in ua.VariantType} - {ua.VariantType.Variant.value}
 
 

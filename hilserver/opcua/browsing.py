@@ -14,8 +14,7 @@ from hilserver.opcua.rotation import Portions
 from hilserver.opcua.type_tree import TypeTree
 
 MAX_REFERENCES = 1000
-MAX_REFERENCES_IN_ALL = 2000
-"""Of one response."""
+MAX_REFERENCES_IN_ALL = 2000  # of one response
 MAX_POINTS = 20
 MAX_PATH_ELEMENTS = 50
 MAX_TARGETS = 1000
@@ -24,8 +23,7 @@ _ALL_FIELDS = 63
 _TO_THE_END = ua.Index(2**32 - 1)
 _DIRECTIONS = (ua.BrowseDirection.Forward, ua.BrowseDirection.Inverse, ua.BrowseDirection.Both)
 _Codes = ua.StatusCodes
-Types = frozenset[ua.NodeId] | None
-"""Types of references that are followed; None: all."""
+Types = frozenset[ua.NodeId] | None  # types of references that are followed; None: all
 
 
 class ContinuationPoints:

@@ -21,8 +21,7 @@ from asyncua.common.utils import NotEnoughData, ServiceError
 from asyncua.ua import ua_binary
 
 MAX_MATRIX_ELEMENTS = 10_000
-MAX_DECODED = 2000
-"""In the lists of one operation, numbers apart."""
+MAX_DECODED = 2000  # in the lists of one operation, numbers apart
 _LENGTH_BYTES = 4
 _Type = ua.VariantType
 T = TypeVar("T")

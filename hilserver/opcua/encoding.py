@@ -28,15 +28,13 @@ _SCALARS = {
     }.items()
 }
 _HAS_VALUE, _HAS_STATUS, _HAS_SOURCE, _HAS_SERVER = 1, 2, 4, 8
-_MASKS = (_HAS_SOURCE, _HAS_SERVER, _HAS_SOURCE | _HAS_SERVER, 0)
-"""By number of TimestampsToReturn."""
+_MASKS = (_HAS_SOURCE, _HAS_SERVER, _HAS_SOURCE | _HAS_SERVER, 0)  # by number of TimestampsToReturn
 _U32, _I32 = struct.Struct("<I"), struct.Struct("<i")
 _RESPONSE = struct.Struct("<4sqIIBi3s")
 _REQUEST = struct.Struct("<qIIiI3s")
 _NONE = struct.pack("<i", -1)
 _NULL_HEADER = b"\0\0\0"
-_FOUR_BYTES = b"\1\0"
-"""Node id in four bytes, namespace 0 (OPC 10000-6, 5.2.2.9)."""
+_FOUR_BYTES = b"\1\0"  # node id in four bytes, namespace 0 (OPC 10000-6, 5.2.2.9)
 
 
 def numeric_id(identifier: int) -> bytes:

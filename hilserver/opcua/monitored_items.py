@@ -23,12 +23,9 @@ _Codes = ua.StatusCodes
 _Modes = ua.MonitoringMode
 _Attributes = ua.AttributeIds
 _REPORTING = _Modes.Reporting
-MAX_SELECTED = 500
-"""Select clauses of an event item."""
-MAX_LINKS = 1000
-"""From items that trigger to those that they trigger, in one subscription."""
-GIVE_WAY_EVERY = 50
-"""Items: so many are looked at without a pause."""
+MAX_SELECTED = 500  # select clauses of an event item
+MAX_LINKS = 1000  # from items that trigger to those that they trigger, in one subscription
+GIVE_WAY_EVERY = 50  # items: so many are looked at without a pause
 _ALL = slice(None)
 
 

@@ -60,10 +60,8 @@ _MANAGEMENT = {
 _UNDECODABLE = (
     NotEnoughData, struct.error, UnicodeDecodeError, RecursionError, OverflowError, MemoryError,
 )  # fmt: skip
-REQUEST_S = 0.5
-"""Of work for one request; what it has not done by then is refused."""
-LONGEST_WAIT_S = 10.0
-"""For the methods that one Call waits for, together."""
+REQUEST_S = 0.5  # of work for one request; what it has not done by then is refused
+LONGEST_WAIT_S = 10.0  # for the methods that one Call waits for, together
 
 
 def decode(kind: type, body: Buffer) -> Any:

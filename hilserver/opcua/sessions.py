@@ -26,8 +26,7 @@ from hilserver.opcua.subscriptions import Subscription
 _TOKEN_BYTES = 32
 _LEAST_RESPONSE_BYTES = 8192
 _MAX_FAREWELLS = 10
-_SPARE_PUBLISH_REQUESTS = 10
-"""Beside two for each subscription, which python-opcua sends at once."""
+_SPARE_PUBLISH_REQUESTS = 10  # beside two for each subscription, which python-opcua sends at once
 _Codes = ua.StatusCodes
 _numbers = iter(range(1000, 2**31))
 

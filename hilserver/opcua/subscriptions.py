@@ -26,11 +26,9 @@ MAX_NOTIFICATIONS = 1000
 _MAX_MESSAGE_BYTES = 48 * 1024
 _MAX_RETAINED, _MAX_RETAINED_BYTES = 100, 128 * 1024
 _MAX_KEEP_ALIVE, _MAX_LIFETIME = 5000, 15_000
-_ANSWER_BYTES = 1024
-"""What a Publish response has beside its notifications, and more."""
+_ANSWER_BYTES = 1024  # what a Publish response has beside its notifications, and more
 _MAX_SEQUENCE = 2**32 - 1
-_MAX_EVENTS = 100
-"""That wait to be filtered."""
+_MAX_EVENTS = 100  # that wait to be filtered
 _Codes = ua.StatusCodes
 
 

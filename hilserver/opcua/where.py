@@ -15,8 +15,7 @@ from hilserver.opcua.reading import RefusedError
 from hilserver.opcua.type_tree import TypeTree
 
 MAX_ELEMENTS = 100
-MAX_OPERANDS = 500
-"""Of all elements together: InList may have many."""
+MAX_OPERANDS = 500  # of all elements together: InList may have many
 MAX_DEPTH = 20
 _Op, _Codes = ua.FilterOperator, ua.StatusCodes
 Evaluate = Callable[[Any], Any]

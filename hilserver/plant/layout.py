@@ -61,8 +61,7 @@ class Inputs(Record):
     k_i: float  # [%/(rpm s)]
 
 
-N_SETPOINTS: Final = Inputs.where("mode").start
-"""So many of the first inputs are set-points."""
+N_SETPOINTS: Final = Inputs.where("mode").start  # so many of the first inputs are set-points
 N_COMMANDS: Final = Inputs.where("enable").stop
 """So many of the first inputs are commands: the set-points, mode and enable."""
 

@@ -5,5 +5,4 @@ from typing import Final
 
 RPM_PER_RAD_S: Final = 60.0 / (2.0 * math.pi)
 RAD_S_PER_RPM: Final = 2.0 * math.pi / 60.0
-NOMINAL_V: Final = 19.2
-"""Of the battery (4.2): sixteen cells of NiMH."""
+NOMINAL_V: Final = 19.2  # of the battery (4.2): sixteen cells of NiMH

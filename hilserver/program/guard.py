@@ -19,10 +19,8 @@ from typing import NoReturn
 from hilserver.errors import EXIT_DONE, EXIT_FAILED
 from hilserver.program.ending import ENDING
 
-ANSWER_S, STOP_S = 1.5, 2.1
-"""From the signal on."""
-CHILD_S = 0.2
-"""So long a child may take to end before it is killed."""
+ANSWER_S, STOP_S = 1.5, 2.1  # from the signal on
+CHILD_S = 0.2  # so long a child may take to end before it is killed
 _LOOK_S = 0.05
 _cleanups: list[Callable[[], object]] = []
 _limits_s = [STOP_S]

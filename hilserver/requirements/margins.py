@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from hilserver.requirements.model import Requirement
 
 Floats = NDArray[np.float64]
-_ROUNDING = 1e-9
-"""Of a tick: a time that is a tick but for rounding is that tick."""
+_ROUNDING = 1e-9  # of a tick: a time that is a tick but for rounding is that tick
 
 
 def margin(requirement: Requirement, values: Floats, period_s: float) -> float:

@@ -18,10 +18,8 @@ _STATES: Final = ("x_m", "y_m", "yaw_rad", "linear_m_s", "angular_rad_s")
 _DEVIATIONS: Final = tuple(f"{name}_sd" for name in _STATES)
 _TOGETHER: Final = ("x_y_cov", "x_yaw_cov", "y_yaw_cov")
 """Variance of what the wheels do not measure, the convention of ros2_control."""
-ROOM_DEGC: Final = 25.0
-"""What stands in messages where nothing simulates a temperature."""
-NO_TEMPERATURE_DEGC: Final = -273.0
-"""What the real node publishes while its IMU is raw."""
+ROOM_DEGC: Final = 25.0  # what stands in messages where nothing simulates a temperature
+NO_TEMPERATURE_DEGC: Final = -273.0  # what the real node publishes while its IMU is raw
 MODE_INACTIVE, MODE_REMOTE, MODE_AUTONOMOUS = 1, 2, 4
 KINEMATIC_SKID, KINEMATIC_MECANUM = 1, 2
 MOTORS: Final = ("rr", "fr", "rl", "fl")

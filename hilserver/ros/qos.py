@@ -13,9 +13,7 @@ class Qos:
     depth: int = 10
 
 
-DEFAULT: Final = Qos()
-"""What `SystemDefaultsQoS` of a writer gives."""
-SENSOR_DATA: Final = Qos(reliable=False)
-"""Readers take it: BEST_EFFORT matches every writer."""
+DEFAULT: Final = Qos()  # what `SystemDefaultsQoS` of a writer gives
+SENSOR_DATA: Final = Qos(reliable=False)  # readers take it: BEST_EFFORT matches every writer
 LATCHED: Final = Qos(latched=True, depth=1)
 """RELIABLE and TRANSIENT_LOCAL: who comes late gets the last one."""

@@ -10,8 +10,7 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RPM_PER_RAD_S
 from hilserver.ros.types import Types
 
-EDUART_ORDER: Final = ("fl", "fr", "rl", "rr")
-"""Of EduArt's messages and of the range finders."""
+EDUART_ORDER: Final = ("fl", "fr", "rl", "rr")  # of EduArt's messages and of the range finders
 NS_PER_S: Final = 1_000_000_000
 
 

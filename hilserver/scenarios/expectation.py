@@ -28,23 +28,14 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """One drawing of a scenario.
+    """One drawing of a scenario."""
 
-    Attributes
-    ----------
-    logs, against : mapping of str to Recipe
-        Logs by file name; with `against`, the question is whether those differ from `logs`.
-    config : str
-        The configuration to judge it with, YAML.
-    hidden : str
-        What was hidden, in words.
-    """
-
+    # logs by file name; with `against`, the question is whether those differ from `logs`
     logs: Mapping[str, Recipe]
     expectation: Expectation
-    hidden: str
+    hidden: str  # what was hidden, in words
     against: Mapping[str, Recipe] = field(default_factory=dict)
-    config: str = "{}\n"
+    config: str = "{}\n"  # the configuration to judge it with, YAML
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,14 +14,9 @@ LOGS, AGAINST, SEALED, CONFIG = "logs", "against", "sealed", "config.yaml"
 
 
 def write(scenario: Scenario, seed: int, folder: Path) -> Drive:
-    """Write a scenario into a folder and return it.
+    """Write a scenario into a folder and return it; FailedError when the folder cannot be written.
 
     The logs stand in ``logs`` (and ``against``), what is hidden in ``sealed/truth.json``.
-
-    Raises
-    ------
-    FailedError
-        When the folder cannot be written.
     """
     drive = scenario.draw(seed)
     try:

@@ -16,8 +16,7 @@ from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.statistics import row_offset
 from hilserver.scheduler.statistics_rows import record_run
 
-SliceCallback = Callable[[int, int], None]
-"""``(tick, planned_ns)``"""
+SliceCallback = Callable[[int, int], None]  # ``(tick, planned_ns)``
 
 
 class Communication:

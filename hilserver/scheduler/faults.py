@@ -10,11 +10,9 @@ SINGLE_OVERRUN: Final = 1
 CONSECUTIVE_OVERRUNS: Final = 2
 COMMUNICATION: Final = 3
 SILENCE: Final = 4
-BODY: Final = 1000
-"""What the mechatronic model's slice returns when its numbers are no longer good."""
+BODY: Final = 1000  # what the mechatronic model's slice returns when its numbers are no longer good
 
-SLICE: Final = 16
-"""``SLICE + n``: a slice returned the fault number n > 0."""
+SLICE: Final = 16  # ``SLICE + n``: a slice returned the fault number n > 0
 
 
 class Fault(NamedTuple):

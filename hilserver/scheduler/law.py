@@ -45,10 +45,8 @@ N_LAW = 32
 
 _WORDS = types.int64[::1]
 
-WAIT, RUN = 0, 1
-"""Verdicts of `advance`."""
-OK, STOP = 0, -1
-"""Verdicts of `conclude`; the positive ones are the ``FAULT_*`` codes of `step`."""
+WAIT, RUN = 0, 1  # verdicts of `advance`
+OK, STOP = 0, -1  # verdicts of `conclude`; the positive ones are the ``FAULT_*`` codes of `step`
 NO_OVERRUN, LATE_WAKE, LONG_RUN = range(3)
 KIND_NAMES = ("none", "late_wake", "long_run")
 

@@ -18,8 +18,7 @@ from hilserver.scheduler.machine import Machine
 LOOK_PERIOD_S = 0.1
 STALLED_NS = 1_000_000_000
 """A loop that does not respond for this long is reported at once: its own record may never come."""
-STALLED = "stalled"
-"""Consequence of a tick that has not ended."""
+STALLED = "stalled"  # consequence of a tick that has not ended
 _SETTLE_NS = 20_000_000
 """A record is explained no sooner than this after its tick: a SIGCONT needs time to arrive."""
 

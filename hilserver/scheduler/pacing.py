@@ -32,8 +32,6 @@ class Pacing(Protocol):
         """Look at the control words soon (a command has been given)."""
 
 
-Rung = Callable[[], None]
-"""Called on the event loop whenever the machine has news."""
+Rung = Callable[[], None]  # called on the event loop whenever the machine has news
 
-Ended = Callable[[StopReason], None]
-"""Called on the event loop once, when pacing has ended."""
+Ended = Callable[[StopReason], None]  # called on the event loop once, when pacing has ended

@@ -12,8 +12,7 @@ from hilserver.scheduler import law as lw
 from hilserver.scheduler.loop import ONE, TURN_ARGUMENTS, Loop
 from hilserver.scheduler.turn import ENDED, RING, turn
 
-LONGEST_SLEEP_NS = 50_000_000
-"""The loop looks at its control words at least this often."""
+LONGEST_SLEEP_NS = 50_000_000  # the loop looks at its control words at least this often
 
 
 @kernel(types.int64(*TURN_ARGUMENTS, types.int32))

@@ -20,8 +20,7 @@ from hilserver.scheduler.turn import ENDED, RAN, RING
 
 _CLOCK_MONOTONIC = 1
 _TFD_TIMER_ABSTIME = 1
-_TURNS_PER_WAKE = 8
-"""So many late ticks in a row before the event loop gets its turn."""
+_TURNS_PER_WAKE = 8  # so many late ticks in a row before the event loop gets its turn
 
 
 class _TimerSpec(ctypes.Structure):

@@ -15,8 +15,7 @@ from hilserver.scheduler.realtime import Grant
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 
 BATCH_TICKS = 1000
-_PAUSED_POLL_S = 0.01
-"""While paused, inputs are latched at least this often."""
+_PAUSED_POLL_S = 0.01  # while paused, inputs are latched at least this often
 
 
 class VirtualPacing:

@@ -21,8 +21,7 @@ Called at every wake-up, also while paused."""
 PUBLISH = -2
 """Publish the outputs of this tick; return 0. Called for the last tick of a state that was restored
 while paused, too."""
-FAULT = -3
-"""Go to the safe state; ``tick`` carries the code, one of `hilserver.scheduler.faults`."""
+FAULT = -3  # go to the safe state; ``tick`` carries the code, one of `hilserver.scheduler.faults`
 
 STEP_SIGNATURE: Any = types.int64(
     types.int64, types.int64, types.int64, types.float64[::1], types.int64[::1]

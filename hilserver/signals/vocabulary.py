@@ -8,8 +8,7 @@ RESERVED = frozenset(
 )
 """First parts of names that belong to the daemon itself; no block may have them."""
 
-RANGE_FINDERS = ("fl", "fr", "rl", "rr")
-"""Range finders and lamps in EduArt's order."""
+RANGE_FINDERS = ("fl", "fr", "rl", "rr")  # range finders and lamps in EduArt's order
 
 LIGHTS = (
     "off",
@@ -47,7 +46,5 @@ Source = Literal["scenario", "page", "opcua", "shield", "ros2", "peer"]
 SOURCES: tuple[Source, ...] = ("scenario", "page", "opcua", "shield", "ros2", "peer")
 """Kinds of sources that may command, in the default order of priority (highest first)."""
 
-MEASURED = "measured."
-"""Beginning of the names under which values of the real robot come in."""
-SAMPLED = ("wheel", "imu", "nav")
-"""Groups of them whose samples are counted for the observer."""
+MEASURED = "measured."  # beginning of the names under which values of the real robot come in
+SAMPLED = ("wheel", "imu", "nav")  # groups of them whose samples are counted for the observer

@@ -21,10 +21,8 @@ from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome
 
 IN_A_BATCH: Final = 8
-AHEAD: Final = 3
-"""Batches on their way for each worker."""
-LIVES: Final = 3
-"""A machine that was alone with so many workers that died has failed."""
+AHEAD: Final = 3  # batches on their way for each worker
+LIVES: Final = 3  # a machine that was alone with so many workers that died has failed
 STARTS: Final = 30
 Result = tuple[str, list[Outcome]]
 

@@ -21,8 +21,7 @@ from hilserver.core.leases import Leases
 from hilserver.image import ProcessImage, Row
 from hilserver.signals import Signal, SignalTable
 
-WHO = "scenario"
-"""Source that a controller drives as."""
+WHO = "scenario"  # source that a controller drives as
 
 
 class WrongCommand(ValueError):

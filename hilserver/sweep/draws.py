@@ -18,10 +18,8 @@ from hilserver.faults import Fault
 from hilserver.sweep.model import Distribution, FaultShare
 
 Array = NDArray[np.float64]
-SEEDS: Final = 2**53
-"""One more than the largest seed of a plant."""
-_HALF = 2.0**-54
-"""Moves a uniform number off zero, where the normal distribution has no value."""
+SEEDS: Final = 2**53  # one more than the largest seed of a plant
+_HALF = 2.0**-54  # moves a uniform number off zero, where the normal distribution has no value
 
 
 @dataclass(frozen=True)

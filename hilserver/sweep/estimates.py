@@ -11,10 +11,8 @@ from scipy.special import betaincinv
 
 Floats = NDArray[np.float64]
 LEVEL: Final = 0.95
-LEAST_MACHINES: Final = 10
-"""Machines below which no correlation is reported."""
-TOGETHER: Final = 0.7
-"""Rank correlation of two drawn parameters from which they count as one group."""
+LEAST_MACHINES: Final = 10  # machines below which no correlation is reported
+TOGETHER: Final = 0.7  # rank correlation of two drawn parameters from which they count as one group
 
 
 def exact_interval(passed: int, n: int, level: float = LEVEL) -> tuple[float, float]:

@@ -7,8 +7,7 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-GRACE_S = 5.0
-"""So much later the kernel ends a worker whose code does not listen."""
+GRACE_S = 5.0  # so much later the kernel ends a worker whose code does not listen
 
 
 class OutOfTime(BaseException):

@@ -121,13 +121,7 @@ class Stepped:
             await end(process, words[0], 0)
 
     async def _wait(self, process: asyncio.subprocess.Process, watch: "_Watch") -> None:
-        """Wait for the drive's last tick.
-
-        Raises
-        ------
-        _Failed
-            If it does not come.
-        """
+        """Wait for the drive's last tick; _Failed if it does not come."""
         lines: deque[str] = deque(maxlen=_LAST_LINES)
         reading = asyncio.create_task(_keep(process, lines))
         over = asyncio.create_task(watch.over.wait())

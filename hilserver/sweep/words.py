@@ -7,8 +7,7 @@ from hilserver.sweep.prepare import Prepared
 from hilserver.sweep.rig import Outcome
 from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
 
-MOST_TRIED = 1000
-"""Machines that are drawn to say how many cannot be built."""
+MOST_TRIED = 1000  # machines that are drawn to say how many cannot be built
 
 
 def headline(table: Table) -> str:

@@ -8,71 +8,39 @@ from typing import Final, Literal, get_args
 Theta = Sequence[float]
 Region = tuple[float, float, float, float]
 StageName = Literal["drive", "pose"]
-STAGES: Final[tuple[StageName, ...]] = get_args(StageName)
-"""In the order in which they are judged."""
+STAGES: Final[tuple[StageName, ...]] = get_args(StageName)  # in the order in which they are judged
 
 LARGEST_WAVE = 0.5
-FAR_NULL = 1e6
-"""A limit as far away as this is none: its distance from null says nothing."""
+FAR_NULL = 1e6  # a limit as far away as this is none: its distance from null says nothing
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One direction, or a few together, in which the plant can be changed.
+    """One direction, or a few together, in which the plant can be changed."""
 
-    Attributes
-    ----------
-    cause : str
-        Public name.
-    label : str
-        Unique name of this candidate.
-    stage : str
-        Which residuals judge it.
-    start : tuple of float
-        Values of the parameters from which a fit begins.
-    null : tuple of float
-        Values at which it changes nothing.
-    step : tuple of float
-        Physical steps of the finite differences.
-    terms : callable
-        From values to terms of the plant (and ``shift.*``).
-    low, high : tuple of float
-        What is physically possible.
-    least : float
-        Size (largest parameter) below which it is not worth a name.
-    linear : bool
-        Whether the effect is about linear, so that the screen may extrapolate.
-    hidden : int
-        Parameters of its shape that were searched over, beside the fitted ones.
-    tried : tuple of float
-        More values to begin from where much is left to explain.
-    moved : callable, optional
-        From a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
-        shape, for a finer search.
-    prior : float
-        Standard deviation about null of what sound machines have; infinite: any size is usual.
-    undecided : mapping of str to (float, float)
-        Terms of its shape that these data leave open, with the range that is possible.
-    region : tuple of float, optional
-        Part of the floor that it acts on: x_min, x_max, y_min, y_max [m].
-    """
-
-    cause: str
-    label: str
-    stage: StageName
-    start: tuple[float, ...]
-    null: tuple[float, ...]
-    step: tuple[float, ...]
+    cause: str  # public name
+    label: str  # unique name of this candidate
+    stage: StageName  # which residuals judge it
+    start: tuple[float, ...]  # values of the parameters from which a fit begins
+    null: tuple[float, ...]  # values at which it changes nothing
+    step: tuple[float, ...]  # physical steps of the finite differences
+    # from values to terms of the plant (and ``shift.*``)
     terms: Callable[[Theta], dict[str, float]]
+    # what is physically possible
     low: tuple[float, ...]
     high: tuple[float, ...]
-    least: float
-    linear: bool = True
-    hidden: int = 0
-    tried: tuple[float, ...] = ()
+    least: float  # size (largest parameter) below which it is not worth a name
+    linear: bool = True  # whether the effect is about linear, so that the screen may extrapolate
+    hidden: int = 0  # parameters of its shape that were searched over, beside the fitted ones
+    tried: tuple[float, ...] = ()  # more values to begin from where much is left to explain
+    # from a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
+    # shape, for a finer search
     moved: "Callable[[float], Candidate] | None" = None
+    # standard deviation about null of what sound machines have; infinite: any size is usual
     prior: float = math.inf
+    # terms of its shape that these data leave open, with the range that is possible
     undecided: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # part of the floor that it acts on: x_min, x_max, y_min, y_max [m]
     region: Region | None = None
 
     @property

@@ -21,8 +21,7 @@ from hilserver.diagnosis.catalogue.candidate import (
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 
 DELAYS_S = (0.01, 0.04, 0.15, 0.4)
-LATE_S = (0.15, 0.4)
-"""Far from zero a latency is no longer linear."""
+LATE_S = (0.15, 0.4)  # far from zero a latency is no longer linear
 PERIODS_S = (0.002, 0.003, 0.005, 0.007, 0.01, 0.013)
 USUAL_PERIODS_S = (0.0015, 0.0025, 0.004, 0.006, 0.008, 0.009, 0.011, 0.012, 0.0125, 0.014)
 QUANTA_RPM = (0.25, 0.5, 1.0)

@@ -45,48 +45,25 @@ OF_THE_LOG: Final[Mapping[str, str]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One parameter of a cause.
+    """One parameter of a cause."""
 
-    Attributes
-    ----------
-    name : str
-        ``cause.part``, or the bare cause where it has only one parameter.
-    null : float or None
-        Value at which it does nothing; None: it cannot be said by a number.
-    reference : float or None
-        Size at which a diagnosis must name the cause.
-    shape : bool
-        True: it only shapes the effect of another part.
-    """
-
-    name: str
+    name: str  # ``cause.part``, or the bare cause where it has only one parameter
     unit: str
-    null: float | None
-    reference: float | None = None
-    shape: bool = False
+    null: float | None  # value at which it does nothing; None: it cannot be said by a number
+    reference: float | None = None  # size at which a diagnosis must name the cause
+    shape: bool = False  # True: it only shapes the effect of another part
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One cause.
-
-    Attributes
-    ----------
-    block : str
-        Where it acts, as ``findings.json`` says it.
-    parts : tuple of Part
-        The main one first.
-    physical : bool
-        True: a term of the plant. False: a fault of the log.
-    by_channel : bool
-        True: its parameters are called ``cause.<signal or source>``, one for each that is affected.
-    """
+    """One cause."""
 
     name: str
-    block: Block
-    parts: tuple[Part, ...]
-    physical: bool
+    block: Block  # where it acts, as ``findings.json`` says it
+    parts: tuple[Part, ...]  # the main one first
+    physical: bool  # True: a term of the plant. False: a fault of the log.
     description: str
+    # True: its parameters are called ``cause.<signal or source>``, one for each that is affected
     by_channel: bool = False
 
     @property

@@ -56,17 +56,10 @@ ORDER: Final[tuple[Check, ...]] = (
 
 @dataclass(frozen=True)
 class Checked:
-    """A log after the data checks.
+    """A log after the data checks."""
 
-    Attributes
-    ----------
-    log : MeasuredLog
-        Without the faults that were found.
-    findings : tuple of Finding
-        Each with verdict ``data_fault``; `regressors` names the channels it is about.
-    """
-
-    log: MeasuredLog
+    log: MeasuredLog  # without the faults that were found
+    # each with verdict ``data_fault``; `regressors` names the channels it is about
     findings: tuple[Finding, ...]
 
     @property

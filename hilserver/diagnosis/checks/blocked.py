@@ -21,8 +21,7 @@ from hilserver.measured.data import MeasuredLog
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.plant.parameters import RobotParameters
 
-WAY_S: Final = 2.0
-"""Way and place are compared over so long."""
+WAY_S: Final = 2.0  # way and place are compared over so long
 
 
 class Spell(NamedTuple):

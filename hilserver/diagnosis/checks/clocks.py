@@ -20,33 +20,23 @@ from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 
-LARGEST_S: Final = 1.0
-"""Offsets are looked for up to here."""
-CHUNK_S: Final = 30.0
-"""Stretch of the log with an offset of its own."""
-BASELINE_S: Final = 1.0
-"""Way and turn are compared over so long."""
+LARGEST_S: Final = 1.0  # offsets are looked for up to here
+CHUNK_S: Final = 30.0  # stretch of the log with an offset of its own
+BASELINE_S: Final = 1.0  # way and turn are compared over so long
 GRID_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """Delay of a source behind the wheels: offset + drift t.
+    """Delay of a source behind the wheels: offset + drift t."""
 
-    Attributes
-    ----------
-    offset_s, offset_sd_s : float
-        In the middle of the log.
-    drift, drift_sd : float
-        [s/s].
-    middle_s, length_s : float
-        Of the log.
-    """
-
+    # in the middle of the log
     offset_s: float
     offset_sd_s: float
+    # [s/s]
     drift: float
     drift_sd: float
+    # of the log
     middle_s: float
     length_s: float
 

@@ -12,12 +12,9 @@ import numpy as np
 from hilserver.diagnosis.thresholds import COMB_CLEAR, COMB_FEWEST, COMB_TIMES, FEWEST_SAMPLES, HALF
 from hilserver.measured.arrays import Array
 
-STEPS_RPM: Final = (0.2, 6.0)
-"""Steps that are looked for; finer ones are below the noise."""
-MOST_LINES: Final = 8
-"""Lines of the spectrum that are looked at."""
-NOTICEABLE: Final = 0.02
-"""Coefficient of a line below which none is a candidate."""
+STEPS_RPM: Final = (0.2, 6.0)  # steps that are looked for; finer ones are below the noise
+MOST_LINES: Final = 8  # lines of the spectrum that are looked at
+NOTICEABLE: Final = 0.02  # coefficient of a line below which none is a candidate
 PADDED = 4
 SAMPLES = 6_000
 NEIGHBOURS = 8

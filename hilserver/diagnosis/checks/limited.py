@@ -14,8 +14,7 @@ from hilserver.measured.channels import DUTIES, GYRO
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-AT: Final = 1.0 - 1e-9
-"""Share of a limit at which a reading stands: files round."""
+AT: Final = 1.0 - 1e-9  # share of a limit at which a reading stands: files round
 
 
 def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:

@@ -17,14 +17,9 @@ MOTION_WINDOW_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Windows of a log.
+    """Windows of a log."""
 
-    Attributes
-    ----------
-    begin, end : ndarray of float64, shape (n,)
-        Stamps as `support.along` makes them [s].
-    """
-
+    # shape (n,): stamps as `support.along` makes them [s]
     begin: Array
     end: Array
 
@@ -114,19 +109,11 @@ def turned(log: MeasuredLog, windows: Windows, robot: RobotParameters) -> Array 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line through the origin.
-
-    Attributes
-    ----------
-    slope : float
-    correlation : float
-    n : int
-        Windows with motion.
-    """
+    """A line through the origin."""
 
     slope: float
     correlation: float
-    n: int
+    n: int  # windows with motion
 
 
 def line(y: Array | None, x: Array | None, least: float = 0.0) -> Line | None:

@@ -51,8 +51,7 @@ AXES: Final = {NAV_X: NAV_Y, NAV_Y: NAV_X}
 TURNS: Final = (YAW, GYRO)
 OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
 """Share of a period by which runs may miss whole ones, beside half a row; longest row."""
-MOST_PERIODS: Final = 6.5
-"""Of a longer run the period is not known well enough."""
+MOST_PERIODS: Final = 6.5  # of a longer run the period is not known well enough
 
 
 def find_stuck(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:

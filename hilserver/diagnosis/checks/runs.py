@@ -19,23 +19,15 @@ from hilserver.measured.data import Channel, MeasuredLog
 
 
 class Fault(NamedTuple):
-    """What a classifier finds in a channel.
+    """What a classifier finds in a channel."""
 
-    Attributes
-    ----------
-    left : Channel or None
-        The samples that are real; None: there are none.
-    figure, sd : float
-        Rate of the clock that the channel really has [Hz], share or delay; its standard error.
-    """
-
-    left: Channel | None
+    left: Channel | None  # the samples that are real; None: there are none
+    # rate of the clock that the channel really has [Hz], share or delay; its standard error
     figure: float
     sd: float = 0.0
 
 
-Faults = Mapping[str, Fault]
-"""By channel."""
+Faults = Mapping[str, Fault]  # by channel
 
 
 def classified(names: Iterable[str], classifier: Callable[[str], Fault | None]) -> dict[str, Fault]:
@@ -65,23 +57,14 @@ def rate_fault(cause: str, faults: Faults, text: str) -> Finding:
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """Runs of equal values in a channel.
+    """Runs of equal values in a channel."""
 
-    Attributes
-    ----------
-    first : ndarray of int64, shape (n,)
-        Index of each run's first sample.
-    length : ndarray of int64, shape (n,)
-    before, after : ndarray of float64, shape (n,)
-        Step into and out of the run, absolute; 0 at the borders of a span.
-    duration_s : ndarray of float64, shape (n,)
-        From its first sample to the first one of the next run; NaN at the end of a span.
-    """
-
-    first: Indices
-    length: Indices
+    first: Indices  # shape (n,): index of each run's first sample
+    length: Indices  # shape (n,)
+    # shape (n,): step into and out of the run, absolute; 0 at the borders of a span
     before: Array
     after: Array
+    # shape (n,): from its first sample to the first one of the next run; NaN at the end of a span
     duration_s: Array
 
 

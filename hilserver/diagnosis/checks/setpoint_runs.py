@@ -31,10 +31,8 @@ from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-KNOWN_TO: Final = 0.02 / 1.96
-"""Standard error of the rate of interpolated set-points, as a share."""
-LONGEST_PERIODS: Final = 12.0
-"""Longer durations say nothing of their period."""
+KNOWN_TO: Final = 0.02 / 1.96  # standard error of the rate of interpolated set-points, as a share
+LONGEST_PERIODS: Final = 12.0  # longer durations say nothing of their period
 
 
 def find_interpolated(log: MeasuredLog, _: RobotParameters) -> tuple[MeasuredLog, list[Finding]]:

@@ -10,8 +10,7 @@ from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel
 from hilserver.measured.names import is_input
 
-SPAN_S = 1e6
-"""Longer than any span, so that the stamps of two spans differ."""
+SPAN_S = 1e6  # longer than any span, so that the stamps of two spans differ
 
 
 def data_fault(

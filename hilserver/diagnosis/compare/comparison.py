@@ -27,23 +27,12 @@ from hilserver.plant.parameters import RobotParameters
 
 @dataclass(frozen=True)
 class Compared:
-    """What two sets of logs differ in.
+    """What two sets of logs differ in."""
 
-    Attributes
-    ----------
-    logs : tuple of MeasuredLog
-        Without their faults.
-    findings : list of Finding
-    sizes : tuple of Detectable
-        The smallest differences that would have shown.
-    reasons : dict of str to str
-        Why causes are not judged.
-    """
-
-    logs: tuple[MeasuredLog, ...]
+    logs: tuple[MeasuredLog, ...]  # without their faults
     findings: list[Finding]
-    sizes: tuple[Detectable, ...]
-    reasons: dict[str, str]
+    sizes: tuple[Detectable, ...]  # the smallest differences that would have shown
+    reasons: dict[str, str]  # why causes are not judged
 
 
 def compared(

@@ -18,25 +18,16 @@ from hilserver.measured.data import MeasuredLog
 
 @dataclass(frozen=True)
 class Difference:
-    """One cause in both sets.
-
-    Attributes
-    ----------
-    values, errors : tuple of float
-        Estimates in A and B, and their standard errors.
-    p : float
-        Of no difference, for all causes together (Bonferroni).
-    gain : float
-        Deviance that two values save against one.
-    """
+    """One cause in both sets."""
 
     candidate: Candidate
     stage: str
     column: int
+    # estimates in A and B, and their standard errors
     values: tuple[float, float]
     errors: tuple[float, float]
-    p: float
-    gain: float
+    p: float  # of no difference, for all causes together (Bonferroni)
+    gain: float  # deviance that two values save against one
     dof: float
 
     @property

@@ -10,8 +10,7 @@ from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.measured.arrays import Array
 
-DIGITS: Final = 5
-"""The rest of a ceiling hangs on how many threads share its large products."""
+DIGITS: Final = 5  # the rest of a ceiling hangs on how many threads share its large products
 
 
 def flexible(problem: Problem, library: Library, point: Point) -> Array:

@@ -37,21 +37,12 @@ def is_wave(f: Fitted) -> bool:
 
 @dataclass(frozen=True)
 class Estimate:
-    """All fitted parameters of one stage, as reported.
-
-    Attributes
-    ----------
-    names : tuple of str
-    owner : tuple of int
-        Cause of each, by its place in the model.
-    value : ndarray, shape (k,)
-    covariance : ndarray, shape (k, k)
-        Robust; along what the data leave open it is that of the priors.
-    """
+    """All fitted parameters of one stage, as reported."""
 
     names: tuple[str, ...]
-    owner: tuple[int, ...]
-    value: Array
+    owner: tuple[int, ...]  # cause of each, by its place in the model
+    value: Array  # shape (k,)
+    # shape (k, k): robust; along what the data leave open it is that of the priors
     covariance: Array
 
     @classmethod

@@ -30,18 +30,10 @@ _FIELD = re.compile(r"\{(?:(of):)?(\w+)\}")
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """What a cause is in words.
+    """What a cause is in words."""
 
-    Attributes
-    ----------
-    says : str
-        Template of what was found.
-    remedy : str
-        What to do about it.
-    """
-
-    says: str
-    remedy: str
+    says: str  # template of what was found
+    remedy: str  # what to do about it
 
 
 @cache

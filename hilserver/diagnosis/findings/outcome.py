@@ -34,8 +34,7 @@ from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
-COARSE_SHARE: Final = 0.002
-"""Half the interval of a step found in the spectrum, by the step."""
+COARSE_SHARE: Final = 0.002  # half the interval of a step found in the spectrum, by the step
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:

@@ -13,22 +13,16 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
 from hilserver.measured.arrays import Array
 
-Predictions = tuple[Array, ...]
-"""One of each member."""
+Predictions = tuple[Array, ...]  # one of each member
 
 
 @dataclass(frozen=True)
 class Part:
-    """One stage of one member.
-
-    Attributes
-    ----------
-    before, after : ndarray
-        Held-out predictions without any cause, and with all of them.
-    """
+    """One stage of one member."""
 
     member: str
     judged: Judged
+    # held-out predictions without any cause, and with all of them
     before: Array
     after: Array
 
@@ -44,15 +38,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Explained:
-    """What the causes of one stage explain, of one member or of several.
-
-    Attributes
-    ----------
-    without : callable
-        Predictions of the model without some of its causes, by their places in it.
-    """
+    """What the causes of one stage explain, of one member or of several."""
 
     parts: tuple[Part, ...]
+    # predictions of the model without some of its causes, by their places in it
     without: Callable[[frozenset[int]], Predictions]
 
     @property
@@ -103,25 +92,14 @@ def without_causes(model: Model, causes: Iterable[int]) -> Model:
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of one stage of all members.
+    """The answer of one stage of all members."""
 
-    Attributes
-    ----------
-    explained, named : Explained
-        By all causes, and by those alone that have a name: a patch has no others.
-    model : Model
-        The causes with a name.
-    findings : tuple of Finding
-        One of each, in the order of the model.
-    estimate : Estimate
-        All parameters of the model.
-    """
-
+    # by all causes, and by those alone that have a name: a patch has no others
     explained: Explained
     named: Explained
-    model: Model
-    findings: tuple[Finding, ...]
-    estimate: Estimate
+    model: Model  # the causes with a name
+    findings: tuple[Finding, ...]  # one of each, in the order of the model
+    estimate: Estimate  # all parameters of the model
 
     def with_worth(
         self, horizon_s: float, rng: np.random.Generator, total: dict[str, Gain] | None = None

@@ -11,24 +11,13 @@ from hilserver.diagnosis.replay.model import Fitted
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause that at least one group shows.
+    """A cause that at least one group shows."""
 
-    Attributes
-    ----------
-    fitted : Fitted
-        Where a fit begins.
-    rivals : mapping of str to Fitted
-        What it cannot be separated from in any group that shows it, by cause.
-    p : float
-        Of chance, in the group that shows it most clearly.
-    drifts : bool
-        In at least one group.
-    """
-
-    fitted: Fitted
+    fitted: Fitted  # where a fit begins
+    # what it cannot be separated from in any group that shows it, by cause
     rivals: Mapping[str, Fitted]
-    p: float
-    drifts: bool
+    p: float  # of chance, in the group that shows it most clearly
+    drifts: bool  # in at least one group
 
     @property
     def name(self) -> str:

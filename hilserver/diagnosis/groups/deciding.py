@@ -17,22 +17,12 @@ from hilserver.diagnosis.thresholds import LEAST_GAIN, SCREEN_LEVEL
 
 @dataclass(frozen=True)
 class Decided:
-    """One stage of all groups.
+    """One stage of all groups."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the groups.
-    causes : tuple of Cause
-        In the order of the model.
-    joint : JointFit or None
-        None: there is no cause.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the groups
     members: tuple[Judged, ...]
-    causes: tuple[Cause, ...]
-    joint: JointFit | None
+    causes: tuple[Cause, ...]  # in the order of the model
+    joint: JointFit | None  # None: there is no cause
 
 
 def decided(judged: Mapping[str, Judged]) -> Decided:

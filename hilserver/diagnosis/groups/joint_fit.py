@@ -18,28 +18,17 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import COMPARE_LEVEL
 from hilserver.measured.arrays import Array, Mask
 
-SILENT: Final = 1e-3
-"""Whitened size of a cause's least effect below which a log does not show it."""
+SILENT: Final = 1e-3  # whitened size of a cause's least effect below which a log does not show it
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """A model in all groups.
-
-    Attributes
-    ----------
-    points : tuple of Point
-        Of each group, fitted by itself.
-    fits : tuple of GroupFit
-        What the logs of each group show by themselves.
-    all : Together
-        Values and covariances with what is shared.
-    """
+    """A model in all groups."""
 
     members: tuple[Judged, ...]
-    points: tuple[Point, ...]
-    fits: tuple[GroupFit, ...]
-    all: Together
+    points: tuple[Point, ...]  # of each group, fitted by itself
+    fits: tuple[GroupFit, ...]  # what the logs of each group show by themselves
+    all: Together  # values and covariances with what is shared
 
     def model(self, group: int) -> Model:
         """Return the model of a group, with what it shares."""

@@ -16,23 +16,12 @@ from hilserver.measured.arrays import Array, Indices, Mask
 
 @dataclass(frozen=True)
 class GroupFit:
-    """The parameters of one group, fitted by itself.
+    """The parameters of one group, fitted by itself."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (k,)
-    known : ndarray of bool, shape (k,)
-        Whether its logs say anything of a parameter.
-    covariance : ndarray, shape (k, k)
-        Robust; only the known rows and columns count.
-    dof : ndarray, shape (k,)
-        Degrees of freedom of each variance.
-    """
-
-    value: Array
-    known: Mask
-    covariance: Array
-    dof: Array
+    value: Array  # shape (k,)
+    known: Mask  # shape (k,): whether its logs say anything of a parameter
+    covariance: Array  # shape (k, k): robust; only the known rows and columns count
+    dof: Array  # shape (k,): degrees of freedom of each variance
 
     @property
     def weight(self) -> Array:
@@ -51,28 +40,15 @@ class GroupFit:
 
 @dataclass(frozen=True)
 class Together:
-    """Parameters of all groups, some of them shared.
+    """Parameters of all groups, some of them shared."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (groups, k)
-    covariance : ndarray, shape (groups, k, k)
-        Of each group's parameters, what the others know of shared ones included.
-    misfit : float
-        Squared distance of the groups' own estimates, by their covariances.
-    free : ndarray of bool, shape (k,)
-    places : ndarray of int64, shape (groups, k)
-        Which unknown each parameter of a group is.
-    unknowns : ndarray, shape (m, m)
-        Covariance of all unknowns; 0 for what no group shows.
-    """
-
-    value: Array
+    value: Array  # shape (groups, k)
+    # shape (groups, k, k): of each group's parameters, what the others know of shared ones included
     covariance: Array
-    misfit: float
-    free: Mask
-    places: Indices
-    unknowns: Array
+    misfit: float  # squared distance of the groups' own estimates, by their covariances
+    free: Mask  # shape (k,)
+    places: Indices  # shape (groups, k): which unknown each parameter of a group is
+    unknowns: Array  # shape (m, m): covariance of all unknowns; 0 for what no group shows
 
 
 def together(fits: Sequence[GroupFit], free: Mask) -> Together:

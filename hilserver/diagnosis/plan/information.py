@@ -23,8 +23,7 @@ T_NEEDED: Final = 5.5
 Z_APART: Final = 3.28
 """Standard errors between the deviances of an effect and its best imitation at which a diagnosis
 tells them apart with good power: 2.33 (`identifiability.CLEAR_Z`) and 0.95."""
-SEEN: Final = 0.5
-"""Worth of seeing a cause, by the worth of separating it from all others."""
+SEEN: Final = 0.5  # worth of seeing a cause, by the worth of separating it from all others
 ENOUGH_TIMES: Final = 3.0
 LINEAR_REACH: Final = 1.5
 """How far a column of an effect that is not linear may be extrapolated, in its own size."""
@@ -32,22 +31,12 @@ LINEAR_REACH: Final = 1.5
 
 @dataclass(frozen=True)
 class Direction:
-    """One candidate in the Gram matrix.
-
-    Attributes
-    ----------
-    rows : tuple of int
-        One row per parameter, at most two.
-    units : tuple of float
-        Physical size of a step of 1 along each row.
-    sizes : tuple of float or None
-        Reference sizes of the parameters.
-    """
+    """One candidate in the Gram matrix."""
 
     candidate: Candidate
-    rows: tuple[int, ...]
-    units: tuple[float, ...]
-    sizes: tuple[float | None, ...]
+    rows: tuple[int, ...]  # one row per parameter, at most two
+    units: tuple[float, ...]  # physical size of a step of 1 along each row
+    sizes: tuple[float | None, ...]  # reference sizes of the parameters
 
     @property
     def cause(self) -> str:

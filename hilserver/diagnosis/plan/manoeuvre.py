@@ -19,29 +19,19 @@ from hilserver.plant.parameters import RobotParameters
 TWIST: Final = ("twist.linear_m_s", "twist.angular_rad_s")
 ALL_WHEELS: Final = "wheels.setpoints_rpm"
 MODE, ENABLE = "control.mode", "drive.enable"
-AFTER_S: Final = 1.0
-"""How long a scenario is watched after its last step."""
+AFTER_S: Final = 1.0  # how long a scenario is watched after its last step
 LONGEST_PLAN_S: Final = 3600.0
 SHORTEST_S: Final = 2.0
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Set-points that hold until the next ones; the robot is at rest before.
+    """Set-points that hold until the next ones; the robot is at rest before."""
 
-    Attributes
-    ----------
-    at_s : ndarray, shape (k,)
-        Rising, the first is 0.
-    setpoints_rpm : ndarray, shape (k, 4)
-        fl, rl, fr, rr with the plant's signs: driving forward is left > 0, right < 0.
-    duration_s : float
-        Not before the last change.
-    """
-
-    at_s: Array
+    at_s: Array  # shape (k,): rising, the first is 0
+    # shape (k, 4): fl, rl, fr, rr with the plant's signs: driving forward is left > 0, right < 0
     setpoints_rpm: Array
-    duration_s: float
+    duration_s: float  # not before the last change
 
     def then(self, other: "Manoeuvre") -> "Manoeuvre":
         """Return this manoeuvre with another behind it."""

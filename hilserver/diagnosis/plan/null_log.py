@@ -45,21 +45,11 @@ AT_ONCE_S: Final = 1e6
 
 @dataclass(frozen=True)
 class Recording:
-    """How the experiment will be recorded.
+    """How the experiment will be recorded."""
 
-    Attributes
-    ----------
-    channels : tuple of str
-        Measured signals, besides the set-points.
-    rate_hz : float
-        Rows per second.
-    navigation_hz : float
-        Samples of the navigation per second.
-    """
-
-    channels: tuple[str, ...] = ALL
-    rate_hz: float = 50.0
-    navigation_hz: float = 20.0
+    channels: tuple[str, ...] = ALL  # measured signals, besides the set-points
+    rate_hz: float = 50.0  # rows per second
+    navigation_hz: float = 20.0  # samples of the navigation per second
 
     def with_channels(self, *names: str) -> "Recording":
         """Return it with more channels."""

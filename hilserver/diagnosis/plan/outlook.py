@@ -40,27 +40,14 @@ NOT_SEEN = "the manoeuvre does not excite it"
 
 @dataclass(frozen=True)
 class Outlook:
-    """What one manoeuvre can show.
+    """What one manoeuvre can show."""
 
-    Attributes
-    ----------
-    sizes : mapping of str to Detectable
-        Smallest detectable size of each cause.
-    groups : list of tuple of str
-        Causes that cannot be separated: each resembles another of its group.
-    pairs : mapping of pair of str to float
-        |cos| of the pairs above the limit.
-    not_judged : mapping of str to str
-        Reasons.
-    score : float
-        Total information, `information.score`.
-    """
-
-    sizes: dict[str, Detectable]
+    sizes: dict[str, Detectable]  # smallest detectable size of each cause
+    # causes that cannot be separated: each resembles another of its group
     groups: list[tuple[str, ...]]
-    pairs: dict[tuple[str, str], float]
-    not_judged: dict[str, str]
-    score: float
+    pairs: dict[tuple[str, str], float]  # |cos| of the pairs above the limit
+    not_judged: dict[str, str]  # reasons
+    score: float  # total information, `information.score`
 
     def share(self, cause: str) -> float | None:
         """Return a cause's smallest detectable size by its reference size."""

@@ -25,8 +25,7 @@ STAY: Final[Move] = (1.2, 0.0, 0.0)
 """Long enough to see where the robot is, in spite of the navigation's correlated error."""
 LONGEST_PIECE_S: Final = 2.5
 ACROSS_S: Final = 5.0
-MARGIN_M: Final = 0.4
-"""Kept between the robot's centre and the edge of the room."""
+MARGIN_M: Final = 0.4  # kept between the robot's centre and the edge of the room
 
 
 @dataclass(frozen=True)

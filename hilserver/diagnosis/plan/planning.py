@@ -23,28 +23,20 @@ from hilserver.plant.parameters import RobotParameters
 
 PLAN, SCENARIO = "plan.json", "manoeuvre.yaml"
 ROOM_M = (5.0, 5.0)
-START = of_moves([(1.0, 0.0, 0.0)])
-"""The robot stands while people step back."""
+START = of_moves([(1.0, 0.0, 0.0)])  # the robot stands while people step back
 YAML = (".yaml", ".yml")
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked for.
-
-    Attributes
-    ----------
-    channels : tuple of str or None
-        Measured signals of the experiment; None: those of the log, all for a scenario.
-    duration_s : float or None
-        Of the better manoeuvre; None: that of the given one.
-    """
+    """What is asked for."""
 
     manoeuvre: Path
     mapping: str | None = None
+    # measured signals of the experiment; None: those of the log, all for a scenario
     channels: tuple[str, ...] | None = None
     rate_hz: float = 50.0
-    duration_s: float | None = None
+    duration_s: float | None = None  # of the better manoeuvre; None: that of the given one
     room_m: tuple[float, float] = ROOM_M
     seed: int = 0
     jobs: int = 2

@@ -14,29 +14,17 @@ RIDGE = 1e-3
 
 @dataclass
 class Library:
-    """The candidates of one stage with their whitened columns at the base model.
-
-    Attributes
-    ----------
-    raw : list of ndarray, shape (n, 1) or (n, 2)
-        Sensitivities of every candidate.
-    blocks : Blocks
-        Order of the rows of `columns`.
-    columns : ndarray of float32, shape (n, k)
-        All directions, whitened, initial poses projected out.
-    owner : ndarray of int64, shape (k,)
-        Candidate of each direction.
-    norms : list of ndarray
-        Lengths of every candidate's own columns.
-    """
+    """The candidates of one stage with their whitened columns at the base model."""
 
     problem: Problem
     candidates: list[Candidate]
-    raw: list[Columns]
-    blocks: Blocks = field(init=False)
+    raw: list[Columns]  # shape (n, 1): sensitivities of every candidate
+    blocks: Blocks = field(init=False)  # order of the rows of `columns`
+    # shape (k,): candidate of each direction
     owner: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    # shape (n, k): all directions, whitened, initial poses projected out
     columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    norms: list[Array] = field(default_factory=list)
+    norms: list[Array] = field(default_factory=list)  # lengths of every candidate's own columns
 
     def __post_init__(self) -> None:
         stack = self.problem.stack

@@ -9,10 +9,8 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.measured.arrays import Array, Mask
 
-DAMPED: Final = 1e-6
-"""Damping of the steps of a fit, see `linear`."""
-LEAST_EXPECTED: Final = 0.01
-"""Deviance; a step from which less is expected is not taken."""
+DAMPED: Final = 1e-6  # damping of the steps of a fit, see `linear`
+LEAST_EXPECTED: Final = 0.01  # deviance; a step from which less is expected is not taken
 AS_EXPECTED: Final = 0.1
 """Share by which a step's gain may miss the linear one, for the same sensitivities to serve on."""
 ATTEMPTS: Final = 4

@@ -18,8 +18,7 @@ from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import POSITION, TAG, YAW
 
 RESAMPLES = 400
-SEGMENTS_APART_S = 1e7
-"""Longer than any segment, so that the stamps of two segments differ."""
+SEGMENTS_APART_S = 1e7  # longer than any segment, so that the stamps of two segments differ
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 
@@ -72,18 +71,12 @@ def channel_errors(problem: Problem, predicted: Array, names: Sequence[str]) -> 
 
 @dataclass(frozen=True)
 class Windows:
-    """Free runs: where they begin and end, as indices into the samples of each channel.
+    """Free runs: where they begin and end, as indices into the samples of each channel."""
 
-    Attributes
-    ----------
-    start, end : mapping of str to ndarray of int64, shape (n,)
-    horizon_s : float
-        Their mean length.
-    """
-
+    # shape (n,)
     start: Mapping[str, Indices]
     end: Mapping[str, Indices]
-    horizon_s: float
+    horizon_s: float  # their mean length
 
 
 def windows(problem: Problem, horizon_s: float) -> Windows | None:

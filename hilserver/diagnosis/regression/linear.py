@@ -10,10 +10,8 @@ import numpy as np
 
 from hilserver.measured.arrays import Array
 
-SHORTEST: Final = 1e-100
-"""Length of a column that shows nowhere."""
-DAMPING: Final = 1e-9
-"""Keeps a Gram matrix invertible and moves no digit that is reported."""
+SHORTEST: Final = 1e-100  # length of a column that shows nowhere
+DAMPING: Final = 1e-9  # keeps a Gram matrix invertible and moves no digit that is reported
 
 
 def scaled(columns: Array) -> tuple[Array, Array]:

@@ -32,26 +32,14 @@ from hilserver.measured.channels import POSITION
 
 @dataclass(frozen=True)
 class Point:
-    """A model with its poses and what it leaves.
-
-    Attributes
-    ----------
-    poses : ndarray, shape (segments, 3)
-    predicted : ndarray, shape (n,)
-    white : ndarray, shape (n,)
-        Whitened residual.
-    left : ndarray, shape (n,)
-        The same, initial poses projected out.
-    loss : ndarray, shape (blocks,)
-        Sum of the squares of `left` over each block.
-    """
+    """A model with its poses and what it leaves."""
 
     model: Model
-    poses: Array
-    predicted: Array
-    white: Array
-    left: Array
-    loss: Array
+    poses: Array  # shape (segments, 3)
+    predicted: Array  # shape (n,)
+    white: Array  # shape (n,): whitened residual
+    left: Array  # shape (n,): the same, initial poses projected out
+    loss: Array  # shape (blocks,): sum of the squares of `left` over each block
 
     @property
     def deviance(self) -> float:
@@ -61,22 +49,14 @@ class Point:
 
 @dataclass
 class Problem:
-    """A stage with its noise model.
-
-    Attributes
-    ----------
-    stage : Stage
-    noise : mapping of str to NoiseModel
-        By channel; estimated again it is another one.
-    weights : ndarray, shape (n,)
-        1, or 0 for outliers; likewise.
-    ripples : bool
-        The drive hunts in a way that no replay can follow: what it leaves is noise.
-    """
+    """A stage with its noise model."""
 
     stage: Stage
+    # by channel; estimated again it is another one
     noise: Mapping[str, NoiseModel] = field(default_factory=dict)
+    # shape (n,): 1, or 0 for outliers; likewise
     weights: Array = field(default_factory=lambda: np.zeros(0))
+    # the drive hunts in a way that no replay can follow: what it leaves is noise
     ripples: bool = False
 
     def __post_init__(self) -> None:

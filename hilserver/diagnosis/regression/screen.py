@@ -24,47 +24,25 @@ from scipy.special import ndtri
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 from hilserver.measured.arrays import Array, Indices
 
-Real = NDArray[Any]
-"""Of 32 or 64 bits."""
-LEAST_FREEDOM: Final = 0.5
-"""Degrees of freedom of what shows in a single block."""
-FLIPS: Final = 4999
-"""Draws of the blocks' signs; p is no smaller than one by so many."""
+Real = NDArray[Any]  # of 32 or 64 bits
+LEAST_FREEDOM: Final = 0.5  # degrees of freedom of what shows in a single block
+FLIPS: Final = 4999  # draws of the blocks' signs; p is no smaller than one by so many
 
 SQUARE = ((1.0, 0.0), (0.0, 1.0), (0.7071, 0.7071), (0.7071, -0.7071))
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of the directions of one stage.
+    """Scores of the directions of one stage."""
 
-    Attributes
-    ----------
-    blocks : ndarray, shape (blocks, k)
-        Efficient score of each block.
-    own : ndarray, shape (blocks, k)
-        Sum of squares of the efficient column over each block.
-    t : ndarray, shape (k,)
-        Sum of the scores by its deviation, as a normal deviation.
-    deviation : ndarray, shape (k,)
-    freedom : ndarray, shape (k,)
-        Degrees of freedom of the deviation: blocks that count, less one.
-    information : ndarray, shape (k,)
-        Sum of squares of the efficient column.
-    gain : ndarray, shape (k,)
-        Deviance that the direction would save, linearly.
-    size : ndarray, shape (k,)
-        Step along the direction that would save it.
-    """
-
-    blocks: Array
-    own: Array
-    t: Array
-    deviation: Array
-    freedom: Array
-    information: Array
-    gain: Array
-    size: Array
+    blocks: Array  # shape (blocks, k): efficient score of each block
+    own: Array  # shape (blocks, k): sum of squares of the efficient column over each block
+    t: Array  # shape (k,): sum of the scores by its deviation, as a normal deviation
+    deviation: Array  # shape (k,)
+    freedom: Array  # shape (k,): degrees of freedom of the deviation: blocks that count, less one
+    information: Array  # shape (k,): sum of squares of the efficient column
+    gain: Array  # shape (k,): deviance that the direction would save, linearly
+    size: Array  # shape (k,): step along the direction that would save it
 
 
 def normal(t: Array, freedom: Array) -> Array:
@@ -102,16 +80,10 @@ def directions(block: Array) -> Array:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The samples of a stage in the order of their sign-flip blocks.
+    """The samples of a stage in the order of their sign-flip blocks."""
 
-    Attributes
-    ----------
-    order : ndarray of int64, shape (n,)
-    starts : ndarray of int64, shape (blocks + 1,)
-    """
-
-    order: Indices
-    starts: Indices
+    order: Indices  # shape (n,)
+    starts: Indices  # shape (blocks + 1,)
 
     @classmethod
     def of(cls, block: Indices, n_blocks: int) -> "Blocks":

@@ -27,17 +27,12 @@ from hilserver.plant.parameters import RobotParameters
 
 @dataclass
 class Prepared:
-    """One stage, ready to be judged.
-
-    Attributes
-    ----------
-    coarse_rpm : float or None
-        Step that the wheel speeds come in, large enough to keep the loop from coming to rest.
-    """
+    """One stage, ready to be judged."""
 
     problem: Problem
     library: Library
     base: Point
+    # step that the wheel speeds come in, large enough to keep the loop from coming to rest
     coarse_rpm: float | None = None
 
 

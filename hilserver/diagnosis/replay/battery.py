@@ -13,8 +13,7 @@ from hilserver.plant.units import NOMINAL_V
 SMOOTHING_S: Final = 2.0
 LATELY_S: Final = 0.02
 """A voltage is used where the load did not change for so long: the sensor may lag."""
-STEADY_PCT: Final = 5.0
-"""Sum of the duties that it did not change by."""
+STEADY_PCT: Final = 5.0  # sum of the duties that it did not change by
 
 
 def voltage(log: MeasuredLog, segments: Segments, load: Array) -> Array:

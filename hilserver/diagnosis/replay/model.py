@@ -26,15 +26,9 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Model:
-    """Accepted causes.
+    """Accepted causes."""
 
-    Attributes
-    ----------
-    fitted : tuple of Fitted
-        In the order of their acceptance.
-    """
-
-    fitted: tuple[Fitted, ...] = field(default=())
+    fitted: tuple[Fitted, ...] = field(default=())  # in the order of their acceptance
 
     @property
     def terms(self) -> dict[str, float]:

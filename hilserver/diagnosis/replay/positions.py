@@ -10,8 +10,7 @@ from hilserver.measured.data import Channel, MeasuredLog
 
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
-FEW: Final = 0.02
-"""Share of the samples that a driven place may leave out on each side."""
+FEW: Final = 0.02  # share of the samples that a driven place may leave out on each side
 
 
 def begins_anew(log: MeasuredLog) -> bool:

@@ -12,51 +12,32 @@ from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 
-FOLD_RUNS: Final = 6
-"""From so many runs, or else segments, on they are held out whole."""
+FOLD_RUNS: Final = 6  # from so many runs, or else segments, on they are held out whole
 
 
 @dataclass(frozen=True)
 class Stack:
-    """The measured samples of one stage.
-
-    Attributes
-    ----------
-    channels : tuple of str
-    edges : mapping of str to slice
-        Where each channel lies.
-    segment : ndarray of int64, shape (n,)
-    t_s, values : ndarray of float64, shape (n,)
-    at : ndarray of float64, shape (n,)
-        Row in the dense arrays, as a fraction.
-    low, high : ndarray of int64, shape (n,)
-        First and last row of the sample's segment.
-    block : ndarray of int64, shape (n,)
-        Unit of the sign flips; blocks do not cross segments.
-    n_blocks : int
-    fold : ndarray of int64, shape (n_blocks,)
-        0 or 1: which half a block belongs to in held-out tests; a log's own blocks, else runs,
-        segments or stretches, in turn.
-    half : ndarray of int64, shape (n_blocks,)
-        The same, but long stretches of few segments: those that selection leaves out are as long as
-        a free run.
-    stretch : ndarray of int64, shape (n,)
-        What lies in one is continuous in time.
-    """
+    """The measured samples of one stage."""
 
     channels: tuple[str, ...]
-    edges: Mapping[str, slice]
-    segment: Indices
+    edges: Mapping[str, slice]  # where each channel lies
+    segment: Indices  # shape (n,)
+    # shape (n,)
     t_s: Array
     values: Array
-    at: Array
+    at: Array  # shape (n,): row in the dense arrays, as a fraction
+    # shape (n,): first and last row of the sample's segment
     low: Indices
     high: Indices
-    block: Indices
+    block: Indices  # shape (n,): unit of the sign flips; blocks do not cross segments
     n_blocks: int
+    # shape (n_blocks,): 0 or 1: which half a block belongs to in held-out tests; a log's own
+    # blocks, else runs, segments or stretches, in turn
     fold: Indices
+    # shape (n_blocks,): the same, but long stretches of few segments: those that selection leaves
+    # out are as long as a free run
     half: Indices
-    stretch: Indices
+    stretch: Indices  # shape (n,): what lies in one is continuous in time
 
     def __len__(self) -> int:
         return len(self.values)

@@ -20,35 +20,20 @@ NO_POSES: Final = np.zeros((0, 3))
 
 
 class Stage(ABC):
-    """The replay of one part of the machine, from what the log holds of its input.
+    """The replay of one part of the machine, from what the log holds of its input."""
 
-    Attributes
-    ----------
-    name : str
-        As candidates call it.
-    block : str
-        Where an error without a cause's name arises.
-    memoryless : bool
-        Its sensors have no memory: what neighbouring samples share is a misfit, and no noise.
-    follows_setpoints : bool
-        It predicts nothing where the log does not hold the set-points that the machine got.
-    quantities : mapping of str to tuple of str
-        Channels whose errors are reported sample by sample, by the name of the quantity.
-    segments : Segments
-        Pieces of the log that begin anew.
-    stack : Stack
-        Measured samples of the channels that it predicts.
-    """
-
-    name: ClassVar[StageName]
-    block: ClassVar[Block]
+    name: ClassVar[StageName]  # as candidates call it
+    block: ClassVar[Block]  # where an error without a cause's name arises
+    # its sensors have no memory: what neighbouring samples share is a misfit, and no noise
     memoryless: ClassVar[bool]
+    # it predicts nothing where the log does not hold the set-points that the machine got
     follows_setpoints: ClassVar[bool]
+    # channels whose errors are reported sample by sample, by the name of the quantity
     quantities: ClassVar[Mapping[str, tuple[str, ...]]]
     log: MeasuredLog
     robot: RobotParameters
-    segments: Segments
-    stack: Stack
+    segments: Segments  # pieces of the log that begin anew
+    stack: Stack  # measured samples of the channels that it predicts
 
     @abstractmethod
     def candidates(self) -> list[Candidate]:

@@ -27,19 +27,11 @@ SIDES: Final = ((0, 1), (2, 3))
 
 @dataclass(frozen=True)
 class WheelSpeeds:
-    """Measured wheel speeds, on the ticks of some segments.
-
-    Attributes
-    ----------
-    segments : Segments
-        Pieces of the log's spans.
-    drive : Driven or None
-        Stage of the drive and its simulated wheels.
-    """
+    """Measured wheel speeds, on the ticks of some segments."""
 
     log: MeasuredLog
-    segments: Segments
-    drive: Driven | None
+    segments: Segments  # pieces of the log's spans
+    drive: Driven | None  # stage of the drive and its simulated wheels
 
     @cached_property
     def _joined(self) -> list[list[int]]:

@@ -28,8 +28,7 @@ POSE_STEPS: Final = 2
 """Fits of the free initial poses: from the set-points the pose drifts far away."""
 DENSE_SHARE: Final = 0.5
 """Of the closed loop's time constant: samples so dense show the duty between them."""
-FALL: Final = 8.0
-"""Closed loop's time constants after which the duty moves slowly again."""
+FALL: Final = 8.0  # closed loop's time constants after which the duty moves slowly again
 REST: Final = 7.0
 """Time constants of the process after which a duty that was not recorded no longer counts."""
 FEWEST: Final = 20

@@ -19,32 +19,22 @@ from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 
-MOST, EACH = 2, 2
-"""Structures, and regressors of each, that are drawn."""
-BASE_S: Final = 1.0
-"""Over which the growth of a pose's error is taken."""
+MOST, EACH = 2, 2  # structures, and regressors of each, that are drawn
+BASE_S: Final = 1.0  # over which the growth of a pose's error is taken
 BINS: Final = 24
 FEWEST_IN_A_BIN: Final = 3
 ALIKE: Final = 0.98
-PERIODS: Final = 4.0
-"""A log so many periods long is folded over the strongest one."""
+PERIODS: Final = 4.0  # a log so many periods long is folded over the strongest one
 
 
 @dataclass(frozen=True)
 class _Left:
-    """What is left of one channel, or of a velocity derived from positions or yaw.
-
-    Attributes
-    ----------
-    edge : slice
-        Samples of the stack at whose instants it stands.
-    used : ndarray of bool, shape of `values`
-    """
+    """What is left of one channel, or of a velocity derived from positions or yaw."""
 
     name: str
-    edge: slice
+    edge: slice  # samples of the stack at whose instants it stands
     values: Array
-    used: Mask
+    used: Mask  # shape of `values`
 
 
 def dependences(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> list[Dependence]:

@@ -30,8 +30,7 @@ SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22
 INTERVAL_WIDTH = 260.0
 INTERVAL_TICKS = 4
-APART = 1.02
-"""Lines of one plot stand so far apart that their intervals can be read."""
+APART = 1.02  # lines of one plot stand so far apart that their intervals can be read
 
 
 def path(way: Path) -> Figure:

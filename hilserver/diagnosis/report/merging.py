@@ -10,8 +10,7 @@ from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import Evidence, Series
 from hilserver.diagnosis.schema.findings import Interval
 
-PATHS_EACH = 2
-"""Paths of every group that are drawn."""
+PATHS_EACH = 2  # paths of every group that are drawn
 
 
 def merged(parts: Mapping[str, Evidence]) -> Evidence:

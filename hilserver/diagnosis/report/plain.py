@@ -32,8 +32,7 @@ _OF_WHEELS: Final = {
     "setpoint_rpm": ("set-point", "set-points"),
     "angle_rad": ("angle", "angles"),
 }
-_ALL_FROM: Final = 3
-"""So many wheels in a row are called the wheels."""
+_ALL_FROM: Final = 3  # so many wheels in a row are called the wheels
 
 _WHEEL = r"wheel\.(?:fl|rl|fr|rr)\.(\w+)"
 _RUN = re.compile(rf"{_WHEEL}(?:(?:, | and )wheel\.(?:fl|rl|fr|rr)\.\1\b)*(?P<more> and \d+ more)?")

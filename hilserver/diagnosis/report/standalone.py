@@ -7,8 +7,7 @@ from typing import Final
 
 from hilserver.diagnosis.report.svg import MARGIN_LEFT, Plot
 
-HEAD_HEIGHT: Final = 66.0
-"""Where the first plot begins: title and legend stand above."""
+HEAD_HEIGHT: Final = 66.0  # where the first plot begins: title and legend stand above
 _TITLE_Y, _LEGEND_Y = 24.0, 50.0
 _SAMPLE, _GAP, _LETTER = 28.0, 22.0, 6.5
 MODELS: Final = (

@@ -16,12 +16,9 @@ MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0
 MARGIN_TOP: Final = 14.0
 MARGIN_BOTTOM: Final = 44.0
-LINE_POINTS: Final = 700
-"""Points of one line; more are drawn as the extremes of so many pieces."""
-MAX_RUNS: Final = 400
-"""Runs of one line; of more only every second, or third, is drawn."""
-FEWEST_POINTS: Final = 4
-"""Points of a run, however many there are."""
+LINE_POINTS: Final = 700  # points of one line; more are drawn as the extremes of so many pieces
+MAX_RUNS: Final = 400  # runs of one line; of more only every second, or third, is drawn
+FEWEST_POINTS: Final = 4  # points of a run, however many there are
 
 
 @dataclass(frozen=True, slots=True)

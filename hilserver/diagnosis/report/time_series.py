@@ -11,8 +11,7 @@ from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, span
 from hilserver.diagnosis.schema.evidence import Series
 from hilserver.measured.arrays import Array, Indices
 
-MAX_MARKS = 60
-"""Beginnings of a run that are marked; more of them would be a bar."""
+MAX_MARKS = 60  # beginnings of a run that are marked; more of them would be a bar
 
 
 def series(item: Series) -> Figure:

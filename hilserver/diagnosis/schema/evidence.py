@@ -20,46 +20,30 @@ class Series:
     """One measured channel beside both models, at the stamps of its samples.
 
     Angles are unwrapped.
-
-    Attributes
-    ----------
-    name, unit : str
-        Signal (``nav.yaw_rad``) and symbol of its unit.
-    t_s, measured, simulated : ndarray of float64, shape (n,)
-        `simulated` is the configured plant after corrections of data faults.
-    extended : ndarray of float64, shape (n,), or None
-        The plant with the terms of the extension; None when there is none.
-    run : ndarray of int64, shape (n,)
-        The models begin anew where it rises; it does not fall.
     """
 
+    # signal (``nav.yaw_rad``) and symbol of its unit
     name: str
     unit: str
+    # shape (n,): `simulated` is the configured plant after corrections of data faults
     t_s: Array
     measured: Array
     simulated: Array
+    # shape (n,): the plant with the terms of the extension; None when there is none
     extended: Array | None
-    run: Indices
+    run: Indices  # shape (n,): the models begin anew where it rises; it does not fall
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The way over the floor in one span; each track has shape (n, 2) of x, y [m].
-
-    Attributes
-    ----------
-    begins : tuple of int
-        Rows at which the models begin anew, the first left out.
-    group : str
-        Of logs; empty without groups.
-    """
+    """The way over the floor in one span; each track has shape (n, 2) of x, y [m]."""
 
     span: int
     measured: Array
     simulated: Array
     extended: Array | None
-    begins: tuple[int, ...] = ()
-    group: str = ""
+    begins: tuple[int, ...] = ()  # rows at which the models begin anew, the first left out
+    group: str = ""  # of logs; empty without groups
 
     @property
     def size_m(self) -> float:
@@ -70,19 +54,12 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class CutRow:
-    """Residual of one channel when the replay begins at a cut point: in which block the fault is.
+    """Residual of a channel when the replay begins at a cut point: in which block the fault is."""
 
-    Attributes
-    ----------
-    cut : str
-        ``setpoints`` (whole chain), ``duty`` (process only) or ``speed`` (kinematics only).
-    rms, expected : float
-        Of the residual, and what the sensors' noise alone would give, in `unit`.
-    """
-
-    cut: str
+    cut: str  # ``setpoints`` (whole chain), ``duty`` (process only) or ``speed`` (kinematics only)
     channel: str
     unit: str
+    # of the residual, and what the sensors' noise alone would give, in `unit`
     rms: float
     expected: float | None
 
@@ -98,59 +75,37 @@ class NoiseRow:
 
 @dataclass(frozen=True)
 class Similarity:
-    """|cos| between the sensitivities of causes, noise-weighted and with nuisances projected out.
+    """|cos| between the sensitivities of causes, noise-weighted, nuisances projected out."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Causes (or ``cause.part``), n of them.
-    cosine : ndarray of float64, shape (n, n)
-        Signed; NaN where a sensitivity is zero.
-    limit : float
-        Above it two causes are one group.
-    """
-
-    names: tuple[str, ...]
-    cosine: Array
-    limit: float = 0.95
+    names: tuple[str, ...]  # causes (or ``cause.part``), n of them
+    cosine: Array  # shape (n, n): signed; NaN where a sensitivity is zero
+    limit: float = 0.95  # above it two causes are one group
 
 
 @dataclass(frozen=True, slots=True)
 class HorizonRow:
-    """Gain at the end of free runs of one length, on held-out blocks.
+    """Gain at the end of free runs of one length, on held-out blocks."""
 
-    Attributes
-    ----------
-    quantity : str
-        Key of ``Findings.total_gain``: position_m, yaw_rad, speed_rpm, duty_pct or gyro_z_rad_s.
-    """
-
+    # key of ``Findings.total_gain``: position_m, yaw_rad, speed_rpm, duty_pct or gyro_z_rad_s
     quantity: str
     gain: Gain
 
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """What remains of a residual against one regressor, in bins.
+    """What remains of a residual against one regressor, in bins."""
 
-    Attributes
-    ----------
-    channel, regressor : str
-        Residual of which signal, and against what (``pose.yaw_rad``, ``t_s``).
-    x, mean, low, high : ndarray of float64, shape (k,)
-        Middle of the bin, mean residual and its interval of 95 %, which counts blocks.
-    statistic, critical : float
-        As in the screen, among the structures that were found.
-    """
-
+    # residual of which signal, and against what (``pose.yaw_rad``, ``t_s``)
     channel: str
     unit: str
     regressor: str
     regressor_unit: str
+    # shape (k,): middle of the bin, mean residual and its interval of 95 %, which counts blocks
     x: Array
     mean: Array
     low: Array
     high: Array
+    # as in the screen, among the structures that were found
     statistic: float
     critical: float
 
@@ -169,31 +124,15 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class FittedTerm:
-    """A term of the extension: what goes into ``model_patch.yaml``.
+    """A term of the extension: what goes into ``model_patch.yaml``."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``plant/terms.csv``. Of a group it is the member that was fitted.
-    """
-
-    name: str
+    name: str  # as in ``plant/terms.csv``. Of a group it is the member that was fitted.
     parameter: Parameter
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the report shows beside the findings; what was not made is empty.
-
-    Attributes
-    ----------
-    fitted : FittedIn
-        What the machine did in the data that the extension was fitted to.
-    timings_s : mapping of str to float
-        Wall time by stage.
-    remarks : tuple of str
-        What a reader of the evidence should know, in sentences.
-    """
+    """All that the report shows beside the findings; what was not made is empty."""
 
     series: tuple[Series, ...] = ()
     paths: tuple[Path, ...] = ()
@@ -205,9 +144,10 @@ class Evidence:
     dependences: tuple[Dependence, ...] = ()
     courses: tuple[Course, ...] = ()
     extension: tuple[FittedTerm, ...] = ()
+    # what the machine did in the data that the extension was fitted to
     fitted: FittedIn = field(default_factory=FittedIn)
-    timings_s: Mapping[str, float] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
+    timings_s: Mapping[str, float] = field(default_factory=dict)  # wall time by stage
+    remarks: tuple[str, ...] = ()  # what a reader of the evidence should know, in sentences
 
 
 @dataclass(frozen=True)

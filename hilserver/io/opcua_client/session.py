@@ -18,18 +18,14 @@ from hilserver.io.opcua_client.refusal import hung_up, refused_by_peer
 from hilserver.io.opcua_client.security import LinkSecurity, PeerClient
 from hilserver.io.peer_errors import LinkLostError, RefusedError
 
-CONNECT_TIMEOUT_S = 2.0
-"""For the TCP connection and for each request."""
+CONNECT_TIMEOUT_S = 2.0  # for the TCP connection and for each request
 
-OPEN_TIMEOUT_S = 6.0
-"""For connection, channel and session together."""
+OPEN_TIMEOUT_S = 6.0  # for connection, channel and session together
 
 CLOSE_TIMEOUT_S = 1.0
-TRUST_EVERY_S = 5.0
-"""How often an open session looks whether the peer is still trusted."""
+TRUST_EVERY_S = 5.0  # how often an open session looks whether the peer is still trusted
 
-SESSION_TIMEOUT_MS = 30_000
-"""How long the peer keeps a session that we could not close."""
+SESSION_TIMEOUT_MS = 30_000  # how long the peer keeps a session that we could not close
 
 _NAMESPACE_ARRAY = ua.NodeId(ua.ObjectIds.Server_NamespaceArray)
 _CURRENT_TIME = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)

@@ -38,8 +38,7 @@ from hilserver.opcua.logs import log
 from hilserver.opcua.settings import Role
 from hilserver.signals import Signal, SignalTable
 
-SOURCE = "opcua"
-"""Name under which the clients of this server write, but for the operator page."""
+SOURCE = "opcua"  # name under which the clients of this server write, but for the operator page
 
 _Codes = ua.StatusCodes
 STATUS_OF: dict[Refusal, int] = {

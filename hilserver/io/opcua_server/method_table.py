@@ -16,8 +16,7 @@ if TYPE_CHECKING:  # clients use this table too, and need no compiler
     from hilserver.faults import Faults
 
 T = TypeVar("T")
-STRING = "String"
-"""OPC UA's String, which no signal has."""
+STRING = "String"  # OPC UA's String, which no signal has
 CALLER: ContextVar[str] = ContextVar("caller", default="")
 """User of the session that calls; decisions are written down with who took them."""
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")

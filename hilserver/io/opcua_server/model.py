@@ -20,11 +20,9 @@ if TYPE_CHECKING:  # clients use these names too, and need no compiler
 
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
-DI_DEVICE_SET = 5001
-"""Numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)."""
+DI_DEVICE_SET = 5001  # numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
 
-ROBOT = "robot"
-"""Node id of the object that holds everything of ours."""
+ROBOT = "robot"  # node id of the object that holds everything of ours
 GROUPS = {
     "methods": "Commands to the daemon",
     "slices": "Timing of every time slice",
@@ -35,11 +33,9 @@ GROUPS = {
     "parameters": "Numbers of the robot that can change while it runs",
 }
 """Folders that are no signals."""
-PARAMETERS = "parameters."
-"""Begin of the node ids of the parameters."""
+PARAMETERS = "parameters."  # begin of the node ids of the parameters
 CONTROL_SOURCE = "control.source"
-SHELL = "shell"
-"""Begin of the names of sessions that last as long as one command."""
+SHELL = "shell"  # begin of the names of sessions that last as long as one command
 
 ANALOG_ITEM, ANALOG_UNIT, ANALOG_UNIT_RANGE = 2368, 17497, 17570
 BASE_DATA_VARIABLE, TWO_STATE, MULTI_STATE = 63, 2373, 2376

@@ -26,8 +26,7 @@ from hilserver.opcua.settings import Role
 from hilserver.signals import State
 
 _GOOD = ua.StatusCode(ua.StatusCodes.Good)
-_SLICES_EVERY_S = 1.0
-"""They have changed every time, and there are many of them."""
+_SLICES_EVERY_S = 1.0  # they have changed every time, and there are many of them
 
 
 class OpcUaServer(Part):

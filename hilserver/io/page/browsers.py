@@ -17,30 +17,17 @@ FORGOTTEN_AFTER_S = 3600.0
 
 @dataclass(eq=False)
 class Browser:
-    """One browser.
-
-    Attributes
-    ----------
-    key : str
-        Value of its cookie, which no script can read.
-    token : str
-        Written into the page; whoever posts has to name it.
-    user : str
-        Name it has logged in with; empty: anonymous.
-    address : str
-        Where it is; empty: not known yet.
-    live : int
-        Open sockets.
-    may_stop : bool
-        Whether its user may stop the robot, as the daemon last said: that holds while it is silent.
-    """
+    """One browser."""
 
     hand: Hand
+    # value of its cookie, which no script can read
     key: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
+    # written into the page; whoever posts has to name it
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
-    user: str = ""
-    address: str = ""
-    live: int = 0
+    user: str = ""  # name it has logged in with; empty: anonymous
+    address: str = ""  # where it is; empty: not known yet
+    live: int = 0  # open sockets
+    # whether its user may stop the robot, as the daemon last said: that holds while it is silent
     may_stop: bool = False
     seen_s: float = field(default_factory=time.monotonic)
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)

@@ -22,13 +22,7 @@ class Asset:
 
 
 def load(folder: Path = FOLDER) -> dict[str, Asset]:
-    """Return every file by its path from the folder.
-
-    Raises
-    ------
-    FailedError
-        If the page was not built.
-    """
+    """Return every file by its path from the folder; FailedError if the page was not built."""
     assets: dict[str, Asset] = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file():

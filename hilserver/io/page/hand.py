@@ -132,13 +132,7 @@ class Hand:
         _check(response.Results, response.DiagnosticInfos)
 
     async def call(self, name: str, arguments: Sequence[Any]) -> None:
-        """Call one method.
-
-        Raises
-        ------
-        RefusedError
-            If the daemon refuses, or the arguments do not fit.
-        """
+        """Call one method; RefusedError if the daemon refuses, or the arguments do not fit."""
         method = _METHODS[name]
         request, item = ua.CallRequest(), ua.CallMethodRequest()
         item.ObjectId = ua.NodeId("methods", self._index)

@@ -15,8 +15,7 @@ from hilserver.io.recorder.series import Limits
 from hilserver.program import children
 from hilserver.program.guard import allow
 
-PREFIX = "hilserver: "
-"""Of what went wrong."""
+PREFIX = "hilserver: "  # of what went wrong
 READY = re.compile(rb"^recording ")
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 30.0

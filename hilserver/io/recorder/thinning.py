@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from hilserver.image import FrameBatch
 from hilserver.logs.writer import Segmented
 
-LEAST_EVERY: Final = 100
-"""Ticks."""
+LEAST_EVERY: Final = 100  # ticks
 
 
 class Thinner:

@@ -16,8 +16,7 @@ from hilserver.ros.flavours import Served
 from hilserver.ros.types import Types
 
 NODE: Final = "hilserver"
-NOT_SET, INTEGER, DOUBLE = 0, 2, 3
-"""Of rcl_interfaces/msg/ParameterType."""
+NOT_SET, INTEGER, DOUBLE = 0, 2, 3  # of rcl_interfaces/msg/ParameterType
 _NOT_ALLOWED: Final = "parameters are set by engineers: ros2.role says what this network may do"
 _SERVICES: Final = (
     ("get_parameters", "GetParameters"),

@@ -32,8 +32,7 @@ from hilserver.io.ros2.wire import carried
 from hilserver.ros.qos import Qos
 
 MOST_AT_ONCE: Final = 32
-PARTICIPANTS: Final = 32
-"""So many on one computer find each other without multicast."""
+PARTICIPANTS: Final = 32  # so many on one computer find each other without multicast
 _FATAL_AND_ERROR: Final = 3
 
 

@@ -10,8 +10,7 @@ from hilserver.io.shield.protocol import CHECKED_BYTES, crc8
 from hilserver.signals import RANGE_FINDERS, SignalTable
 
 STANDARD_GRAVITY_M_S2: Final = 9.80665
-ABSENT: Final = -1
-"""Slot of a quantity that a planar robot does not have."""
+ABSENT: Final = -1  # slot of a quantity that a planar robot does not have
 
 (SPEEDS, RANGES, GYRO, ACCEL, ANGLES, VOLTAGE, CURRENT, TEMPERATURE, N_PLACES) = (
     0, 4, 8, 11, 14, 17, 18, 19, 20,

@@ -29,8 +29,7 @@ from hilserver.io.world import World
 from hilserver.scheduler.realtime import Grant, RealtimeSettings, request_for_this_thread
 
 WATCH_S = 0.02
-PAUSE_NS = 2_000_000
-"""Silence that ends a burst: 23 bytes long; hosts keep 8 ms between requests."""
+PAUSE_NS = 2_000_000  # silence that ends a burst: 23 bytes long; hosts keep 8 ms between requests
 REOPEN_S = 0.5
 END_WITHIN_S = 5.0
 

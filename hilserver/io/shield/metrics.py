@@ -8,8 +8,7 @@ from hilserver.io.shield import words as w
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.metrics import MS, US, Kind, Metric, Reading, Row, counter
 
-Shields = Collection[ShieldStatus]
-"""One, or none where the shield is not enabled."""
+Shields = Collection[ShieldStatus]  # one, or none where the shield is not enabled
 
 
 def _requests(shields: Shields) -> Iterator[Row]:

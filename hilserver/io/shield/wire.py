@@ -24,10 +24,8 @@ from hilserver.io.shield.protocol import REQUEST_BYTES, Command
 libc_read: Any = ExternalFunction("read", int64(int32, voidptr, uint64))
 libc_ppoll: Any = ExternalFunction("ppoll", int32(voidptr, uint64, voidptr, voidptr))
 
-LONGEST_WAIT_NS: Final = 50_000_000
-"""The thread looks at its words at least this often."""
-ABSENT_WAIT_NS: Final = 5_000_000
-"""How often it looks for a host that opens the line."""
+LONGEST_WAIT_NS: Final = 50_000_000  # the thread looks at its words at least this often
+ABSENT_WAIT_NS: Final = 5_000_000  # how often it looks for a host that opens the line
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
 IMU_RAW: Final = int(Command.IMU_RAW)
 

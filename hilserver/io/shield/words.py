@@ -6,12 +6,9 @@ from hilserver.compiled.histogram import N_BUCKETS
 
 PENDING: Final = 8
 """Responses that may wait for the line; a host that asks faster than it reads loses the rest."""
-WAITING_MOST: Final = 256
-"""Requests that may wait for the event loop, a power of two."""
-STAMPS: Final = 4096
-"""Writes whose times are kept, a power of two."""
-ALONE: Final = 1
-"""Flag of a request that stood alone and did not end as it should."""
+WAITING_MOST: Final = 256  # requests that may wait for the event loop, a power of two
+STAMPS: Final = 4096  # writes whose times are kept, a power of two
+ALONE: Final = 1  # flag of a request that stood alone and did not end as it should
 
 (
     STOP,
