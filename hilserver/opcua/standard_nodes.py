@@ -12,8 +12,10 @@ import tempfile
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from asyncua import ua
+from asyncua.server.address_space import AttributeValue
 from asyncua.server.internal_server import InternalServer
 
 from hilserver.cache import cache_folder
@@ -31,6 +33,7 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
         with _no_collection():
             if not await asyncio.to_thread(self._read, path):
                 await super().load_standard_address_space(shelf_file)
+                _share(self.aspace._nodes)
                 await asyncio.to_thread(self._write, path)
 
     def _read(self, path: Path) -> bool:
@@ -51,9 +54,7 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
             try:
                 with os.fdopen(handle, "wb") as file:
                     for first in range(0, len(nodes), NODES_PER_PICKLE):
-                        pickle.dump(
-                            nodes[first : first + NODES_PER_PICKLE], file, pickle.HIGHEST_PROTOCOL
-                        )
+                        _Pickler(file, -1).dump(nodes[first : first + NODES_PER_PICKLE])
                 Path(unfinished).replace(path)
             except OSError:
                 Path(unfinished).unlink(missing_ok=True)
@@ -61,7 +62,23 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
 
 def nodes_file() -> Path:
     """Return where the nodes of this version of asyncua are kept."""
-    return cache_folder("opcua") / f"standard_nodes-{version('asyncua')}.pickles"
+    return cache_folder("opcua") / f"shared_nodes-{version('asyncua')}.pickles"
+
+
+class _Pickler(pickle.Pickler):
+    """Writes an attribute as a call: read back it takes half of the memory of object and state."""
+
+    def reducer_override(self, part: Any) -> Any:
+        return (AttributeValue, (part.value,)) if type(part) is AttributeValue else NotImplemented
+
+
+def _share(nodes: Any) -> None:
+    """Let equal attributes be one object, but for the values of variables: those may change."""
+    pool: dict[bytes, Any] = {}
+    for node in nodes.values():
+        for attribute, place in node.attributes.items():
+            if attribute != ua.AttributeIds.Value:
+                place.value = pool.setdefault(pickle.dumps(place.value), place.value)
 
 
 @contextlib.contextmanager

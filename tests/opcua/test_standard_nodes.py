@@ -4,6 +4,7 @@ import asyncio
 import tracemalloc
 
 import pytest
+from asyncua import ua
 
 from hilserver.opcua import standard_nodes
 from hilserver.opcua.standard_nodes import QuickInternalServer, nodes_file
@@ -51,6 +52,15 @@ async def test_what_is_read_is_what_asyncua_builds(built):
     assert len(built[0]) > 5000
     assert described(read) == built[0]
     assert peak < 1.2 * kept  # in one piece it took three times of what stays
+
+
+async def test_equal_attributes_take_memory_once_and_values_of_variables_are_their_own():
+    nodes = (await loaded()).aspace._nodes.values()
+    places = [item for node in nodes for item in node.attributes.items()]
+    kept = {id(place.value) for _, place in places}
+    assert len(kept) < len(places) / 3
+    values = [id(place.value) for attribute, place in places if attribute == ua.AttributeIds.Value]
+    assert len(set(values)) == len(values) > 1000
 
 
 async def test_a_damaged_file_is_written_anew(built):
