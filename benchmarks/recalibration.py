@@ -11,6 +11,8 @@ back
 null
     Nothing changes but the floor, within its noise. How often something is named, and confirmed;
     both windows are of one track. The rate a year is extrapolated.
+wake
+    Wake latency of the daemon while a window is diagnosed beside it, on a quiet computer.
 """
 
 import argparse
@@ -24,10 +26,12 @@ from typing import Any, Final
 import numpy as np
 from hilserver_injector.causes import CAUSES, TWINS
 
+from benchmarks import tune
 from benchmarks.binomial import clopper_pearson
 from benchmarks.diagnose_results import Results, sources
 from benchmarks.recalibration_robot import Case, Drive, counts
 from benchmarks.recalibration_robot import run as run_case
+from benchmarks.recalibration_wake import wake
 from hilserver.bench.report import Result
 from hilserver.errors import FailedError
 from hilserver.program.workers import in_processes
@@ -49,6 +53,7 @@ KINDS: Final = (
 )
 BACK: Final = ("rotation_gain", "gyro_bias", "actuation_delay", "nav_latency", "saturation_limit")
 ROWS: Final = ("kinds", "back", "null")
+WAKE: Final = "wake"
 DEADLINE: Final = 3
 """Windows within which it is proposed, from the one in which it appears."""
 FLOOR: Final = 0.001
@@ -60,7 +65,7 @@ Record = Mapping[str, Any]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the rows."""
-    parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=ROWS)
+    parser.add_argument("--rows", nargs="+", default=[*ROWS, WAKE], choices=[*ROWS, WAKE])
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=sorted(CAUSES))
     parser.add_argument("--window-s", type=float, default=360.0)
     parser.add_argument("--scale", type=float, default=1.0, help="times the reference size")
@@ -72,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=2, help="worker processes")
     parser.add_argument("--resume", type=Path, default=RESULTS, metavar="FILE",
                         help=f"lines of results, default {RESULTS}")  # fmt: skip
+    tune.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> list[Result]:
@@ -88,14 +94,15 @@ def run(args: argparse.Namespace) -> list[Result]:
             case = missing[index]
             results.add({"key": case.key} | asdict(case) | asdict(outcome))
             print(f"{case.key}: {outcome.seconds:g} s", flush=True)
-    return table([results.records[case.key] for case in asked])
+    of_pacing = wake(args) if WAKE in args.rows else []
+    return [*table([results.records[case.key] for case in asked]), *of_pacing]
 
 
 def cases(args: argparse.Namespace) -> Iterator[Case]:
     """Yield the robots of the rows that are asked for."""
     made = {"kinds": kinds, "back": back, "null": nulls}
     for row in args.rows:
-        yield from made[row](args)
+        yield from made[row](args) if row in made else ()
 
 
 def kinds(args: argparse.Namespace) -> Iterator[Case]:

@@ -10,7 +10,7 @@ import contextlib
 import statistics
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -37,13 +37,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure; return the ratio of the percentiles with its interval."""
-    tuner, pairs = _Tuner(), []
-    company = (Companion("control", lambda _: {"source": "opcua"}, tuner.busy),)
-    with loaded_daemon("thread", period_us=1000, priority=args.priority, beside=company) as subject:
+    tuner = _Tuner()
+    company = Companion("control", lambda _: {"source": "opcua"}, tuner.busy)
+    return alternating("tune", company, tuner.say, args)
+
+
+def alternating(
+    name: str, company: Companion, say: Callable[[str], None], args: argparse.Namespace
+) -> list[Result]:
+    """Measure blocks in which something rests and blocks in which it works, in turn.
+
+    Parameters
+    ----------
+    say : callable
+        Called with ``rest`` or ``change`` before each block.
+    """
+    pairs = []
+    with loaded_daemon(
+        "thread", period_us=1000, priority=args.priority, beside=(company,)
+    ) as subject:
         for _ in range(args.blocks):
             pair = []
             for order in ("rest", "change"):
-                tuner.say(order)
+                say(order)
                 pair.append(_percentile_us(subject.measure(args.block_s)))
             pairs.append(pair)
     ratios = np.array([busy / idle for idle, busy in pairs])
@@ -53,8 +69,8 @@ def run(args: argparse.Namespace) -> list[Result]:
     idle, busy = (statistics.median(column) for column in zip(*pairs, strict=True))
     text = f"required of the upper end; {low:.3f} .. {high:.3f}"
     return [
-        Result("tune_wake_p99.9_us", busy, "us", idle, "no changes", busy / idle, pairs),
-        Result("tune_wake_ratio", value, "1", MOST, text, value / MOST),
+        Result(f"{name}_wake_p99.9_us", busy, "us", idle, "at rest", busy / idle, pairs),
+        Result(f"{name}_wake_ratio", value, "1", MOST, text, value / MOST),
     ]
 
 

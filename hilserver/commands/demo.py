@@ -19,7 +19,7 @@ from hilserver.errors import FailedError
 from hilserver.plant.parameters import RobotParameters
 from hilserver.program import children
 
-TWIN = RecalibrationConfig(enabled=True, window_s=120, every_s=60, limit_s=240)
+TWIN = RecalibrationConfig(enabled=True, window_s=120, every_s=60, nice=5, limit_s=600)
 READY = re.compile(rb"listening on (opc\.tcp://\S+)")
 START_LIMIT_S = 30.0
 STALE_AFTER_MS = 2000.0

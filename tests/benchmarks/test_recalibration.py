@@ -2,14 +2,20 @@
 
 import argparse
 import json
+import sys
+from pathlib import Path
 
 import pytest
 
-from benchmarks import recalibration, recalibration_robot
+from benchmarks import recalibration, recalibration_robot, recalibration_wake
 from benchmarks.recalibration import add_arguments, cases, is_right, run, table
 from benchmarks.recalibration_robot import Case, Drive
+from hilserver.bench.jitter_subjects import Place
+from hilserver.config.recalibration import RecalibrationConfig
+from hilserver.errors import FailedError
 from hilserver.recalibration.orders import Compared, Looked, Result
 from hilserver.recalibration.proposals import Quantity, Term
+from tests.loopback.rig import wait_until
 
 HIDDEN = {"rotation_gain": -0.03}
 TERM = Term(-0.031, "1", (-0.033, -0.029))
@@ -128,3 +134,44 @@ def test_what_is_left_at_the_end_is_not_taken_back():
     done, left = (record(row="back", proposed=both, loaded=left) for left in ({}, HIDDEN))
     (row,) = table([done, left])
     assert (row.value, row.reference) == (1, 2)
+
+
+@pytest.fixture
+def verdicts(monkeypatch, tmp_path):
+    """The process of the looks says what the test wants, again and again."""
+
+    def say(*lines):
+        script = f"for line in {lines!r}: print(line, flush=True)\nwhile 1: pass"
+        monkeypatch.setattr(recalibration_wake, "python", lambda *_: [sys.executable, "-c", script])
+        return Place(tmp_path, 1000)
+
+    return say
+
+
+def state_of(looks):
+    stat = Path(f"/proc/{looks._process.pid}/stat").read_text(encoding="utf-8")
+    return stat.rpartition(")")[2].split()[0]
+
+
+async def test_looks_rest_while_a_block_without_one_is_measured(verdicts):
+    looks = recalibration_wake.Looks()
+    with looks.busy(verdicts("named", "named")):
+        looks.say("rest")
+        await wait_until(lambda: state_of(looks) == "T")
+        looks.say("change")
+        await wait_until(lambda: state_of(looks) != "T")
+        looks.say("rest")  # the context ends it nevertheless
+
+
+def test_looks_that_find_nothing_are_no_load(verdicts):
+    with (
+        pytest.raises(FailedError, match="a look beside the daemon found not_judged"),
+        recalibration_wake.Looks().busy(verdicts("not_judged")),
+    ):
+        pass
+
+
+def test_a_look_beside_the_daemon_has_the_share_that_is_shipped(tmp_path):
+    made = recalibration_wake.Looks.order(tmp_path)
+    assert made.share.nice == RecalibrationConfig().nice
+    assert Path(made.path).is_file()

@@ -1,0 +1,92 @@
+"""What a diagnosis beside the daemon costs the pacing: blocks with one alternate with others.
+
+The daemon serves the OPC UA clients of `bench jitter` all the time. A process with the share that a
+look has by default diagnoses one window again and again; it is stopped while a block rests.
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from hilserver_injector import Recipe, make
+
+from benchmarks.tune import alternating
+from hilserver.bench.jitter_subjects import Companion, Place
+from hilserver.bench.report import Result
+from hilserver.config.recalibration import RecalibrationConfig
+from hilserver.config.root import Config, without_passwords
+from hilserver.errors import FailedError
+from hilserver.program.children import piped, python
+from hilserver.recalibration import process
+from hilserver.recalibration.judging import Judge
+from hilserver.recalibration.orders import Order, Share, Todo
+from hilserver.recalibration.worker import take
+
+WINDOW_S: Final = 120.0
+HIDDEN: Final = {"rotation_gain": 0.06}
+
+
+def wake(args: argparse.Namespace) -> list[Result]:
+    """Measure; return the ratio of the percentiles with its interval."""
+    looks = Looks()
+    company = Companion("control", lambda _: {"source": "opcua"}, looks.busy)
+    return alternating("look", company, looks.say, args)
+
+
+class Looks:
+    """A process that diagnoses while it is asked to."""
+
+    @contextlib.contextmanager
+    def busy(self, place: Place) -> Iterator[str]:
+        """Run it; its first look is over when it begins, so nothing is compiled any more."""
+        order = place.folder / process.ORDER
+        order.write_text(self.order(place.folder).text(), encoding="utf-8")
+        with piped(
+            python("-m", "benchmarks.recalibration_wake", str(order)), name="the looks"
+        ) as self._process:
+            self._awaited()
+            try:
+                yield f"windows of {WINDOW_S:g} s diagnosed in every second block"
+                self.say("change")
+                self._awaited()
+            finally:
+                self.say("change")  # who is stopped does not end
+
+    @staticmethod
+    def order(folder: Path) -> Order:
+        """Write a window; return the order to look at it, with a share as by default."""
+        window, config = folder / "window.csv", RecalibrationConfig()
+        make(Recipe(seed=1, causes=HIDDEN, duration_s=WINDOW_S))[0].write_csv(window)
+        cores = process.other_cores(None, config.cpu)
+        share = Share(config.nice, cores, round(config.memory_mb * 1e6), os.getpid())
+        plain = without_passwords(Config())
+        return Order(Todo(1, {}, look=True), str(window), plain, str(folder), {}, "", share)
+
+    def _awaited(self) -> None:
+        own: subprocess.Popen[str] = self._process
+        assert own.stdout is not None
+        if (verdict := own.stdout.readline().strip()) != "named":
+            raise FailedError(f"a look beside the daemon found {verdict or 'nothing, and ended'}")
+
+    def say(self, order: str) -> None:
+        """Let it go on, or rest."""
+        os.kill(self._process.pid, signal.SIGSTOP if order == "rest" else signal.SIGCONT)
+
+
+def main() -> None:
+    """Look at a window again and again; print each verdict."""
+    order = Order.of(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    take(order.share)
+    while True:
+        result = Judge(order).result()
+        print(result.error if result.look is None else result.look.verdict, flush=True)
+
+
+if __name__ == "__main__":
+    main()
