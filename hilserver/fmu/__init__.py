@@ -2,5 +2,5 @@
 
 `description` reads what an FMU says of itself, `library` loads and starts it, `calls` calls it from
 the step, `process` does so in a process of its own. The other way, `export` puts together
-`variables`, `machine_code` and the C around it.
+`variables`, the kernels as C (`machine_code`, `c_source`) and the C around them.
 """

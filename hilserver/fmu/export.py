@@ -1,4 +1,4 @@
-"""The robot as an FMU: description, machine code and C around it, in one zip."""
+"""The robot as an FMU: description, C sources and what compilers make of them, in one zip."""
 
 import hashlib
 import os
@@ -14,16 +14,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.cache import cache_folder
 from hilserver.errors import ConfigError, FailedError
+from hilserver.fmu.c_source import c_number
 from hilserver.fmu.description import MISSING
-from hilserver.fmu.machine_code import CARRY, PARTS
+from hilserver.fmu.machine_code import CARRY, PARTS, PORTABLE
 from hilserver.fmu.variables import (
+    BUILD,
     FIRST_INPUT,
     FIRST_OUTPUT,
     FIRST_TUNABLE,
     FLAGS,
     Tunable,
-    c_number,
     description,
     flags_without,
     inputs,
@@ -42,6 +44,11 @@ COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
 """Compiler for a platform, and the Debian package that it comes from."""
 _FOLDERS: Final = {2: {"x86_64-linux": "linux64", "x86_64-windows": "win64"}, 3: {}}
 _EXPORTED: Final = "{ global: fmi2*; fmi3*; local: *; };\n"
+_HEADERS: Final = {2: ("TypesPlatform", "FunctionTypes"), 3: ("PlatformTypes", "FunctionTypes")}
+_OPTIONS: Final = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
+"""None of them changes a bit."""
+_MAIN: Final = "robot_fmu.c"
+"""The source that takes in all others: it alone is compiled."""
 _HERE: Final = Path(__file__).parent
 
 
@@ -69,33 +76,26 @@ def export(
     FailedError
         If a compiler is missing or fails.
     """
-    _check(composition)
-    for platform in platforms:
-        if platform not in COMPILERS:
-            known = ", ".join(COMPILERS)
-            raise FailedError(f"there is no machine code for {platform!r}; platforms are {known}")
-        compiler, package = COMPILERS[platform]
-        if shutil.which(compiler) is None:
-            raise FailedError(f"{platform}: needs {compiler}; install the package {package}")
+    _check(composition, platforms)
     tunable = tunables(robot)
-    step_s = base_period_ns * 1e-9
-    header = _header(composition, robot, tunable, base_period_ns)
+    header = f"#define FMI {version}\n" + _header(composition, robot, tunable, base_period_ns)
     token = f"{{{hashlib.sha256(header.encode()).hexdigest()[:32]}}}"
     header += f'#define TOKEN "{token}"\n#define LAYOUT 0x{token[1:16]}ULL\n'
-    text = description(version, composition.table, tunable, step_s, token)
+    text = description(version, composition.table, tunable, base_period_ns * 1e-9, token)
     with tempfile.TemporaryDirectory(prefix="hilserver-fmu-") as name:
         folder = Path(name)
-        (folder / "robot.h").write_text(header, encoding="utf-8")
-        (folder / "exported.map").write_text(_EXPORTED, encoding="utf-8")
-        libraries = {p: _linked(folder, p, version) for p in platforms}
+        sources = _sources(folder / "sources", header, version)
+        libraries = {p: _linked(folder, p) for p in platforms}
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
             packed.writestr("modelDescription.xml", text)
+            for file in sources:
+                packed.write(file, f"sources/{file.name}")
             for platform, library in libraries.items():
                 place = _FOLDERS[version].get(platform, platform)
                 packed.write(library, f"binaries/{place}/robot{library.suffix}")
 
 
-def _check(composition: Composition) -> None:
+def _check(composition: Composition, platforms: Sequence[str]) -> None:
     if composition.body is not None:
         raise ConfigError(
             "the mechatronic model runs in MuJoCo, which an FMU of the robot does not carry; switch"
@@ -107,24 +107,46 @@ def _check(composition: Composition) -> None:
         )
     if find_spec("fmpy") is None:
         raise ConfigError(f"the export {MISSING}")
+    for platform in platforms:
+        if platform not in COMPILERS:
+            known = ", ".join(COMPILERS)
+            raise FailedError(f"there is no machine code for {platform!r}; platforms are {known}")
+        compiler, package = COMPILERS[platform]
+        if shutil.which(compiler) is None:
+            raise FailedError(
+                f"{platform}: needs {compiler}; install the package {package}, or take the sources"
+                " alone with --platforms none"
+            )
 
 
-def _linked(folder: Path, platform: str, version: int) -> Path:
+def _sources(folder: Path, header: str, version: int) -> list[Path]:
+    """Write all sources to a folder."""
+    folder.mkdir()
+    (folder / "robot.h").write_text(header, encoding="utf-8")
+    portable = os.environ | PORTABLE | {"HILSERVER_CACHE_DIR": str(cache_folder("portable"))}
+    _run(children.python("-m", "hilserver.fmu.machine_code", str(folder / "kernels.h")), portable)
+    for name in (_MAIN, f"fmi{version}_calls.h"):
+        shutil.copy(_HERE / name, folder)
+    of_fmi = Path(find_spec("fmpy").origin).parent / "c-code"  # type: ignore[union-attr,arg-type]
+    for name in _HEADERS[version]:
+        shutil.copy(of_fmi / f"fmi{version}{name}.h", folder)
+    if version == 3:  # 2.0 names them in the description of the model
+        (folder / "buildDescription.xml").write_text(BUILD, encoding="utf-8")
+    return sorted(folder.iterdir())
+
+
+def _linked(folder: Path, platform: str) -> Path:
     """Return the shared library for a platform."""
-    is_windows = platform.endswith("-windows")
-    code, library = folder / f"{platform}.o", folder / f"{platform}.{'dll' if is_windows else 'so'}"
-    generic = os.environ | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-    _run(children.python("-m", "hilserver.fmu.machine_code", platform, str(code)), generic)
-    headers = Path(find_spec("fmpy").origin).parent / "c-code"  # type: ignore[union-attr,arg-type]
-    options = ["-std=gnu11", "-O2", "-fPIC", "-shared", "-w", f"-DFMI={version}"]
-    places = [f"-I{headers}", f"-I{folder}", f"-I{_HERE}"]
-    if is_windows:
-        link = ["-static-libgcc", "-Wl,--export-all-symbols,-s"]
+    if platform.endswith("-windows"):
+        library, link = folder / f"{platform}.dll", "-static-libgcc -Wl,--export-all-symbols,-s"
     else:
-        link = [f"-Wl,--version-script={folder / 'exported.map'},-z,defs,-z,noexecstack,-s"]
-    sources = [str(_HERE / "robot_fmu.c"), str(code)]
-    target = ["-o", str(library), *link, "-lm"]
-    _run([COMPILERS[platform][0], *options, *places, *sources, *target], os.environ)
+        (folder / "exported.map").write_text(_EXPORTED, encoding="utf-8")
+        library, script = folder / f"{platform}.so", folder / "exported.map"
+        link = f"-Wl,--version-script={script},-z,defs,-z,noexecstack,-s"
+    options = ["-std=gnu11", *_OPTIONS, "-fPIC", "-shared", "-w"]
+    source = str(folder / "sources" / _MAIN)
+    target = ["-o", str(library), *link.split(), "-lm"]
+    _run([COMPILERS[platform][0], *options, source, *target], os.environ)
     return library
 
 

@@ -1,20 +1,23 @@
-"""The robot's parts as an object file that needs no Python: `python -m hilserver.fmu.machine_code`.
+"""The robot's parts as C that needs no Python: `python -m hilserver.fmu.machine_code FILE`.
 
-Run it with ``NUMBA_CPU_NAME=generic`` and ``NUMBA_CPU_FEATURES=``: the code then runs on every
-processor of the architecture. What it calls of numba is private; a test says which version moved.
+Run it with `PORTABLE` in the environment: what numba then compiles has no instructions that a
+processor of the architecture may lack, and no vectors. What it calls of numba is private; a test
+says which version moved.
 """
 
+import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numba
-from llvmlite import binding
 from numba import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from hilserver.errors import FailedError
+from hilserver.fmu.c_source import translate
 from hilserver.plant.battery import battery_step
 from hilserver.plant.carry_over import carry_over
 from hilserver.plant.imu import imu_step
@@ -28,10 +31,10 @@ PARTS: Final = ("robot", "imu", "battery", "shield", "tof", "nav")
 """By the number with which the C code asks for them; CARRY takes the state to other parameters."""
 ROBOT, IMU, BATTERY, SHIELD, TOF, NAV, CARRY = range(len(PARTS) + 1)
 ENTRY: Final = "hil_part"
-TRIPLES: Final = {
-    "x86_64-linux": ("x86_64-unknown-linux-gnu", "x86-64"),
-    "aarch64-linux": ("aarch64-unknown-linux-gnu", "generic"),
-    "x86_64-windows": ("x86_64-w64-windows-gnu", "x86-64"),
+PORTABLE: Final[Mapping[str, str]] = {
+    "NUMBA_CPU_NAME": "generic",
+    "NUMBA_CPU_FEATURES": "",
+    "NUMBA_LOOP_VECTORIZE": "0",
 }
 
 _F8, _I8 = types.CPointer(types.float64), types.CPointer(types.int64)
@@ -90,35 +93,25 @@ def run_part(
         carry_over(p, record(more_at, PARAMETERS), x)
 
 
-def emit(platform: str) -> bytes:
-    """Return the object file for a platform, with the one function `ENTRY`.
+def source() -> str:
+    """Return the C source of `ENTRY` and of all that it calls.
 
     Raises
     ------
     FailedError
-        If this numba keeps its code elsewhere.
+        If this numba keeps its code elsewhere, or makes what C has not.
     """
+    compiled = numba.cfunc(_SIGNATURE, nopython=True, error_model="numpy", _nrt=False)(run_part)
     try:
-        compiled = numba.cfunc(_SIGNATURE, nopython=True, error_model="numpy", _nrt=False)(run_part)
-        text = str(compiled._library._final_module)
-        name = compiled._wrapper_name
+        listing = str(compiled._library._final_module)
     except AttributeError as error:
         raise FailedError(
             f"numba {numba.__version__} does not give its machine code away ({error}); use"
             " numba 0.68"
         ) from None
-    triple, processor = TRIPLES[platform]
-    module = binding.parse_assembly(text.replace(name, ENTRY))
-    module.triple = triple
-    binding.initialize_all_targets()
-    binding.initialize_all_asmprinters()
-    machine = binding.Target.from_triple(triple).create_target_machine(
-        cpu=processor, features="", opt=3, reloc="pic", codemodel="small"
-    )
-    module.data_layout = str(machine.target_data)
-    code: bytes = machine.emit_object(module)
-    return code
+    (kernel,) = re.findall(r"^define [^\n]*?@(\w*8run_part\w*)\(", listing, re.M)
+    return translate(listing, kernel, ENTRY)
 
 
 if __name__ == "__main__":
-    Path(sys.argv[2]).write_bytes(emit(sys.argv[1]))
+    Path(sys.argv[1]).write_text(source(), encoding="utf-8")

@@ -1,5 +1,5 @@
-/* The robot as an FMU for co-simulation, FMI 2.0 and 3.0 (-DFMI=2 or 3). Numbers of one robot are in
- * the generated robot.h; the equations are machine code of the daemon's own kernels (hil_part). */
+/* The robot as an FMU for co-simulation, FMI 2.0 and 3.0. Generated: robot.h, the numbers of one
+ * robot, and kernels.h, the equations: the daemon's own kernels (hil_part). */
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -7,6 +7,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include "robot.h"
+#include "kernels.h"
 
 #if FMI == 2
 #include "fmi2FunctionTypes.h"
@@ -27,18 +29,6 @@
 #define OK fmi3OK
 #define BAD fmi3Error
 #endif
-#include "robot.h"
-
-extern void hil_part(int64_t which, double *p, double *x, double *u, double *y, int64_t *q,
-                     double *more, int64_t n_more);
-
-/* What the kernels' error paths name; a kernel never raises, so none of it is reached. */
-#define STUB(name) __attribute__((visibility("hidden"))) void name(void) { abort(); }
-STUB(PyBytes_FromStringAndSize) STUB(PyErr_Clear) STUB(PyErr_SetNone) STUB(PyErr_SetString)
-STUB(PyErr_WriteUnraisable) STUB(PyExc_RuntimeError) STUB(PyExc_StopIteration)
-STUB(PyExc_SystemError) STUB(PyUnicode_FromString) STUB(Py_DecRef) STUB(numba_do_raise)
-STUB(numba_gil_ensure) STUB(numba_gil_release) STUB(numba_runtime_build_excinfo_struct)
-STUB(numba_unpickle)
 
 /* --- the robot ---------------------------------------------------------------------------------*/
 
@@ -96,18 +86,23 @@ static Robot *make(const char *name, const char *token) {
     return r;
 }
 
+static void run_part(State *s, int64_t which, const double *more, int64_t n_more) {
+    char *nothing, *error;
+    hil_part((char *)&nothing, (char *)&error, which, (char *)s->p, (char *)s->x, (char *)s->u,
+             (char *)s->y, (char *)s->q, (char *)more, n_more);
+}
+
 static void run_tick(State *s) {
     for (size_t i = 0; i < sizeof PARTS / sizeof *PARTS; i++)
         if (s->tick % PARTS[i].every == 0)
-            hil_part(PARTS[i].which, s->p, s->x, s->u, s->y, s->q, (double *)HALL,
-                     sizeof HALL / sizeof *HALL);
+            run_part(s, PARTS[i].which, HALL, sizeof HALL / sizeof *HALL);
     s->tick++;
 }
 
 /* All that was tuned since the last step acts from now on, with the state carried over. */
 static void take_parameters(State *s) {
     if (memcmp(s->p, s->next_p, sizeof s->p) == 0) return;
-    hil_part(CARRY, s->p, s->x, s->u, s->y, s->q, s->next_p, N_P);
+    run_part(s, CARRY, s->next_p, N_P);
     memcpy(s->p, s->next_p, sizeof s->p);
 }
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, isinf, isnan
+from math import isnan
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
@@ -138,8 +138,20 @@ _HEADS: Final = {
     2: '<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="2.0"'
     ' modelName="robot" guid="{token}" generationTool="hilserver {version}">\n'
     '<CoSimulation modelIdentifier="robot" canGetAndSetFMUstate="true" canSerializeFMUstate="true"'
-    ' canHandleVariableCommunicationStepSize="true"/>\n',
+    ' canHandleVariableCommunicationStepSize="true">\n'
+    '<SourceFiles><File name="robot_fmu.c"/></SourceFiles></CoSimulation>\n',
 }
+BUILD: Final = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+<BuildConfiguration modelIdentifier="robot">
+<SourceFileSet language="C11" compiler="gcc" compilerOptions="-ffp-contract=off">
+<SourceFile name="robot_fmu.c"/>
+</SourceFileSet>
+<Library name="m"/>
+</BuildConfiguration>
+</fmiBuildDescription>
+"""
 
 
 def _unit(symbol: str) -> str:
@@ -164,12 +176,3 @@ def _structure(version: int, first_output: int) -> str:
         return "".join(lines)
     unknowns = "".join(f'<Unknown index="{first_output + i}"/>' for i in range(N_Y))
     return f"<Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns>"
-
-
-def c_number(value: float) -> str:
-    """Return a number as C has it, to the bit."""
-    if isnan(value):
-        return "NAN"
-    if isinf(value):
-        return "INFINITY" if value == inf else "-INFINITY"
-    return value.hex()

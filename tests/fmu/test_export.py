@@ -4,7 +4,6 @@ import random
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from hilserver.daemon.builder import build
 from hilserver.fmu.description import read_fmu
 from hilserver.fmu.variables import N_U, N_Y
 from hilserver.image import Row
+from tests.fmu import importing
 from tests.fmu.rig import configured
 
 ROBOT = {
@@ -134,30 +134,35 @@ def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
     assert read_fmu(str(fmu[3]), fmu[3].parent).stores_state
 
 
-IMPORTER = Path(__file__).with_name("importer.c")
-
-
-def imported(folder, fmu, platform, compiler, before=(), library="robot.so", linked=("-ldl",)):
-    """Outputs of an FMU in an importer in C, with the same inputs, shape (N, N_Y)."""
-    library = f"binaries/{platform}/{library}"
-    with zipfile.ZipFile(fmu) as packed:
-        packed.extract(library, folder)
-    command = [compiler, "-w", "-O2", "-o", folder / "importer.exe", IMPORTER, *linked]
-    subprocess.run(command, check=True)
-    said = read_model_description(str(fmu))
-    reference = {v.name: v.valueReference for v in said.modelVariables}
-    rows = np.array([(tick, reference[name], value) for tick, name, value in drives()])
-    rows.tofile(folder / "rows")
-    words = [folder / library, said.guid, N, 0.001, len(rows)]
-    words = [*before, folder / "importer.exe", *words, folder / "rows", folder / "outputs"]
-    subprocess.run(list(map(str, words)), check=True)
-    return np.fromfile(folder / "outputs").reshape(N, N_Y)
+def rows_of(fmu):
+    """The drive as the importer takes it: step, value reference, value."""
+    reference = {v.name: v.valueReference for v in read_model_description(str(fmu)).modelVariables}
+    return [(tick, reference[name], value) for tick, name, value in drives()]
 
 
 async def test_an_importer_in_c_gets_the_bits_too(fmu, tmp_path):
     ours, _ = await both(tmp_path, fmu[3], drives())
-    copy = imported(tmp_path, fmu[3], "x86_64-linux", "gcc")
+    library = importing.unpacked(tmp_path, fmu[3])
+    copy = importing.run(importing.compiled(tmp_path), library, fmu[3], rows_of(fmu[3]), N)
     assert np.array_equal(ours, copy, equal_nan=True)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_any_compiler_makes_the_same_of_its_sources(fmu, tmp_path, version):
+    """With none of the options that the export compiles with, and no header but those of C."""
+    alone = exported(tmp_path, version, "--platforms", "none")
+    assert validate_fmu(str(alone)) == []
+    with zipfile.ZipFile(alone) as packed:
+        assert not any(name.startswith("binaries/") for name in packed.namelist())
+        packed.extractall(tmp_path)
+    library = tmp_path / "robot.so"
+    words = ["cc", "-w", "-shared", "-fPIC", "-o", library, "robot_fmu.c", "-lm"]
+    subprocess.run(words, cwd=tmp_path / "sources", check=True)
+    if version == 3:
+        built = importing.run(importing.compiled(tmp_path), library, alone, rows_of(alone), N)
+        packed = importing.unpacked(tmp_path, fmu[3])
+        ours = importing.run(importing.compiled(tmp_path), packed, fmu[3], rows_of(fmu[3]), N)
+        assert np.array_equal(built, ours, equal_nan=True)
 
 
 async def test_on_aarch64_it_computes_the_same(tmp_path, fmu):
@@ -165,7 +170,9 @@ async def test_on_aarch64_it_computes_the_same(tmp_path, fmu):
     other = exported(tmp_path, 3, "--platforms", "x86_64-linux,aarch64-linux")
     ours, _ = await both(tmp_path, fmu[3], drives())
     before = ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")
-    copy = imported(tmp_path, other, "aarch64-linux", "aarch64-linux-gnu-gcc", before)
+    program = importing.compiled(tmp_path, "aarch64-linux-gnu-gcc")
+    library = importing.unpacked(tmp_path, other, "aarch64-linux")
+    copy = importing.run(program, library, other, rows_of(other), N, before)
     difference = np.abs(ours - copy).max()
     print(f"largest difference {difference:.3g}")
     assert difference < 1e-9
@@ -196,9 +203,10 @@ async def test_on_windows_it_computes_the_same(tmp_path, fmu):
     """Under Wine (Debian: wine64); the mathematical library is another one: 1e-9 of what moves."""
     other = exported(tmp_path, 3, "--platforms", "x86_64-windows")
     ours, _ = await both(tmp_path, fmu[3], drives())
-    compiler = "x86_64-w64-mingw32-gcc"
+    program = importing.compiled(tmp_path, "x86_64-w64-mingw32-gcc")
+    library = importing.unpacked(tmp_path, other, "x86_64-windows")
     before = ("env", "WINEDEBUG=-all", f"WINEPREFIX={tmp_path / 'wine'}", "/usr/lib/wine/wine64")
-    copy = imported(tmp_path, other, "x86_64-windows", compiler, before, "robot.dll", ())
+    copy = importing.run(program, library, other, rows_of(other), N, before)
     difference = np.abs(ours - copy).max()
     print(f"largest difference {difference:.3g}")
     assert difference < 1e-9
