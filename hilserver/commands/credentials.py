@@ -31,5 +31,5 @@ def check_page(assembly: Assembly) -> None:
     tls = assembly.config.page.tls
     if tls is not None:
         with assembly.at("page", "tls"):
-            tls_context(tls, assembly.folder)
-        warn(key_notice(tls, assembly.folder))
+            tls_context(assembly.folder / tls.certificate, assembly.folder / tls.key)
+        warn(key_notice(assembly.folder / tls.key))

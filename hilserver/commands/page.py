@@ -6,6 +6,7 @@ OPC UA client does.
 
 import argparse
 import asyncio
+import logging
 import os
 import socket
 import sys
@@ -16,6 +17,7 @@ from hilserver.io.page.listening import listen, url_of
 from hilserver.io.page.server import PageServer
 from hilserver.io.page.setup import Setup
 from hilserver.program import event_loop
+from hilserver.program.giving_back import give_back_code
 
 EXAMPLE = "hilserver page -c config.yaml"
 NICENESS = 5
@@ -41,9 +43,12 @@ def run(args: argparse.Namespace) -> int:
         setup = _by_hand(args)
         page = setup.page
         listener = listen(page.host, page.port)
-        url = url_of(listener, page.host, is_encrypted=page.tls is not None)
+        url = url_of(listener, page.host, is_encrypted=bool(page.certificate))
+        logging.basicConfig(format="%(message)s")
+        logging.getLogger("hilserver").setLevel(logging.INFO)
         print(f"operator page: {url}", file=sys.stderr, flush=True)
     server = PageServer(setup)
+    give_back_code()
     return event_loop.run(_serve(server, listener, until_stdin_ends=args.beside is not None))
 
 

@@ -5,11 +5,12 @@ from math import isnan
 from pathlib import Path
 from typing import Any
 
+from hilserver.config.page import PageConfig
 from hilserver.config.server import OpcUaConfig
 from hilserver.core.parameters import Start
 from hilserver.daemon.assembly import Assembly
 from hilserver.faults.model import FORMS
-from hilserver.io.page.setup import OpcUaAccess, Setup
+from hilserver.io.page.setup import OpcUaAccess, Serving, Setup
 from hilserver.measured.mapping import builtin_mappings
 from hilserver.opcua.access import Access
 from hilserver.opcua.settings import SECURE_POLICIES, default_application_uri
@@ -23,7 +24,7 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
     walls = assembly.composition.hall.reshape(-1, 4).tolist()
     return Setup(
         image=image,
-        page=config.page,
+        page=_serving(config.page, folder),
         opcua=_access(opcua, folder, endpoint, secret),
         signals=[
             {
@@ -63,8 +64,14 @@ def page_setup(assembly: Assembly, image: str, endpoint: str, secret: str = "") 
         mappings=list(builtin_mappings()),
         folders={name: str((folder / path).absolute()) for name, path in paths.items()},
         config_file="" if assembly.path is None else str(assembly.path.absolute()),
-        base_folder=str(folder),
     )
+
+
+def _serving(page: PageConfig, folder: Path) -> Serving:
+    given = page.model_dump(include={"host", "port", "rate_hz", "deadman_ms", "max_clients"})
+    if page.tls is not None:
+        given |= {name: str(folder / path) for name, path in page.tls.model_dump().items()}
+    return Serving(**given)
 
 
 def _parameters(assembly: Assembly) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from hilserver.config.section import Section
-from hilserver.opcua.settings import is_loopback
+from hilserver.opcua.loopback import is_loopback
 
 
 class PageTlsConfig(Section):

@@ -19,7 +19,8 @@ from hilserver.config import s7, s7_peer
 from hilserver.config.peer_security import PeerSecurity
 from hilserver.config.section import Driver, LinkSection
 from hilserver.errors import meant
-from hilserver.opcua.settings import check_endpoint, is_loopback
+from hilserver.opcua.loopback import is_loopback
+from hilserver.opcua.settings import check_endpoint
 
 _NODE = re.compile(r"^(?:nsu=(?P<uri>[^;]+)|ns=(?P<index>\d{1,5}));(?P<identifier>[sigb]=.+)$")
 _BLOCK = re.compile(r"^DB\d", re.IGNORECASE)

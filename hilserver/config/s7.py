@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal, NamedTuple, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from hilserver.config.section import Driver, LinkSection, Section
-from hilserver.opcua.settings import is_loopback
+from hilserver.opcua.loopback import is_loopback
 
 BLOCK_BYTES: Final = 8192
 """Longest block; a controller's may have eight times as many, which nobody reads at 100 Hz."""

@@ -43,7 +43,7 @@ from hilserver.io.world import World
 from hilserver.kernel import watch_communication
 from hilserver.monitoring.audit import AuditItem, audit
 from hilserver.monitoring.logging_setup import RepeatLimiter, log_event, report_repeats
-from hilserver.program.giving_back import give_back_compiler
+from hilserver.program.giving_back import give_back_code
 from hilserver.scheduler import StopReason
 from hilserver.scheduler.pacing_virtual import BATCH_TICKS
 
@@ -183,7 +183,7 @@ class Daemon:
         self.scheduler.after_batch.append(self._show_halt)
         if self._play is not None:
             self.stage.play(self._play.scenario)
-        give_back_compiler()
+        give_back_code()
         await self.scheduler.start()
         self._take_audit()
         await self._start_parts(early=False)

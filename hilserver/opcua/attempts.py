@@ -3,7 +3,7 @@
 from collections import OrderedDict, deque
 from collections.abc import Hashable
 
-from hilserver.opcua.settings import is_loopback
+from hilserver.opcua.loopback import is_loopback
 
 _MOST_KEYS = 1000
 WINDOW_S = 60.0

@@ -22,7 +22,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
-from hilserver.opcua.settings import is_loopback
+from hilserver.opcua.loopback import is_loopback
 
 ACTIVATION_WITHIN_S, ACTIVATION_YIELDS_S = 10.0, 1.0
 YIELDS_AFTER_S = 5.0

@@ -1,6 +1,5 @@
 """Endpoint, security and limits of a server, checked when they are made."""
 
-import ipaddress
 import re
 import socket
 from enum import IntEnum
@@ -9,6 +8,8 @@ from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from hilserver.opcua.loopback import is_loopback
 
 Policy = Literal["None", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"]
 RoleName = Literal["observer", "operator", "engineer"]
@@ -43,16 +44,6 @@ def _check_hash(text: str) -> str:
 def default_application_uri() -> str:
     """Return the application URI where none is configured."""
     return f"urn:{socket.gethostname()}:hilserver"
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only programs on this computer reach `host`; a name other than localhost is not."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def check_endpoint(text: str) -> str:

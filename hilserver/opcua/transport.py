@@ -19,9 +19,9 @@ from asyncua.server.binary_server_asyncio import BinaryServer
 
 from hilserver.opcua.frames import FrameReader, Stage, TransportError
 from hilserver.opcua.logs import log
+from hilserver.opcua.loopback import is_loopback
 from hilserver.opcua.processor import Processor
 from hilserver.opcua.rotation import Portions, advance
-from hilserver.opcua.settings import is_loopback
 
 READ_DEADLINE_S = 2.0
 LOGIN_DEADLINE_S = 10.0

@@ -1,10 +1,9 @@
 """What a browser may call by name: the page's own methods, and the daemon's."""
 
+import logging
 import math
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
-
-import structlog
 
 from hilserver.io.opcua_server.method_table import METHODS, STRING
 from hilserver.io.opcua_server.model import PARAMETERS
@@ -20,7 +19,7 @@ from hilserver.io.page.stopping import Stopping
 
 _METHODS = {method.name: method for method in METHODS}
 
-_log = structlog.get_logger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def may_work(browser: Browser) -> None:
@@ -81,7 +80,7 @@ class Calls:
         if name in own:
             return await own[name][0](browser, *arguments)
         await browser.hand.call(name, arguments)
-        _log.info("page call", method=name, user=browser.user or "anonymous")
+        _log.info("page: %s calls %s", browser.user or "anonymous", name)
         return None
 
     async def ready(self, browser: Browser) -> None:

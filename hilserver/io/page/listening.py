@@ -6,7 +6,6 @@ import socket
 import ssl
 from pathlib import Path
 
-from hilserver.config.page import PageTlsConfig
 from hilserver.errors import ConfigError, FailedError
 
 _TRIES = 20
@@ -41,20 +40,14 @@ def listen(host: str, port: int) -> socket.socket:
     raise FailedError(f"page: no port for {host}")
 
 
-def tls_context(tls: PageTlsConfig, folder: Path) -> ssl.SSLContext:
+def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     """Return what encrypts the page.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder that relative paths start from.
 
     Raises
     ------
     ConfigError
         If certificate or key are missing or cannot be used.
     """
-    certificate, key = folder / tls.certificate, folder / tls.key
     for path in (certificate, key):
         try:
             path.open("rb").close()
@@ -75,9 +68,8 @@ def tls_context(tls: PageTlsConfig, folder: Path) -> ssl.SSLContext:
     return context
 
 
-def key_notice(tls: PageTlsConfig, folder: Path) -> str | None:
+def key_notice(key: Path) -> str | None:
     """Return a warning if others on this computer can read the key of the page."""
-    key = folder / tls.key
     if not key.stat().st_mode & 0o077:
         return None
     return f"{key}: can be read by others, who could then pose as this page; run chmod 600 {key}"

@@ -95,8 +95,8 @@ class PageServer:
             await runner.cleanup()
 
     def _tls(self) -> ssl.SSLContext | None:
-        tls = self._setup.page.tls
-        return None if tls is None else tls_context(tls, Path(self._setup.base_folder))
+        page = self._setup.page
+        return tls_context(Path(page.certificate), Path(page.key)) if page.certificate else None
 
     async def _sweep(self) -> None:
         while True:
@@ -147,7 +147,7 @@ class PageServer:
                 browser.key,
                 httponly=True,
                 samesite="Strict",
-                secure=self._setup.page.tls is not None,
+                secure=bool(self._setup.page.certificate),
                 path="/",
             )
 

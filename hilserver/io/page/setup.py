@@ -5,7 +5,18 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hilserver.config.page import PageConfig
+
+@dataclass(frozen=True)
+class Serving:
+    """The section `page` of the configuration, checked already: pydantic would take 7 MB here."""
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    rate_hz: float = 30.0
+    deadman_ms: float = 300.0
+    max_clients: int = 20
+    certificate: str = ""  # empty: in the clear
+    key: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,12 +75,10 @@ class Setup:
         Names of the built-in mappings for logs of others.
     config_file : str
         The configuration that a diagnosis is to use; empty: the defaults.
-    base_folder : str
-        Folder that certificate and key of `page` are relative to.
     """
 
     image: str
-    page: PageConfig
+    page: Serving
     opcua: OpcUaAccess
     signals: list[dict[str, Any]]
     robot: dict[str, Any]
@@ -79,17 +88,16 @@ class Setup:
     parameters: list[dict[str, Any]] = field(default_factory=list)
     mappings: list[str] = field(default_factory=list)
     config_file: str = ""
-    base_folder: str = "."
 
     def to_json(self) -> str:
         """Return one line of JSON."""
-        return json.dumps(asdict(self) | {"page": self.page.model_dump(mode="json")})
+        return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> "Setup":
         """Return what `to_json` wrote."""
         data = json.loads(text)
-        page, opcua = PageConfig.model_validate(data.pop("page")), OpcUaAccess(**data.pop("opcua"))
+        page, opcua = Serving(**data.pop("page")), OpcUaAccess(**data.pop("opcua"))
         return cls(page=page, opcua=opcua, **data)
 
     def folder(self, name: str) -> Path:

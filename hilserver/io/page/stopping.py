@@ -5,16 +5,15 @@ needed; the daemon hears of it afterwards, for its event and its audit.
 """
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable
-
-import structlog
 
 from hilserver.errors import FailedError
 from hilserver.image import press_stop
 from hilserver.io.page.browsers import Browser
 from hilserver.io.page.hand import RefusedError
 
-_log = structlog.get_logger(__name__)
+_log = logging.getLogger(__name__)
 
 
 class Stopping:
@@ -55,6 +54,6 @@ class Stopping:
         user = browser.user or "anonymous"
         try:
             await self._report(browser)
-            _log.info("page call", method="Stop", user=user)
+            _log.info("page: %s calls Stop", user)
         except RefusedError as error:
-            _log.warning("stopped; the daemon has not heard of it", user=user, why=str(error))
+            _log.info("page: %s has stopped; the daemon has no report: %s", user, error)

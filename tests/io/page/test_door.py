@@ -7,7 +7,6 @@ import ssl
 import pytest
 import uvloop
 
-from hilserver.config.page import PageTlsConfig
 from hilserver.io.page import door as door_module
 from hilserver.io.page.door import YIELDS_AFTER_S, Door, Use
 from hilserver.io.page.listening import listen, tls_context
@@ -108,7 +107,7 @@ def says_hello(port):
 def test_whoever_begins_with_encryption_at_once_is_understood(tmp_path, make_loop):
     """The first words may be there before the connection is accepted."""
     make_tls(tmp_path)
-    tls = tls_context(PageTlsConfig(certificate="page.pem", key="page.key"), tmp_path)
+    tls = tls_context(tmp_path / "page.pem", tmp_path / "page.key")
 
     async def greet():
         listener, door = listen("127.0.0.1", 0), Door(tls)
@@ -130,7 +129,7 @@ def test_whoever_begins_with_encryption_at_once_is_understood(tmp_path, make_loo
 async def test_whoever_never_says_hello_gives_its_place_back(tmp_path, monkeypatch):
     monkeypatch.setattr(door_module, "HEAD_S", 0.2)
     make_tls(tmp_path)
-    tls = tls_context(PageTlsConfig(certificate="page.pem", key="page.key"), tmp_path)
+    tls = tls_context(tmp_path / "page.pem", tmp_path / "page.key")
     listener, door = listen("127.0.0.1", 0), Door(tls)
     letting_in = asyncio.create_task(door.let_in(listener))
     reader, writer = await asyncio.open_connection(*listener.getsockname())

@@ -4,10 +4,9 @@ import asyncio
 
 import pytest
 
-from hilserver.config.page import PageConfig
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs, ShareOfTime
-from hilserver.io.page.setup import OpcUaAccess, Setup
+from hilserver.io.page.setup import OpcUaAccess, Serving, Setup
 
 
 async def test_a_diagnosis_that_gets_no_time_says_so():
@@ -36,7 +35,7 @@ def test_reports_of_earlier_runs_are_there_again(tmp_path):
         title = f"<title>The robot turns {minute} % more.</title>"
         (folder / "report.html").write_text(title, encoding="utf-8")
     (folder / "model_patch.yaml").write_text("terms: {}\n", encoding="utf-8")
-    setup = Setup("", PageConfig(), OpcUaAccess(), [], {}, [], folders)
+    setup = Setup("", Serving(), OpcUaAccess(), [], {}, [], folders)
     jobs = Jobs(setup)
     newest, older = jobs.view()
     assert (newest["log"], newest["state"]) == (folder.name, "done")
