@@ -18,6 +18,7 @@ from hilserver.logs.provenance import unpack_meta
 from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
 
 MAX_FIELD_CHARACTERS = 10_000
+OTHER_SEPARATORS = {";": "';'", "\t": "tabs"}
 
 
 def read_csv(path: Path, known: Container[str] | None = None) -> Log:
@@ -156,11 +157,11 @@ def _begin(
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
-    for separator, name in ((";", "';'"), ("\t", "tabs")):
+    for separator, name in OTHER_SEPARATORS.items():
         if len(header) == 1 and separator in header[0]:
             raise LogError(
                 f"{path}: row 1: columns are separated by {name}; separate them by commas, and"
-                " write decimal points"
+                f" write decimal points, as tr ',{separator}' '.,' does"
             )
     if all(_is_number(name or "0") for name in header):
         raise LogError(

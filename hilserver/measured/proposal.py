@@ -38,7 +38,7 @@ _GYRO: Final = {"gyro", "yawrate", "wz", "gz", "imu"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
 _UNITS: Final = (
     (r"rad(ps|s|_?p?er_?s|_s)(ec)?(?![a-z])", "rad/s"),
-    (r"deg(ps|s|_s|_per_s)(?![a-z])", "deg/s"),
+    (r"deg(ps|s|_s|_per_s)(?![a-z])|(?<![a-z])dps(?![a-z])", "deg/s"),
     (r"rpm", "rpm"),
     (r"(?<![a-z])m_?p?s(?![a-z])", "m/s"),
     (r"(?<![a-z])rad(?![a-z])", "rad"),

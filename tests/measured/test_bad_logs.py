@@ -137,6 +137,11 @@ KINDS = {
         None,
         "row 1: columns are separated by ';'",
     ),
+    "semicolons, as a mapping would guess": (
+        csv(header="Zeit;links;rechts;theta", row="0,1;0,2;0,3;0,4"),
+        None,
+        r"row 1: columns are separated by ';'; .* as tr ',;' '\.,' does",
+    ),
     "tabs": (csv(header=f"t_s\t{SPEED}", row="{t}\t{i}"), None, "row 1: .* separated by tabs; "),
     "decimal commas": (row_of("0,06,3"), None, "row 5 has 3 columns, the header has 2; remove"),
     "device": (lambda _folder: Path("/dev/zero"), None, "is a device or a pipe, not a file; save"),

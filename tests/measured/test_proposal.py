@@ -41,6 +41,10 @@ def test_the_proposal_is_a_mapping_that_reads_the_table(tmp_path):
     assert log["nav.x_m"].t_s[1] == pytest.approx(0.02)
 
 
+def test_a_gyroscope_in_degrees_has_its_unit():
+    assert "imu.gyro_z_rad_s: {column: gyro_z_dps, unit: deg/s}" in propose(["t_s", "gyro_z_dps"])
+
+
 @pytest.mark.parametrize(
     ("column", "signals"),
     [
