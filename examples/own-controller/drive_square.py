@@ -93,4 +93,8 @@ async def main(endpoint: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else ENDPOINT))
+    endpoint = sys.argv[1] if len(sys.argv) > 1 else ENDPOINT
+    try:
+        asyncio.run(main(endpoint))
+    except OSError:
+        sys.exit(f"{endpoint} does not answer: wait until the daemon has printed its addresses")

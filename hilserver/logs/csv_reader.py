@@ -18,7 +18,6 @@ from hilserver.logs.provenance import unpack_meta
 from hilserver.logs.table import BLOCK, EXACT, SEGMENT, TIME, Table, in_time, place_of
 
 MAX_FIELD_CHARACTERS = 10_000
-OTHER_SEPARATORS = {";": "';'", "\t": "tabs"}
 
 
 def read_csv(path: Path, known: Container[str] | None = None) -> Log:
@@ -157,7 +156,7 @@ def _begin(
     if header is None:
         raise LogError(f"{path}: is empty; the first row has to be the header 't_s,<signal>,...'")
     header = [name.strip() for name in header]
-    for separator, name in OTHER_SEPARATORS.items():
+    for separator, name in ((";", "';'"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             raise LogError(
                 f"{path}: row 1: columns are separated by {name}; separate them by commas, and"

@@ -9,7 +9,7 @@ import yaml
 
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
-from hilserver.logs.csv_reader import OTHER_SEPARATORS, read_table
+from hilserver.logs.csv_reader import read_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
 from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
@@ -78,7 +78,7 @@ def refuse_foreign(path: Path) -> None:
         header, first = ([text.strip().strip('"') for text in row] for row in texts)
     else:
         return
-    if len(header) == 1 and any(separator in header[0] for separator in OTHER_SEPARATORS):
+    if len(header) == 1 and not {";", "\t"}.isdisjoint(header[0]):
         return  # the reader says so
     is_misspelt = any("." in name and nearest(name, known_columns()) for name in header)
     if not is_misspelt and {*known_columns(), BLOCK, SEGMENT}.isdisjoint(header):

@@ -29,4 +29,8 @@ async def main(endpoint: str) -> None:
         print("control:", await source.read_value(), flush=True)
 
 
-asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else ENDPOINT))
+endpoint = sys.argv[1] if len(sys.argv) > 1 else ENDPOINT
+try:
+    asyncio.run(main(endpoint))
+except OSError:
+    sys.exit(f"{endpoint} does not answer: wait until 'make run' has printed its addresses")

@@ -18,4 +18,8 @@ async def main(endpoint: str) -> None:
             await asyncio.sleep(0.5)
 
 
-asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else ENDPOINT))
+endpoint = sys.argv[1] if len(sys.argv) > 1 else ENDPOINT
+try:
+    asyncio.run(main(endpoint))
+except OSError:
+    sys.exit(f"{endpoint} does not answer: wait until 'make run' has printed its addresses")

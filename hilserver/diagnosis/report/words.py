@@ -160,13 +160,11 @@ def held_out(findings: Findings) -> str:
 
 def understated(findings: Findings) -> str:
     """Return why the total gain leaves causes out that were found; nothing where it does not."""
-    if held_out(findings) == "other logs":
-        return ""
     by = {0: "by neither", 1: "by one alone"}
     missing = [
         f"{' or '.join(f.causes)} ({by[f.halves]})" for f in findings.findings if f.halves < 2
     ]
-    if not missing:
+    if not missing or held_out(findings) == "other logs":
         return ""
     return (
         "The gain of the extended model is measured on each half of the recording with what the"
