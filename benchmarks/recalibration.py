@@ -109,7 +109,7 @@ def kinds(args: argparse.Namespace) -> Iterator[Case]:
     """Yield a robot for every kind of cause."""
     for name in args.kinds:
         hidden = drawn(name, args)
-        drives = (Drive(1, {}), Drive(1, hidden, {}), Drive(4, hidden))
+        drives = (Drive(1, {}), Drive(1, hidden, {}), Drive(3, hidden))
         seed = args.seed + KINDS.index(name) if name in KINDS else args.seed
         yield Case("kinds", name, drives, args.window_s, seed, hidden, 2, args.measured_noise)
 
