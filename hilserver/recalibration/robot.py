@@ -8,14 +8,16 @@ import argparse
 import asyncio
 import itertools
 import math
+import multiprocessing
+import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
-from hilserver_injector import Recipe, Sensor, Table, Truth, make
+from hilserver_injector import Recipe, Sensor, make
 from numpy.typing import NDArray
 
 import hilserver.scenarios  # noqa: F401 - makes the injector known where it is installed
@@ -25,6 +27,7 @@ from hilserver.controller.server import ControllerServer
 from hilserver.errors import EXIT_DONE
 from hilserver.measured.channels import TAG
 from hilserver.program import event_loop
+from hilserver.program.workers import end_with_parent
 from hilserver.signals import MEASURED
 
 CAUSE: Final[Mapping[str, float]] = {"rotation_gain": 0.08}  # another floor
@@ -61,32 +64,47 @@ def peer(endpoint: str) -> PeerConfig:
     )
 
 
+@dataclass(frozen=True)
+class Piece:
+    """One drive: its rows, and where it begins and ends."""
+
+    length_s: float
+    t_s: NDArray[np.float64]  # shape (n,)
+    columns: Mapping[str, NDArray[np.float64]]
+    first: Pose
+    last: Pose
+
+
+def piece(seed: int, length_s: float, causes: Mapping[str, float]) -> Piece:
+    """Make a drive."""
+    table, truth = make(replace(RAMPS, seed=seed, causes=causes, duration_s=length_s))
+    first, last = truth.dense[0, 1:4].copy(), truth.dense[-1, 1:4].copy()
+    return Piece(length_s, table.t_s, table.columns, first, last)
+
+
 def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield time [s] and values of every row, without end; the cause appears at `APPEARS_S`."""
     begin_s, at = 0.0, None
-    for length_s, (table, truth) in _drives(seed):
-        dense = truth.dense
-        at = dense[0, 1:4] if at is None else at
-        columns = _moved(table.columns, dense[0, 1:4], at)
-        at = _pose(dense[0, 1:4], at, dense[-1, 1:4])
-        for k, t_s in enumerate(table.t_s.tolist()):
+    for made in _pieces(seed):
+        at = made.first if at is None else at
+        columns = _moved(made.columns, made.first, at)
+        at = _pose(made.first, at, made.last)
+        for k, t_s in enumerate(made.t_s.tolist()):
             values = {name: float(values[k]) for name, values in columns.items()}
             yield begin_s + t_s, {n: v for n, v in values.items() if math.isfinite(v)}
-        begin_s += length_s
+        begin_s += made.length_s
 
 
-def _drives(seed: int) -> Iterator[tuple[float, tuple[Table, Truth]]]:
-    """Yield length [s] and content of one drive after the other; the next is made meanwhile."""
+def _pieces(seed: int) -> Iterator[Piece]:
+    """Yield one drive after the other.
 
-    def made(number: int) -> tuple[float, tuple[Table, Truth]]:
-        length_s, causes = (DRIVE_S, CAUSE) if number else (APPEARS_S, {})
-        recipe = replace(RAMPS, seed=seed + number, causes=causes, duration_s=length_s)
-        return length_s, make(recipe)
-
-    with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(made, 0)
+    The next is made meanwhile, by a process of its own: here it would stop the server for seconds.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context, end_with_parent, (os.getpid(),)) as pool:
+        coming = pool.submit(piece, seed, APPEARS_S, {})
         for number in itertools.count(1):
-            now, coming = coming, pool.submit(made, number)
+            now, coming = coming, pool.submit(piece, seed + number, DRIVE_S, CAUSE)
             yield now.result()
 
 
