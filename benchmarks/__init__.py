@@ -4,7 +4,7 @@ It runs from a checkout and is no part of the installed package: ``python -m ben
 """
 
 BENCHES = {
-    "jitter": "wake latency under OPC UA load, page, body, ROS 2 and shield, against cyclictest",
+    "jitter": "wake latency under OPC UA load, page, body, ROS 2, observer, against cyclictest",
     "start": "to the first tick and in memory, against the import of the libraries",
     "opcua": "what being watched costs: CPU per delivered value, next to stock asyncua",
     "attack": "malformed packets and floods against the OPC UA server, next to a healthy client",

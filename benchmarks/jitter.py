@@ -1,6 +1,6 @@
-"""`bench jitter` with what the daemon may serve besides: page, body, ROS 2, shield.
+"""`bench jitter` with what the daemon may do besides: page, body, ROS 2, shield, observer.
 
-Each has a section of the configuration, and a program at its other end that keeps it busy.
+Each has a section of the configuration; a link has a program at its other end that keeps it busy.
 """
 
 import argparse
@@ -24,11 +24,8 @@ BROWSERS: Final = 3
 DOMAIN: Final = 102
 RATE_HZ: Final = 50
 LONGEST_S: Final = 3600
+ON: Final = {"enabled": True}
 START_WITHIN_S: Final = 60.0
-
-
-def _no_settings(_: Place) -> dict[str, Any]:
-    return {"enabled": True}
 
 
 def _shield(place: Place) -> dict[str, Any]:
@@ -40,9 +37,9 @@ def _ros2(_: Place) -> dict[str, Any]:
     return {"enabled": True, "domain": DOMAIN, "publish": extras}
 
 
-@contextlib.contextmanager
-def _nobody(_: Place) -> Iterator[str]:
-    yield "the mechatronic model"
+def _computed(section: str, settings: Mapping[str, Any], words: str) -> Companion:
+    """Return what needs nobody at another end."""
+    return Companion(section, lambda _: settings, lambda _: contextlib.nullcontext(words))
 
 
 @contextlib.contextmanager
@@ -84,7 +81,9 @@ def _peer(place: Place) -> Iterator[str]:
 
 COMPANY: Final[Mapping[str, Companion]] = {
     "page": Companion("page", lambda place: {"port": place.port}, _browsers),
-    "body": Companion("mechatronic", _no_settings, _nobody),
+    "body": _computed("mechatronic", ON, "the mechatronic model"),
+    "nav": _computed("sensors", {"nav": ON}, "a navigation"),
+    "observer": _computed("observer", ON, "the observer"),
     "ros2": Companion("ros2", _ros2, _peer),
     "shield": Companion("shield", _shield, _host),
 }

@@ -7,7 +7,8 @@ and a filter with default covariances.
 
 import argparse
 import time
-from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict, fields
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.binomial import clopper_pearson
-from benchmarks.observer_drives import Score, as_line, diagnosed, recipes, score
+from benchmarks.diagnose_results import OWN, Results, sources
+from benchmarks.observer_drives import Robot, Score, recipes, scored
+from benchmarks.observer_recordings import measure
 from hilserver.bench.report import Result
 from hilserver.compiled.records import record_at
 from hilserver.config.observer import constants_of
@@ -26,34 +29,49 @@ from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
+from hilserver.program.workers import in_processes
 
 STEPS, PERIOD_S = 2000, 0.01
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--diagnoses``, ``--drives`` and ``--keep``."""
+    """Add what the drives are, how many, and where they are kept."""
     parser.add_argument("--diagnoses", type=int, default=200, help="robots, each diagnosed once")
     parser.add_argument("--drives", type=int, default=5, help="drives of each")
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes; default 2")
     parser.add_argument(
-        "--keep", type=Path, default=Path("build/observer"), help="folder of diagnoses and drives"
-    )
+        "--keep", type=Path, default=Path("build/observer"),
+        help="folder of diagnoses and drives: an interrupted row goes on from them",
+    )  # fmt: skip
+    parser.add_argument(
+        "--recordings", type=Path, metavar="DIR",
+        help="instead: robots with motion capture, the navigation silent every other 20 s",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> list[Result]:
-    """Drive and time; a line a drive is written to drives.jsonl in the folder."""
-    scores = list(_scores(args)) if args.diagnoses else []
-    return [*figures(scores), *costs()]
+    """Drive and time; a line a drive is added to drives.jsonl in the folder."""
+    if args.recordings is not None:
+        return measure(args.recordings, args.keep)
+    return [*figures(_scores(args)), *costs()]
 
 
-def _scores(args: argparse.Namespace) -> Iterator[Score]:
-    args.keep.mkdir(parents=True, exist_ok=True)
-    with (args.keep / "drives.jsonl").open("w", encoding="utf-8") as lines:
-        for key, recipe in islice(recipes(), args.diagnoses):
-            robot, c = diagnosed(key, recipe, args.keep)
-            for number in range(args.drives):
-                one = score(key, recipe, robot, c, number)
-                lines.write(as_line(one) + "\n")
-                yield one
+def _scores(args: argparse.Namespace) -> list[Score]:
+    of = sources((*OWN, "observer_drives", "default_filter"), ("observer",))
+    results = Results(args.keep / "drives.jsonl", of=of)
+    robots = [
+        Robot(key, recipe, args.drives, args.keep)
+        for key, recipe in islice(recipes(), args.diagnoses)
+    ]
+    todo = [one for one in robots if not one.drives <= results.records.keys()]
+    with closing(in_processes(scored, todo, args.jobs)) as found:
+        for _, scores in found:
+            for one in scores:
+                if one.key not in results.records:
+                    results.add(asdict(one))
+    names = {field.name for field in fields(Score)}
+    drives = [results.records[key] for one in robots for key in sorted(one.drives)]
+    return [Score(**{n: drive[n] for n in names}) for drive in drives]
 
 
 def figures(scores: list[Score]) -> list[Result]:
@@ -86,7 +104,7 @@ def _steps(numbers: Any, c: Any, f: Any, begin: int, n: int, every: int, late: f
     p = record_at(numbers, 0, PARAMETERS)
     for k in range(begin, begin + n):
         time_s = k * PERIOD_S
-        open_moment(c, f, time_s, 5.0, -4.0, 0.0)
+        open_moment(c, f, time_s, (5.0, -4.0, 0.0, 0.0, 0.0))
         if k % every == 0:
             add_yaw(f, time_s - late, moment(f, 0).estimate[2])
             add_position(f, time_s - late, 0.0, 0.0)

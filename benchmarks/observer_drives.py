@@ -1,7 +1,6 @@
 """Drives of the injector for the observer: diagnosed once, then driven anew, with dense truth."""
 
-import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -11,6 +10,7 @@ from hilserver_injector import Recipe, make
 from hilserver_injector.cases import pairs
 
 from benchmarks.default_filter import default_filter
+from benchmarks.diagnose_results import sources
 from benchmarks.diagnose_worker import measured
 from hilserver.config.observer import constants_of, load_found
 from hilserver.config.patch import load_patch
@@ -19,6 +19,7 @@ from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.output import documents
 from hilserver.measured.arrays import Array
+from hilserver.measured.data import MeasuredLog
 from hilserver.measured.observed import series_of
 from hilserver.observer.layout import YAW
 from hilserver.observer.offline import GYRO, Series, run
@@ -30,6 +31,21 @@ CUT_S: Final = (80.0, 140.0)
 """In which the navigation is silent."""
 ASKED_S: Final = (20.0, 80.0)
 """Out of which one instant is drawn."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What is diagnosed once, and how often it is driven then."""
+
+    key: str
+    recipe: Recipe
+    n_drives: int
+    keep: Path
+
+    @property
+    def drives(self) -> Set[str]:
+        """Keys of its drives."""
+        return {f"{self.key}/{number}" for number in range(self.n_drives)}
 
 
 @dataclass(frozen=True)
@@ -54,19 +70,25 @@ def recipes() -> Iterator[tuple[str, Recipe]]:
         seed += 1
 
 
-def diagnosed(key: str, recipe: Recipe, keep: Path) -> tuple[RobotParameters, Array]:
-    """Return the robot with its patch, and the constants of its filter; diagnoses are kept."""
-    folder = keep / key
+def diagnosed(
+    folder: Path, log: Callable[[], MeasuredLog], config: Config, seed: int
+) -> tuple[RobotParameters, Array]:
+    """Return a robot with its patch, and the constants of its filter.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds the diagnosis, or gets it.
+    """
     if not (folder / "findings.json").exists():
         folder.mkdir(parents=True, exist_ok=True)
-        log = measured(make(recipe)[0], recipe)
-        result = diagnose(log, assemble(None), seed=recipe.seed, jobs=1, progress=None)
+        result = diagnose(log(), assemble_config(config), seed=seed, jobs=1, progress=None)
         for name, text in documents(result).items():
             if name.endswith((".json", ".yaml")):
                 (folder / name).write_text(text, encoding="utf-8")
     path = folder / "model_patch.yaml"
     patch = load_patch(path) if path.exists() else None
-    robot = assemble_config(Config(), None, patch).robot
+    robot = assemble_config(config, None, patch).robot
     return robot, constants_of(robot, load_found(folder / "findings.json"))
 
 
@@ -80,6 +102,13 @@ def without_navigation(series: Series, cut_s: tuple[float, float]) -> Series:
 def angle(values: Array) -> Array:
     """Return angles within -pi .. pi."""
     return np.asarray(np.angle(np.exp(1j * values)))
+
+
+def scored(one: Robot) -> list[Score]:
+    """Diagnose a robot, and return what its drives show."""
+    recipe, folder = one.recipe, one.keep / sources() / one.key
+    robot, c = diagnosed(folder, lambda: measured(make(recipe)[0], recipe), Config(), recipe.seed)
+    return [score(one.key, recipe, robot, c, number) for number in range(one.n_drives)]
 
 
 def score(key: str, recipe: Recipe, robot: RobotParameters, c: Array, number: int) -> Score:
@@ -115,8 +144,3 @@ def score(key: str, recipe: Recipe, robot: RobotParameters, c: Array, number: in
         reckoning_m=float(np.hypot(*(true[begin, :2] + away - true[end, :2]))),
         default_m=float(np.hypot(*(rival[end, :2] - true[end, :2]))),
     )
-
-
-def as_line(one: Score) -> str:
-    """Return a drive as a line of JSON."""
-    return json.dumps(one.__dict__)

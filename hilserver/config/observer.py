@@ -13,7 +13,6 @@ from hilserver.errors import ConfigError
 from hilserver.observer.consider import alternatives, constants, directions
 from hilserver.observer.figures import READMIT_AFTER, Noise, figures
 from hilserver.observer.layout import MOST_DIRECTIONS
-from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 
 DEFAULT_SLICE = "observer"
@@ -140,8 +139,6 @@ def constants_of(
     PlantError
         If what was found does not fit the robot.
     """
-    if robot.is_mecanum:
-        raise PlantError("observer: knows no mecanum wheels yet; leave it out (enabled: false)")
     if found is None:
         return constants(figures(robot, {}, readmit_after=readmit_after), [])
     noise = {name: one.as_noise() for name, one in found.noise.items()}

@@ -25,9 +25,9 @@ def series_of(log: MeasuredLog, span: int, robot: RobotParameters) -> Series:
     Raises
     ------
     LogError
-        If no wheel of a side is measured.
+        If no wheel of a side is measured; of a mecanum robot, if one is not.
     """
-    sides = []
+    sides: list[list[str]] = []
     for side in (SPEEDS[:N_LEFT], SPEEDS[N_LEFT:]):
         there = [name for name in side if name in log]
         if not there:
@@ -35,18 +35,24 @@ def series_of(log: MeasuredLog, span: int, robot: RobotParameters) -> Series:
                 f"{log.sources[0].file}: holds no speed of the wheels {', '.join(side)}; the"
                 " observer needs both sides: map their columns"
             )
+        if robot.is_mecanum and len(there) < len(side):
+            raise LogError(
+                f"{log.sources[0].file}: holds the speed of {there[0]} alone of the wheels"
+                f" {', '.join(side)}; mecanum wheels move the robot sideways: map all columns"
+            )
         sides.append(there)
     stamps = [log[name].of(span)[0] for name in (*sides[0], *sides[1])]
     times = stamps[0]
     for other in stamps[1:]:
         common = np.intersect1d(times, other)
         times = common if len(common) else times
-    left, right = (
-        RAD_S_PER_RPM * np.mean([np.interp(times, *log[name].of(span)) for name in side], axis=0)
+    both = [
+        RAD_S_PER_RPM * np.array([np.interp(times, *log[name].of(span)) for name in side])
         for side in sides
-    )
+    ]
+    (left, right), apart = [side.mean(axis=0) for side in both], [s[0] - s[-1] for s in both]
     turned = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (left[1:] + left[:-1]))])
-    return Series(np.column_stack([times, left, right, turned]), _samples(log, span, robot))
+    return Series(np.column_stack([times, left, right, turned, *apart]), _samples(log, span, robot))
 
 
 def _samples(log: MeasuredLog, span: int, robot: RobotParameters) -> Array:

@@ -107,7 +107,9 @@ def constants(figures: Figures, moved: Sequence[Parameters]) -> NDArray[np.float
     """Return what the filter's kernels take as `c`."""
     c = np.zeros(N_FIGURES + len(moved) * N_PARAMETERS)
     c[:N_FIGURES] = figures.numbers
-    Figures.of(c).directions = len(moved)
+    known = Figures.of(c)
+    known.directions = len(moved)
+    known.considered = len(moved) + (known.instant_sd > 0.0)
     for j, other in enumerate(moved):
         first = N_FIGURES + j * N_PARAMETERS
         c[first : first + N_PARAMETERS] = other.numbers

@@ -24,6 +24,7 @@ from hilserver.observer.layout import (
     X,
     Y,
 )
+from hilserver.observer.motion import rolled
 from hilserver.observer.sensors import (
     gyro_row,
     gyro_shared,
@@ -100,19 +101,20 @@ def forget(m: Moment, place: int, variance: float) -> None:
 def take_gyro(p: Parameters, c: Any, h: Head, m: Moment, dt: float) -> None:
     """Take in the turn rate that the gyro shows."""
     figures = record_at(c, 0, FIGURES)
-    n = int(figures.directions)
+    n = int(figures.considered)
     gyro_row(p, h.rows[0])
-    gyro_shared(p, c, m.estimate, h)
+    gyro_shared(p, c, m, h)
     _weigh(m, n, 0, h)
     variance = _spread(n, 0, h) + figures.gyro_sd * figures.gyro_sd + figures.gyro_drift / dt
-    _correct(m, n, h, m.gyro - show_gyro(p, m.estimate), variance)
+    shown = show_gyro(p, m.estimate, m.gyro_back, m.turning)
+    _correct(m, n, h, m.gyro - shown, variance)
 
 
 @part
 def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     """Take in a heading unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
-    n = int(figures.directions)
+    n = int(figures.considered)
     if m.refused_yaw + 1.0 >= figures.readmit_after:
         forget(m, YAW, UNKNOWN_RAD2)
         m.fixed_yaw = m.refused_yaw = 0.0
@@ -138,15 +140,16 @@ def take_yaw(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
 def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> None:
     """Take in a position unless it is too far off."""
     figures = record_at(c, 0, FIGURES)
-    n, noise = int(figures.directions), figures.position_sd * figures.position_sd
+    n, noise = int(figures.considered), figures.position_sd * figures.position_sd
     if m.refused_position + 1.0 >= figures.readmit_after:
         forget(m, X, UNKNOWN_M2)
         forget(m, Y, UNKNOWN_M2)
         m.fixed_position = m.refused_position = 0.0
         h.readmitted += is_new
-    position_rows(p, m.estimate, m.position_back, h.rows)
-    position_shared(p, c, m.estimate, m.position_back, h)
-    px, py = show_position(p, m.estimate, m.position_back)
+    aside = rolled(p, m)
+    position_rows(p, m.estimate, aside, m.position_back, h.rows)
+    position_shared(p, c, m, h)
+    px, py = show_position(p, m.estimate, aside, m.position_back)
     ix, iy = m.position[0] - px, m.position[1] - py
     _weigh(m, n, 1, h)
     syy = _spread(n, 1, h) + noise

@@ -17,6 +17,9 @@ from hilserver.plant.units import RAD_S_PER_RPM
 
 WANDER_S: Final = 60.0
 """Time in which slip, rotation gain and gyro bias may wander by what a diagnosis has to name."""
+INSTANT_SD: Final = 1.0 / math.sqrt(24.0)
+"""Share of a step by which all jumps of the wheels are early or late: half of what an unknown
+instant has, see `motion.BEND`."""
 READMIT_AFTER: Final = 10
 """Samples refused one after another until the robot counts as carried."""
 OF_SPEED: Final = ("wheel_radius", "traction_slip", "longitudinal_slip", "acceleration_slip")
@@ -101,7 +104,7 @@ def figures(
     shown = configured(robot) | dict(noise)
     c = Figures.zeros()
     c.nav_period, c.imu_period = robot.nav.period_s, robot.imu.period_s
-    c.readmit_after = readmit_after
+    c.readmit_after, c.instant_sd = readmit_after, INSTANT_SD
     wheels = _mean(*(shown[f"wheel.{wheel}.speed_rpm"] for wheel in WHEELS))
     c.wheel_sd = max(wheels.of_a_sample, _LEAST_RPM) / math.sqrt(2.0) * RAD_S_PER_RPM
     c.wheel_drift = 0.5 * wheels.drift * RAD_S_PER_RPM**2

@@ -16,14 +16,13 @@ from hilserver.observer.layout import (
     N_HEAD,
     N_MOMENT,
     OLDEST_S,
+    Moment,
 )
-from hilserver.observer.motion import predict
+from hilserver.observer.motion import bend, predict
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import Parameters
 
 _SAME_S = 1e-9
-BEND = 0.2887
-"""Of the second difference: error of a chord if the wheel jumps at some instant, 1/sqrt(12)."""
 
 
 @part
@@ -34,20 +33,33 @@ def moment(f: Any, age: int) -> Any:
 
 
 @part
-def open_moment(c: Any, f: Any, time: float, left: float, right: float, angle: float) -> None:
-    """Begin a moment: its time [s], the mean speeds of both sides [rad/s], the left angle [rad]."""
+def read(m: Moment, time: float, wheels: Any) -> None:
+    """Write when a moment is [s] and what the wheels do then, as in `open_moment`."""
+    m.time, m.left, m.right, m.angle_left = time, wheels[0], wheels[1], wheels[2]
+    m.apart_left, m.apart_right = wheels[3], wheels[4]
+
+
+@part
+def open_moment(c: Any, f: Any, time: float, wheels: Any) -> None:
+    """Begin a moment at a time [s].
+
+    Parameters
+    ----------
+    wheels : sequence of float
+        Mean speeds of both sides [rad/s], angle of the left wheels [rad], and front minus rear
+        wheel of both sides [rad/s].
+    """
     h = record_at(f, 0, HEAD)
     if h.count > 0.0:
         h.newest = (h.newest + 1.0) % MOMENTS
     h.count = min(h.count + 1.0, MOMENTS)
     h.redo = 0.0
     m = moment(f, 0)
-    m.time, m.left, m.right, m.angle_left = time, left, right, angle
-    m.has_gyro = m.has_position = m.has_yaw = m.bend_left = m.bend_right = 0.0
+    read(m, time, wheels)
+    m.has_gyro = m.has_position = m.has_yaw = m.turning = m.bend_left = m.bend_right = 0.0
     if h.count > 2.0:
-        a, b = moment(f, 1), moment(f, 2)
-        m.bend_left = (left - 2.0 * a.left + b.left) * BEND
-        m.bend_right = (right - 2.0 * a.right + b.right) * BEND
+        older = moment(f, 2)
+        bend(older.time, older.left, older.right, moment(f, 1), m)
     if h.count == 1.0:
         m.fixed_position = m.fixed_yaw = m.refused_position = m.refused_yaw = m.last_fix = 0.0
         begin(record_at(c, 0, FIGURES), m)
@@ -79,7 +91,7 @@ def add_gyro(f: Any, time: float, rate: float) -> None:
     age = age_of(f, time)
     if age >= 0:
         m = moment(f, age)
-        m.has_gyro, m.gyro = 1.0, rate
+        m.has_gyro, m.gyro_back, m.gyro = 1.0, m.time - time, rate
 
 
 @part

@@ -20,6 +20,8 @@ much by the wheels, relative."""
 N_ESTIMATED: Final = 11
 MOST_DIRECTIONS: Final = 12
 """Directions in which uncertain parameters are considered."""
+CONSIDERED: Final = MOST_DIRECTIONS + 1
+"""With the instant, in a step, at which the wheels follow their set-points."""
 MOMENTS: Final = 128
 """Past states that are kept: what is older than they are cannot be taken in."""
 OLDEST_S: Final = 1.0
@@ -32,14 +34,16 @@ NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)
 
 Vector = Annotated[NDArray[np.float64], N_ESTIMATED]
 Square = Annotated[NDArray[np.float64], (N_ESTIMATED, N_ESTIMATED)]
-Directions = Annotated[NDArray[np.float64], MOST_DIRECTIONS]
-Cross = Annotated[NDArray[np.float64], (N_ESTIMATED, MOST_DIRECTIONS)]
+Directions = Annotated[NDArray[np.float64], CONSIDERED]
+Cross = Annotated[NDArray[np.float64], (N_ESTIMATED, CONSIDERED)]
 
 
 class Figures(Record):
     """How noisy the sensors are and how well what is estimated is known beforehand."""
 
     directions: float  # of uncertain parameters in use
+    considered: float  # with that of the wheels' instant, if it has a share
+    instant_sd: float  # share of a step by which all jumps of the wheels are early or late
     nav_period: float  # [s] of the slice that its latency is counted in
     imu_period: float  # [s]
     readmit_after: float  # samples refused one after another until the robot counts as carried
@@ -75,10 +79,10 @@ class Head(Record):
     seen_gyro: float  # counter of its last sample
     seen_position: float
     rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]  # of a sensor by state
-    shared: Annotated[NDArray[np.float64], (2, MOST_DIRECTIONS)]  # and by direction
+    shared: Annotated[NDArray[np.float64], (2, CONSIDERED)]  # and by direction
     weight: Vector  # covariance of the state with one reading
     weight_shared: Directions
-    noise: Annotated[NDArray[np.float64], (4, N_ESTIMATED)]  # what the wheels' noise does to a step
+    noise: Annotated[NDArray[np.float64], (5, N_ESTIMATED)]  # what the wheels' noise does to a step
     push: Cross  # what a direction does to a step
 
 
@@ -89,13 +93,17 @@ class Moment(Record):
     left: float  # mean speed that the left wheels' encoders show [rad/s]
     right: float
     angle_left: float  # [rad]
-    bend_left: float  # [rad/s]: how far the mean speed of the step may be off a chord
+    apart_left: float  # [rad/s]: front minus rear wheel of a side
+    apart_right: float
+    bend_left: float  # [rad/s]: change of slope times the step, against the step before
     bend_right: float
+    turning: float  # [rad/s2]: rate of the turn rate in the step
     has_gyro: float
     gyro: float  # [rad/s]
+    gyro_back: float  # [s]: the sample is so much older than the moment
     has_position: float
     position: Annotated[NDArray[np.float64], 2]  # [m]
-    position_back: float  # [s]: the sample is so much older than the moment
+    position_back: float  # [s]
     has_yaw: float
     yaw: float  # [rad]
     yaw_back: float  # [s]

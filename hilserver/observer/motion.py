@@ -35,6 +35,15 @@ from hilserver.plant.pose import sinc
 from hilserver.plant.robot import SLOPE_REST_RAD_S
 
 _FLAT_RAD = 1e-3  # below, the derivative of sinc is its first term
+BEND = 1.0 / math.sqrt(48.0)
+"""Standard deviation of a chord's mean by a bend, where a wheel jumps at some instant of a step.
+
+A jump by J leaves the variance J2 / 12 of the step's mean. Half of it all jumps have in common, as
+commands and samples keep step (`figures.INSTANT_SD`). Each jump's own half shows as two bends, J
+and -J.
+"""
+CLEAR = 3.0
+"""Deviations of a bend that noise alone has; what is within them is none."""
 
 
 @part
@@ -51,22 +60,44 @@ def is_inside(p: Parameters, x: float, y: float) -> bool:
 
 
 @part
-def side_gains(p: Parameters) -> tuple[float, float]:
-    """Return what the encoders of both sides show of 1 rad/s."""
-    gain = p.encoder_gain
-    return 0.5 * (gain[0] + gain[1]), 0.5 * (gain[2] + gain[3])
+def bend(time: float, left: float, right: float, before: Moment, now: Moment) -> None:
+    """Write how the wheels' speeds bend at the moment before; an older one had these [s, rad/s]."""
+    ratio = (now.time - before.time) / (before.time - time)
+    now.bend_left = now.left - before.left - ratio * (before.left - left)
+    now.bend_right = now.right - before.right - ratio * (before.right - right)
 
 
 @part
 def wheel_velocity(p: Parameters, before: Moment, now: Moment) -> tuple[float, float]:
     """Return speed [m/s] and turn rate [rad/s] that the wheels of a moment make."""
     inside = is_inside(p, before.estimate[X], before.estimate[Y])
-    dt, (show_left, show_right) = now.time - before.time, side_gains(p)
-    left, right = now.left / show_left, now.right / show_right
-    dleft = (left - before.left / show_left) / dt
-    dright = (right - before.right / show_right) / dt
+    dt, (left, right) = now.time - before.time, _sides(p, now)
+    left_before, right_before = _sides(p, before)
+    dleft, dright = (left - left_before) / dt, (right - right_before) / dt
     v, om, _, _ = velocity_terms(p, inside, now.angle_left, left, right, dleft, dright)
     return v, om
+
+
+@part
+def _turned(p: Parameters, front: int, mean: float, apart: float) -> tuple[float, float]:
+    """Return mean and difference of a side's wheels [rad/s] from those of its encoders."""
+    ahead = (mean + 0.5 * apart) / p.encoder_gain[front]
+    behind = (mean - 0.5 * apart) / p.encoder_gain[front + 1]
+    return 0.5 * (ahead + behind), ahead - behind
+
+
+@part
+def _sides(p: Parameters, m: Moment) -> tuple[float, float]:
+    """Return the mean speeds of the wheels of both sides [rad/s]."""
+    return _turned(p, 0, m.left, m.apart_left)[0], _turned(p, 2, m.right, m.apart_right)[0]
+
+
+@part
+def rolled(p: Parameters, m: Moment) -> float:
+    """Return the speed to the left [m/s] that mecanum wheels make; of others none."""
+    left = p.radius_left * _turned(p, 0, m.left, m.apart_left)[1]
+    right = p.radius_right * _turned(p, 2, m.right, m.apart_right)[1]
+    return float(-0.25 * p.mecanum * p.roller_keep * (left + right))
 
 
 @part
@@ -76,9 +107,11 @@ def share_closed(p: Parameters, dt: float) -> float:
 
 
 @part
-def shift(p: Parameters, yaw: float, v: float, om: float, dt: float) -> tuple[float, float]:
-    """Return how far [m] the robot moves in `dt` [s] with constant speed and turn rate."""
-    vy, _ = across(p, v, om, 0.0, 0.0)
+def shift(
+    p: Parameters, yaw: float, v: float, om: float, aside: float, dt: float
+) -> tuple[float, float]:
+    """Return how far [m] the robot moves in `dt` [s] with constant velocities."""
+    vy = across(p, v, om, 0.0, 0.0)[0] + aside
     half = 0.5 * om * dt
     chord, heading = dt * sinc(half), yaw + half
     cos, sin = math.cos(heading), math.sin(heading)
@@ -87,10 +120,10 @@ def shift(p: Parameters, yaw: float, v: float, om: float, dt: float) -> tuple[fl
 
 @part
 def shift_by(
-    p: Parameters, yaw: float, v: float, om: float, dt: float
+    p: Parameters, yaw: float, v: float, om: float, aside: float, dt: float
 ) -> tuple[float, float, float, float]:
     """Return the derivatives of `shift` by speed (x, y) and by turn rate (x, y)."""
-    vy, _ = across(p, v, om, 0.0, 0.0)
+    vy = across(p, v, om, 0.0, 0.0)[0] + aside
     vy_v, vy_om = p.side_slip * om + p.misalignment, p.side_slip * v - p.icr
     half = 0.5 * om * dt
     chord, heading = dt * sinc(half), yaw + half
@@ -115,7 +148,8 @@ def move_on(p: Parameters, c: Figures, before: Moment, now: Moment, out: Any) ->
     v = x[V] + closed * (v_wheels * (1.0 + x[SLIP]) - x[V])
     om = x[OM] + closed * (om_wheels * (1.0 + x[GAIN]) - x[OM])
     v_mean, om_mean = 0.5 * (x[V] + v), 0.5 * (x[OM] + om)
-    dx, dy = shift(p, x[YAW], v_mean, om_mean, dt)
+    aside = 0.5 * (rolled(p, before) + rolled(p, now))
+    dx, dy = shift(p, x[YAW], v_mean, om_mean, aside, dt)
     if abs(now.left) + abs(now.right) > SLOPE_REST_RAD_S:
         dx += p.slope_x * dt
         dy += p.slope_y * dt
@@ -165,8 +199,9 @@ def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
     v = x[V] + closed * (v_wheels * (1.0 + x[SLIP]) - x[V])
     om = x[OM] + closed * (om_wheels * (1.0 + x[GAIN]) - x[OM])
     v_mean, om_mean = 0.5 * (x[V] + v), 0.5 * (x[OM] + om)
-    dx, dy = shift(p, x[YAW], v_mean, om_mean, dt)
-    x_v, y_v, x_om, y_om = shift_by(p, x[YAW], v_mean, om_mean, dt)
+    aside = 0.5 * (rolled(p, before) + rolled(p, now))
+    dx, dy = shift(p, x[YAW], v_mean, om_mean, aside, dt)
+    x_v, y_v, x_om, y_om = shift_by(p, x[YAW], v_mean, om_mean, aside, dt)
     half, by_slip, by_gain = 0.5 * (1.0 + keep), closed * v_wheels, closed * om_wheels
     return (
         -dy, half * x_v, half * x_om, 0.5 * by_slip * x_v, 0.5 * by_gain * x_om,
@@ -179,25 +214,33 @@ def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
 
 
 @part
-def _wheel_noise(p: Parameters, c: Figures, now: Moment, dt: float, f: Any, h: Head) -> None:
+def _wheel_noise(p: Parameters, c: Figures, before: Moment, now: Moment, f: Any, h: Head) -> None:
     """Write what one standard deviation of the wheels' noise does to the step.
 
     Rows 0 and 1: noise of either side's reading. Rows 2 and 3: what the wheels did between two
-    readings, which changes the means of speed and of turn rate alone.
+    readings, which changes the means of speed and of turn rate alone. Row 4: to the side, where the
+    difference of two readings has twice the noise of their mean.
     """
+    dt = now.time - before.time
     sd = math.sqrt(c.wheel_sd * c.wheel_sd + c.wheel_drift / dt) * share_closed(p, dt)
-    show_left, show_right = side_gains(p)
-    left, right = p.radius_left / show_left, p.radius_right / show_right
+    left = p.radius_left * _turned(p, 0, 1.0, 0.0)[0]
+    right = p.radius_right * _turned(p, 2, 1.0, 0.0)[0]
     v_left, v_right = 0.5 * p.traction * left, -0.5 * p.traction * right
     om_left, om_right = p.yaw_gain * left, p.yaw_gain * right
     _noise_row(h.noise[0], f, dt, sd * v_left, sd * om_left)
     _noise_row(h.noise[1], f, dt, sd * v_right, sd * om_right)
     h.noise[0, V], h.noise[0, OM] = sd * v_left, sd * om_left
     h.noise[1, V], h.noise[1, OM] = sd * v_right, sd * om_right
-    bend_v = v_left * now.bend_left + v_right * now.bend_right
-    bend_om = om_left * now.bend_left + om_right * now.bend_right
-    _noise_row(h.noise[2], f, dt, 2.0 * bend_v, 0.0)
-    _noise_row(h.noise[3], f, dt, 0.0, 2.0 * bend_om)
+    least = CLEAR * math.sqrt(6.0) * c.wheel_sd
+    bent_left = now.bend_left if abs(now.bend_left) > least else 0.0
+    bent_right = now.bend_right if abs(now.bend_right) > least else 0.0
+    bend_v = v_left * bent_left + v_right * bent_right
+    bend_om = om_left * bent_left + om_right * bent_right
+    _noise_row(h.noise[2], f, dt, 2.0 * BEND * bend_v, 0.0)
+    _noise_row(h.noise[3], f, dt, 0.0, 2.0 * BEND * bend_om)
+    ahead, both = before.estimate[YAW], math.hypot(left, right)
+    aside = 0.5 * dt * sd * p.mecanum * p.roller_keep * both
+    h.noise[4, X], h.noise[4, Y] = -aside * math.sin(ahead), aside * math.cos(ahead)
 
 
 @part
@@ -216,12 +259,25 @@ def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
         move_on(other, figures, before, now, h.weight)
         for i in range(OM + 1):
             h.push[i, j] = h.weight[i] - now.estimate[i]
+    if figures.considered > figures.directions:
+        _push_instant(figures, before, now, h)
+
+
+@part
+def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
+    """Write what one deviation of the wheels' instant does: the pose is that of a little later."""
+    j, late = int(c.directions), c.instant_sd * (now.time - before.time)
+    dv = late * (now.estimate[V] - before.estimate[V])
+    for i in range(OM + 1):
+        h.push[i, j] = 0.0
+    h.push[X, j], h.push[Y, j] = dv * math.cos(now.estimate[YAW]), dv * math.sin(now.estimate[YAW])
+    h.push[YAW, j] = late * (now.estimate[OM] - before.estimate[OM])
 
 
 @part
 def _add_noise(c: Figures, dt: float, h: Head, m: Any) -> None:
     """Add the covariance of a step's noise to `m`, shape (N_ESTIMATED, N_ESTIMATED)."""
-    for k in range(4):
+    for k in range(h.noise.shape[0]):
         row = h.noise[k]
         for i in range(OM + 1):
             for j in range(OM + 1):
@@ -250,9 +306,10 @@ def predict(p: Parameters, c: Any, h: Head, before: Moment, now: Moment) -> None
         `now` has its time and wheel speeds; the rest is written.
     """
     figures, dt = record_at(c, 0, FIGURES), now.time - before.time
-    n = int(figures.directions)
+    n = int(figures.considered)
     m, cross = now.covariance, now.cross
     move_on(p, figures, before, now, now.estimate)
+    now.turning = (now.estimate[OM] - before.estimate[OM]) / dt
     f = transition(p, figures, before, now)
     for i in range(N_ESTIMATED):
         for j in range(N_ESTIMATED):
@@ -273,5 +330,5 @@ def predict(p: Parameters, c: Any, h: Head, before: Moment, now: Moment) -> None
             for i in range(OM + 1):
                 for j in range(N_ESTIMATED):
                     m[i, j] += h.push[i, k] * cross[j, k]
-    _wheel_noise(p, figures, now, dt, f, h)
+    _wheel_noise(p, figures, before, now, f, h)
     _add_noise(figures, dt, h, m)

@@ -31,8 +31,8 @@ GYRO, POSITION, HEADING = range(3)
 class Series:
     """What was measured of one stretch, on one clock."""
 
-    # shape (n, 4); time [s], mean speeds that the left and the right encoders show [rad/s], angle
-    # of the left wheels [rad]
+    # shape (n, 6); time [s], mean speeds that the left and the right encoders show [rad/s], angle
+    # of the left wheels [rad], front minus rear wheel on the left and on the right [rad/s]
     wheels: Array
     # shape (m, 4); `GYRO`, `POSITION` or `HEADING`, time at which the quantity had the value [s],
     # and its one or two values; in the order of time
@@ -59,7 +59,7 @@ def _run(
 ) -> None:
     p, at = record_at(numbers, 0, PARAMETERS), 0
     for k in range(wheels.shape[0]):
-        open_moment(c, f, wheels[k, 0], wheels[k, 1], wheels[k, 2], wheels[k, 3])
+        open_moment(c, f, wheels[k, 0], wheels[k, 1:])
         while at < samples.shape[0] and samples[at, 1] <= wheels[k, 0]:
             kind, time = samples[at, 0], samples[at, 1]
             if kind == GYRO:

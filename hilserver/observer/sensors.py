@@ -19,19 +19,20 @@ from hilserver.observer.layout import (
     OU_YAW,
     YAW,
     Head,
+    Moment,
     V,
     X,
     Y,
 )
-from hilserver.observer.motion import shift, shift_by
+from hilserver.observer.motion import rolled, shift, shift_by
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
 
 
 @part
-def show_position(p: Parameters, x: Any, back: float) -> tuple[float, float]:
-    """Return what the tag shows of the position [m]."""
-    dx, dy = shift(p, x[YAW], x[V], x[OM], -back)
+def show_position(p: Parameters, x: Any, aside: float, back: float) -> tuple[float, float]:
+    """Return what the tag shows of the position [m]; `aside` [m/s] is the speed to the left."""
+    dx, dy = shift(p, x[YAW], x[V], x[OM], aside, -back)
     yaw = x[YAW] - x[OM] * back
     cos, sin = math.cos(yaw), math.sin(yaw)
     px = x[X] + dx + p.lever_x * cos - p.lever_y * sin
@@ -44,10 +45,10 @@ def show_position(p: Parameters, x: Any, back: float) -> tuple[float, float]:
 
 
 @part
-def position_rows(p: Parameters, x: Any, back: float, rows: Any) -> None:
+def position_rows(p: Parameters, x: Any, aside: float, back: float, rows: Any) -> None:
     """Write the derivatives of `show_position` by the state to `rows`, shape (2, N_ESTIMATED)."""
-    dx, dy = shift(p, x[YAW], x[V], x[OM], -back)
-    x_v, y_v, x_om, y_om = shift_by(p, x[YAW], x[V], x[OM], -back)
+    dx, dy = shift(p, x[YAW], x[V], x[OM], aside, -back)
+    x_v, y_v, x_om, y_om = shift_by(p, x[YAW], x[V], x[OM], aside, -back)
     yaw = x[YAW] - x[OM] * back
     cos, sin = math.cos(yaw), math.sin(yaw)
     arm_x, arm_y = p.lever_x * cos - p.lever_y * sin, p.lever_x * sin + p.lever_y * cos
@@ -91,9 +92,9 @@ def yaw_row(p: Parameters, x: Any, back: float, row: Any) -> None:
 
 
 @part
-def show_gyro(p: Parameters, x: Any) -> float:
-    """Return what the gyro shows of the turn rate [rad/s]."""
-    return float(p.gyro_gain * x[OM] + p.gyro_bias + x[BIAS])
+def show_gyro(p: Parameters, x: Any, back: float, turning: float) -> float:
+    """Return what the gyro shows of a turn rate [rad/s] that changes by `turning` [rad/s2]."""
+    return float(p.gyro_gain * (x[OM] - back * turning) + p.gyro_bias + x[BIAS])
 
 
 @part
@@ -105,14 +106,16 @@ def gyro_row(p: Parameters, row: Any) -> None:
 
 
 @part
-def position_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
+def position_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
     """Write what one deviation of each direction changes of a position to `h.shared`."""
     figures = record_at(c, 0, FIGURES)
-    px, py = show_position(p, x, back)
+    x, back = m.estimate, m.position_back
+    px, py = show_position(p, x, rolled(p, m), back)
+    h.shared[0, int(figures.directions)] = h.shared[1, int(figures.directions)] = 0.0
     for j in range(int(figures.directions)):
         other = record_at(c, N_FIGURES + j * N_PARAMETERS, PARAMETERS)
         older = (other.nav_delay - p.nav_delay) * figures.nav_period
-        qx, qy = show_position(other, x, back + older)
+        qx, qy = show_position(other, x, rolled(other, m), back + older)
         h.shared[0, j], h.shared[1, j] = qx - px, qy - py
 
 
@@ -121,6 +124,7 @@ def yaw_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
     """Write what one deviation of each direction changes of a heading to `h.shared`."""
     figures = record_at(c, 0, FIGURES)
     shown = show_yaw(p, x, back)
+    h.shared[0, int(figures.directions)] = 0.0
     for j in range(int(figures.directions)):
         other = record_at(c, N_FIGURES + j * N_PARAMETERS, PARAMETERS)
         older = (other.nav_yaw_delay - p.nav_yaw_delay) * figures.nav_period
@@ -128,9 +132,12 @@ def yaw_shared(p: Parameters, c: Any, x: Any, back: float, h: Head) -> None:
 
 
 @part
-def gyro_shared(p: Parameters, c: Any, x: Any, h: Head) -> None:
+def gyro_shared(p: Parameters, c: Any, m: Moment, h: Head) -> None:
     """Write what one deviation of each direction changes of the gyro's reading to `h.shared`."""
-    shown = show_gyro(p, x)
-    for j in range(int(record_at(c, 0, FIGURES).directions)):
+    figures, back = record_at(c, 0, FIGURES), m.gyro_back
+    shown = show_gyro(p, m.estimate, back, m.turning)
+    h.shared[0, int(figures.directions)] = 0.0
+    for j in range(int(figures.directions)):
         other = record_at(c, N_FIGURES + j * N_PARAMETERS, PARAMETERS)
-        h.shared[0, j] = show_gyro(other, x) - shown
+        older = (other.imu_delay - p.imu_delay) * figures.imu_period
+        h.shared[0, j] = show_gyro(other, m.estimate, back + older, m.turning) - shown

@@ -31,7 +31,9 @@ def begin_run(c: Any, f: Any, time: float, speed: Any, angle_left: float) -> Non
     """Begin the moment of this run with four wheel speeds [rpm]."""
     left = 0.5 * RAD_S_PER_RPM * (speed[0] + speed[1])
     right = 0.5 * RAD_S_PER_RPM * (speed[2] + speed[3])
-    open_moment(c, f, time, left, right, angle_left)
+    apart_left = RAD_S_PER_RPM * (speed[0] - speed[1])
+    apart_right = RAD_S_PER_RPM * (speed[2] - speed[3])
+    open_moment(c, f, time, (left, right, angle_left, apart_left, apart_right))
 
 
 @part

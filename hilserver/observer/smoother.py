@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.compiled.records import record_at
-from hilserver.observer.filter import BEND
+from hilserver.observer.filter import read
 from hilserver.observer.layout import (
     BIAS,
     FIGURES,
@@ -30,7 +30,7 @@ from hilserver.observer.layout import (
     X,
     Y,
 )
-from hilserver.observer.motion import predict, transition
+from hilserver.observer.motion import bend, predict, transition
 from hilserver.observer.offline import Course, Series
 from hilserver.plant.kernels import part
 from hilserver.plant.layout import PARAMETERS, Parameters
@@ -44,12 +44,11 @@ def _predicted(
     numbers: Any, c: Any, h: Head, wheels: Any, k: int, x: Any, m: Any, a: Moment, b: Moment
 ) -> Any:
     """Predict moment k + 1 into `b` from what is known at k; return the entries of F."""
-    p, old = record_at(numbers, 0, PARAMETERS), max(k - 1, 0)
-    a.time, a.left, a.right = wheels[k, 0], wheels[k, 1], wheels[k, 2]
-    b.time, b.left, b.right = wheels[k + 1, 0], wheels[k + 1, 1], wheels[k + 1, 2]
-    b.angle_left = wheels[k + 1, 3]
-    b.bend_left = (b.left - 2.0 * a.left + wheels[old, 1]) * BEND
-    b.bend_right = (b.right - 2.0 * a.right + wheels[old, 2]) * BEND
+    p = record_at(numbers, 0, PARAMETERS)
+    read(a, wheels[k, 0], wheels[k, 1:])
+    read(b, wheels[k + 1, 0], wheels[k + 1, 1:])
+    if k > 0:
+        bend(wheels[k - 1, 0], wheels[k - 1, 1], wheels[k - 1, 2], a, b)
     for i in range(N_ESTIMATED):
         a.estimate[i] = x[k, i]
         for j in range(N_ESTIMATED):
@@ -87,7 +86,7 @@ def smooth(
     """
     x, m = course.estimate.copy(), course.covariance.copy()
     a, b, h, sure = Moment.zeros(), Moment.zeros(), Head.zeros(), c[:N_FIGURES].copy()
-    Figures.of(sure).directions = 0.0
+    Figures.of(sure).directions = Figures.of(sure).considered = 0.0
     for k in range(len(x) - 2, first - 1, -1):
         f = _dense(
             _predicted(

@@ -211,15 +211,6 @@ def test_what_does_not_fit_gets_a_sentence(tmp_path, section, words):
         assembled(folder=tmp_path, **section)
 
 
-def test_mecanum_wheels_are_refused():
-    data = {
-        "observer": {"enabled": True},
-        "plant": {"drive": "mecanum", "icr_offset_m": 0.0},
-    }
-    with pytest.raises(ConfigError, match="knows no mecanum wheels"):
-        assemble_config(Config.model_validate(data))
-
-
 def test_every_metric_has_its_reading():
     numbers = np.zeros(500)
     for metric in METRICS:

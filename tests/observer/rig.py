@@ -65,9 +65,10 @@ def robot(**terms):
 class Observed:
     """A filter, moment by moment."""
 
-    def __init__(self, robot, moved=(), unknown=None, **how):
+    def __init__(self, robot, moved=(), unknown=None, instant_sd=0.0, **how):
         self.p = pack(robot)
         self.figures = figures(robot, NOISE, unknown=unknown, **how)
+        self.figures.instant_sd = instant_sd  # the drives of this rig have no jumps
         self.c = constants(self.figures, moved)
         self.f = np.zeros(N_FILTER)
 
@@ -79,9 +80,9 @@ class Observed:
         row = (int(self.head.newest) - age) % MOMENTS
         return Moment.of(self.f[N_HEAD + row * N_MOMENT :][:N_MOMENT])
 
-    def step(self, time, left, right, *, gyro=None, position=None, yaw=None):
+    def step(self, time, left, right, *, apart=(0.0, 0.0), gyro=None, position=None, yaw=None):
         """Go on to a time [s]; a sample is (time, values...)."""
-        observer.open_moment(self.c, self.f, time, left, right, 0.0)
+        observer.open_moment(self.c, self.f, time, (left, right, 0.0, *apart))
         if gyro is not None:
             observer.add_gyro(self.f, *gyro)
         if position is not None:
@@ -138,9 +139,9 @@ def drive(p, figures, n, seed=0, exact=None):
             move_on(p, figures, before, now, now.estimate)
             before.estimate[:] = now.estimate
         truth[k] = x[[X, Y, YAW, V, OM]]
-        gyro[k] = show_gyro(p, x) + figures.gyro_sd * rng.standard_normal()
+        gyro[k] = show_gyro(p, x, 0.0, 0.0) + figures.gyro_sd * rng.standard_normal()
         white = figures.position_sd * rng.standard_normal(2)
-        position[k] = np.array(show_position(p, x, 0.0)) + white + [s[k] for s in slow]
+        position[k] = np.array(show_position(p, x, 0.0, 0.0)) + white + [s[k] for s in slow]
         yaw[k] = show_yaw(p, x, 0.0) + slow_yaw[k] + figures.yaw_sd * rng.standard_normal()
     read = exact + figures.wheel_sd * rng.standard_normal((n, 2))
     return Drive(DT_S * np.arange(n), read, truth, gyro, position, yaw)

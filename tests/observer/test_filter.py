@@ -100,12 +100,14 @@ def test_algebra_is_that_of_filterpy():
         a.left, a.right = d.read[k - 1]
         b.left, b.right = d.read[k]
         book.go(a, b)
-        book.take(lambda x: [show_gyro(observed.p, x)], [d.gyro[k]], observed.figures.gyro_sd)
+        book.take(
+            lambda x: [show_gyro(observed.p, x, 0.0, 0.0)], [d.gyro[k]], observed.figures.gyro_sd
+        )
         if due:
             yaw = book.x[YAW, 0] + np.angle(np.exp(1j * (d.yaw[k] - book.x[YAW, 0])))
             book.take(lambda x: [show_yaw(observed.p, x, 0.0)], [yaw], observed.figures.yaw_sd)
             book.take(
-                lambda x: show_position(observed.p, x, 0.0),
+                lambda x: show_position(observed.p, x, 0.0, 0.0),
                 d.position[k],
                 observed.figures.position_sd,
             )
@@ -192,3 +194,15 @@ def test_nothing_is_known_before_the_first_sample():
     assert m.estimate[OM] == pytest.approx(d.truth[-1, 4], abs=0.05)
     m = feed(observed, d, 49, position=49, yaw=49)
     assert m.fixed_position == m.fixed_yaw == 1.0
+
+
+def test_a_gyro_that_came_between_two_moments_is_read_at_its_time():
+    """Or a robot that turns ever faster would seem to have a gyro that shows too much."""
+    observed, n = Observed(robot(), unknown={"gyro_bias": 0.02}), 100
+    turn = 0.04 * np.arange(n)
+    d = drive(observed.p, observed.figures, n, exact=np.column_stack([-turn, -turn]))
+    for k in range(1, n):
+        grown = 0.25 * (d.truth[k, 4] - d.truth[k - 1, 4])
+        between = (d.times[k] - 0.25 * DT_S, d.truth[k, 4] - grown)
+        m = observed.step(d.times[k], *(2 * [-turn[k]]), gyro=between)
+    assert abs(m.estimate[BIAS]) < 0.1 * grown

@@ -5,6 +5,7 @@ import pytest
 
 from hilserver.observer.layout import BIAS, N_ESTIMATED, OM, YAW, Head, Moment, V, X, Y
 from hilserver.observer.motion import move_on, predict
+from hilserver.plant.parameters import MECANUM_GEOMETRY, RobotParameters
 from tests.observer.rig import DT_S, MANY, Observed, numerical, robot
 from tests.plant.rig import Rig
 
@@ -67,22 +68,32 @@ def test_noise_of_the_wheels_is_what_it_does_to_the_motion():
     assert got[BIAS, BIAS] == 0.0
 
 
-def test_a_robot_is_followed_without_any_sensor():
+ROLLERS = {"wheel_radius": 0.02, "roller_slip": 0.1, "encoder_scale.a": 0.03, "rotation_gain": 0.03}
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"terms": MANY | {"encoder_scale.a": 0.0}},
+        {"drive": "mecanum", **MECANUM_GEOMETRY, "terms": ROLLERS},
+    ],
+    ids=["skid", "mecanum"],
+)
+def test_a_robot_is_followed_without_any_sensor(own):
     """From a known pose the wheels' speeds alone give the plant's motion."""
-    rig, observed = (
-        Rig(terms=MANY | {"encoder_scale.a": 0.0}),
-        Observed(robot(**MANY | {"encoder_scale.a": 0.0})),
-    )
-    rig.twist(0.4, 0.5).step(2000)
+    rig, observed = Rig(**own), Observed(RobotParameters(**own))
+    rig.u.twist_lateral = 0.1 * rig.robot.is_mecanum
+    rig.twist(0.2, 0.3).step(2000)
     scale = 2.0 * np.pi / 60.0
     for k in range(1000):
         speed = rig.y.speed * scale
-        m = observed.step(0.005 * k, speed[:2].mean(), speed[2:].mean())
+        apart = speed[0] - speed[1], speed[2] - speed[3]
+        m = observed.step(0.005 * k, speed[:2].mean(), speed[2:].mean(), apart=apart)
         if k == 0:
             m.estimate[:3] = rig.y.pose
             m.estimate[[V, OM]] = rig.y.linear, rig.y.angular
         if k == 500:
-            rig.twist(0.6, -0.8)
+            rig.twist(0.3, -0.4)
         last = [*rig.y.pose]
         rig.step(5)
     assert m.estimate[[X, Y]] == pytest.approx(last[:2], abs=6e-3)

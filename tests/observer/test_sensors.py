@@ -26,14 +26,16 @@ def p(request):
 @pytest.mark.parametrize("back", [0.0, 0.013])
 def test_rows_are_the_derivatives_of_what_is_shown(p, back):
     rows, row = np.zeros((2, N_ESTIMATED)), np.zeros(N_ESTIMATED)
-    position_rows(p, STATE, back, rows)
-    shown = numerical(lambda x: show_position(p, x, back), STATE)
+    position_rows(p, STATE, 0.2, back, rows)
+    shown = numerical(lambda x: show_position(p, x, 0.2, back), STATE)
     np.testing.assert_allclose(rows, shown, atol=1e-8)
     yaw_row(p, STATE, back, row)
     shown = numerical(lambda x: [show_yaw(p, x, back)], STATE)
     np.testing.assert_allclose(row, shown[0], atol=1e-8)
     gyro_row(p, row)
-    np.testing.assert_allclose(row, numerical(lambda x: [show_gyro(p, x)], STATE)[0], atol=1e-8)
+    np.testing.assert_allclose(
+        row, numerical(lambda x: [show_gyro(p, x, back, 2.0)], STATE)[0], atol=1e-8
+    )
 
 
 def test_the_tag_is_where_the_plant_shows_it():
@@ -49,5 +51,5 @@ def test_the_tag_is_where_the_plant_shows_it():
     nav_step(quiet, x, None, y, Status.zeros())
     still = np.zeros(N_ESTIMATED)
     still[:3] = STATE[:3]
-    assert show_position(quiet, still, 0.0) == pytest.approx(y.nav[:2], abs=1e-12)
+    assert show_position(quiet, still, 0.0, 0.0) == pytest.approx(y.nav[:2], abs=1e-12)
     assert np.exp(1j * show_yaw(quiet, still, 0.0)) == pytest.approx(np.exp(1j * y.nav[2]))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from hilserver.observer.filter import BEND
 from hilserver.observer.layout import YAW
 from hilserver.observer.offline import GYRO, HEADING, POSITION, Series, run
 from hilserver.observer.smoother import smooth
@@ -20,7 +19,7 @@ def series(d, every=5, cut=None):
         rows.append((GYRO, at, d.gyro[k], 0.0))
         if k % every == 0 and (cut is None or not cut[0] <= k < cut[1]):
             rows += [(HEADING, at, d.yaw[k], 0.0), (POSITION, at, *d.position[k])]
-    wheels = np.column_stack([d.times, d.read, np.zeros(len(d.times))])
+    wheels = np.column_stack([d.times, d.read, np.zeros((len(d.times), 3))])
     return Series(wheels, np.array(rows))
 
 
@@ -53,7 +52,7 @@ def test_smoother_is_that_of_filterpy():
     x, m = smooth(observed.p, observed.c, s, course)
     fs, qs, ps = [np.eye(11)], [np.zeros((11, 11))], course.covariance
     from hilserver.observer.layout import Head, Moment  # noqa: PLC0415
-    from hilserver.observer.motion import predict  # noqa: PLC0415
+    from hilserver.observer.motion import bend, predict  # noqa: PLC0415
 
     predicted = []
     for k in range(59):
@@ -63,8 +62,7 @@ def test_smoother_is_that_of_filterpy():
         a.estimate[:] = course.estimate[k]
         a.covariance[:] = course.covariance[k]
         if k > 0:
-            b.bend_left = (b.left - 2.0 * a.left + s.wheels[k - 1, 1]) * BEND
-            b.bend_right = (b.right - 2.0 * a.right + s.wheels[k - 1, 2]) * BEND
+            bend(*s.wheels[k - 1, :3], a, b)
         predict(observed.p, observed.c, Head.zeros(), a, b)
         predicted.append(b.estimate.copy())
 

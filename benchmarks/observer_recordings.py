@@ -1,0 +1,155 @@
+"""Real recordings with motion capture: the navigation is silent every other 20 s.
+
+Each robot is diagnosed from drives of one kind and observed on those of another. Beside it: the
+wheels alone without the patch, and a filter with default covariances.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from benchmarks.default_filter import default_filter
+from benchmarks.diagnose_results import sources
+from benchmarks.observer_drives import diagnosed
+from hilserver.bench.report import Result
+from hilserver.config.observer import constants_of
+from hilserver.config.root import Config
+from hilserver.daemon.assembly import assemble_config
+from hilserver.errors import FailedError
+from hilserver.measured.arrays import Array, Indices
+from hilserver.measured.machine import machine_config
+from hilserver.measured.observed import series_of
+from hilserver.measured.reading import read_measured
+from hilserver.observer.offline import POSITION, Series, run
+from hilserver.plant.packing import pack
+from hilserver.plant.parameters import RobotParameters
+
+MAPPINGS: Final = Path(__file__).parents[1] / "docs" / "how-to" / "mappings"
+CUT_S: Final = 20.0
+HOW: Final = ("observer", "wheels since the cut", "wheels since the start", "default covariances")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Drives of one robot in a folder of recordings."""
+
+    folder: str
+    mapping: str
+    learned: str  # pattern of the logs that are diagnosed
+    driven: str  # and of those that are observed
+
+
+MACHINES: Final = (Machine("diffdrive_umbmark", "diffdrive", "square_*.csv", "circular_*.csv"),)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What one drive shows.
+
+    Attributes
+    ----------
+    errors : ndarray, shape (cuts, 4)
+        Of the position at the end of each cut [m], in the order of `HOW`.
+    nis : ndarray
+        Of the samples, by their number of values.
+    """
+
+    errors: Array
+    nis: Array
+
+
+def measure(root: Path, keep: Path) -> list[Result]:
+    """Return the figures of every robot whose recordings are there.
+
+    Raises
+    ------
+    FailedError
+        If there are none.
+    """
+    there = [one for one in MACHINES if (root / one.folder).is_dir()]
+    if not there:
+        folders = ", ".join(one.folder for one in MACHINES)
+        raise FailedError(f"--recordings {root}: holds none of the folders {folders}")
+    return [row for one in there for row in _figures(one, list(_drives(one, root, keep)))]
+
+
+def _drives(one: Machine, root: Path, keep: Path) -> Iterator[Drive]:
+    learned, driven = (sorted((root / one.folder).glob(p)) for p in (one.learned, one.driven))
+    mapping = MAPPINGS / f"{one.mapping}.yaml"
+    log = read_measured(learned, mapping)
+    config = machine_config(log, Config())
+    robot, c = diagnosed(keep / sources() / one.folder, lambda: log, config, 0)
+    plain = assemble_config(config).robot
+    for file in driven:
+        log = read_measured([file], mapping)
+        for span in range(len(log.spans)):
+            whole = [series_of(log, span, which) for which in (robot, plain)]
+            if np.ptp(whole[0].wheels[:, 0]) > 1.5 * CUT_S:
+                yield _drive(robot, c, plain, *whole)
+
+
+def _silent(t: Array, start: float) -> NDArray[np.bool_]:
+    return np.asarray((t - start) % (2.0 * CUT_S) >= CUT_S)
+
+
+def _drive(robot: RobotParameters, c: Array, plain: RobotParameters, own: Series,
+           raw: Series) -> Drive:  # fmt: skip
+    t = own.wheels[:, 0]
+    cut = _silent(t, t[0])
+    begins = np.flatnonzero(~cut[:-1] & cut[1:])
+    ends = np.array([k + int(np.argmin(np.append(cut[k + 1 :], False))) for k in begins])
+    true = _truth(raw, t)
+    rest = [Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)]
+    course = run(pack(robot), c, rest[0])
+    base = pack(plain)
+    wheels = run(base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))).estimate
+    rival = default_filter(base, rest[1])
+    paths = (
+        course.estimate[ends, :2],
+        _reckoned(wheels, true, begins, ends),
+        _reckoned(wheels, true, np.zeros_like(begins), ends),
+        rival[ends, :2],
+    )
+    errors = [np.hypot(*(path - true[ends, :2]).T) for path in paths]
+    return Drive(np.stack(errors, axis=1), course.innovations[np.isfinite(course.innovations)])
+
+
+def _truth(series: Series, t: Array) -> Array:
+    """Return x, y [m] and yaw [rad] that the capture shows, shape (n, 3)."""
+    s = series.samples
+    place, heading = s[s[:, 0] == POSITION], s[s[:, 0] > POSITION]
+    yaw = np.unwrap(heading[:, 2])
+    return np.stack(
+        [np.interp(t, place[:, 1], place[:, 2]), np.interp(t, place[:, 1], place[:, 3]),
+         np.interp(t, heading[:, 1], yaw)], axis=1)  # fmt: skip
+
+
+def _reckoned(wheels: Array, true: Array, begins: Indices, ends: Indices) -> Array:
+    """Return where the wheels alone lead from the true pose of one moment to another."""
+    turn = true[begins, 2] - wheels[begins, 2]
+    way = (wheels[ends, 0] - wheels[begins, 0]) + 1j * (wheels[ends, 1] - wheels[begins, 1])
+    way = way * np.exp(1j * turn)
+    path: Array = true[begins, :2] + np.stack([way.real, way.imag], axis=1)
+    return path
+
+
+def _figures(one: Machine, drives: list[Drive]) -> list[Result]:
+    errors = np.concatenate([drive.errors for drive in drives])
+    nis = np.concatenate([drive.nis for drive in drives])
+    ours, *others = np.median(errors, axis=0).tolist()
+    name = f"{one.folder}, {len(errors)} cuts"
+    rows = [
+        Result(f"{name}: error", ours, "m", other, how, other / ours)
+        for how, other in zip(HOW[1:], others, strict=True)
+    ]
+    inside = float((nis < chi2.ppf(0.95, 2) / 2.0).mean())
+    return [
+        *rows,
+        Result(f"{name}: NIS, mean", float(nis.mean()), "1", 1.0, "chi-squared"),
+        Result(f"{name}: NIS inside 95 %", inside, "1", 0.95, "wanted"),
+    ]
