@@ -1,5 +1,6 @@
 """ROS 2 bags through a mapping: topic and field to signal."""
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -35,13 +36,7 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
         name: [message for bag in bags for message in bag.messages.get(name, ())]
         for name in wanted & set(topics)
     }
-    for name, channel in mapping.channels.items():
-        if channel.topic not in topics and not channel.optional:
-            known = f"the topics are {', '.join(sorted(topics)):.200}"
-            raise LogError(
-                f"{path}: there is no topic '{channel.topic}', which the mapping names for {name};"
-                f" {meant(str(channel.topic), topics, known)}"
-            )
+    _refuse_absent(path, mapping, topics)
     notices = [notice for bag in bags for notice in bag.notices]
     parts, failed = [], []
     for name, sent in sorted(messages.items()):
@@ -67,6 +62,16 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
         for stamps_ns, columns in parts
     ]
     return Recording(path, stamped, notices=notices)
+
+
+def _refuse_absent(path: Path, mapping: LogMapping, topics: Collection[str]) -> None:
+    for name, channel in mapping.channels.items():
+        if channel.topic not in topics and not channel.optional:
+            known = f"the topics are {', '.join(sorted(topics)):.200}"
+            raise LogError(
+                f"{path}: there is no topic '{channel.topic}', which the mapping names for {name};"
+                f" {meant(str(channel.topic), topics, known)}"
+            )
 
 
 def _part(

@@ -70,19 +70,23 @@ def read_measured(
         on_ticks=any(recording.on_ticks for recording in recordings),
     )
     pooled = without_jumps(cut_at_pauses(_pool(log, recordings)))
-    longest_s = max(span.end_s - span.start_s for span in pooled.spans)
-    total_s = sum(span.end_s - span.start_s for span in pooled.spans)
+    _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
+    return pooled
+
+
+def _refuse_lengths(path: Path, lengths_s: Sequence[float]) -> None:
+    """Refuse what is too long or too short for a diagnosis."""
+    longest_s, total_s = max(lengths_s), sum(lengths_s)
     if total_s > LONGEST_LOG_S:
         raise LogError(
-            f"{paths[0]}: lasts {total_s:.6g} s; a diagnosis takes {LONGEST_LOG_S:g} s at most: cut"
+            f"{path}: lasts {total_s:.6g} s; a diagnosis takes {LONGEST_LOG_S:g} s at most: cut"
             " a part out, or correct the unit of its time"
         )
     if longest_s < SHORTEST_SEGMENT_S:
         raise LogError(
-            f"{paths[0]}: the longest of {len(pooled.spans)} segments lasts {longest_s:.3g} s; a"
+            f"{path}: the longest of {len(lengths_s)} segments lasts {longest_s:.3g} s; a"
             f" diagnosis needs {SHORTEST_SEGMENT_S:g} s without a pause: number runs, not rows"
         )
-    return pooled
 
 
 def _read(path: Path, mapping: LogMapping | None, sampling: Sampling | None) -> Recording:

@@ -61,23 +61,8 @@ def plan_exact(
     LogError
         If inputs are missing, or there is no state to begin with.
     """
-    inputs = [s for s in table.scalars if s.direction is Direction.IN]
-    missing = [s.name for s in inputs if s.name not in log.columns]
-    if missing:
-        raise LogError(
-            f"{log.path}: was recorded without the input '{missing[0]}'; record all signals, or"
-            " replay what it has with --as-inputs"
-        )
-    if not len(log):
-        raise LogError(f"{log.path}: holds no frames")
+    slots, values, status = _inputs(log, table)
     ticks = log.ticks(base_period_ns)
-    slots = np.array([s.slots[0] for s in inputs])
-    values = np.stack([log.columns[s.name] for s in inputs], axis=1)
-    status = (
-        np.stack([log.status[s.name] for s in inputs], axis=1)
-        if log.status
-        else np.full(values.shape, GOOD, dtype=np.int64)
-    )
     stretches = []
     for first, last in _runs(log.segment, ticks):
         segment = int(log.segment[first])
@@ -102,6 +87,27 @@ def plan_exact(
             " and are left out"
         )
     return plan
+
+
+def _inputs(
+    log: Log, table: SignalTable
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return the slots of all inputs, and their values and status codes by row."""
+    inputs = [s for s in table.scalars if s.direction is Direction.IN]
+    missing = [s.name for s in inputs if s.name not in log.columns]
+    if missing:
+        raise LogError(
+            f"{log.path}: was recorded without the input '{missing[0]}'; record all signals, or"
+            " replay what it has with --as-inputs"
+        )
+    if not len(log):
+        raise LogError(f"{log.path}: holds no frames")
+    values = np.stack([log.columns[s.name] for s in inputs], axis=1)
+    if not log.status:
+        status = np.full(values.shape, GOOD, dtype=np.int64)
+    else:
+        status = np.stack([log.status[s.name] for s in inputs], axis=1)
+    return np.array([s.slots[0] for s in inputs]), values, status
 
 
 def _runs(segment: NDArray[np.int64], ticks: NDArray[np.int64]) -> list[tuple[int, int]]:

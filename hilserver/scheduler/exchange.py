@@ -141,7 +141,9 @@ class OverrunRecord:
 class Exchange:
     """The event loop's side of the words."""
 
-    def __init__(self, base_period_ns: int, comm_period_ticks: list[int]) -> None:
+    def __init__(
+        self, base_period_ns: int, comm_period_ticks: list[int], first_tick: int = 0
+    ) -> None:
         self.control = np.zeros(N_CONTROL, dtype=np.int64)
         self.comm = np.zeros(len(comm_period_ticks) * N_COMM, dtype=np.int64)
         self.comm[COMM_PERIOD_TICKS::N_COMM] = comm_period_ticks
@@ -149,6 +151,7 @@ class Exchange:
         self._generation = 0
         self.control[COMMAND] = FREE_RUN
         self.control[PACED_PERIOD] = base_period_ns
+        self.control[NEXT_TICK] = first_tick
 
     def get(self, word: int) -> int:
         """Load one control word."""

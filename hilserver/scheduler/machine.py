@@ -47,7 +47,8 @@ class Machine:
         self.base_period_ns = base_period_ns
         self.compiled, self.communication = check_slices(slices)
         self.law = law_array(base_period_ns, policy, limits, warm_up_ticks, first_tick)
-        self.exchange = Exchange(base_period_ns, [part.period_ticks for part in self.communication])
+        periods = [part.period_ticks for part in self.communication]
+        self.exchange = Exchange(base_period_ns, periods, first_tick)
         self.statistics = Statistics(
             [*self.compiled, *self.communication], base_period_ns, statistics_array, linear_bins
         )

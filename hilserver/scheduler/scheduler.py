@@ -94,11 +94,10 @@ class Scheduler:
     ) -> None:
         if backend not in BACKENDS:
             raise ValueError(f"pacing {backend!r} is unknown; one of {', '.join(BACKENDS)}")
-        self.backend = backend
-        self.base_period_ns = base_period_ns
+        self.backend, self.base_period_ns = backend, base_period_ns
         self.grants: list[Grant] = []
         self.gc_pauses = GcPauses()
-        self._freeze_gc = freeze_gc
+        self._freeze_gc, self._started = freeze_gc, False
         self._machine = Machine(
             base_period_ns=base_period_ns,
             slices=slices,
@@ -113,21 +112,17 @@ class Scheduler:
             linear_bins=linear_bins,
         )
         self._exchange = self._machine.exchange
-        ex.write_word(self._exchange.control, ex.NEXT_TICK, first_tick)
         if paused:
             self._exchange.pause()
         self._overrun_callbacks: list[OverrunCallback] = []
         self._overruns = Overruns(self._machine, self._overrun_callbacks)
         self._communication = Communication(
-            self._machine,
-            simulated=backend == "virtual",
-            on_overrun=self._overruns.communication,
+            self._machine, simulated=backend == "virtual", on_overrun=self._overruns.communication
         )
         # called in virtual time after every batch of ticks; time waits for them
         self.after_batch: list[Callable[[], None]] = []
         self._pacing = self._make_pacing(realtime or RealtimeSettings())
         self._waiters: list[asyncio.Future[None]] = []
-        self._started = False
 
     def _make_pacing(self, realtime: RealtimeSettings) -> Pacing:
         if self.backend == "thread":

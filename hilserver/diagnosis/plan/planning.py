@@ -71,19 +71,18 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
     recording = Recording(wish.channels or given.channels, wish.rate_hz)
     studio = _Studio(given.robot, wish.seed, wish.jobs, report)
     now = studio.look(given.spans, recording)
-    missing = _missing(studio, given.spans, recording, now)
     chosen = studio.better(recording, wish.room_m, wish.duration_s or given.duration_s)
     spans = [_joined(chosen)]
     if not _inside(spans, given.robot, wish.room_m):
         raise FailedError(f"the pieces drift out of {_sides(wish.room_m)}; give more --room")
     then = studio.look(spans, recording)
-    fits = given.duration_s <= (wish.duration_s or given.duration_s)
     stays = _inside(given.spans, given.robot, wish.room_m)
-    better = then.score > now.score or not (fits and stays)
+    fits = stays and given.duration_s <= (wish.duration_s or given.duration_s)
+    better = then.score > now.score or not fits
     if not better:
         spans, then = given.spans, now
     leaves = f"{wish.manoeuvre.name} leaves {_sides(wish.room_m)} when begun in the middle"
-    text = f"what a diagnosis finds best in {sum(s.duration_s for s in spans):.0f} s"
+    length_s = sum(s.duration_s for s in spans)
     document = PlanDocument(
         version=__version__,
         config_sha256=assembly.config.sha256,
@@ -95,16 +94,16 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
         room_m=wish.room_m,
         as_planned=prospect(now, given.duration_s),
         proposed=Proposed(
-            **dict(prospect(then, sum(s.duration_s for s in spans))),
+            **dict(prospect(then, length_s)),
             better=better,
             pieces=tuple(piece.name for piece in chosen) if better else (),
             scenario=SCENARIO,
         ),
-        missing_channels=missing,
+        missing_channels=_missing(studio, given.spans, recording, now),
         notices=given.notices if stays else (*given.notices, leaves),
     )
     files = {
-        SCENARIO: as_yaml(as_scenario(spans, text)),
+        SCENARIO: as_yaml(as_scenario(spans, f"what a diagnosis finds best in {length_s:.0f} s")),
         PLAN: document.model_dump_json(by_alias=True, indent=1) + "\n",
     }
     return document, files

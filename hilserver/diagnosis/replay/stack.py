@@ -126,33 +126,28 @@ def make_stack(
     usable : ndarray of bool, shape (segments,), optional
         Segments that take part.
     """
-    parts: dict[str, list[NDArray[Any]]] = {"segment": [], "t_s": [], "values": [], "at": []}
+    parts: list[list[NDArray[Any]]] = []
     edges: dict[str, slice] = {}
     begin, skips_s = 0, np.broadcast_to(skip_s, len(segments))
     for name in names:
         channel = log[name]
         segment, at = segments.locate(channel.span, channel.t_s)
-        keep = segment >= 0
         index = np.maximum(segment, 0)
+        keep = (segment >= 0) & (usable is None or usable[index])
         keep &= channel.t_s >= segments.start_s[index] + skips_s[index] - 1e-9
-        if usable is not None:
-            keep &= usable[index]
         edges[name] = slice(begin, begin + int(keep.sum()))
         begin = edges[name].stop
-        for key, array in (("segment", segment), ("t_s", channel.t_s)):
-            parts[key].append(array[keep])
-        parts["values"].append(channel.values[keep])
-        parts["at"].append(at[keep])
-    segment = np.concatenate(parts["segment"]).astype(np.int64)
-    t_s = np.concatenate(parts["t_s"])
+        parts.append([array[keep] for array in (segment, channel.t_s, channel.values, at)])
+    segment, t_s, values, at = (np.concatenate(part) for part in zip(*parts, strict=True))
+    segment = segment.astype(np.int64)
     block, n_blocks, fold, half = _blocks(log, segments, segment, t_s, block_s)
     return Stack(
         channels=tuple(names),
         edges=edges,
         segment=segment,
         t_s=t_s,
-        values=np.concatenate(parts["values"]),
-        at=np.concatenate(parts["at"]),
+        values=values,
+        at=at,
         low=segments.first[segment],
         high=segments.first[segment + 1] - 1,
         block=block,

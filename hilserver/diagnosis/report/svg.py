@@ -131,25 +131,17 @@ def path_data(x: Array, y: Array) -> str:
 
 @dataclass
 class Plot:
-    """One pair of axes and what is drawn between them.
+    """One pair of axes and what is drawn between them."""
 
-    Parameters
-    ----------
-    x, y : tuple of float
-        Ranges of the values.
-    x_label, y_label : str
-        With the unit.
-    top : float
-        Where the plot begins in a picture of several.
-    """
-
+    # ranges of the values
     x: tuple[float, float]
     y: tuple[float, float]
+    # with the unit
     x_label: str
     y_label: str
     width: float = 520.0
     height: float = 300.0
-    top: float = 0.0
+    top: float = 0.0  # where the plot begins in a picture of several
     log_x: bool = False
     log_y: bool = False
     _drawn: list[str] = field(default_factory=list)

@@ -43,9 +43,9 @@ class ShieldLink(Part):
     status: ShieldStatus  # always up to date
 
     def __init__(self, config: ShieldConfig, world: World) -> None:
-        from hilserver.io.shield.wire import serve  # noqa: PLC0415 - compiled only where it is needed
+        from hilserver.io.shield.wire import Memory, serve  # noqa: PLC0415 - compiled only where needed
 
-        self._serve = serve
+        self._serve, self._memory = serve, Memory
         self.status = status = ShieldStatus(NAME)
         self._source = Source(
             config.driver,
@@ -134,14 +134,22 @@ class ShieldLink(Part):
     def _run(self) -> None:
         self.grants = request_for_this_thread(self._realtime)
         image, n = self._image, self._image.n_slots
-        buffers = [np.zeros(n_bytes, dtype=np.uint8) for n_bytes in (REQUEST_BYTES,) * 2]
-        out = np.zeros(max(RESPONSE_BYTES.values()), dtype=np.uint8)
-        frame, info = np.empty(n), np.empty(n + 3, dtype=np.int64)
-        scratch, poll = np.zeros(3, dtype=np.int64), np.zeros(2, dtype=np.int32)
+        memory = self._memory(
+            self.status.words,
+            self._slots,
+            chunk=np.zeros(REQUEST_BYTES, dtype=np.uint8),
+            request=np.zeros(REQUEST_BYTES, dtype=np.uint8),
+            out=np.zeros(max(RESPONSE_BYTES.values()), dtype=np.uint8),
+            values=image.values,
+            words=image.words,
+            frame=np.empty(n),
+            info=np.empty(n + 3, dtype=np.int64),
+            scratch=np.zeros(3, dtype=np.int64),
+            poll=np.zeros(2, dtype=np.int32),
+        )
         line = self._line
         while line is not None and not self._stopping.is_set():
-            arrays = (self.status.words, self._slots, *buffers, out, image.values, image.words)
-            if not self._serve(line.file, self._doorbell, *arrays, frame, info, scratch, poll):
+            if not self._serve(line.file, self._doorbell, memory):
                 return
             line = self._reopen(line)
 

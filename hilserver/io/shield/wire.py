@@ -6,10 +6,13 @@ over together when it would have carried the last one, as a UART with a FIFO han
 driver. Between two responses the line has its rest, too: none is sent before the one before it.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
 from numba.core import types
 from numba.core.types import ExternalFunction, int32, int64, uint64, voidptr
+from numba.core.types.containers import NamedTuple as RecordType
+from numpy.typing import NDArray
 
 from hilserver.compiled import kernel
 from hilserver.compiled.atomics import load_acquire, store_release
@@ -29,7 +32,23 @@ ABSENT_WAIT_NS: Final = 5_000_000  # how often it looks for a host that opens th
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
 IMU_RAW: Final = int(Command.IMU_RAW)
 
-_WORDS, _BYTES = types.int64[::1], types.uint8[::1]
+_WORDS, _BYTES, _VALUES = types.int64[::1], types.uint8[::1], types.float64[::1]
+
+
+class Memory(NamedTuple):
+    """What the thread of a line works on."""
+
+    state: NDArray[np.int64]  # see `words`
+    slots: NDArray[np.int64]  # see `answer.places`
+    chunk: NDArray[np.uint8]  # bytes that were read
+    request: NDArray[np.uint8]  # that they make
+    out: NDArray[np.uint8]  # the response
+    values: NDArray[np.float64]  # of the process image, as `words`
+    words: NDArray[np.int64]
+    frame: NDArray[np.float64]  # scratch for one frame, as `info`
+    info: NDArray[np.int64]
+    scratch: NDArray[np.int64]  # two words for libc's times and a 1 for the doorbell
+    poll: NDArray[np.int32]  # shape (2,), scratch for ppoll
 
 
 @kernel()
@@ -151,23 +170,11 @@ def _listen(
     return False
 
 
-@kernel(int64(int64, int64, _WORDS, _WORDS, _BYTES, _BYTES, _BYTES, types.float64[::1], _WORDS,
-              types.float64[::1], _WORDS, _WORDS, types.int32[::1]))  # fmt: skip
-def serve(
-    file: int,
-    doorbell: int,
-    state: Any,
-    slots: Any,
-    chunk: Any,
-    request: Any,
-    out: Any,
-    values: Any,
-    words: Any,
-    frame: Any,
-    info: Any,
-    scratch: Any,
-    poll: Any,
-) -> int:
+_TYPES = (_WORDS, _WORDS, *[_BYTES] * 3, _VALUES, _WORDS, _VALUES, _WORDS, _WORDS, types.int32[::1])
+
+
+@kernel(int64(int64, int64, RecordType(_TYPES, Memory)))
+def serve(file: int, doorbell: int, memory: Memory) -> int:
     """Answer on a line until `STOP` is set (returns 0) or the line is lost (returns 1).
 
     Parameters
@@ -176,21 +183,8 @@ def serve(
         Terminal, opened without blocking.
     doorbell : int
         eventfd that is rung for every request.
-    state : ndarray of int64, shape (N_WORDS,)
-        See `words`.
-    slots : ndarray of int64
-        See `answer.places`.
-    chunk, request, out : ndarray of uint8
-        Bytes that were read, the request they make, the response.
-    values, words : ndarray
-        The process image.
-    frame, info : ndarray
-        Scratch for one frame.
-    scratch : ndarray of int64, shape (3,)
-        Two words for libc's times and a 1 for the doorbell.
-    poll : ndarray of int32, shape (2,)
-        Scratch for ppoll.
     """
+    state, slots, chunk, request, out, values, words, frame, info, scratch, poll = memory
     scratch[2] = 1
     one = scratch[2:3]
     while load_acquire(state, w.STOP) == 0:
