@@ -52,7 +52,6 @@ class Judge:
 
     Parameters
     ----------
-    table : SignalTable
     path : Path, optional
         The file they came from; own functions are found beside it.
     derived : collection of str

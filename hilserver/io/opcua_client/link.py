@@ -27,7 +27,6 @@ class PeerLink(Peer):
 
     Parameters
     ----------
-    config : PeerConfig
     security : LinkSecurity or None
         Protects the sessions; None can only be given where the configuration asks for neither
         policy nor user.

@@ -69,7 +69,6 @@ class LinkSecurity:
 
     Parameters
     ----------
-    config : PeerConfig
     opcua : OpcUaSettings
         Names the certificates where the peer's configuration does not.
     folder : Path

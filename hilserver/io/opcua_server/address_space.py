@@ -16,6 +16,12 @@ _READ_WRITE = ua.AccessLevel.CurrentRead.mask | ua.AccessLevel.CurrentWrite.mask
 _WAITING = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)
 OBJECTS = ua.NodeId(ua.ObjectIds.ObjectsFolder)
 SERVER = ua.NodeId(ua.ObjectIds.Server)
+_CLASSES = {
+    ua.ObjectAttributes: ua.NodeClass.Object,
+    ua.ObjectTypeAttributes: ua.NodeClass.ObjectType,
+    ua.VariableAttributes: ua.NodeClass.Variable,
+    ua.MethodAttributes: ua.NodeClass.Method,
+}
 
 
 class AddressSpaceBuilder:
@@ -23,7 +29,6 @@ class AddressSpaceBuilder:
 
     Parameters
     ----------
-    node_service : asyncua NodeManagementService
     robot_index, di_index : int
         Indices of our namespace and of DI's.
     """
@@ -93,7 +98,6 @@ class AddressSpaceBuilder:
     def variable(self, row: model.Variable) -> None:
         """Add a variable without a value yet (BadWaitingForInitialData) and its properties."""
         attributes = ua.VariableAttributes()
-        attributes.DisplayName = ua.LocalizedText(row.name)
         attributes.Description = ua.LocalizedText(row.description)
         attributes.DataType = ua.NodeId(row.data_type)
         attributes.ValueRank = -1 if row.length is None else 1
@@ -108,7 +112,6 @@ class AddressSpaceBuilder:
             self.name(row.name),
             self.node_id(row.parent),
             ua.ObjectIds.HasComponent,
-            ua.NodeClass.Variable,
             attributes,
             row.type_definition,
         )
@@ -137,7 +140,6 @@ class AddressSpaceBuilder:
     ) -> ua.NodeId:
         """Add a property with a constant value; standard names are in namespace 0."""
         attributes = ua.VariableAttributes()
-        attributes.DisplayName = ua.LocalizedText(name)
         attributes.DataType = ua.NodeId(data_type)
         attributes.ValueRank = 1 if isinstance(value, list) else -1
         attributes.ArrayDimensions = [0] if isinstance(value, list) else None
@@ -147,7 +149,6 @@ class AddressSpaceBuilder:
             ua.QualifiedName(name, namespace),
             self.node_id(owner),
             ua.ObjectIds.HasProperty,
-            ua.NodeClass.Variable,
             attributes,
             ua.ObjectIds.PropertyType,
         )
@@ -155,7 +156,6 @@ class AddressSpaceBuilder:
     def method(self, method: Method) -> ua.NodeId:
         """Add a method with the description of its arguments."""
         attributes = ua.MethodAttributes()
-        attributes.DisplayName = ua.LocalizedText(method.name)
         attributes.Description = ua.LocalizedText(method.description)
         attributes.Executable = attributes.UserExecutable = True
         node_id = self._add(
@@ -163,9 +163,7 @@ class AddressSpaceBuilder:
             self.name(method.name),
             self.node_id("methods"),
             ua.ObjectIds.HasComponent,
-            ua.NodeClass.Method,
             attributes,
-            None,
         )
         if method.arguments:
             arguments = [
@@ -185,16 +183,9 @@ class AddressSpaceBuilder:
     ) -> ua.NodeId:
         """Add an event type; `properties` are rows of name, data type, initial value."""
         attributes = ua.ObjectTypeAttributes()
-        attributes.DisplayName = ua.LocalizedText(name)
         attributes.IsAbstract = False
         node_id = self._add(
-            self.node_id(path),
-            self.name(name),
-            base,
-            ua.ObjectIds.HasSubtype,
-            ua.NodeClass.ObjectType,
-            attributes,
-            None,
+            self.node_id(path), self.name(name), base, ua.ObjectIds.HasSubtype, attributes
         )
         for property_name, data_type, value in properties:
             self._type_property(path, property_name, data_type, value)
@@ -202,7 +193,6 @@ class AddressSpaceBuilder:
 
     def _type_property(self, owner: str, name: str, data_type: int, value: Any) -> None:
         attributes = ua.VariableAttributes()
-        attributes.DisplayName = ua.LocalizedText(name)
         attributes.DataType = ua.NodeId(data_type)
         attributes.Value = ua.Variant(value, ua.VariantType(data_type))
         node_id = self._add(
@@ -210,7 +200,6 @@ class AddressSpaceBuilder:
             self.name(name),
             self.node_id(owner),
             ua.ObjectIds.HasProperty,
-            ua.NodeClass.Variable,
             attributes,
             ua.ObjectIds.PropertyType,
         )
@@ -260,18 +249,9 @@ class AddressSpaceBuilder:
         event_notifier: int = 0,
     ) -> None:
         attributes = ua.ObjectAttributes()
-        attributes.DisplayName = ua.LocalizedText(browse_name.Name)
         attributes.Description = ua.LocalizedText(description)
         attributes.EventNotifier = event_notifier
-        self._add(
-            node_id,
-            browse_name,
-            parent,
-            reference,
-            ua.NodeClass.Object,
-            attributes,
-            type_definition,
-        )
+        self._add(node_id, browse_name, parent, reference, attributes, type_definition)
 
     def _add(
         self,
@@ -279,16 +259,16 @@ class AddressSpaceBuilder:
         browse_name: ua.QualifiedName,
         parent: ua.NodeId,
         reference: int,
-        node_class: ua.NodeClass,
         attributes: Any,
-        type_definition: int | None,
+        type_definition: int | None = None,
     ) -> ua.NodeId:
+        attributes.DisplayName = ua.LocalizedText(browse_name.Name)
         item = ua.AddNodesItem()
         item.RequestedNewNodeId = node_id
         item.BrowseName = browse_name
         item.ParentNodeId = parent
         item.ReferenceTypeId = ua.NodeId(reference)
-        item.NodeClass = node_class
+        item.NodeClass = _CLASSES[type(attributes)]
         if type_definition is not None:
             item.TypeDefinition = ua.NodeId(type_definition)
         item.NodeAttributes = attributes

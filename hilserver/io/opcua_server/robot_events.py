@@ -99,7 +99,6 @@ class RobotEvents:
 
     Parameters
     ----------
-    subscriptions : Subscriptions
     limit_per_s : int
         Events of one kind that are sent in a second.
     """
