@@ -15,7 +15,7 @@ from hilserver.daemon import figures
 from hilserver.faults import Faults
 from hilserver.image import ProcessImage
 from hilserver.image.board import Board
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler
 from hilserver.scheduler.metrics import slices_by_name

@@ -18,10 +18,11 @@ from hilserver.daemon.shadow import GapWatch
 from hilserver.daemon.supervision import Supervision
 from hilserver.faults import metrics as fault_metrics
 from hilserver.faults.scenario import Stage
-from hilserver.io import edge, foxglove, peer_metrics, ros2, s7
+from hilserver.io import edge, foxglove, ros2, s7
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_server import server as opcua_server
 from hilserver.io.part import Part
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.peers import parts as peer_parts
 from hilserver.io.shield import link as shield
 from hilserver.io.shield import metrics as shield_metrics

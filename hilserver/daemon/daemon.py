@@ -34,8 +34,8 @@ from hilserver.daemon.supervision import Supervision
 from hilserver.errors import EXIT_DONE, EXIT_FAILED, EXIT_SAFETY_LIMIT
 from hilserver.faults import Play
 from hilserver.faults.scenario import Stage
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.part import Part
-from hilserver.io.peer_status import PeerStatus
 from hilserver.io.recorder.launch import recorder_inside, running_recorder
 from hilserver.io.recorder.marks import Marks
 from hilserver.io.recorder.state_service import StateService

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from hilserver.core.inputs import InputGate
 from hilserver.image import Frame
 from hilserver.image.status import GOOD
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.world import Figure
 from hilserver.monitoring.audit import AuditItem
 from hilserver.scheduler import Scheduler

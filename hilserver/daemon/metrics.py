@@ -14,7 +14,7 @@ from hilserver.compiled.histogram import Histogram125
 from hilserver.core import metrics as core
 from hilserver.core.recalibration import RECALIBRATION_METRICS
 from hilserver.faults import metrics as faults
-from hilserver.io import peer_metrics
+from hilserver.io.peer_link import metrics as peer_metrics
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import US, Kind, Metric, S, by_name, durations
 from hilserver.monitoring import audit

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hilserver.image import Frame
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from hilserver.metrics import Source
 
 

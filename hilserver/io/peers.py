@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from hilserver.config.peers import PeerConfig
-from hilserver.io.peer import Peer
+from hilserver.io.peer_link.link import Peer
 from hilserver.io.world import World
 
 

@@ -8,8 +8,8 @@ from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
 from hilserver.core.inputs import Refusal
 from hilserver.core.staleness import Staleness, Transition
-from hilserver.io.peer_faults import FaultBook
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_faults import FaultBook
+from hilserver.io.link_status import PeerStatus
 
 OFFERED_AGAIN = frozenset({Refusal.NOT_IN_CONTROL, Refusal.QUEUE_FULL})
 """Reasons that are not the value's: the next group may be accepted as it is."""

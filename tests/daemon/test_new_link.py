@@ -19,8 +19,8 @@ from hilserver.core.events import EventKind
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.part import Part
-from hilserver.io.peer_status import PeerStatus
 from hilserver.io.source import Source
 from hilserver.signals import State
 from tests.loopback.rig import configuration, scrape, wait_until

@@ -14,9 +14,9 @@ from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures
 from hilserver.daemon import metrics as daemon
 from hilserver.daemon.outputs import EXPORTED
 from hilserver.faults import metrics as faults
-from hilserver.io import peer_metrics
-from hilserver.io.peer_samples import FaultKind
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
+from hilserver.io.peer_link import metrics as peer_metrics
+from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.shield import ShieldStatus
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.metrics import Source

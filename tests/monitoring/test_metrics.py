@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from hilserver.compiled.histogram import BOUNDS_NS, N_BUCKETS
 from hilserver.daemon.metrics import METRICS
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.shield.words import LATE_COUNTS, LATE_SUM
 from hilserver.metrics import Kind
 from hilserver.monitoring.metrics import Metrics

@@ -7,7 +7,7 @@ import pytest
 
 from hilserver.config.peers import PeerConfig
 from hilserver.controller.nodes import SENSORS, demo_peer
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from tests.io.opcua_client.conftest import make_harness, wait_until
 from tests.node_red.node_red import shipped_flow, test_flow, with_sink
 

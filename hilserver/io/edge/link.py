@@ -19,8 +19,8 @@ from hilserver.errors import FailedError
 from hilserver.image import Frame
 from hilserver.io.edge import payload
 from hilserver.io.edge.payload import Collection
+from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.part import Part
-from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.io.source import Source
 from hilserver.io.world import World
 

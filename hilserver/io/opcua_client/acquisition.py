@@ -13,11 +13,11 @@ import structlog
 from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_client.session import Session, read_request
 from hilserver.io.opcua_client.subscription import Grant, Subscription
 from hilserver.io.opcua_client.validation import judge
-from hilserver.io.peer_intake import Taker
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.peer_link.intake import Taker
 from hilserver.period import every
 
 OBSERVED_S = 2.0

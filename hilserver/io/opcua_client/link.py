@@ -13,8 +13,8 @@ from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.opcua_client.session import Session
 from hilserver.io.opcua_client.stamps import utc_ns_of
 from hilserver.io.opcua_client.writer import Writer
-from hilserver.io.peer import Peer, describe
-from hilserver.io.peer_samples import FaultKind
+from hilserver.io.peer_link.link import Peer, describe
+from hilserver.io.peer_link.samples import FaultKind
 
 HEARTBEAT_S = 1.0
 HUNT_EVERY_S = 30.0

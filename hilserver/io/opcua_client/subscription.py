@@ -14,8 +14,8 @@ from asyncua import ua
 
 from hilserver.io.opcua_client.session import Session
 from hilserver.io.opcua_client.validation import judge
-from hilserver.io.peer_errors import LinkLostError
-from hilserver.io.peer_intake import Taker
+from hilserver.io.peer_link.errors import LinkLostError
+from hilserver.io.peer_link.intake import Taker
 
 QUEUE_MAX = 1000
 SILENT_AFTER_S = 2.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 from asyncua import ua
 
 from hilserver.io.opcua_client.stamps import utc_ns_of
-from hilserver.io.peer_samples import FaultKind, Verdict, judge_value
+from hilserver.io.peer_link.samples import FaultKind, Verdict, judge_value
 
 
 def judge(sample: ua.DataValue) -> Verdict:

@@ -9,6 +9,8 @@ from asyncua import ua
 from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, Line
 from hilserver.image.status import GOOD, is_bad
+from hilserver.io.link_faults import FaultBook
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_client.outgoing import (
     Form,
     UnfitError,
@@ -17,11 +19,9 @@ from hilserver.io.opcua_client.outgoing import (
     variant_type,
 )
 from hilserver.io.opcua_client.session import Session
-from hilserver.io.peer import Output
-from hilserver.io.peer_errors import LinkLostError
-from hilserver.io.peer_faults import FaultBook
-from hilserver.io.peer_samples import FaultKind
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.peer_link.errors import LinkLostError
+from hilserver.io.peer_link.link import Output
+from hilserver.io.peer_link.samples import FaultKind
 from hilserver.period import every
 
 LOOK_AGAIN_S = 1.0

@@ -14,8 +14,8 @@ import structlog
 
 from hilserver.config.ros2 import Ros2Config
 from hilserver.faults.links import Lane, Line
+from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.part import Part
-from hilserver.io.peer_status import LinkState, PeerStatus
 from hilserver.io.ros2.parameters import ParameterServices
 from hilserver.io.ros2.participant import Arrival, In, Out, Participant
 from hilserver.io.ros2.services import Service

@@ -9,9 +9,9 @@ from hilserver.config.s7 import S7Server
 from hilserver.core.inputs import Refusal
 from hilserver.errors import FailedError
 from hilserver.image import Frame
+from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.part import Part
-from hilserver.io.peer_samples import FaultKind
-from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7.blocks import blocks_of
 from hilserver.io.s7.server import Answers, Server
 from hilserver.io.s7.wire import Code

@@ -15,8 +15,8 @@ from hilserver.config.shield import ShieldConfig
 from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
 from hilserver.errors import FailedError
+from hilserver.io.link_status import LinkState
 from hilserver.io.part import Part
-from hilserver.io.peer_status import LinkState
 from hilserver.io.shield import words as w
 from hilserver.io.shield.answer import places
 from hilserver.io.shield.device import Device, ShieldFault

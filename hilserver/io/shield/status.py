@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.shield import words as w
 
 NAME = "shield"

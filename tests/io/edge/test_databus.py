@@ -12,7 +12,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError
 from hilserver.io.edge.link import EdgeLink
-from hilserver.io.peer_status import LinkState
+from hilserver.io.link_status import LinkState
 from tests.io.edge.rig import Reader, broker, free_port
 from tests.loopback.rig import configuration, wait_until
 

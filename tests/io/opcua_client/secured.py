@@ -12,8 +12,8 @@ from cryptography import x509
 
 from hilserver.config.peers import PeerConfig
 from hilserver.config.server import OpcUaConfig
-from hilserver.io import peer_errors
 from hilserver.io.opcua_client import LinkSecurity
+from hilserver.io.peer_link import errors as peer_errors
 from hilserver.opcua.certificate import (
     make_certificate,
     to_der,

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus
+from hilserver.io.link_faults import HOLD_NS
+from hilserver.io.link_status import PeerStatus
 from hilserver.io.opcua_client.validation import judge
-from hilserver.io.peer_faults import HOLD_NS
-from hilserver.io.peer_intake import Intake
-from hilserver.io.peer_samples import FaultKind
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.peer_link.intake import Intake
+from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.source import Source
 from tests.io.opcua_client.conftest import URI, RecordingGate, peer_config
 

@@ -6,7 +6,7 @@ import pytest
 from snap7.type import SrvArea
 
 from hilserver.config.s7 import Endpoint
-from hilserver.io.peer_status import LinkState
+from hilserver.io.link_status import LinkState
 from hilserver.io.s7.connection import AnswerError, Connection, Run
 from hilserver.io.s7.wire import Item
 from tests.io.s7.rig import Link, controller, free_port

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterator
 from typing import Final
 
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 from hilserver.metrics import MS, US, Kind, Metric, Reading, Row, S, counter, durations
 
 Peers = Collection[PeerStatus]

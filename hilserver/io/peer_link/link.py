@@ -14,11 +14,11 @@ from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus
 from hilserver.faults.links import Line
+from hilserver.io.link_status import LinkState, PeerStatus
 from hilserver.io.part import Part
-from hilserver.io.peer_errors import LinkLostError, RefusedError, refusal_in
-from hilserver.io.peer_faulty_intake import FaultyIntake
-from hilserver.io.peer_intake import Intake
-from hilserver.io.peer_status import LinkState, PeerStatus
+from hilserver.io.peer_link.errors import LinkLostError, RefusedError, refusal_in
+from hilserver.io.peer_link.faulty_intake import FaultyIntake
+from hilserver.io.peer_link.intake import Intake
 from hilserver.io.source import Gate, Source
 from hilserver.program import event_loop
 from hilserver.signals import MEASURED

@@ -1,4 +1,4 @@
-"""What is known about one OPC UA peer: filled by its link, read by everyone who shows it."""
+"""What is known about who is at the other end of a link: filled by it, read by all who show it."""
 
 from collections import Counter
 from dataclasses import dataclass, field

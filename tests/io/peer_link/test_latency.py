@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilserver.io.peer_latency import ClockOffset, StampWatch, one_way_ns
+from hilserver.io.peer_link.latency import ClockOffset, StampWatch, one_way_ns
 
 MS = 1_000_000
 SECOND = 1_000 * MS

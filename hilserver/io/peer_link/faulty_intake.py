@@ -5,8 +5,8 @@ import time
 from collections.abc import Iterable
 
 from hilserver.faults.links import Lane, Line
-from hilserver.io.peer_intake import Intake
-from hilserver.io.peer_samples import Verdict
+from hilserver.io.peer_link.intake import Intake
+from hilserver.io.peer_link.samples import Verdict
 
 Batch = list[tuple[str, Verdict]]
 

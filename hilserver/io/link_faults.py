@@ -6,7 +6,7 @@ from enum import StrEnum
 import structlog
 
 from hilserver.core.events import Event, EventKind
-from hilserver.io.peer_status import PeerStatus
+from hilserver.io.link_status import PeerStatus
 
 HOLD_NS = 5_000_000_000  # a fault that was not seen again for so long has ended
 

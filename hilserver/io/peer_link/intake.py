@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from hilserver.config.peers import PeerConfig
-from hilserver.io.peer_latency import ClockOffset, StampWatch, one_way_ns
-from hilserver.io.peer_samples import FaultKind, SequenceWatch, Verdict
+from hilserver.io.peer_link.latency import ClockOffset, StampWatch, one_way_ns
+from hilserver.io.peer_link.samples import FaultKind, SequenceWatch, Verdict
 from hilserver.io.source import Source
 
 SEQUENCE_SIGNAL = "input.sequence"

@@ -1,6 +1,6 @@
 """Why there is no connection to a peer, or no longer."""
 
-from hilserver.io.peer_samples import FaultKind
+from hilserver.io.peer_link.samples import FaultKind
 
 REFUSED_PAUSE_S = 2.0
 LOG_IN_PAUSE_S = 20.0  # servers lock an account after a few failures a minute
