@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.gaussian_process import gaussian_process
 from benchmarks.sindy import sindy
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.engine import HORIZON_S
 from hilserver.diagnosis.regression.fitting import fit
@@ -21,7 +22,6 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stack import Stack
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
 
 MOST_CAUSES: Final = 8

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.regression.stages import Prepared
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
 
 STEP_S: Final = 0.05

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.compiled import kernel
-from hilserver.measured.arrays import Array
 from hilserver.observer.offline import GYRO, POSITION, Series
 from hilserver.plant.layout import Parameters
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.body_velocities import AHEAD, TURN, WINDOW, BodyVelocities
+from hilserver.arrays import Array
 from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
-from hilserver.measured.arrays import Array
 
 LEARNED_FROM: Final = 300
 MOST: Final = 1500

@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.bench.report import Result
 from hilserver.body.engine import Engine
 from hilserver.body.layout import Addresses, Constants, Motion
@@ -24,7 +25,6 @@ from hilserver.compiled.foreign import call
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.builder import Pace, build
-from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
 from hilserver.scheduler import OverrunPolicy, RealtimeSettings
 

@@ -12,13 +12,13 @@ from hilserver_injector.cases import pairs
 from benchmarks.default_filter import default_filter
 from benchmarks.diagnose_results import sources
 from benchmarks.diagnose_worker import measured
+from hilserver.arrays import Array
 from hilserver.config.observer import constants_of, load_found
 from hilserver.config.patch import load_patch
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.output import documents
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.observed import series_of
 from hilserver.observer.layout import YAW

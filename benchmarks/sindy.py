@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.body_velocities import AHEAD, TURN, BodyVelocities
+from hilserver.arrays import Array
 from hilserver.diagnosis.regression.gain import held_out
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.errors import FailedError
-from hilserver.measured.arrays import Array
 
 Pair = tuple[str, str]
 

@@ -15,11 +15,11 @@ import numpy as np
 from hilserver_injector.cases import Case
 
 from benchmarks.diagnose_scoring import Value, bare, value_of
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks import check
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.errors import FailedError
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.machine import machine
 from hilserver.plant.parameters import RobotParameters

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.report.standalone import HEAD_HEIGHT, document
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.observer.layout import BIAS, YAW, Shown, X, Y
@@ -15,7 +16,6 @@ from hilserver.observer.offline import POSITION, Course, Series
 from hilserver.observer.offline import run as run_filter
 from hilserver.plant.layout import Parameters
 
-Array = NDArray[np.float64]
 STATE: Final = Shown.where("state").start
 DEVIATIONS: Final = Shown.where("deviations")
 

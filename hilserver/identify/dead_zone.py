@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.arrays import Array, Mask
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
-from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel, MeasuredLog
 
 RESTING_RPM: Final = 1.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from hilserver.measured.arrays import Array, Indices
+from hilserver.arrays import Array, Indices
 
 LONGEST_BLOCK_S: Final = 5.0
 BLOCKS_MIN: Final = 3

@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.noise.fitting import NoiseModel, fit_noise
 from hilserver.errors import LogError
 from hilserver.identify.wheels import at, files, present
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 RESTING_RPM: Final = 1.0

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.wheels import (
@@ -21,7 +22,6 @@ from hilserver.identify.wheels import (
     present,
     side_sum_rpm,
 )
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import GYRO, IMU_YAW, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from hilserver.arrays import Array
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate, blocks_of, regress
 from hilserver.identify.steps import Step, averaged, find_steps
@@ -22,7 +23,6 @@ from hilserver.identify.strejc import (
     two_lags,
 )
 from hilserver.identify.wheels import files, present
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 Response = Callable[[Array, Array], Array]

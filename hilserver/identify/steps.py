@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 _HOLD_S = 0.15

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import gammainc
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 
 ORDER_MAX = 6
 

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
+from hilserver.arrays import Array
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 RISE: Final = 0.632

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.errors import LogError
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 

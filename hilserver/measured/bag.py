@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant
 from hilserver.logs.bag_messages import Topic, is_bag, read_messages
 from hilserver.logs.table import first_of_equal, repeated_stamps
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.mapping import LogMapping
 from hilserver.measured.messages import Decoder, TopicError
 from hilserver.measured.tables import Recording, Stamped, as_signal

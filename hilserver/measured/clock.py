@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hilserver.measured.arrays import Array, Indices
+from hilserver.arrays import Array, Indices
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.thresholds import SHORTEST_SEGMENT_S
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.errors import LogError
 from hilserver.logs import Log, read_log
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, in_time
-from hilserver.measured.arrays import Array
 from hilserver.measured.bag import read_bag
 from hilserver.measured.mapping import builtin_mappings, load_mapping
 from hilserver.measured.names import known_columns

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hilserver.measured.arrays import Array, Indices
+from hilserver.arrays import Array, Indices
 
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 import yaml
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.config.root import Config
 from hilserver.logs import Log
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import MODE, OF_MODE
 from hilserver.measured.names import is_input, known_signals
 from hilserver.measured.thresholds import ENOUGH_ROWS, FEWEST_VALUES

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError
 from hilserver.logs.bag_messages import Topic
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.fields import Field
 
 _EDUART = {

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.errors import LogError
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO as GYRO_CHANNEL
 from hilserver.measured.channels import POSITION as PLACE
 from hilserver.measured.channels import SPEEDS, YAW

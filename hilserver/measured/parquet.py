@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.errors import LogError
 from hilserver.logs.table import EXACT, Table
 from hilserver.logs.unpacking import Budget
-from hilserver.measured.arrays import Array
 
 
 def read_parquet(path: Path, used: Container[str] | None = None) -> Table:

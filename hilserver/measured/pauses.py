@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 from hilserver.measured.data import Channel, MeasuredLog, Span
 from hilserver.measured.names import is_input
 from hilserver.measured.thresholds import JUMP_S, PAUSE_S, USUAL_STEPS

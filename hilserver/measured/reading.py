@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hilserver.arrays import Indices
 from hilserver.errors import LogError
 from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
-from hilserver.measured.arrays import Indices
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.measured.frames import Sampling

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 from hilserver.measured.thresholds import FEWEST_READINGS, STEP_EXACT, STEP_OFTEN
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant, nearest
 from hilserver.logs import Log, read_log
 from hilserver.logs.csv_reader import read_table
 from hilserver.logs.table import BLOCK, SEGMENT, TIME, Table, in_time
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.frames import Sampling, frames_of, is_of_the_daemon, own_sampling
 from hilserver.measured.mapping import PER_SECOND, LogMapping
 from hilserver.measured.names import known_columns

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.config.loading import place
 from hilserver.errors import ConfigError, FailedError, meant
 from hilserver.program.own_python import described, load_callable
-from hilserver.requirements.margins import Floats, margin
+from hilserver.requirements.margins import margin
 from hilserver.requirements.model import Requirement
 from hilserver.signals import SignalTable
 
@@ -20,13 +21,13 @@ class CheckError(FailedError):
 
 
 @dataclass(frozen=True)
-class Drive(Mapping[str, Floats]):
+class Drive(Mapping[str, Array]):
     """Signals of one drive, a sample each tick, the first at 0 s."""
 
     period_s: float  # of a tick [s]
-    columns: Mapping[str, Floats]
+    columns: Mapping[str, Array]
 
-    def __getitem__(self, name: str) -> Floats:
+    def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -41,9 +42,9 @@ class Drive(Mapping[str, Floats]):
         return max((len(values) for values in self.columns.values()), default=0)
 
     @property
-    def time_s(self) -> Floats:
+    def time_s(self) -> Array:
         """Time of each sample [s], shape (n,)."""
-        times: Floats = np.arange(self.n_ticks, dtype=np.float64) * self.period_s
+        times: Array = np.arange(self.n_ticks, dtype=np.float64) * self.period_s
         return times
 
 
@@ -106,7 +107,7 @@ class Judge:
             for requirement in self.requirements
         }
 
-    def _values(self, requirement: Requirement, drive: Drive) -> Floats:
+    def _values(self, requirement: Requirement, drive: Drive) -> Array:
         if requirement.signal is not None:
             return drive[requirement.signal]
         try:

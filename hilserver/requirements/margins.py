@@ -9,15 +9,14 @@ when the margin is not negative.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilserver.arrays import Array
 from hilserver.requirements.model import Requirement
 
-Floats = NDArray[np.float64]
 _ROUNDING = 1e-9  # of a tick: a time that is a tick but for rounding is that tick
 
 
-def margin(requirement: Requirement, values: Floats, period_s: float) -> float:
+def margin(requirement: Requirement, values: Array, period_s: float) -> float:
     """Return how far the samples of a drive are from failing, in the signal's unit.
 
     Parameters
@@ -44,7 +43,7 @@ def margin(requirement: Requirement, values: Floats, period_s: float) -> float:
     return float(held[: last - first + 1].max(initial=-math.inf))
 
 
-def sample_margins(requirement: Requirement, values: Floats) -> Floats:
+def sample_margins(requirement: Requirement, values: Array) -> Array:
     """Return the distance of each sample to the bound, shape (n,)."""
     samples = np.full(len(values), math.inf)
     if requirement.below is not None:
@@ -56,7 +55,7 @@ def sample_margins(requirement: Requirement, values: Floats) -> Floats:
     return np.where(np.isnan(samples), -math.inf, samples)
 
 
-def _held(requirement: Requirement, samples: Floats, period_s: float) -> Floats:
+def _held(requirement: Requirement, samples: Array, period_s: float) -> Array:
     """Return the worst margin from each start on for as long as it has to hold.
 
     Starts after which the drive is too short are left out.
@@ -64,7 +63,7 @@ def _held(requirement: Requirement, samples: Floats, period_s: float) -> Floats:
     if requirement.for_s is None:
         if requirement.within_s is not None and not requirement.always:
             return samples
-        to_the_end: Floats = np.minimum.accumulate(samples[::-1])[::-1]
+        to_the_end: Array = np.minimum.accumulate(samples[::-1])[::-1]
         return to_the_end
     n = math.floor(requirement.for_s / period_s + _ROUNDING) + 1
     if n > len(samples):
@@ -74,9 +73,9 @@ def _held(requirement: Requirement, samples: Floats, period_s: float) -> Floats:
     return _sliding_minimum(samples, n)
 
 
-def _sliding_minimum(samples: Floats, n: int) -> Floats:
+def _sliding_minimum(samples: Array, n: int) -> Array:
     """Return the minimum of every `n` samples that follow each other, shape (len - n + 1,)."""
     from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - few requirements need it
 
-    filtered: Floats = minimum_filter1d(samples, n, origin=-(n // 2), mode="nearest")
+    filtered: Array = minimum_filter1d(samples, n, origin=-(n // 2), mode="nearest")
     return filtered[: len(samples) - n + 1]

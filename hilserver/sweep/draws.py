@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from hilserver.arrays import Array
 from hilserver.faults import Fault
 from hilserver.sweep.model import Distribution, FaultShare
 
-Array = NDArray[np.float64]
 SEEDS: Final = 2**53  # one more than the largest seed of a plant
 _HALF = 2.0**-54  # moves a uniform number off zero, where the normal distribution has no value
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import betaincinv
 
-Floats = NDArray[np.float64]
+from hilserver.arrays import Array
+
 LEVEL: Final = 0.95
 LEAST_MACHINES: Final = 10  # machines below which no correlation is reported
 TOGETHER: Final = 0.7  # rank correlation of two drawn parameters from which they count as one group
@@ -39,7 +39,7 @@ class Influence:
     strength: float
 
 
-def influences(parameters: dict[str, Floats], margin: Floats) -> list[Influence]:
+def influences(parameters: dict[str, Array], margin: Array) -> list[Influence]:
     """Return what decides a margin, strongest first."""
     fine = ~np.isnan(margin)
     if fine.sum() < LEAST_MACHINES:
@@ -54,7 +54,7 @@ def influences(parameters: dict[str, Floats], margin: Floats) -> list[Influence]
     return _grouped(found, drawn)
 
 
-def explained(values: Floats, ranks: Floats) -> float:
+def explained(values: Array, ranks: Array) -> float:
     """Return the share of the variance of `ranks` between slices of `values`, less that of chance.
 
     A parameter that hurts at both ends has no rank correlation; its slices show it.
@@ -70,7 +70,7 @@ def explained(values: Floats, ranks: Floats) -> float:
     return max((between / total - by_chance) / (1.0 - by_chance), 0.0)
 
 
-def _correlation(a: Floats, b: Floats) -> float:
+def _correlation(a: Array, b: Array) -> float:
     a, b = a - a.mean(), b - b.mean()
     size = math.sqrt(float((a**2).sum()) * float((b**2).sum()))
     return float((a * b).sum()) / size if size > 0.0 else 0.0
@@ -83,7 +83,7 @@ def _fisher(r: float, n: int) -> tuple[float, float]:
     return math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)
 
 
-def _grouped(found: list[Influence], drawn: dict[str, Floats]) -> list[Influence]:
+def _grouped(found: list[Influence], drawn: dict[str, Array]) -> list[Influence]:
     """Put parameters together whose draws go together; the stronger one speaks for both."""
     groups: list[Influence] = []
     for item in found:
@@ -99,7 +99,7 @@ def _grouped(found: list[Influence], drawn: dict[str, Floats]) -> list[Influence
     return groups
 
 
-def median_interval(values: Floats, level: float = LEVEL) -> tuple[float, float, float]:
+def median_interval(values: Array, level: float = LEVEL) -> tuple[float, float, float]:
     """Return the median and its exact interval from order statistics."""
     ordered = np.sort(values)
     n = len(ordered)

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from hilserver import __version__
+from hilserver.arrays import Array
 from hilserver.compiled import kernel_hash
 from hilserver.config.blocks import BlockConfig
 from hilserver.config.loading import place
@@ -28,7 +29,7 @@ from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS, main_part
 from hilserver.replay.simulation import quiet
 from hilserver.requirements import Judge, Requirement
-from hilserver.sweep.draws import Array, Draws, Joint, root_of
+from hilserver.sweep.draws import Draws, Joint, root_of
 from hilserver.sweep.model import ControllerConfig, FaultShare, Limits, Source, Sweep, load_sweep
 
 PATH_ERROR = "path.error_m"

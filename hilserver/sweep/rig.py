@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.arrays import Array
 from hilserver.config.loading import place
 from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.builder import Pace, build, faults_of
@@ -26,7 +27,7 @@ from hilserver.sweep.controllers import Driver, WrongCommand
 from hilserver.sweep.limits import OutOfTime, limited
 from hilserver.sweep.loop import run_ticks
 from hilserver.sweep.prepare import PATH_ERROR, Job, Machine
-from hilserver.sweep.way import Floats, distance_to_way
+from hilserver.sweep.way import distance_to_way
 
 RING_FRAMES, QUEUE_ROWS = 16, 1 << 15
 
@@ -194,7 +195,7 @@ class Rig:
 
 
 def margins_of(
-    job: Job, judge: Judge, period_ns: int, columns: Mapping[str, Floats]
+    job: Job, judge: Judge, period_ns: int, columns: Mapping[str, Array]
 ) -> tuple[float, ...]:
     """Return the margins of a drive from the values of every tick, in the requirements' order."""
     drive = with_way(Drive(period_ns * 1e-9, columns), job.way)

@@ -3,12 +3,11 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from hilserver.arrays import Array
 
 
-def distance_to_way(x_m: Floats, y_m: Floats, way: Floats) -> Floats:
+def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
     """Return the distance of points to the nearest piece of a polyline [m], shape (n,).
 
     Parameters
@@ -26,5 +25,5 @@ def distance_to_way(x_m: Floats, y_m: Floats, way: Floats) -> Floats:
             along = np.clip(((x_m - ax) * dx + (y_m - ay) * dy) / length2, 0.0, 1.0)
         square = (x_m - ax - along * dx) ** 2 + (y_m - ay - along * dy) ** 2
         nearest = np.minimum(nearest, square)
-    distance: Floats = np.sqrt(nearest)
+    distance: Array = np.sqrt(nearest)
     return distance

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Reference = float | Floats | Callable[[Floats], Floats]
+from hilserver.arrays import Array
+
+Reference = float | Array | Callable[[Array], Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,14 +18,14 @@ class Series:
 
     name: str
     unit: str
-    time_s: Floats  # shape (n,); simulated time of each sample [s]
+    time_s: Array  # shape (n,); simulated time of each sample [s]
     tick: NDArray[np.int64]  # shape (n,)
-    values: Floats  # shape (n,); in `unit`
+    values: Array  # shape (n,); in `unit`
 
     def __len__(self) -> int:
         return len(self.values)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Floats:
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.values, dtype=dtype, copy=copy)
 
     @property

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.checks import (
     blocked,
@@ -26,7 +27,6 @@ from hilserver.diagnosis.checks import (
     wrapped,
 )
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import is_input
 from hilserver.plant.parameters import RobotParameters

@@ -5,6 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.motion import Windows, ends_in, mean_in, rolled, windows_of
 from hilserver.diagnosis.checks.support import SPAN_S
 from hilserver.diagnosis.schema.findings import Finding
@@ -15,7 +16,6 @@ from hilserver.diagnosis.thresholds import (
     STANDS,
     TURNS_RAD_S,
 )
-from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.channels import GYRO, POSITION
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.pauses import Pieces, cut

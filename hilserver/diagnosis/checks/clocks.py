@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.support import along, data_fault, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import CLOCK_FEWEST_CHUNKS, CLOCK_LEAST_S, OUTLIER_SD
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, TAG, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.thresholds import COMB_CLEAR, COMB_FEWEST, COMB_TIMES, FEWEST_SAMPLES, HALF
-from hilserver.measured.arrays import Array
 
 STEPS_RPM: Final = (0.2, 6.0)  # steps that are looked for; finer ones are below the noise
 MOST_LINES: Final = 8  # lines of the spectrum that are looked at

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.runs import Fault, classified, corrected
 from hilserver.diagnosis.checks.support import along, data_fault, listed, row_period_s
 from hilserver.diagnosis.schema.findings import Finding
@@ -12,7 +13,6 @@ from hilserver.diagnosis.thresholds import (
     NEARLY_ALL,
     NEGLIGIBLE,
 )
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters

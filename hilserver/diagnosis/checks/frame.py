@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.support import along
 from hilserver.diagnosis.thresholds import SLOWEST_TURN_RAD_S, STANDS, TURNS_RAD_S
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.packing import pack

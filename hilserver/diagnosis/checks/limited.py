@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.frame import asked_turn
 from hilserver.diagnosis.checks.support import data_fault
 from hilserver.diagnosis.schema.findings import Finding, Parameter
 from hilserver.diagnosis.thresholds import FEWEST_PIECES, LIMITED_BEYOND, NEARLY_ALL
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters

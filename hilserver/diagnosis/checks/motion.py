@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.support import SPAN_S, along
-from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS
 from hilserver.plant.parameters import RobotParameters

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.motion import (
     Line,
     ends_in,
@@ -30,7 +31,6 @@ from hilserver.diagnosis.thresholds import (
     SIGN_SURE,
     SLOWEST_TURN_RAD_S,
 )
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TAG, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import LEFT_WHEELS, RIGHT_WHEELS, WHEELS

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.checks.runs import (
     Fault,
     Faults,
@@ -41,7 +42,6 @@ from hilserver.diagnosis.thresholds import (
     LARGE_STEP_RPM,
     SHORTEST_BURST,
 )
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import GYRO, NAV_X, NAV_Y, SETPOINTS, YAW
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.layout import WHEELS

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import ALTERNATING
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.data import Channel, MeasuredLog
 
 

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.checks.runs import Fault, classified, corrected, rate_fault, runs_of
 from hilserver.diagnosis.checks.support import along, row_period_s, subset
 from hilserver.diagnosis.schema.findings import Finding
@@ -26,7 +27,6 @@ from hilserver.diagnosis.thresholds import (
     SPARSE_BETTER,
     SPARSE_USUAL_SHARE,
 )
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.schema.findings import Finding, Interval, Parameter, Verdict
-from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.data import Channel
 from hilserver.measured.names import is_input
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.motion import (
     Line,
     ends_in,
@@ -17,7 +18,6 @@ from hilserver.diagnosis.checks.motion import (
 from hilserver.diagnosis.checks.support import data_fault, listed
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import UNIT_ALIKE, UNIT_CLOSE, UNITY
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, POSITION, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.layout import WHEELS

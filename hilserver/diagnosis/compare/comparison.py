@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hilserver.arrays import Mask
 from hilserver.diagnosis.checks import Checked
 from hilserver.diagnosis.checks.frame import unidentified, without_kinematics
 from hilserver.diagnosis.compare.differences import Difference, differences_of, run_of_spans
@@ -20,7 +21,6 @@ from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.stages import prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, Finding
-from hilserver.measured.arrays import Mask
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.problem import Point
 from hilserver.diagnosis.regression.screen import Scores, score
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.thresholds import COMPARE_INEXACT, FAR_SD
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.data import MeasuredLog
 
 

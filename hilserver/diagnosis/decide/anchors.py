@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.decide.structure import Unknown, holds_out, joint_gain
@@ -39,7 +40,6 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_LEAST_SAVED,
     TIE,
 )
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION
 
 ANCHOR_LEVEL: Final = 0.5 * REST_LEVEL

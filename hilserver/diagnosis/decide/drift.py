@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.identifiability import Rival
@@ -23,7 +24,6 @@ from hilserver.diagnosis.thresholds import (
     REST_LEAST_GAIN,
     REST_LEVEL,
 )
-from hilserver.measured.arrays import Array, Mask
 
 RIVALS: Final = 3
 """Causes whose change is tried in full."""

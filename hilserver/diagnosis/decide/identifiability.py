@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
@@ -22,7 +23,6 @@ from hilserver.diagnosis.thresholds import (
     RIVAL_COSINE,
     TIE,
 )
-from hilserver.measured.arrays import Array
 
 MOST_SWAPS: Final = 4
 """Exchanges in a row."""

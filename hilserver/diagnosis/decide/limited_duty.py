@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.checks.limited import limited, piled_up
 from hilserver.diagnosis.checks.support import listed
 from hilserver.diagnosis.decide.identifiability import deviations
@@ -15,7 +16,6 @@ from hilserver.diagnosis.replay.drive_stage import FULL_DUTY_PCT, DriveStage
 from hilserver.diagnosis.replay.stage import NO_POSES
 from hilserver.diagnosis.schema.findings import Finding
 from hilserver.diagnosis.thresholds import BLOCK_S, LEAST_GAIN, NEGLIGIBLE, RIVAL_CLEAR_Z
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.beginning import Terms, begun
 from hilserver.diagnosis.decide.promise import Step
@@ -40,7 +41,6 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_MOST_CAUSES,
     TIE,
 )
-from hilserver.measured.arrays import Array
 
 TRIALS: Final = 8
 """Candidates of a round that are fitted: those with the largest linear gains."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.decide.unknown import Family, families
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.linear import orthogonal, saved, scaled
@@ -27,7 +28,6 @@ from hilserver.diagnosis.thresholds import (
     REST_LEVEL,
     RIVAL_COSINE,
 )
-from hilserver.measured.arrays import Array
 
 ALIKE_DAMPING = 1e-3
 """Of families, whose columns are much alike, see `linear`."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.intervals import covariance
@@ -17,7 +18,6 @@ from hilserver.diagnosis.thresholds import (
     SELECTION_PLAUSIBLE_SD,
     TIE,
 )
-from hilserver.measured.arrays import Array, Mask
 
 
 @dataclass(frozen=True)

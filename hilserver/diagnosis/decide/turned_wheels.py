@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.decide.identifiability import deviations
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.progress import Report
@@ -11,7 +12,6 @@ from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare, stages_of
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import GROSS, LEAST_GAIN, RIVAL_CLEAR_Z
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 
 

@@ -11,12 +11,12 @@ from functools import singledispatch
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.units import RAD_S_PER_RPM

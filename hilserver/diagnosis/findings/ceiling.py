@@ -4,11 +4,11 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.findings.worth import Part
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.problem import Point, Problem
-from hilserver.measured.arrays import Array
 
 DIGITS: Final = 5  # the rest of a ceiling hangs on how many threads share its large products
 

@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.findings import Joint
-from hilserver.measured.arrays import Array
 
 PARTNERS: Final = 0.5
 """|correlation| of two estimates from which one cause can take over what another explains."""

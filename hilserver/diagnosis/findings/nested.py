@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.decide.revision import Judged, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
@@ -18,7 +19,6 @@ from hilserver.diagnosis.regression.gain import of_halves
 from hilserver.diagnosis.regression.stages import without
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding
-from hilserver.measured.arrays import Array
 
 Halves = Sequence[Judged | None]
 """What is found without each half of the blocks; None where nothing is left."""

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
 from hilserver.diagnosis.catalogue.vocabulary import (
     CAUSES,
@@ -30,7 +31,6 @@ from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
 from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 

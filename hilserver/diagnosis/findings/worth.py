@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.estimate import Estimate
 from hilserver.diagnosis.regression.gain import Pair, channel_errors, errors, pooled_gains
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Finding, Gain, Matters
-from hilserver.measured.arrays import Array
 
 Predictions = tuple[Array, ...]  # one of each member
 

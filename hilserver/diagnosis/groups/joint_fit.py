@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.compare.differences import run_of_spans
 from hilserver.diagnosis.decide.revision import Judged
 from hilserver.diagnosis.findings.estimate import fitted_covariance, is_wave
@@ -16,7 +17,6 @@ from hilserver.diagnosis.regression.linear import sandwich
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import COMPARE_LEVEL
-from hilserver.measured.arrays import Array, Mask
 
 SILENT: Final = 1e-3  # whitened size of a cause's least effect below which a log does not show it
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from hilserver.measured.arrays import Array, Indices, Mask
+from hilserver.arrays import Array, Indices, Mask
 
 
 @dataclass(frozen=True)

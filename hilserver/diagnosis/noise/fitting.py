@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.noise.whitening import SMALLEST_DOF, NoiseModel, Whitener, robust_weights
 from hilserver.diagnosis.noise.windows import Windows
 from hilserver.diagnosis.thresholds import (
@@ -23,7 +24,6 @@ from hilserver.diagnosis.thresholds import (
     NOISE_WINDOW_S,
     SHORT_DOF,
 )
-from hilserver.measured.arrays import Array
 
 __all__ = ["NoiseModel", "Whitener", "fit_noise", "robust_weights", "short_noise"]
 

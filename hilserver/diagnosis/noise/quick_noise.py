@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import median_filter
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.noise.readings import FLOOR_SD
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.thresholds import (
@@ -15,7 +16,6 @@ from hilserver.diagnosis.thresholds import (
     OUTLIER_SD,
     OUTLIERS_IN_A_ROW,
 )
-from hilserver.measured.arrays import Array, Mask
 
 AROUND_S: Final = 1.05
 """Width of the median that a spike leaves."""

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.thresholds import FEWEST_SAMPLES, NEGLIGIBLE, READING_CALM
-from hilserver.measured.arrays import Array
 from hilserver.measured.resolution import step_of
 
 NOISE_BY_STEP: Final = (0.02, 50.0)

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.compiled import kernel
-from hilserver.measured.arrays import Array
 
 SMALLEST_DOF: Final = 2.1
 """Degrees of freedom; at 2 there is no variance."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.compiled import kernel
 from hilserver.diagnosis.noise.whitening import NoiseModel
-from hilserver.measured.arrays import Array, Indices
 
 _SAMPLES_MIN = 4  # in a window: level and slope are free
 _TRIMMED = 0.75

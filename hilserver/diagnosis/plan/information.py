@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.thresholds import TIE
-from hilserver.measured.arrays import Array
 
 T_NEEDED: Final = 5.5
 """Deviations at which an effect is found with good power in a log of a minute and more."""

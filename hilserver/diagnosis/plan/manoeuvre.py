@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.config.loading import place
 from hilserver.errors import ConfigError, LogError
 from hilserver.faults.scenario import Scenario, load_scenario
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SETPOINTS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.packing import pack

@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.thresholds import BLOCK_S
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import Channel, MeasuredLog, Source, Span
 from hilserver.plant.parameters import RobotParameters

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.checks.standstill import at_rest
 from hilserver.diagnosis.findings.detectable import smallest
@@ -29,7 +30,6 @@ from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
-from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
 
 OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"

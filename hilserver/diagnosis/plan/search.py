@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.plan.information import Direction, directions_of, grams_by_span, score
 from hilserver.diagnosis.plan.null_log import Recording, null_log
 from hilserver.diagnosis.plan.pieces import Piece
 from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.stages import prepare, stages_of
-from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
 
 MOST_PIECES = 200

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hilserver.arrays import Array, Columns, Indices, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import SQUARE, Blocks, Scores, directions, score
-from hilserver.measured.arrays import Array, Columns, Indices, Mask
 
 RIDGE = 1e-3
 

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.pose_stage import PoseStage
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import GYRO, POSITION, YAW
 
 GRID_S = 0.02

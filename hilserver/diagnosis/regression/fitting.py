@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
-from hilserver.measured.arrays import Array, Mask
 
 DAMPED: Final = 1e-6  # damping of the steps of a fit, see `linear`
 LEAST_EXPECTED: Final = 0.01  # deviance; a step from which less is expected is not taken

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.measured.arrays import Array, Indices
+from hilserver.arrays import Array, Indices
 
 Bases = list[Array]
 AT_ONCE: Final = 32

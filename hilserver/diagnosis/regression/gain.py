@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Gain
 from hilserver.diagnosis.thresholds import FEWEST_BLOCKS
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import POSITION, TAG, YAW
 
 RESAMPLES = 400

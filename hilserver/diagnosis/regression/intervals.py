@@ -3,11 +3,11 @@
 import numpy as np
 from scipy import stats
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import INEXACT
-from hilserver.measured.arrays import Array
 
 
 def own_share(cause: str) -> float:

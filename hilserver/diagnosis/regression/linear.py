@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 
 SHORTEST: Final = 1e-100  # length of a column that shows nowhere
 DAMPING: Final = 1e-9  # keeps a Gram matrix invertible and moves no digit that is reported

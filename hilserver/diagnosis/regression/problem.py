@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.noise.fitting import (
     NoiseModel,
@@ -26,7 +27,6 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import NEGLIGIBLE, NOISE_TAU_MAX_S
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import POSITION
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
-from hilserver.measured.arrays import Array, Indices
 
 Real = NDArray[Any]  # of 32 or 64 bits
 LEAST_FREEDOM: Final = 0.5  # degrees of freedom of what shows in a single block

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from hilserver.arrays import Array, Columns
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_STEP
 from hilserver.diagnosis.checks.comb import coarse_step
 from hilserver.diagnosis.progress import Report
@@ -19,7 +20,6 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import BLOCK_S, GROSS, HALF, SAME
-from hilserver.measured.arrays import Array, Columns
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 from hilserver.measured.channels import VOLTAGE
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog

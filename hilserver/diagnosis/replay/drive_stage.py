@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import drive_candidates
 from hilserver.diagnosis.catalogue.traits import Need
@@ -15,7 +16,6 @@ from hilserver.diagnosis.replay.kernels import place_inputs, run_drive, run_proc
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.diagnosis.replay.stage import NO_POSES, Stage
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import DUTIES, DUTY_COMMANDS, SETPOINTS, SPEEDS, TWIST, VOLTAGE
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog

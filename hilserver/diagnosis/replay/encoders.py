@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.vocabulary import SPEED_SCALES
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import robot_with
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters

@@ -6,8 +6,8 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.measured.arrays import Array
 from hilserver.plant.parameters import RobotParameters
 
 

@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.library import (
     encoders,
@@ -23,7 +24,6 @@ from hilserver.diagnosis.replay.positions import begins_anew, driven_place, pair
 from hilserver.diagnosis.replay.stack import Stack, make_stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds, angles_at_starts
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, TAG, YAW
 from hilserver.measured.clock import cut
 from hilserver.measured.data import MeasuredLog

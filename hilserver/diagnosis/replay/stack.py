@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.measured.arrays import Array, Indices, Mask
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 

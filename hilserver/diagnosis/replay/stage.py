@@ -7,11 +7,11 @@ from typing import ClassVar, Final, Self
 
 import numpy as np
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate, StageName
 from hilserver.diagnosis.catalogue.traits import Need
 from hilserver.diagnosis.catalogue.vocabulary import Block
 from hilserver.diagnosis.replay.stack import Stack
-from hilserver.measured.arrays import Array
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.replay.encoders import Driven
-from hilserver.measured.arrays import Array
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog

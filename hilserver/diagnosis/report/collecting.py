@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.decide.revision import Judged
@@ -29,7 +30,6 @@ from hilserver.diagnosis.schema.evidence import (
     Series,
     Similarity,
 )
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.channels import POSITION, SPEEDS, VOLTAGE, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.names import signal_unit

@@ -5,13 +5,13 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.findings.outcome import unit_of
 from hilserver.diagnosis.regression import linear
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import Course
-from hilserver.measured.arrays import Array, Indices
 
 WINDOWS: Final = 8
 FEWEST_SEGMENTS: Final = 6

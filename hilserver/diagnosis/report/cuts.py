@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.drive_stage import DriveStage
@@ -18,7 +19,6 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import CutRow
-from hilserver.measured.arrays import Array, Mask
 from hilserver.measured.channels import DUTIES, SPEEDS
 from hilserver.measured.names import signal_unit
 from hilserver.plant.parameters import RobotParameters

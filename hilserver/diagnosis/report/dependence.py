@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
+from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.unknown import peaks
 from hilserver.diagnosis.regression.problem import Point, Problem
@@ -15,7 +16,6 @@ from hilserver.diagnosis.replay.pose_stage import FORWARD, HEADING, TURN
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.schema.evidence import Dependence
 from hilserver.diagnosis.thresholds import REST_LEVEL
-from hilserver.measured.arrays import Array, Indices, Mask
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SETPOINTS, SPEEDS, YAW
 from hilserver.measured.names import signal_unit
 

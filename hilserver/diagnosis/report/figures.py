@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from markupsafe import Markup
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.vocabulary import part_of
 from hilserver.diagnosis.findings.explain import QUANTITIES, number
 from hilserver.diagnosis.report.plain import plain
@@ -24,7 +25,6 @@ from hilserver.diagnosis.report.svg import (
 from hilserver.diagnosis.report.words import Change
 from hilserver.diagnosis.schema.evidence import Course, Dependence, HorizonRow, Path, Similarity
 from hilserver.diagnosis.schema.findings import Gain, Parameter
-from hilserver.measured.arrays import Array
 
 SMALLEST_LIKENESS = 0.5
 MAX_LIKE = 22

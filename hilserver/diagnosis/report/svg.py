@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.findings.explain import MINUS, power_of_ten
-from hilserver.measured.arrays import Array, Indices
 
 MARGIN_LEFT: Final = 68.0
 MARGIN_RIGHT: Final = 14.0

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.findings.explain import number
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.svg import MAX_RUNS, Figure, Plot, picture, span_of
 from hilserver.diagnosis.schema.evidence import Series
-from hilserver.measured.arrays import Array, Indices
 
 MAX_MARKS = 60  # beginnings of a run that are marked; more of them would be a bar
 

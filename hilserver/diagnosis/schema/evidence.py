@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hilserver.arrays import Array, Indices
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.findings import Findings, Gain, Noise, Parameter
-from hilserver.measured.arrays import Array, Indices
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.report.svg import Figure, Plot, picture, span_of
 from hilserver.sweep.estimates import Influence
 from hilserver.sweep.table import Table
 
-Floats = NDArray[np.float64]
 MOST_BARS: Final = 40
 MOST_DOTS: Final = 1500
 """Dots of a map; of more machines only so many are drawn, failing ones first."""
@@ -21,7 +21,7 @@ def unit_text(unit: str) -> str:
     return f" [{unit}]" if unit not in ("", "1") else ""
 
 
-def distribution(name: str, margins: Floats, unit: str) -> Figure | None:
+def distribution(name: str, margins: Array, unit: str) -> Figure | None:
     """Return how the margins of a requirement are distributed, failing ones in their colour."""
     finite = margins[np.isfinite(margins)]
     endless = int(np.isneginf(margins).sum())
@@ -82,7 +82,7 @@ def failing_region(
     return Figure(picture([plot], f"where {name} fails"), f"Where '{name}' fails", caption)
 
 
-def _shares(plot: Plot, x: Floats, y: Floats, fails: NDArray[np.bool_]) -> None:
+def _shares(plot: Plot, x: Array, y: Array, fails: NDArray[np.bool_]) -> None:
     """Shade a grid of cells by the share of machines in them that fail."""
     n = int(min(max(np.sqrt(len(x) / 8.0), 3), 16))
     x_edges, y_edges = np.linspace(*plot.x, n + 1), np.linspace(*plot.y, n + 1)

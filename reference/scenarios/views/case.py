@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+from hilserver.arrays import Array
 from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.diagnosis.schema.evidence import Diagnosis, Series
-from hilserver.measured.arrays import Array
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.measured.arrays import Array
+from hilserver.arrays import Array
 from hilserver.measured.clock import cut
 from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 from reference.scenarios.views.case import Case

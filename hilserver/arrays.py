@@ -1,4 +1,4 @@
-"""Types of arrays, once for all rooms that look at logs."""
+"""Types of arrays, once for all rooms."""
 
 import numpy as np
 from numpy.typing import NDArray
