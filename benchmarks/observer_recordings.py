@@ -16,12 +16,12 @@ from scipy.stats import chi2
 from benchmarks.default_filter import default_filter
 from benchmarks.diagnose_results import sources
 from benchmarks.observer_drives import diagnosed
+from hilserver.arrays import Array, Indices
 from hilserver.bench.report import Result
 from hilserver.config.observer import constants_of
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.errors import FailedError
-from hilserver.measured.arrays import Array, Indices
 from hilserver.measured.machine import machine_config
 from hilserver.measured.observed import series_of
 from hilserver.measured.reading import read_measured

@@ -1,4 +1,4 @@
-"""The compiled pacing loop of the `thread` back end."""
+"""The compiled loops: that of the `thread` back end, and a batch of ticks in virtual time."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from hilserver.compiled.libc import monotonic_ns, ring_doorbell, sleep_until
 from hilserver.scheduler import exchange as ex
 from hilserver.scheduler import law as lw
 from hilserver.scheduler.loop import ONE, TURN_ARGUMENTS, Loop
-from hilserver.scheduler.turn import ENDED, RING, turn
+from hilserver.scheduler.turn import ENDED, RAN, RING, turn
 
 LONGEST_SLEEP_NS = 50_000_000  # the loop looks at its control words at least this often
 
@@ -44,3 +44,14 @@ def pace(step: Any, at: Loop, doorbell: int) -> int:
         if flags & ENDED:
             return 1
     return 0
+
+
+@kernel(types.int64(*TURN_ARGUMENTS, types.int64))
+def run_batch(step: Any, at: Loop, n_ticks: int) -> int:
+    """Run at most `n_ticks`; return early, with the flags of `turn`, when there is news."""
+    flags = 0
+    for _ in range(n_ticks):
+        flags = turn(step, at, True)
+        if flags != RAN:
+            break
+    return flags

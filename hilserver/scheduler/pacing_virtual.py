@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from hilserver.scheduler.law import begin
 from hilserver.scheduler.machine import Machine
 from hilserver.scheduler.pacing import Ended, Rung, StopReason
-from hilserver.scheduler.pacing_batch import run_batch
+from hilserver.scheduler.pacing_loop import run_batch
 from hilserver.scheduler.realtime import Grant
 from hilserver.scheduler.turn import ENDED, RING, STANDING
 
