@@ -31,7 +31,6 @@ class Period:
 
     Parameters
     ----------
-    call : callable
     clock : callable
         Seconds.
     call_later : callable

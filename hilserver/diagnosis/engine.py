@@ -49,8 +49,7 @@ from hilserver.plant.parameters import RobotParameters
 
 T = TypeVar("T")
 
-HORIZON_S = 5.0
-"""Length of the free runs for which the gain is reported."""
+HORIZON_S = 5.0  # length of the free runs for which the gain is reported
 
 
 def diagnose(
@@ -90,7 +89,6 @@ def judge(
 
     Parameters
     ----------
-    log : MeasuredLog
     robot : RobotParameters
         The configured plant, the base of all figures.
     seed : int

@@ -27,27 +27,14 @@ from hilserver.plant.parameters import RobotParameters
 
 @dataclass(frozen=True)
 class Member:
-    """Logs that count as one, and what was decided of each of their stages.
+    """Logs that count as one, and what was decided of each of their stages."""
 
-    Attributes
-    ----------
-    name : str
-        Of a group of logs; empty without groups.
-    log : MeasuredLog
-        Without its faults.
-    faults : tuple of Finding
-    judged : dict of str to Judged
-        By stage.
-    reasons : dict of str to str
-        Why causes are not judged.
-    """
-
-    name: str
-    log: MeasuredLog
+    name: str  # of a group of logs; empty without groups
+    log: MeasuredLog  # without its faults
     robot: RobotParameters
     faults: tuple[Finding, ...]
-    judged: dict[str, Judged]
-    reasons: dict[str, str]
+    judged: dict[str, Judged]  # by stage
+    reasons: dict[str, str]  # why causes are not judged
 
     @property
     def noise(self) -> dict[str, Noise]:

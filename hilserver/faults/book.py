@@ -77,7 +77,6 @@ class Faults:
 
         Parameters
         ----------
-        faults : Fault or mapping
         start_tick : int or None
             Tick from which their times count; None: the next one.
 

@@ -19,8 +19,7 @@ from hilserver.fmu.wiring import Start, Wiring, signals, wire
 from hilserver.kernel.composition import Foreign, News, Setting
 from hilserver.plant.blocks import BlockDeclaration, BlockError
 
-SLOW_SHARE: Final = 0.5
-"""A call is slow from this share of a tick on."""
+SLOW_SHARE: Final = 0.5  # a call is slow from this share of a tick on
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,8 @@ from hilserver.compiled.libc import monotonic_ns
 F8, I8 = float64[::1], int64[::1]
 STEP: Final = int64(int64, float64, F8, F8, F8, F8, I8)
 """``(tick, dt_s, u, y, x, p, a)``; returns 0, or what went wrong, once."""
-KEEP: Final = void(F8, F8, F8, F8, I8)
-"""``(u, y, x, p, a)``, between two ticks."""
-EXACT: Final = 2.0**53
-"""Integers up to here are float64 without loss."""
+KEEP: Final = void(F8, F8, F8, F8, I8)  # ``(u, y, x, p, a)``, between two ticks
+EXACT: Final = 2.0**53  # integers up to here are float64 without loss
 
 
 @kernel(int64(int64))

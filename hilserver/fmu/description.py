@@ -20,8 +20,7 @@ from hilserver.fmu.layout import BOOLEAN, FLOAT, SIGNED, UNSIGNED
 from hilserver.plant.blocks import BlockError
 
 MISSING: Final = "needs FMPy to be read; install it with: pip install 'hilserver[fmu]'"
-MOST_BYTES: Final = 1 << 30
-"""That an FMU may unpack to."""
+MOST_BYTES: Final = 1 << 30  # that an FMU may unpack to
 _MACHINE: Final = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
     platform.machine(), platform.machine()
 )

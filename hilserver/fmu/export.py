@@ -47,8 +47,7 @@ _EXPORTED: Final = "{ global: fmi2*; fmi3*; local: *; };\n"
 _HEADERS: Final = {2: ("TypesPlatform", "FunctionTypes"), 3: ("PlatformTypes", "FunctionTypes")}
 _OPTIONS: Final = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 """None of them changes a bit."""
-_MAIN: Final = "robot_fmu.c"
-"""The source that takes in all others: it alone is compiled."""
+_MAIN: Final = "robot_fmu.c"  # the source that takes in all others: it alone is compiled
 _HERE: Final = Path(__file__).parent
 
 

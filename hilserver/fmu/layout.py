@@ -50,13 +50,11 @@ N_HEAD: Final = 37
 
 SLOW_CALLS: Final = 256
 """Pairs of tick and duration [ns] behind the head: the slow calls, the newest over the oldest."""
-ROWS: Final = N_HEAD + 2 * SLOW_CALLS
-"""Rows of the variables: inputs, parameters, outputs."""
+ROWS: Final = N_HEAD + 2 * SLOW_CALLS  # rows of the variables: inputs, parameters, outputs
 R_REFERENCE, R_COUNT, R_BYTES, R_KIND, R_FUNCTION = range(5)
 VARIABLE_WORDS: Final = 5
 
-FLOAT, SIGNED, UNSIGNED, BOOLEAN = range(4)
-"""Kinds of numbers."""
+FLOAT, SIGNED, UNSIGNED, BOOLEAN = range(4)  # kinds of numbers
 
 # --- x: what a snapshot holds ---------------------------------------------------------------------
 X_STEPS: Final = 0  # steps that the stored state has seen
@@ -74,8 +72,7 @@ N_SHARED: Final = S_MESSAGE + MESSAGE_WORDS
 """Then inputs, parameters, outputs, two states after a step, two states to go on from; a state is
 its number of bytes and the bytes."""
 
-OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
-"""What a function of an FMU answers."""
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # what a function of an FMU answers
 EVENT_NEEDED, TERMINATED, STATE_TOO_LARGE, STATE_UNFIT, SILENT = range(16, 21)
 """What we find beside that."""
 

@@ -47,8 +47,7 @@ _C_TYPES: Final[Mapping[tuple[int, int], Any]] = {
     (at.UNSIGNED, 4): ctypes.c_uint32, (at.UNSIGNED, 8): ctypes.c_uint64,
     (at.BOOLEAN, 1): ctypes.c_bool, (at.BOOLEAN, 4): ctypes.c_int32,
 }  # fmt: skip
-MOST_STATE_BYTES: Final = 1 << 20
-"""A larger state would not fit between two ticks."""
+MOST_STATE_BYTES: Final = 1 << 20  # a larger state would not fit between two ticks
 _OCTETS = numba.types.CPointer(numba.types.uint8)
 _LAST: Final = 8 * at.MESSAGE_WORDS - 1
 

@@ -19,8 +19,7 @@ from hilserver.signals import Signal, SignalTable
 FLAGS: Final = ("command_terms", "drive_terms", "kinematic_terms")
 """Numbers of the packed parameters that say whether any term of a kind is on."""
 N_U, N_Y = Inputs.n_words, Outputs.n_words
-FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000
-"""Value references; the time has 0."""
+FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000  # value references; the time has 0
 
 
 @dataclass(frozen=True)

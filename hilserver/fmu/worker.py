@@ -17,8 +17,7 @@ from hilserver.fmu.process import Order, Started
 from hilserver.plant.blocks import BlockError
 from hilserver.program.workers import end_with_parent
 
-_SELDOM_S: Final = 1.0
-"""So often it looks for an ask whose bell did not ring."""
+_SELDOM_S: Final = 1.0  # so often it looks for an ask whose bell did not ring
 
 
 def main() -> int:

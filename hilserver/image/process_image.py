@@ -32,7 +32,6 @@ class ProcessImage(ImageReader):
     ----------
     name : str
         Name in shared memory; one daemon each. Empty: for this process alone.
-    table : SignalTable
     live, fixed : mapping of int
         Words of the plant's regions: `live` ones belong to snapshots.
     base_period_ns : int

@@ -17,8 +17,7 @@ from hilserver.plant.terms import TERMS
 BLOCKS: Final = ("kinematics", "navigation", "inertial")
 ENCODERS: Final = ("encoder_scale.a", "encoder_scale.wheel")
 """Terms that the observer sees: those of these blocks, and of the encoders."""
-LEAST_SHARE: Final = 1e-6
-"""Share of the largest variance below which a direction is left out."""
+LEAST_SHARE: Final = 1e-6  # share of the largest variance below which a direction is left out
 
 
 def _is_seen(name: str) -> bool:

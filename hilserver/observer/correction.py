@@ -42,8 +42,7 @@ from hilserver.plant.pose import wrap
 
 GATE_1, GATE_2 = 15.137, 18.421
 """Innovations of one and of two values beyond which 1 of 10,000 good samples lies."""
-UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, 1e2
-"""Variances of a place and a heading that nothing is known of."""
+UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, 1e2  # variances of a place and a heading that nothing is known of
 
 
 @part

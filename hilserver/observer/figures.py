@@ -20,8 +20,7 @@ WANDER_S: Final = 60.0
 INSTANT_SD: Final = 1.0 / math.sqrt(24.0)
 """Share of a step by which all jumps of the wheels are early or late: half of what an unknown
 instant has, see `motion.BEND`."""
-READMIT_AFTER: Final = 10
-"""Samples refused one after another until the robot counts as carried."""
+READMIT_AFTER: Final = 10  # samples refused one after another until the robot counts as carried
 OF_SPEED: Final = ("wheel_radius", "traction_slip", "longitudinal_slip", "acceleration_slip")
 OF_TURNING: Final = ("rotation_gain", "rotation_gain_speed", "friction_anisotropy.ratio")
 """Terms that say how the robot slips: where a model has one of them, nothing wanders beside it."""

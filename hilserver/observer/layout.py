@@ -18,19 +18,15 @@ X, Y, YAW, V, OM, BIAS, OU_X, OU_Y, OU_YAW, SLIP, GAIN = range(11)
 much [rad/s], the navigation's correlated errors [m, m, rad], and what speed and turn rate have too
 much by the wheels, relative."""
 N_ESTIMATED: Final = 11
-MOST_DIRECTIONS: Final = 12
-"""Directions in which uncertain parameters are considered."""
+MOST_DIRECTIONS: Final = 12  # directions in which uncertain parameters are considered
 CONSIDERED: Final = MOST_DIRECTIONS + 1
 """With the instant, in a step, at which the wheels follow their set-points."""
-MOMENTS: Final = 128
-"""Past states that are kept: what is older than they are cannot be taken in."""
-OLDEST_S: Final = 1.0
-"""What is older is not taken in either."""
+MOMENTS: Final = 128  # past states that are kept: what is older than they are cannot be taken in
+OLDEST_S: Final = 1.0  # what is older is not taken in either
 SILENT_S: Final = 1.0
 """After so long without a sample of the navigation the robot runs on dead reckoning."""
 
-NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)
-"""What `estimate.state` says."""
+NO_FIX, CONVERGING, TRACKING, DEAD_RECKONING = range(4)  # what `estimate.state` says
 
 Vector = Annotated[NDArray[np.float64], N_ESTIMATED]
 Square = Annotated[NDArray[np.float64], (N_ESTIMATED, N_ESTIMATED)]

@@ -42,8 +42,7 @@ A jump by J leaves the variance J2 / 12 of the step's mean. Half of it all jumps
 commands and samples keep step (`figures.INSTANT_SD`). Each jump's own half shows as two bends, J
 and -J.
 """
-CLEAR = 3.0
-"""Deviations of a bend that noise alone has; what is within them is none."""
+CLEAR = 3.0  # deviations of a bend that noise alone has; what is within them is none
 
 
 @part

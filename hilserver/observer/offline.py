@@ -23,8 +23,7 @@ from hilserver.plant.layout import PARAMETERS, Parameters
 
 Array = NDArray[np.float64]
 N_SHOWN: Final = Shown.n_words
-GYRO, POSITION, HEADING = range(3)
-"""What a row of the samples is."""
+GYRO, POSITION, HEADING = range(3)  # what a row of the samples is
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,7 @@ Types = frozenset[ua.NodeId] | None  # types of references that are followed; No
 
 
 class ContinuationPoints:
-    """The continuation points of one session.
-
-    Parameters
-    ----------
-    address_space : asyncua AddressSpace
-    """
+    """The continuation points of one session."""
 
     def __init__(self, address_space: Any, types: TypeTree) -> None:
         self._address_space, self._types = address_space, types

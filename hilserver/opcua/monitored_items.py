@@ -34,7 +34,6 @@ class MonitoredItems:
 
     Parameters
     ----------
-    address_space : asyncua AddressSpace
     publishing_ms : callable
         The subscription's publishing interval: a negative sampling interval means that.
     """

@@ -45,8 +45,7 @@ JUMPS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Outputs that jump in the tick of a change, by the word that the plant's fields have for them."""
 
-WIDEST: Final = 1e12
-"""Size of what has no bound of its own."""
+WIDEST: Final = 1e12  # size of what has no bound of its own
 
 When = Literal["tick", "restart"]
 

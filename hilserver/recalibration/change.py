@@ -16,14 +16,11 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 GAP_BLOCK_S: Final = 10.0
-STRIDE_S: Final = 1.0
-"""Integrals (position, heading) are compared by what they gain in so long."""
-NEWEST: Final = (3, 6, 12, 24)
-"""How many blocks the change may be old."""
+STRIDE_S: Final = 1.0  # integrals (position, heading) are compared by what they gain in so long
+NEWEST: Final = (3, 6, 12, 24)  # how many blocks the change may be old
 FEWEST_USUAL: Final = 12
 MOST_BLOCKS: Final = 720
-ALARM_EVERY_S: Final = 30 * 86400.0
-"""Mean time between two changes that are none."""
+ALARM_EVERY_S: Final = 30 * 86400.0  # mean time between two changes that are none
 LEAST_MOVED: Final = 0.5
 """Share of a block in which the robot has to move: at rest every model is right."""
 LEAST_SQUARE: Final = 1e-12

@@ -38,8 +38,7 @@ from hilserver.recalibration.orders import Compared, Looked, Order, Result, Valu
 from hilserver.recalibration.proposals import Quantity, Term
 from hilserver.recalibration.spending import NAMED_LEVEL
 
-REFINED: Final = 3
-"""The same for both models: what is left to refine must not make a difference."""
+REFINED: Final = 3  # the same for both models: what is left to refine must not make a difference
 HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
 """Faults of the data that leave what is there true: they are said, and bar nothing."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
@@ -61,13 +60,7 @@ class Judge:
 
     @cached_property
     def log(self) -> MeasuredLog:
-        """The window.
-
-        Raises
-        ------
-        LogError
-            If it is damaged, or holds nothing to judge.
-        """
+        """The window; LogError if it is damaged, or holds nothing to judge."""
         return read_measured([Path(self._order.path)], None, self._sampling)
 
     def result(self) -> Result:

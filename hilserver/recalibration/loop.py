@@ -15,8 +15,7 @@ from hilserver.recalibration.spending import Spending
 
 EFFECT_LEVEL: Final = 0.05
 """Of the gain after a decision: it is reported, and offers the former model back."""
-REMEMBERED: Final = 50
-"""Rejected proposals that are not made again."""
+REMEMBERED: Final = 50  # rejected proposals that are not made again
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from typing import Any, Self
 from hilserver.recalibration.flips import Answer
 from hilserver.recalibration.proposals import Quantity, Term, quantities_of, terms_of
 
-Values = Mapping[str, float]
-"""Terms of the plant by name; those that are off are left out."""
+Values = Mapping[str, float]  # terms of the plant by name; those that are off are left out
 
 
 @dataclass(frozen=True)
@@ -110,13 +109,7 @@ class Result:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Return the result of a text.
-
-        Raises
-        ------
-        TypeError, ValueError, KeyError
-            If it is none.
-        """
+        """Return the result of a text; TypeError or ValueError or KeyError if it is none."""
         data = json.loads(text)
         compared = {key: _compared(data[key]) for key in ("measure", "confirm")}
         return cls(**compared, look=_looked(data["look"]), error=str(data["error"]))

@@ -30,8 +30,7 @@ from hilserver.recalibration.windows import News, Window
 from hilserver.signals import MEASURED
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
-RECORD_AGAIN_S: Final = 60.0
-"""After a recorder has ended; a full disk does not get emptier at once."""
+RECORD_AGAIN_S: Final = 60.0  # after a recorder has ended; a full disk does not get emptier at once
 DRIVEN_RPM: Final = 1.0
 AUTOMATIC: Final = "automatic"
 KEPT_REPORTS: Final = 20

@@ -14,8 +14,7 @@ from hilserver.recalibration.orders import Order, Result
 from hilserver.recalibration.windows import KEPT, SIGNALS, first_file
 
 ORDER: Final = "order.json"
-MOST_SAID: Final = 300
-"""Characters of a last line that a message repeats."""
+MOST_SAID: Final = 300  # characters of a last line that a message repeats
 RECORDER_STOP_S: Final = 5.0
 
 

@@ -102,13 +102,7 @@ class Proposal:
         return self.stage in _WAITING
 
     def after(self, step: Step) -> Self:
-        """Return it one step further.
-
-        Raises
-        ------
-        ControlRefused
-            If that is not possible where it is.
-        """
+        """Return it one step further; ControlRefused if that is not possible where it is."""
         possible, following = FOLLOWING[step]
         if self.stage not in possible:
             raise ControlRefused(f"{step}: proposal {self.number} is {self.stage}, not open")

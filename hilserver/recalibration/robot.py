@@ -43,10 +43,8 @@ MEASURES: Final = (
 RAMPS: Final = Recipe(manoeuvre="ramps", sensors={"duty_pct": Sensor(limit=100.0)})
 PUBLISHING_MS: Final = 5.0  # a quarter of a row: values get the stamp of their arrival
 STALE_MS: Final = 2000.0
-AHEAD: Final = 50
-"""Rows that are taken at once."""
-LATE_S: Final = 0.02
-"""Age at which a row is over: the next one is due."""
+AHEAD: Final = 50  # rows that are taken at once
+LATE_S: Final = 0.02  # age at which a row is over: the next one is due
 Pose = NDArray[np.float64]
 
 

@@ -12,10 +12,8 @@ from typing import Final
 NAMED_LEVEL: Final = 0.01
 """Of a diagnosis as a whole: any finding in a log without an effect (specification)."""
 YEAR_S: Final = 365.25 * 86400.0
-LONGEST_S: Final = 86400.0
-"""A pause of months saves nothing up."""
-WEAKEST: Final = 0.01
-"""However much has come in, no confirmation is weaker."""
+LONGEST_S: Final = 86400.0  # a pause of months saves nothing up
+WEAKEST: Final = 0.01  # however much has come in, no confirmation is weaker
 
 
 @dataclass(frozen=True)

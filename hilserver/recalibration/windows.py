@@ -9,8 +9,7 @@ from typing import Final
 
 STEM: Final = "window"
 SUFFIX: Final = ".mcap"
-KEPT: Final = 3
-"""Two to compare, and the one that is being written."""
+KEPT: Final = 3  # two to compare, and the one that is being written
 SIGNALS: Final = (
     "wheel.*.setpoint_rpm",
     "wheel.*.duty_command_pct",

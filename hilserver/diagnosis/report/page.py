@@ -20,8 +20,7 @@ from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
 from hilserver.diagnosis.schema.findings import Findings, Verdict
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
-LEAST_CHANGE: Final = 0.03
-"""Share of a residual below which a channel counts as not changed."""
+LEAST_CHANGE: Final = 0.03  # share of a residual below which a channel counts as not changed
 _SECTION: Final = re.compile(r'<section id="(\w+)">.*?<h2>(.*?)</h2>', re.DOTALL)
 _CELL: Final = re.compile(r"<td\b")
 STYLES: Final = ("plot.css", "style.css")

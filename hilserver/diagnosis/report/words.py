@@ -71,17 +71,11 @@ def _count(items: Sequence[object]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Gained:
-    """The gain of one quantity, with its name and unit for reading.
-
-    Attributes
-    ----------
-    when : str
-        ``after 5 s``; empty where the error does not grow along a run.
-    """
+    """The gain of one quantity, with its name and unit for reading."""
 
     name: str
     unit: str
-    when: str
+    when: str  # ``after 5 s``; empty where the error does not grow along a run
     gain: Gain
     ceiling: float | None
 
@@ -208,16 +202,11 @@ def is_large(row: CutRow) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Something to do.
-
-    Attributes
-    ----------
-    signals : tuple of str or None
-        What an unknown structure depends on: this is what to look at.
-    """
+    """Something to do."""
 
     label: str
     text: str = ""
+    # what an unknown structure depends on: this is what to look at
     signals: tuple[str, ...] | None = None
 
 
@@ -245,8 +234,7 @@ class Belonging:
 
     name: str
     parameter: Parameter
-    others: tuple[str, ...]
-    """Causes that could stand in its place."""
+    others: tuple[str, ...]  # causes that could stand in its place
 
 
 def belonging(findings: Findings, *, differs: bool) -> list[Belonging]:

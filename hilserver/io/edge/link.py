@@ -28,8 +28,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 ANSWER_S: Final = 5.0
 LEAVE_S, DISCONNECT_S = 0.3, 0.1
 KEEPALIVE_S: Final = 10
-EARLY_NS: Final = 2_000_000
-"""A frame that comes so much before a group is due is taken for it."""
+EARLY_NS: Final = 2_000_000  # a frame that comes so much before a group is due is taken for it
 PROTOCOLS: Final = {"3.1.1": aiomqtt.ProtocolVersion.V311, "5": aiomqtt.ProtocolVersion.V5}
 
 _log = structlog.get_logger(__name__)

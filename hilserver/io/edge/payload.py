@@ -26,10 +26,8 @@ DATA_TYPES: Final = {
     ValueType.UINT32: "UDInt",
     ValueType.INT64: "LInt",
 }
-BAD, UNCERTAIN, GOOD = 0, 1, 3
-"""Quality; 3 is good and usable in control."""
-MOST_BYTES: Final = 65_536
-"""Of a message that is looked at."""
+BAD, UNCERTAIN, GOOD = 0, 1, 3  # quality; 3 is good and usable in control
+MOST_BYTES: Final = 65_536  # of a message that is looked at
 
 
 @dataclass(frozen=True)

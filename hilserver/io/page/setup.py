@@ -21,30 +21,17 @@ class Serving:
 
 @dataclass(frozen=True)
 class OpcUaAccess:
-    """How the page reaches the daemon's OPC UA server.
+    """How the page reaches the daemon's OPC UA server."""
 
-    Attributes
-    ----------
-    endpoint : str
-        Empty where the server is off: the page then shows and does nothing.
-    secret : str
-        Marks the page's sessions; empty: they are those of any client.
-    needs_login : bool
-        Whether a name and a password are needed.
-    anonymous_may_stop : bool
-        Whether whoever has not logged in may stop the robot.
-    max_failed_logins : int
-        Failed log-ins per name or address in a minute; the daemon counts the same.
-    policy, certificate, key, application_uri : str
-        Security policy, and what the page shows there: the server's own certificate, which it
-        trusts and is known by. Empty in the clear.
-    """
-
-    endpoint: str = ""
+    endpoint: str = ""  # empty where the server is off: the page then shows and does nothing
+    # marks the page's sessions; empty: they are those of any client
     secret: str = field(default="", repr=False)
-    needs_login: bool = False
-    anonymous_may_stop: bool = False
+    needs_login: bool = False  # whether a name and a password are needed
+    anonymous_may_stop: bool = False  # whether whoever has not logged in may stop the robot
+    # failed log-ins per name or address in a minute; the daemon counts the same
     max_failed_logins: int = 5
+    # security policy, and what the page shows there: the server's own certificate, which it trusts
+    # and is known by. Empty in the clear.
     policy: str = ""
     certificate: str = ""
     key: str = ""
@@ -53,41 +40,23 @@ class OpcUaAccess:
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that does not change while the daemon runs.
+    """Everything that does not change while the daemon runs."""
 
-    Attributes
-    ----------
-    image : str
-        Name of the process image.
-    signals : list of dict
-        Name, unit, type, writable, labels, low, high, description and slot of every scalar.
-    robot : dict
-        Dimensions [m] and largest speeds.
-    walls : list of list of float
-        x1, y1, x2, y2 [m] of each.
-    folders : dict of str
-        Absolute paths: recordings, scenarios, patches, reports, snapshots.
-    faults : list of dict
-        Every kind of fault: name, description, parameters that it needs and takes, what it acts on.
-    parameters : list of dict
-        Name, unit, low, high, configured value, nullable, fixed and meaning of every parameter.
-    mappings : list of str
-        Names of the built-in mappings for logs of others.
-    config_file : str
-        The configuration that a diagnosis is to use; empty: the defaults.
-    """
-
-    image: str
+    image: str  # name of the process image
     page: Serving
     opcua: OpcUaAccess
+    # name, unit, type, writable, labels, low, high, description and slot of every scalar
     signals: list[dict[str, Any]]
-    robot: dict[str, Any]
-    walls: list[list[float]]
-    folders: dict[str, str]
+    robot: dict[str, Any]  # dimensions [m] and largest speeds
+    walls: list[list[float]]  # x1, y1, x2, y2 [m] of each
+    folders: dict[str, str]  # absolute paths: recordings, scenarios, patches, reports, snapshots
+    # every kind of fault: name, description, parameters that it needs and takes, what it acts on
     faults: list[dict[str, Any]] = field(default_factory=list)
+    # name, unit, low, high, configured value, nullable, fixed and meaning of every parameter
     parameters: list[dict[str, Any]] = field(default_factory=list)
+    # names of the built-in mappings for logs of others
     mappings: list[str] = field(default_factory=list)
-    config_file: str = ""
+    config_file: str = ""  # the configuration that a diagnosis is to use; empty: the defaults
 
     def to_json(self) -> str:
         """Return one line of JSON."""

@@ -56,10 +56,8 @@ class Peer(Part):
 
     Parameters
     ----------
-    config : PeerConfig
     gate : Gate
         Takes the groups of inputs.
-    events : EventBus
     read_output : callable
         ``read_output(signal) -> (value, status code, monotonic_ns)`` of the newest frame.
     clock : UtcClock

@@ -27,7 +27,6 @@ class WriteBehind:
     ----------
     next_writer : callable
         Opens the first file, and the next one when `is_full` says so of the present one.
-    is_full : callable
     on_new_file : callable
         Called in the writing thread after each file but the first was opened.
     buffer_bytes : int

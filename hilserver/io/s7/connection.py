@@ -20,8 +20,7 @@ from hilserver.io.s7.wire import Code, Function, Item, Job, WireError
 
 CONNECT_S = 3.0
 JOB_S = 2.0
-ASKED_PDU = 480
-"""Bytes of a message that are asked for; controllers grant 240 to 960."""
+ASKED_PDU = 480  # bytes of a message that are asked for; controllers grant 240 to 960
 
 WHY = {
     Code.NO_BLOCK: "there is no such block, or its access is optimized: switch that off in its"

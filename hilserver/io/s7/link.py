@@ -53,13 +53,7 @@ class S7Link(Part):
         return f"s7://{self._config.host}:{self._server.port}"
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises
-        ------
-        FailedError
-            If the port cannot be had.
-        """
+        """Listen; FailedError if the port cannot be had."""
         try:
             await self._server.start()
         except OSError as error:

@@ -19,17 +19,11 @@ from hilserver.io.s7.wire import Item
 from hilserver.period import every
 from hilserver.signals import SignalTable
 
-LOOK_AGAIN_S = 1.0
-"""How long a block is left alone that the controller refuses."""
+LOOK_AGAIN_S = 1.0  # how long a block is left alone that the controller refuses
 
 
 class S7Peer(Peer):
     """Reads one block of a controller and writes one.
-
-    Parameters
-    ----------
-    config : PeerConfig
-    table : SignalTable
 
     Raises
     ------

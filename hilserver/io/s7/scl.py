@@ -12,8 +12,7 @@ from hilserver.config.root import Config
 from hilserver.config.s7 import Place
 from hilserver.config.s7_peer import Block
 
-Member = tuple[Place, str, str]
-"""Place, name, remark."""
+Member = tuple[Place, str, str]  # place, name, remark
 
 
 def to_scl(config: Config) -> str:

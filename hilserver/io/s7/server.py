@@ -11,8 +11,7 @@ from hilserver.io.s7.identity import identified
 from hilserver.io.s7.wire import Code, Function, Job, WireError
 
 HANDSHAKE_S = 5.0
-JOBS = 8
-"""Jobs under way that are agreed on; they are answered in their order."""
+JOBS = 8  # jobs under way that are agreed on; they are answered in their order
 NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
 """Errors of a whole job: a function that is not there, an answer that would be too long."""
 ALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
@@ -40,13 +39,7 @@ class Answers:
         self._contents, self._write = contents, write
 
     def to(self, message: Job) -> bytes:
-        """Return the answer to a job.
-
-        Raises
-        ------
-        WireError
-            If it is none.
-        """
+        """Return the answer to a job; WireError if it is none."""
         if message.kind == wire.USERDATA:
             return identified(message)
         if not wire.is_job(message):

@@ -10,8 +10,7 @@ from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-LONGEST_MESSAGE: Final = 2048
-"""Of one message with its headers."""
+LONGEST_MESSAGE: Final = 2048  # of one message with its headers
 READ_OVERHEAD, WRITE_OVERHEAD = 18, 28
 """Bytes of a message beside the data of its only item: answer to a read, job of a write."""
 ITEM_OVERHEAD: Final = 17
@@ -20,8 +19,7 @@ MOST_ITEMS: Final = 20
 
 _CONNECT, _CONFIRM, _HANG_UP, _DATA = 0xE0, 0xD0, 0x80, 0xF0
 _S7, _JOB, _ERROR, _ANSWER, USERDATA = 0x32, 1, 2, 3, 7
-ANSWER_HEAD: Final = 12
-"""Bytes of an answer before its parameters."""
+ANSWER_HEAD: Final = 12  # bytes of an answer before its parameters
 SHORTEST_PDU: Final = 128
 _DATA_BLOCK: Final = 0x84
 _ADDRESS = struct.Struct(">BBBBHHB3s")
@@ -141,13 +139,7 @@ async def receive(reader: asyncio.StreamReader) -> tuple[int, bytes]:
 
 
 def confirmed(request: tuple[int, bytes]) -> bytes:
-    """Return what confirms a connection.
-
-    Raises
-    ------
-    WireError
-        If nobody asks for one.
-    """
+    """Return what confirms a connection; WireError if nobody asks for one."""
     kind, rest = request
     if kind != _CONNECT or len(rest) < 5:
         raise WireError("asks for no connection")
@@ -182,13 +174,7 @@ def user_data(number: int, parameters: bytes, data: bytes) -> bytes:
 
 
 def taken_apart(message: tuple[int, bytes]) -> Job:
-    """Return a message of either side.
-
-    Raises
-    ------
-    WireError
-        If it is none.
-    """
+    """Return a message of either side; WireError if it is none."""
     kind, payload = message
     if kind != _DATA or len(payload) < 10 or payload[0] != _S7:
         raise WireError("is no message of S7")
