@@ -19,3 +19,17 @@ COMPILER = {"numba", "scipy"}
 def test_commands_that_only_watch_or_ask_carry_little(command, without):
     words = [sys.executable, "-c", LOADED.format(command, without)]
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
+
+
+CALLS_IT = """
+import sys, numba, numpy
+import hilserver.daemon.daemon
+print(*{"scipy.linalg", "unittest", "numpy.f2py"} & sys.modules.keys())
+print(numba.njit(lambda a: numpy.linalg.solve(a, a @ a))(2.0 * numpy.eye(2)).tolist())
+"""
+
+
+def test_the_daemon_carries_no_linear_algebra_until_it_is_called():
+    words = [sys.executable, "-c", CALLS_IT]
+    shown = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert shown.splitlines() == ["", "[[2.0, 0.0], [0.0, 2.0]]"]

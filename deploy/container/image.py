@@ -128,9 +128,8 @@ def settle(root: Path) -> None:
     for folder in ("etc/hilserver", "var/lib/hilserver", "var/cache/hilserver"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     shutil.copy(Path(__file__).with_name("config.yaml"), root / "etc/hilserver/config.yaml")
-    within(
-        root, f"/{HOME}/bin/hilserver", "run", "-c", "/etc/hilserver/config.yaml", "--duration", "2"
-    )
+    (root / "run/any_port.yaml").write_text(ANY_PORT)  # a daemon may run beside the build
+    within(root, f"/{HOME}/bin/hilserver", "run", "-c", "/run/any_port.yaml", "--duration", "2")
     for folder in WITHOUT:
         for path in (root / folder).iterdir() if (root / folder).exists() else ():
             if path != root / "var/cache/hilserver":
