@@ -44,7 +44,10 @@ class Machine:
     driven: str  # and of those that are observed
 
 
-MACHINES: Final = (Machine("diffdrive_umbmark", "diffdrive", "square_*.csv", "circular_*.csv"),)
+MACHINES: Final = (
+    Machine("diffdrive_umbmark", "diffdrive", "square_230620202042.csv", "circular_*.csv"),
+    Machine("omni4", "omni4", "square_*.csv", "circular_*.csv"),
+)
 
 
 @dataclass(frozen=True)
@@ -71,10 +74,10 @@ def measure(root: Path, keep: Path) -> list[Result]:
     FailedError
         If there are none.
     """
-    there = [one for one in MACHINES if (root / one.folder).is_dir()]
+    there = [one for one in MACHINES if any((root / one.folder).glob(one.learned))]
     if not there:
         folders = ", ".join(one.folder for one in MACHINES)
-        raise FailedError(f"--recordings {root}: holds none of the folders {folders}")
+        raise FailedError(f"--recordings {root}: holds no recordings of {folders}")
     return [row for one in there for row in _figures(one, list(_drives(one, root, keep)))]
 
 

@@ -113,6 +113,22 @@ def test_a_log_without_wheels_of_a_side_is_refused(drive, tmp_path, capsys):
     assert "the observer needs both sides" in capsys.readouterr().err
 
 
+def test_mecanum_wheels_need_all_four_speeds(found, tmp_path, capsys):
+    config, log, out = (tmp_path / name for name in ("config.yaml", "run.csv", "out.csv"))
+    config.write_text("plant: {drive: mecanum}")
+    table, truth = make(Recipe(seed=5, duration_s=30.0, drive="mecanum", manoeuvre="omni"))
+    table.write_csv(log)
+    words = ["observe", str(log), "-c", str(config), "--findings", str(found), "-o", str(out)]
+    assert main(words) == 0
+    e, sd = errors(out, truth.dense)
+    assert np.hypot(*e[:2]).mean() < 0.05
+    assert np.mean((e / sd) ** 2) < 4.0
+    del table.columns["wheel.rr.speed_rpm"]
+    table.write_csv(log)
+    assert main(words) == 2
+    assert "mecanum wheels move the robot sideways: map all columns" in capsys.readouterr().err
+
+
 def test_the_log_itself_is_not_overwritten(drive, capsys):
     assert main(["observe", str(drive[0]), "-o", str(drive[0])]) == 1
     assert "is the log itself" in capsys.readouterr().err

@@ -25,7 +25,8 @@ def causes(result):
 
 @pytest.mark.parametrize("path", sorted(MAPPINGS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_mappings_of_the_how_to_are_valid(path):
-    assert load_mapping(path).plant_keys["wheelbase_m"] is None
+    keys = load_mapping(path).plant_keys
+    assert (keys["wheelbase_m"] is None) == (keys["drive"] == "skid")
 
 
 @pytest.mark.parametrize("name", builtin_mappings())
