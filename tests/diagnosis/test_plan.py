@@ -13,7 +13,7 @@ from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.engine import judge
 from hilserver.diagnosis.plan.document import PlanDocument
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
-from hilserver.diagnosis.plan.null_log import GROUPS, Recording, null_log, path_of
+from hilserver.diagnosis.plan.null_log import GROUPS, Recording, Studio, null_log, path_of
 from hilserver.diagnosis.plan.outlook import grouped, look
 from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
@@ -31,7 +31,7 @@ CIRCLE = of_moves([(20, 30, 60)])
 
 def seen(*spans, recording=None):
     recording = recording or Recording()
-    return look(spans, ROBOT, recording, seed=0, jobs=2, report=lambda text, share: None)
+    return look(spans, recording, Studio(ROBOT, 0, 2, lambda text, share: None))
 
 
 def written(folder, manoeuvre, name="given.yaml"):

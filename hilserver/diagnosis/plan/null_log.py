@@ -8,6 +8,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
+from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -55,6 +56,23 @@ class Recording:
         """Return it with more channels."""
         more = tuple(n for n in ALL if n in self.channels or n in names)
         return Recording(more, self.rate_hz, self.navigation_hz)
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What stays the same for every manoeuvre that is looked at."""
+
+    robot: RobotParameters
+    seed: int
+    jobs: int
+    report: Report
+
+    def null_log(
+        self, spans: Sequence[Manoeuvre], recording: Recording
+    ) -> tuple[MeasuredLog, np.random.Generator]:
+        """Return the log of manoeuvres, and the generator that made its noise."""
+        rng = np.random.default_rng(self.seed)
+        return null_log(spans, self.robot, recording, rng), rng
 
 
 def null_log(

@@ -23,14 +23,12 @@ from hilserver.diagnosis.plan.information import (
     sizes_of,
 )
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
-from hilserver.diagnosis.plan.null_log import Recording, null_log
-from hilserver.diagnosis.progress import Report
+from hilserver.diagnosis.plan.null_log import Recording, Studio
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
 from hilserver.diagnosis.schema.findings import Detectable, NotJudged
 from hilserver.diagnosis.thresholds import GROUP_COSINE, HOPELESS
-from hilserver.plant.parameters import RobotParameters
 
 OTHERWISE = "is not found by its sensitivity; whether a manoeuvre shows it is not planned"
 LEAST_SHOWN = 0.1
@@ -69,19 +67,10 @@ class Outlook:
         return [c for c in self.shown if c not in together]
 
 
-def look(
-    spans: Sequence[Manoeuvre],
-    robot: RobotParameters,
-    recording: Recording,
-    *,
-    seed: int,
-    jobs: int,
-    report: Report,
-) -> Outlook:
+def look(spans: Sequence[Manoeuvre], recording: Recording, studio: Studio) -> Outlook:
     """Replay a manoeuvre, add the reference noises and ask what a diagnosis could find."""
-    rng = np.random.default_rng(seed)
-    log = null_log(spans, robot, recording, rng)
-    prepared, reasons = prepare_all(log, robot, jobs, report)
+    log, rng = studio.null_log(spans, recording)
+    prepared, reasons = prepare_all(log, studio.robot, studio.jobs, studio.report)
     found = judge(prepared, reasons, rng)
     return found if any(m.setpoints_rpm.any() for m in spans) else _at_rest(found)
 

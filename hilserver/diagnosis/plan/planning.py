@@ -10,7 +10,7 @@ from hilserver import __version__
 from hilserver.daemon.assembly import Assembly
 from hilserver.diagnosis.plan.document import Missing, PlanDocument, Proposed, prospect
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre, as_scenario, of_log, of_scenario
-from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, path_of
+from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, Studio, path_of
 from hilserver.diagnosis.plan.outlook import Outlook, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
 from hilserver.diagnosis.plan.search import choose, information_of
@@ -69,13 +69,13 @@ def plan(wish: Wish, assembly: Assembly, report: Report) -> tuple[PlanDocument, 
     """
     given = read(wish, assembly.robot)
     recording = Recording(wish.channels or given.channels, wish.rate_hz)
-    studio = _Studio(given.robot, wish.seed, wish.jobs, report)
-    now = studio.look(given.spans, recording)
-    chosen = studio.better(recording, wish.room_m, wish.duration_s or given.duration_s)
+    studio = Studio(given.robot, wish.seed, wish.jobs, report)
+    now = look(given.spans, recording, studio)
+    chosen = _better(studio, recording, wish.room_m, wish.duration_s or given.duration_s)
     spans = [_joined(chosen)]
     if not _inside(spans, given.robot, wish.room_m):
         raise FailedError(f"the pieces drift out of {_sides(wish.room_m)}; give more --room")
-    then = studio.look(spans, recording)
+    then = look(spans, recording, studio)
     stays = _inside(given.spans, given.robot, wish.room_m)
     fits = stays and given.duration_s <= (wish.duration_s or given.duration_s)
     better = then.score > now.score or not fits
@@ -120,34 +120,17 @@ def read(wish: Wish, robot: RobotParameters) -> Given:
     )
 
 
-@dataclass(frozen=True)
-class _Studio:
-    """What stays the same for every manoeuvre that is looked at."""
-
-    robot: RobotParameters
-    seed: int
-    jobs: int
-    report: Report
-
-    def look(self, spans: Sequence[Manoeuvre], recording: Recording) -> Outlook:
-        return look(
-            spans, self.robot, recording, seed=self.seed, jobs=self.jobs, report=self.report
+def _better(
+    studio: Studio, recording: Recording, room_m: tuple[float, float], duration_s: float
+) -> list[Piece]:
+    left_s = duration_s - START.duration_s
+    able = [p for p in pieces(studio.robot, room_m) if p.manoeuvre.duration_s <= left_s]
+    if not able:
+        raise FailedError(
+            f"no piece fits into {duration_s:.3g} s and {_sides(room_m)};"
+            " give more --duration or --room"
         )
-
-    def better(
-        self, recording: Recording, room_m: tuple[float, float], duration_s: float
-    ) -> list[Piece]:
-        left_s = duration_s - START.duration_s
-        able = [p for p in pieces(self.robot, room_m) if p.manoeuvre.duration_s <= left_s]
-        if not able:
-            raise FailedError(
-                f"no piece fits into {duration_s:.3g} s and {_sides(room_m)};"
-                " give more --duration or --room"
-            )
-        known = information_of(
-            able, self.robot, recording, seed=self.seed, jobs=self.jobs, report=self.report
-        )
-        return choose(able, known, left_s, self.report)
+    return choose(able, information_of(able, recording, studio), left_s, studio.report)
 
 
 def _joined(chosen: Sequence[Piece]) -> Manoeuvre:
@@ -172,7 +155,7 @@ def _sides(room_m: tuple[float, float]) -> str:
 
 
 def _missing(
-    studio: _Studio, spans: Sequence[Manoeuvre], recording: Recording, now: Outlook
+    studio: Studio, spans: Sequence[Manoeuvre], recording: Recording, now: Outlook
 ) -> tuple[Missing, ...]:
     """Return what every channel that is not recorded would add."""
     found = []
@@ -180,7 +163,7 @@ def _missing(
         absent = tuple(n for n in signals if n not in recording.channels)
         if not absent:
             continue
-        then = studio.look(spans, recording.with_channels(*absent))
+        then = look(spans, recording.with_channels(*absent), studio)
         shows = tuple(c for c in then.shown if c not in now.shown)
         before = {c for group in now.groups for c in group}
         separates = tuple(c for c in then.named if c in before)

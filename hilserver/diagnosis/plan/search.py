@@ -7,11 +7,10 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.plan.information import Direction, directions_of, grams_by_span, score
-from hilserver.diagnosis.plan.null_log import Recording, null_log
+from hilserver.diagnosis.plan.null_log import Recording, Studio
 from hilserver.diagnosis.plan.pieces import Piece
 from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.stages import prepare, stages_of
-from hilserver.plant.parameters import RobotParameters
 
 MOST_PIECES = 200
 TURNS = 4
@@ -27,20 +26,13 @@ class Information:
 
 
 def information_of(
-    found: Sequence[Piece],
-    robot: RobotParameters,
-    recording: Recording,
-    *,
-    seed: int,
-    jobs: int,
-    report: Report,
+    found: Sequence[Piece], recording: Recording, studio: Studio
 ) -> list[Information]:
     """Measure every piece once, each as a span of its own in one null log."""
-    rng = np.random.default_rng(seed)
-    log = null_log([piece.manoeuvre for piece in found], robot, recording, rng)
+    log, _ = studio.null_log([piece.manoeuvre for piece in found], recording)
     known = []
-    for stage in stages_of(log, robot).values():
-        prepared, _ = prepare(stage, jobs, report)
+    for stage in stages_of(log, studio.robot).values():
+        prepared, _ = prepare(stage, studio.jobs, studio.report)
         if prepared is not None:
             library = prepared.library
             known.append(Information(directions_of(library), grams_by_span(library, len(found))))
