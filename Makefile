@@ -75,8 +75,8 @@ format: $(VENV)/.dev ## Bring all code into the project's form
 reference: $(VENV)/.run ## Write the generated reference pages anew
 	@$(BIN)/python -m reference
 	@$(BIN)/python -m tests.control.table > docs/reference/control-matrix.md
-	@$(BIN)/python -m hilserver.diagnosis.schema.json_schema findings > hilserver/diagnosis/schema/findings.schema.json
-	@$(BIN)/python -m hilserver.diagnosis.schema.json_schema patch > hilserver/diagnosis/schema/model_patch.schema.json
+	@$(BIN)/python -m reference.schemas findings > hilserver/diagnosis/schema/findings.schema.json
+	@$(BIN)/python -m reference.schemas patch > hilserver/diagnosis/schema/model_patch.schema.json
 	@$(BIN)/hilserver check --schema config.schema.json
 
 .PHONY: pictures

@@ -9,8 +9,17 @@ from typing import Final
 
 from hilserver.commands import signals
 from hilserver.daemon.assembly import assemble
-from hilserver.diagnosis.findings import reference as findings
-from reference import configuration, control, faults, mapping, metrics, parameters, states, step
+from reference import (
+    configuration,
+    control,
+    faults,
+    findings,
+    mapping,
+    metrics,
+    parameters,
+    states,
+    step,
+)
 
 FOLDER: Final = Path(__file__).parents[1] / "docs" / "reference"
 PAGES: Final[Mapping[str, Callable[[], str]]] = {

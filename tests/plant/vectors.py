@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.plant import reference
+from hilserver.plant.imu import imu_step
 from hilserver.plant.layout import WHEELS, Inputs, Outputs, Status
+from hilserver.plant.nav import nav_step
 from hilserver.plant.packing import initial_state, pack
 from hilserver.plant.parameters import (
     FOR_MECANUM_ALONE,
@@ -26,7 +28,6 @@ from hilserver.plant.parameters import (
 )
 from hilserver.plant.reference.cases import cases
 from hilserver.plant.robot import robot_step
-from hilserver.plant.sensors import imu_step, nav_step
 
 FOLDER: Final = Path(reference.__file__).parent / "vectors"
 TICKS: Final = 600

@@ -14,7 +14,7 @@ from hilserver.commands import main
 from hilserver.config.patch import load_patch
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.schema.findings import Findings
-from hilserver.diagnosis.schema.json_schema import findings_schema
+from reference.schemas import findings_schema
 from tests.diagnosis.assertions import (
     nothing_is_found,
     the_cause_is_named,

@@ -11,7 +11,7 @@ from hilserver.config.patch import json_schema as patch_schema
 from hilserver.diagnosis.output import documents, findings_text
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
-from hilserver.diagnosis.schema.json_schema import findings_schema
+from reference.schemas import findings_schema
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
 ROOT = Path(__file__).parents[3]

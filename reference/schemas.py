@@ -1,6 +1,6 @@
 """JSON Schemas of findings.json and model_patch.yaml.
 
-``python -m hilserver.diagnosis.schema.json_schema findings`` (or ``patch``) prints one.
+``python -m reference.schemas findings`` (or ``patch``) prints one.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""The reference of findings: ``python -m hilserver.diagnosis.findings.reference``."""
+"""The page of findings, made from the vocabulary and its sentences."""
 
-from importlib.resources import files
+from pathlib import Path
 
 from jinja2 import Template
 
@@ -15,8 +15,7 @@ def as_markdown() -> str:
         f"| {', '.join(f'`{name}`' for name in sorted(causes))} | {text} |"
         for causes, text in experiments().items()
     ]
-    folder = files("hilserver.diagnosis.findings")
-    page = folder.joinpath("reference.md.j2").read_text(encoding="utf-8")
+    page = Path(__file__).with_suffix(".md.j2").read_text(encoding="utf-8")
     template = Template(page, keep_trailing_newline=True)
     text: str = template.render(causes="\n".join(rows), experiments="\n".join(pairs))
     return text
@@ -32,7 +31,3 @@ def _row(cause: Cause) -> str:
     )
     remedy = sentences()[cause.name].remedy
     return f"| `{cause.name}` | {shown} | {units} | {nulls} | {cause.block} | {remedy} |"
-
-
-if __name__ == "__main__":
-    print(as_markdown(), end="")
