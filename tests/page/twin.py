@@ -36,6 +36,7 @@ def follow(out: Path) -> dict[str, object]:
         browser = Browser(webgl=False)
         try:
             begun_s = time.monotonic()
+            browser.do("fresh")
             browser.do("open", url=page_url(daemon))
             browser.do("view", name="Diagnosis")
             plant.wait(lambda: has(history, "proposal"), LONGEST_S)
@@ -49,25 +50,36 @@ def follow(out: Path) -> dict[str, object]:
             after = out.with_name(f"{out.stem}-after{out.suffix}")
             browser.do("shot", path=str(after))
         finally:
+            for line in lines_of(history):
+                print(line["kind"], line.get("verdict", ""), said(line), file=sys.stderr)
             browser.close()
             daemon.stop()
         (effect,) = has(history, "effect")
         return {"seconds_to_proposal": round(seconds), **effect["proposal"]}
 
 
-def has(history: Path, kind: str) -> list[dict]:
-    """Return the lines of one kind."""
+def lines_of(history: Path) -> list[dict]:
+    """Return all lines."""
     if not history.exists():
         return []
-    lines = [json.loads(line) for line in history.read_text().splitlines()]
-    return [line for line in lines if line["kind"] == kind]
+    return [json.loads(line) for line in history.read_text().splitlines()]
+
+
+def has(history: Path, kind: str) -> list[dict]:
+    """Return the lines of one kind."""
+    return [line for line in lines_of(history) if line["kind"] == kind]
+
+
+def said(line: dict) -> str:
+    """Return what a line says."""
+    return line.get("sentence") or line.get("error") or line.get("proposal", {}).get("sentence", "")
 
 
 def main() -> int:
     """Follow, and print what was seen."""
     parser = argparse.ArgumentParser(prog="python -m tests.page.twin")
     parser.add_argument("out", type=Path)
-    print(json.dumps(follow(parser.parse_args().out), indent=1))
+    print(json.dumps(follow(parser.parse_args().out.resolve()), indent=1))
     return 0
 
 
