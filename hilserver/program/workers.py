@@ -1,5 +1,6 @@
 """Worker processes for many tasks that do not know each other; they end when their parent does."""
 
+import contextlib
 import ctypes
 import multiprocessing
 import os
@@ -7,6 +8,7 @@ import signal
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from typing import TypeVar
 
 from hilserver.errors import FailedError
@@ -28,6 +30,18 @@ def end_with_parent(parent: int) -> None:
     prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:  # it ended before we asked
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def lower(nice: int) -> None:
+    """Lower the priority of this process, and of its session where it leads one.
+
+    With autogroups a session competes as a whole, with its own value (sched(7)): within one that
+    has a single process `nice` says nothing.
+    """
+    os.nice(nice)
+    if os.getsid(0) == os.getpid():
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(nice), encoding="ascii")
 
 
 def in_processes(

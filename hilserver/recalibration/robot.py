@@ -42,7 +42,7 @@ MEASURES: Final = (
 # A set-point that jumps would show how late a row arrives rather than how the robot turns.
 RAMPS: Final = Recipe(manoeuvre="ramps", sensors={"duty_pct": Sensor(limit=100.0)})
 PUBLISHING_MS: Final = 5.0  # a quarter of a row: values get the stamp of their arrival
-STALE_MS: Final = 2000.0
+STALE_MS: Final = 10_000.0  # on a busy computer it may pause without being lost
 AHEAD: Final = 50  # rows that are taken at once
 LATE_S: Final = 0.02  # age at which a row is over: the next one is due
 Pose = NDArray[np.float64]

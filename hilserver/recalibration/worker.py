@@ -9,13 +9,13 @@ import resource
 import sys
 from pathlib import Path
 
-from hilserver.program.workers import end_with_parent
+from hilserver.program.workers import end_with_parent, lower
 from hilserver.recalibration.orders import Order, Result, Share
 
 
 def take(share: Share) -> None:
     """Take no more than a share of this computer."""
-    os.nice(share.nice)
+    lower(share.nice)
     if share.cpus:
         with contextlib.suppress(OSError):  # a core that this computer does not have
             os.sched_setaffinity(0, share.cpus)

@@ -156,6 +156,26 @@ def test_it_takes_no_more_than_its_share():
     assert nicer >= 0  # nothing is nicer than 19
 
 
+def test_its_session_is_lowered_with_it():
+    """Where a process competes by its session, nothing else makes it yield."""
+    write = "from pathlib import Path; Path('/proc/self/autogroup').write_text('4')"
+    own = "from hilserver.recalibration.orders import Share; from hilserver.recalibration.worker"
+    own += " import take; take(Share(4, (), 0, 0))"
+    read = "; from pathlib import Path; print(Path('/proc/self/autogroup').read_text())"
+    wanted, found = (
+        subprocess.run(
+            [sys.executable, "-c", script + read],
+            capture_output=True,
+            text=True,
+            check=False,
+            start_new_session=True,
+        )
+        for script in (write, own)
+    )
+    # this computer has none, or lets nobody write
+    assert wanted.returncode != 0 or found.stdout.endswith(wanted.stdout.split()[-1] + "\n\n")
+
+
 def test_it_stays_off_the_core_of_the_pacing_thread(monkeypatch):
     monkeypatch.setattr(process.os, "sched_getaffinity", lambda _: {0, 1, 2})
     assert process.other_cores(1, None) == (0, 2)

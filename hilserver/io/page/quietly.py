@@ -3,21 +3,18 @@
 It gets only the time that nobody else wants, and a limit of memory.
 """
 
-import contextlib
 import os
 import resource
 import sys
-from pathlib import Path
+
+from hilserver.program.workers import lower
 
 MEMORY_BYTES = 4 << 30
 
 
 def main() -> None:
     """Lower priority and limits, then become the command."""
-    os.nice(19)
-    if os.getsid(0) == os.getpid():  # a session competes as a whole, with its own value: sched(7)
-        with contextlib.suppress(OSError):
-            Path("/proc/self/autogroup").write_text("19", encoding="ascii")
+    lower(19)
     if hasattr(os, "SCHED_IDLE"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
