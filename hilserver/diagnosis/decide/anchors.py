@@ -49,38 +49,21 @@ SIDES = ("low x and low y", "high x and low y", "high x and high y", "low x and 
 
 @dataclass(frozen=True)
 class Anchor:
-    """One of four ranging anchors measures too long a way.
+    """One of four ranging anchors measures too long a way."""
 
-    Attributes
-    ----------
-    side : str
-        Where it stands about the driven place, in words.
-    error_m, half_m : float
-        What is added to its ranges, and half the width of its 95 % interval.
-    largest : float
-        How far the position moves where it moves most, per metre of the range.
-    """
-
-    side: str
+    side: str  # where it stands about the driven place, in words
+    # what is added to its ranges, and half the width of its 95 % interval
     error_m: float
     half_m: float
-    largest: float
+    largest: float  # how far the position moves where it moves most, per metre of the range
 
 
 @dataclass(frozen=True)
 class _Fields:
-    """The fields of four anchors on the positions of a log.
+    """The fields of four anchors on the positions of a log."""
 
-    Attributes
-    ----------
-    moved : ndarray, shape (4, m, 2)
-        See `unknown.anchor_fields`.
-    white : ndarray, shape (n, 4)
-        Their columns, whitened, initial poses projected out.
-    """
-
-    moved: Array
-    white: Array
+    moved: Array  # shape (4, m, 2): see `unknown.anchor_fields`
+    white: Array  # shape (n, 4): their columns, whitened, initial poses projected out
 
     def anchor(self, best: int, error_m: float, half_m: float) -> Anchor:
         """Return one of the four."""
@@ -161,20 +144,12 @@ class Contest:
 
     A scale is the simplest of the fields of error that one misplaced anchor makes, and the first to
     be found.
-
-    Attributes
-    ----------
-    index : int
-        Of the scale among the accepted causes.
-    more : float
-        Deviance that one anchor, or all four less one for each, saves more than the scale.
-    anchor : Anchor
-        The one that explains most in its place.
     """
 
-    index: int
+    index: int  # of the scale among the accepted causes
+    # deviance that one anchor, or all four less one for each, saves more than the scale
     more: float
-    anchor: Anchor
+    anchor: Anchor  # the one that explains most in its place
 
     @property
     def lost(self) -> bool:

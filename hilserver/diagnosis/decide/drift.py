@@ -25,31 +25,21 @@ from hilserver.diagnosis.thresholds import (
     REST_LEVEL,
 )
 
-RIVALS: Final = 3
-"""Causes whose change is tried in full."""
-PARTS_OF_LOG: Final = 4
-"""Of the log, each with a size and a trend of its own."""
-TREND_DAMPING: Final = 1e-6
-"""Of a size beside its trend, see `linear`."""
+RIVALS: Final = 3  # causes whose change is tried in full
+PARTS_OF_LOG: Final = 4  # of the log, each with a size and a trend of its own
+TREND_DAMPING: Final = 1e-6  # of a size beside its trend, see `linear`
 FEWEST_IN_PARTS: Final = 2 * PARTS_OF_LOG
 """Blocks; in fewer a change cannot be separated from noise."""
 
 
 @dataclass(frozen=True)
 class Drifting:
-    """A model and those of its causes that drift.
-
-    Attributes
-    ----------
-    p : mapping of str to float
-        Of no change, by cause.
-    gain : float
-        Deviance that sizes and trends of their own in each part of the log save against the model
-        before.
-    """
+    """A model and those of its causes that drift."""
 
     point: Point
-    p: dict[str, float]
+    p: dict[str, float]  # of no change, by cause
+    # deviance that sizes and trends of their own in each part of the log save against the model
+    # before
     gain: float
 
 

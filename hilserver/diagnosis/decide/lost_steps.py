@@ -11,22 +11,14 @@ from hilserver.diagnosis.thresholds import LARGE_STEP_RPM, LOST_LATE_S
 from hilserver.measured.channels import SETPOINTS, SPEEDS
 from hilserver.measured.data import Channel
 
-RESPONSE_S: Final = 0.15
-"""In which the wheel answers a step."""
+RESPONSE_S: Final = 0.15  # in which the wheel answers a step
 
 
 @dataclass(frozen=True)
 class LostSteps:
-    """Set-point steps that the log shows as sent and that reached the wheels late or never.
+    """Set-point steps that the log shows as sent and that reached the wheels late or never."""
 
-    Attributes
-    ----------
-    share : float
-        Of the steps that can be judged.
-    events, judged : int
-    """
-
-    share: float
+    share: float  # of the steps that can be judged
     events: int
     judged: int
 

@@ -13,13 +13,10 @@ from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import GROSS
 
-PROMISING: Final = 0.5
-"""Share of the best trial's gain from which another shape is worth a search."""
-NOISE_ERROR: Final = 1.1
-"""Variance of whitened residuals that is the noise model's own error."""
+PROMISING: Final = 0.5  # share of the best trial's gain from which another shape is worth a search
+NOISE_ERROR: Final = 1.1  # variance of whitened residuals that is the noise model's own error
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
-FAR_OFF: Final = 3.0
-"""Times the loss of an ordinary block."""
+FAR_OFF: Final = 3.0  # times the loss of an ordinary block
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
 

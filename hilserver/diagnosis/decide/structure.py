@@ -29,27 +29,18 @@ from hilserver.diagnosis.thresholds import (
     RIVAL_COSINE,
 )
 
-ALIKE_DAMPING = 1e-3
-"""Of families, whose columns are much alike, see `linear`."""
+ALIKE_DAMPING = 1e-3  # of families, whose columns are much alike, see `linear`
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A family of columns that the remaining error depends on.
-
-    Attributes
-    ----------
-    gain : float
-        Deviance that the whole family saves, less one per column.
-    white : ndarray, shape (n, k)
-        Its columns, whitened and projected.
-    """
+    """A family of columns that the remaining error depends on."""
 
     family: Family
     t: float
     p: float
-    gain: float
-    white: Array
+    gain: float  # deviance that the whole family saves, less one per column
+    white: Array  # shape (n, k): its columns, whitened and projected
 
 
 def families_of(problem: Problem, point: Point) -> Iterable[Family]:

@@ -21,10 +21,8 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.units import RAD_S_PER_RPM
 
-DRIVES, TURNS = 0.1, 0.1
-"""Speed [m/s] and turn rate [rad/s] from which a direction is remembered."""
-TURNING, DRIVING = 0.2, 0.05
-"""Turn rate [rad/s] and speed [m/s] from which a direction counts."""
+DRIVES, TURNS = 0.1, 0.1  # speed [m/s] and turn rate [rad/s] from which a direction is remembered
+TURNING, DRIVING = 0.2, 0.05  # turn rate [rad/s] and speed [m/s] from which a direction counts
 RANGING = "ranging"
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0
@@ -34,19 +32,11 @@ ANCHORS_OUTSIDE = 0.1
 
 @dataclass(frozen=True)
 class Family:
-    """Columns that depend on one regressor.
-
-    Attributes
-    ----------
-    regressors : tuple of str
-        Signals, or ``t_s``, strongest first.
-    columns : ndarray, shape (n, k)
-        Raw, per unit of an arbitrary coefficient.
-    """
+    """Columns that depend on one regressor."""
 
     name: str
-    regressors: tuple[str, ...]
-    columns: Array
+    regressors: tuple[str, ...]  # signals, or ``t_s``, strongest first
+    columns: Array  # shape (n, k): raw, per unit of an arbitrary coefficient
 
 
 @singledispatch

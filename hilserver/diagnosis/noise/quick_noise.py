@@ -17,8 +17,7 @@ from hilserver.diagnosis.thresholds import (
     OUTLIERS_IN_A_ROW,
 )
 
-AROUND_S: Final = 1.05
-"""Width of the median that a spike leaves."""
+AROUND_S: Final = 1.05  # width of the median that a spike leaves
 WITHIN_3_SD = 0.97334
 """Variance of a normal variable that lies within three deviations, by that of all."""
 

@@ -23,30 +23,18 @@ from hilserver.measured.resolution import step_of
 
 NOISE_BY_STEP: Final = (0.02, 50.0)
 """Where a noise is looked for: below rounding hides it, above nothing shows the rounding."""
-LATER_S: Final = 0.1
-"""Rounding that lasts is still alike."""
-FLOOR_SD = 1e-6
-"""Deviation that a channel without any noise is given."""
+LATER_S: Final = 0.1  # rounding that lasts is still alike
+FLOOR_SD = 1e-6  # deviation that a channel without any noise is given
 HARMONICS = np.arange(1, 6)
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How a channel shows a quantity.
+    """How a channel shows a quantity."""
 
-    Attributes
-    ----------
-    step : float
-        Readings differ by whole multiples of it; 0: they are not rounded.
-    origin : float
-        One of the readings.
-    limit : float
-        Largest reading, either sign.
-    """
-
-    step: float = 0.0
-    origin: float = 0.0
-    limit: float = math.inf
+    step: float = 0.0  # readings differ by whole multiples of it; 0: they are not rounded
+    origin: float = 0.0  # one of the readings
+    limit: float = math.inf  # largest reading, either sign
 
     @classmethod
     def of(cls, values: Array, limit: float = math.inf) -> "Reading":

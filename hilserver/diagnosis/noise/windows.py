@@ -19,23 +19,14 @@ _TRIMMED_MEAN_SQUARE = 0.3685  # of a normal variable's smallest 75 % (by size)
 
 @dataclass
 class Windows:
-    """Samples of all windows, one after the other.
+    """Samples of all windows, one after the other."""
 
-    Attributes
-    ----------
-    t_s, r, weights : ndarray of float64, shape (n,)
-        Stamps within the window (centred), residuals, and 1 or 0 for an outlier.
-    starts : ndarray of int64, shape (windows + 1,)
-        Index of each window's first sample, and n.
-    lines : ndarray of float64, shape (windows, 2)
-        Level and slope, robust.
-    """
-
+    # shape (n,): stamps within the window (centred), residuals, and 1 or 0 for an outlier
     t_s: Array
     r: Array
     weights: Array
-    starts: Indices
-    lines: Array
+    starts: Indices  # shape (windows + 1,): index of each window's first sample, and n
+    lines: Array  # shape (windows, 2): level and slope, robust
 
     @classmethod
     def cut(
