@@ -22,7 +22,9 @@ from hilserver.signals import Direction
 AT_A_TICK = [name for name, p in PLANT.items() if p.when == "tick"]
 WITHOUT_REFERENCE = {"backlash": 0.02, "body_lag": 0.05, "acceleration_slip": 0.01}
 TERMS_ON = {n: t.reference for n, t in TERMS.items() if t.reference} | WITHOUT_REFERENCE
-PLANTS = {"base": {}, "with terms": {"terms": TERMS_ON}}
+AT_LIMIT = {"controller": {"limit_pct": 40.0}}
+"""The duties of the left wheels are limited all through the turn: anti-windup is at work."""
+PLANTS = {"base": {}, "with terms": {"terms": TERMS_ON}, "at the limit": AT_LIMIT}
 TURN = {"wheel.fl": 60, "wheel.rl": 55, "wheel.fr": -10, "wheel.rr": -15}
 MOVING_TICKS = 150
 """A multiple of every slice, so that all sensors show their values in the tick of the change."""
@@ -101,6 +103,12 @@ def test_nothing_jumps_but_what_the_table_says(moving, name):
         assert not wrong, f"{name} = {value}"
         assert np.isfinite(moving.core.image.latest().values).all(), f"{name} = {value}"
     assert tried or name == "terms.roller_slip"  # of mecanum wheels
+
+
+def test_at_the_limit_anti_windup_is_at_work(moving):
+    duties = moving.go_on()[[moving.names.index(f"{name}.duty_pct") for name in TURN]]
+    limited = moving.core.assembly.robot.controller.limit_pct == 40.0
+    assert (abs(duties) == 40.0).tolist() == [limited, limited, False, False]
 
 
 @settings(max_examples=30, deadline=None)
