@@ -92,7 +92,7 @@ def _drives(one: Machine, root: Path, keep: Path) -> Iterator[Drive]:
         log = read_measured([file], mapping)
         for span in range(len(log.spans)):
             whole = [series_of(log, span, which) for which in (robot, plain)]
-            if np.ptp(whole[0].wheels[:, 0]) > 1.5 * CUT_S:
+            if np.ptp(whole[0].wheels[:, 0]) > 2.1 * CUT_S:
                 yield _drive(robot, c, plain, *whole)
 
 
@@ -105,7 +105,8 @@ def _drive(robot: RobotParameters, c: Array, plain: RobotParameters, own: Series
     t = own.wheels[:, 0]
     cut = _silent(t, t[0])
     begins = np.flatnonzero(~cut[:-1] & cut[1:])
-    ends = np.array([k + int(np.argmin(np.append(cut[k + 1 :], False))) for k in begins])
+    begins = begins[t[begins] + CUT_S < t[-1]]  # a silence that the drive cuts short is none
+    ends = np.array([k + int(np.argmin(cut[k + 1 :])) for k in begins])
     true = _truth(raw, t)
     rest = [Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)]
     course = run(pack(robot), c, rest[0])
