@@ -160,11 +160,7 @@ def _fitted(
         trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
         if not possible(trial):
             continue
-        common = problem.between(point, trial)
-        mine, other = point, trial
-        if common is not problem:
-            mine, other = (fit(common, p.model, p, iterations=3) for p in (point, trial))
-        difference = other.loss - mine.loss
+        difference = trial.loss - point.loss
         penalty = cost(c, saved) - cost(accepted, saved)
         worse = float(difference.sum()) + penalty
         found.append(Rival(c, trial, 0.0, worse, deviations(difference, penalty), gross))
@@ -236,17 +232,7 @@ def prune(problem: Problem, point: Point, least: float) -> Point:
             losses.append((float(saved.sum()), deviations(saved), without))
         weakest = min(range(len(losses)), key=lambda i: losses[i][0])
         gain, t, without = losses[weakest]
-        if gain > least and t > 2.0 and not _partial(problem, point, without, least):
+        if gain > least and t > 2.0:
             break
         point = without
     return point
-
-
-def _partial(problem: Problem, point: Point, without: Point, least: float) -> bool:
-    """Return whether only weights that take a model's side keep a cause in it."""
-    if not problem.weighs_by_model:
-        return False
-    other = problem.under_noise_of(without)
-    one, two = (fit(other, p.model, p, iterations=3) for p in (point, without))
-    saved = two.loss - one.loss
-    return float(saved.sum()) <= least or deviations(saved) <= 2.0

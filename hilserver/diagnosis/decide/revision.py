@@ -13,7 +13,7 @@ from hilserver.diagnosis.decide.identifiability import Rival, prune, with_best_r
 from hilserver.diagnosis.decide.predicting import before_settling, with_nameless
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
-from hilserver.diagnosis.decide.selection import Selected, agreed, with_noise_anew
+from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
     Unknown,
     families_of,
@@ -62,7 +62,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
     point, ties = _weighed(p, selected)
-    weighed = point = agreed(problem, p.library, point)
+    weighed = point
     explained = max(p.base.deviance - point.deviance, 0.0) if point.model.fitted else 0.0
     unknown = remaining(problem, point, rng, families_of(problem, point), explained)
     doubtful = _harmless(problem, point, without_unknown(problem, point, unknown))

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from hilserver.arrays import Array
+from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.beginning import Terms, begun
 from hilserver.diagnosis.decide.promise import Step
@@ -30,6 +31,7 @@ from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.screen import Scores, adjusted, critical, null_maxima
+from hilserver.diagnosis.regression.stages import clean
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.thresholds import (
@@ -126,6 +128,15 @@ def attempt(
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
 
 
+def beginning_for(f: Fitted, c: Candidate) -> tuple[float, ...]:
+    """Return where a candidate begins in the place of a cause: a delay with the other's value.
+
+    Far from zero no slope leads to it.
+    """
+    late = all(traits_of(cause).whole_ticks for cause in (f.candidate.cause, c.cause))
+    return f.theta if late else c.beginning
+
+
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     """Return the causes that an accepted one may stand for, in its place or beside it.
 
@@ -138,19 +149,18 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     missing = [c for c in library.candidates if c.cause in both and c.cause not in causes]
     if not missing:
         return point
-    beginnings = [(point.model.without(index), len(missing) - 1)]
-    beginnings.append((point.model, len(missing) + 1))
-    for beginning, added in beginnings:
-        model = beginning
-        for c in missing:
-            model = model.plus(c, c.beginning)
+    in_its_place = [beginning_for(point.model.fitted[index], c) for c in missing]
+    beginnings = [(point.model.without(index), in_its_place, len(missing) - 1)]
+    beginnings.append((point.model, [c.beginning for c in missing], len(missing) + 1))
+    for beside, begin, added in beginnings:
+        model = beside
+        for c, theta in zip(missing, begin, strict=True):
+            model = model.plus(c, theta)
         trial = fit(problem, model, point, iterations=12)
         if not physical(trial):
             continue
-        common = problem.between(point, trial)
-        one, two = (fit(common, p.model, p, iterations=4) for p in (point, trial))
         least = SELECTION_LEAST_SAVED + TIE * added
-        if one.deviance - two.deviance > least and holds(common, one, two.model, two):
+        if point.deviance - trial.deviance > least and holds(problem, point, trial.model, trial):
             return trial
     return point
 
@@ -375,25 +385,13 @@ def _part_of(problem: Problem, other: Trial, trial: Trial, least: float) -> bool
 
 
 def with_noise_anew(problem: Problem, library: Library, point: Point) -> Point:
-    """Learn the noise anew from what the extended model leaves, and fit once more."""
-    problem.estimate_noise(problem.residual(point.predicted))
+    """Learn the noise anew from what the extended model leaves, and fit once more.
+
+    In short segments from what no cause could explain besides: it takes the side of no model.
+    """
+    if problem.is_short:
+        clean(problem, library, point)
+    else:
+        problem.estimate_noise(problem.residual(point.predicted))
     library.rewhiten(point)
     return fit(problem, point.model, point, iterations=3)
-
-
-AGREED_ROUNDS = 6
-"""Of noise and fit in turn; what is left to move shrinks by a third in each."""
-
-
-def agreed(problem: Problem, library: Library, point: Point) -> Point:
-    """Return a model that fits under the weights which it gives the samples itself.
-
-    Those of a model before it hold on to that one.
-    """
-    if not problem.weighs_by_model or not point.model.fitted:
-        return point
-    for _ in range(AGREED_ROUNDS):
-        problem.estimate_noise(problem.residual(point.predicted))
-        point = fit(problem, point.model, point, iterations=3)
-    library.rewhiten(point)
-    return point

@@ -77,29 +77,9 @@ class Problem:
         return self.stage.stack
 
     @property
-    def weighs_by_model(self) -> bool:
-        """Whether a sample counts by how far the model of the noise estimate misses it.
-
-        Such weights take the side of that model against any other.
-        """
+    def is_short(self) -> bool:
+        """Whether slow noise would look like what a model misses: none is learned from a model."""
         return self.stage.segments.longest_s < NOISE_TAU_MAX_S
-
-    def under_noise_of(self, point: Point) -> "Problem":
-        """Return the same stage under the noise that a model leaves."""
-        other = replace(self)
-        other.estimate_noise(other.residual(point.predicted))
-        return other
-
-    def between(self, one: Point, other: Point) -> "Problem":
-        """Return the same stage under weights that take the side of neither of two models."""
-        if not self.weighs_by_model:
-            return self
-        a, b = self.under_noise_of(one), self.under_noise_of(other)
-        noise = {
-            n: replace(mine, white_sd=(0.5 * (mine.sd**2 + b.noise[n].sd ** 2)) ** 0.5)
-            for n, mine in a.noise.items()
-        }
-        return self.under(noise, 0.5 * (a.weights + b.weights))
 
     def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
         """Return the same stage under another noise."""
@@ -230,7 +210,7 @@ class Problem:
     # --- noise ------------------------------------------------------------------------------------
     def estimate_noise(self, raw: Array) -> None:
         """Fit the noise of every channel to raw residuals; outliers lose their weight."""
-        if self.weighs_by_model:
+        if self.is_short:
             self._estimate_short_noise(raw)
             return
         self.noise = {name: self._noise_of(name, raw) for name in self.stack.channels}

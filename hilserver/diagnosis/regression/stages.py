@@ -189,12 +189,31 @@ def _answered(problem: Problem, base: Point, step_rpm: float) -> bool:
 
 
 def clean(problem: Problem, library: Library, point: Point) -> None:
-    """Estimate the noise from what no cause at all can explain, so that no effect hides in it."""
+    """Estimate the noise from what no cause at all can explain, so that no effect hides in it.
+
+    Of few short segments a hundred columns would explain the noise as well: what they explain is
+    taken from the other half.
+    """
     library.rewhiten(point)
-    raw = library.effect(library.ridge(point), slice(None))
+    if problem.is_short:
+        raw = _of_the_other_half(problem, library, point)
+    else:
+        raw = library.effect(library.ridge(point), slice(None))
     left = problem.residual(point.predicted) - raw
     nuisance = problem.nuisance(point.predicted, point.poses)
     if nuisance is not None:
         step = problem.pose_step(problem.whiten(left), nuisance)
         left = left - (nuisance * step[problem.stack.segment]).sum(axis=1)
     problem.estimate_noise(left)
+
+
+def _of_the_other_half(problem: Problem, library: Library, point: Point) -> Array:
+    """Return what all causes explain of each fold with the coefficients of the other."""
+    fold = problem.stack.fold[problem.stack.block]
+    out = np.zeros(len(fold))
+    for test in (0, 1):
+        train, rows = fold != test, np.flatnonzero(fold == test)
+        if train.any() and len(rows):
+            weight = library.ridge(point, train[library.blocks.order])
+            out[rows] = library.effect(weight, rows)
+    return out

@@ -7,7 +7,7 @@ import pytest
 
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.revision import no_name
-from hilserver.diagnosis.decide.selection import Selected, _plausible, select
+from hilserver.diagnosis.decide.selection import Selected, _plausible, beginning_for, select
 from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
@@ -79,6 +79,13 @@ def test_one_block_is_no_evidence_and_hides_none(elsewhere, own, names):
     columns = {"whole": shape * (elsewhere + burst), "part": part}
     found = selected(columns["whole"] + own * aside + rng.normal(size=N), columns)
     assert found.point.model.causes == names
+
+
+def test_a_delay_in_the_place_of_another_begins_with_its_value():
+    late = Model().plus(toy.candidate("nav_latency"), (0.4,)).fitted[0]
+    assert beginning_for(late, toy.candidate("clock_offset")) == (0.4,)
+    slip = toy.candidate("side_slip")
+    assert beginning_for(late, slip) == slip.beginning
 
 
 @pytest.mark.parametrize(

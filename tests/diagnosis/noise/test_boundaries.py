@@ -52,7 +52,7 @@ def calm(share):
 
 def knows_correlation(length_s):
     problem = toy.problem(np.zeros(round(length_s / toy.PERIOD_S)), {})
-    return not problem.weighs_by_model
+    return not problem.is_short
 
 
 @pytest.mark.parametrize(
