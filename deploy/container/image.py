@@ -184,7 +184,7 @@ def configuration(diff_id: str, version: str) -> dict[str, object]:
             "Entrypoint": [f"/{HOME}/bin/hilserver"],
             "Cmd": ["run", "-c", "/etc/hilserver/config.yaml"],
             "WorkingDir": "/var/lib/hilserver",
-            "Volumes": {"/var/lib/hilserver": {}},
+            "Volumes": {f"/var/{kind}/hilserver": {} for kind in ("lib", "cache")},
             "StopSignal": "SIGTERM",
             "Labels": labels,
         },

@@ -8,7 +8,7 @@ from typing import Final
 _MADV_DONTNEED: Final = 4
 _UNTOUCHED = re.compile(
     r"^([0-9a-f]+)-([0-9a-f]+) r-.p .*/(?:libllvmlite|cryptography/.*_rust\.abi3)\.so\n"
-    r"(?:[A-Z]\w+: .*\n)*?Private_Dirty: +0 kB",
+    r"(?:[A-Z]\w+: .*\n)*?Anonymous: +0 kB",
     re.MULTILINE,
 )
 
@@ -16,7 +16,7 @@ _UNTOUCHED = re.compile(
 def give_back_code() -> None:
     """Take the compiler (67 MB) and cryptography (6 MB) out of memory; what is called comes again.
 
-    Only pages that are as in their file, and before memory is locked: locked pages stay.
+    Only where no page was written to, and before memory is locked: locked pages stay.
     """
     madvise = getattr(ctypes.CDLL(None), "madvise", None)
     if madvise is None:

@@ -72,6 +72,8 @@ def test_the_layout_is_that_of_the_specification_and_the_same_twice(tmp_path):
     assert entry["annotations"]["org.opencontainers.image.ref.name"] == "localhost/hilserver:1.2.3"
     assert config["os"] == "linux"
     assert config["config"]["User"] == "10001:10001"
+    # Where the rest is read-only kernels would be compiled anew in a cache that cannot be written.
+    assert config["config"]["Volumes"].keys() == {"/var/lib/hilserver", "/var/cache/hilserver"}
     with tarfile.open(fileobj=io.BytesIO(unpacked)) as layer:
         assert layer.getnames() == [".", "etc", "etc/alias", "etc/name"]
         assert layer.getmember("etc/name").mode == 0o640
