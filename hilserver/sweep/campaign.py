@@ -21,7 +21,7 @@ from hilserver.sweep.prepare import Job, Machine
 from hilserver.sweep.rig import Outcome
 
 IN_A_BATCH: Final = 8
-AHEAD: Final = 3  # batches on their way for each worker
+BATCHES_AHEAD: Final = 3  # batches on their way for each worker
 LIVES: Final = 3  # a machine that was alone with so many workers that died has failed
 STARTS: Final = 30
 Result = tuple[str, list[Outcome]]
@@ -122,7 +122,9 @@ def outcomes(
     source: Iterator[Machine] = iter(machines)
     pending: dict[Future[Result], list[Machine]] = {}
     while True:
-        while len(pending) < AHEAD * workers.count and (batch := list(islice(source, IN_A_BATCH))):
+        while len(pending) < BATCHES_AHEAD * workers.count and (
+            batch := list(islice(source, IN_A_BATCH))
+        ):
             pending[workers.submit(job, batch)] = batch
         if not pending:
             return
