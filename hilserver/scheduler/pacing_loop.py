@@ -15,7 +15,7 @@ from hilserver.scheduler.turn import ENDED, RAN, RING, turn
 LONGEST_SLEEP_NS = 50_000_000  # the loop looks at its control words at least this often
 
 
-@kernel(types.int64(*TURN_ARGUMENTS, types.int32))
+@kernel(types.int64(*TURN_ARGUMENTS, types.int32), _nrt=False)
 def pace(step: Any, at: Loop, doorbell: int) -> int:
     """Pace ticks by absolute deadlines until a stop is requested or the policy ends the run.
 
@@ -46,7 +46,7 @@ def pace(step: Any, at: Loop, doorbell: int) -> int:
     return 0
 
 
-@kernel(types.int64(*TURN_ARGUMENTS, types.int64))
+@kernel(types.int64(*TURN_ARGUMENTS, types.int64), _nrt=False)
 def run_batch(step: Any, at: Loop, n_ticks: int) -> int:
     """Run at most `n_ticks`; return early, with the flags of `turn`, when there is news."""
     flags = 0

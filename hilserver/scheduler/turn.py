@@ -1,6 +1,7 @@
 """One wake-up of the pacing loop, the same in all back ends: command, law, phases, statistics.
 
-Nothing here allocates, waits or needs the interpreter lock.
+Nothing here allocates, waits or needs the interpreter lock. numba's reference counts are left out:
+each array that a kernel takes from the record would be counted up and down, atomically.
 """
 
 from typing import Any
@@ -40,7 +41,7 @@ _P_CPU, _P_MINOR, _P_MAJOR, _P_INVOLUNTARY = range(4)
 getrusage: Any = ExternalFunction("getrusage", int32(int32, voidptr))
 
 
-@kernel()
+@kernel(_nrt=False)
 def may_run(law: NDArray[np.int64], command: int) -> bool:
     """Say whether `command` allows a tick now."""
     if command == ex.FREE_RUN:
@@ -51,7 +52,7 @@ def may_run(law: NDArray[np.int64], command: int) -> bool:
     return bool(law[lw.STEPS_DONE] < (command & ex.MAX_STEPS))
 
 
-@kernel()
+@kernel(_nrt=False)
 def usage_since_last(scratch: NDArray[np.int64]) -> None:
     """Read the thread's rusage and turn it into differences to the previous call."""
     usage = scratch[RUSAGE:PREVIOUS]
@@ -64,7 +65,7 @@ def usage_since_last(scratch: NDArray[np.int64]) -> None:
         before[index] = now[index]
 
 
-@kernel()
+@kernel(_nrt=False)
 def write_record(at: Loop, blamed: int, code: int) -> None:
     """Put the tick that just ended into the ring of overruns and faults."""
     law, ring, usage = at.law, at.ring, at.scratch[RUSAGE:PREVIOUS]
@@ -86,7 +87,7 @@ def write_record(at: Loop, blamed: int, code: int) -> None:
     store_release(at.control, ex.RECORDS_MADE, at.control[ex.RECORDS_MADE] + 1)
 
 
-@kernel()
+@kernel(_nrt=False)
 def run_phases(step: Any, at: Loop, now_ns: int) -> int:
     """Run LATCH, the due slices and PUBLISH; return the first fault number, 0 if none.
 
@@ -115,7 +116,7 @@ def run_phases(step: Any, at: Loop, now_ns: int) -> int:
     return fault
 
 
-@kernel()
+@kernel(_nrt=False)
 def blame(kind: int, slices: NDArray[np.int64]) -> int:
     """Return which due slice an overrun counts for: the first, or the longest of a long run."""
     blamed, longest = 0, -1
@@ -127,7 +128,7 @@ def blame(kind: int, slices: NDArray[np.int64]) -> int:
     return blamed
 
 
-@kernel()
+@kernel(_nrt=False)
 def count(at: Loop, now_ns: int, blamed: int) -> None:
     """Enter the tick that began at the real time `now_ns` into the statistics."""
     law, slices, stats = at.law, at.slices, at.stats
@@ -157,7 +158,7 @@ def count(at: Loop, now_ns: int, blamed: int) -> None:
         )
 
 
-@kernel()
+@kernel(_nrt=False)
 def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
     """Run no tick; a state that was restored meanwhile is shown at once."""
     law, control = at.law, at.control
@@ -172,7 +173,7 @@ def stand_still(step: Any, at: Loop, command: int, now_ns: int) -> int:
     return STANDING | (RING if news else 0)
 
 
-@kernel()
+@kernel(_nrt=False)
 def report_fault(step: Any, at: Loop, fault: int, verdict: int, blamed: int) -> None:
     """Go to the safe state if a slice or the law asks for it; record what is new."""
     law, code = at.law, verdict
@@ -185,7 +186,7 @@ def report_fault(step: Any, at: Loop, fault: int, verdict: int, blamed: int) -> 
     law[lw.LAST_FAULT] = code if code >= faults.SLICE else 0
 
 
-@kernel()
+@kernel(_nrt=False)
 def announce_due(comm: NDArray[np.int64], tick: int, planned_ns: int) -> int:
     """Announce the communication slices that are due; return ``RING`` if any is."""
     flags = 0
@@ -196,7 +197,7 @@ def announce_due(comm: NDArray[np.int64], tick: int, planned_ns: int) -> int:
     return flags
 
 
-@kernel(types.int64(*TURN_ARGUMENTS, types.boolean))
+@kernel(types.int64(*TURN_ARGUMENTS, types.boolean), _nrt=False)
 def turn(step: Any, at: Loop, virtual: bool) -> int:
     """Do what is due now.
 
