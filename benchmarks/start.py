@@ -23,7 +23,7 @@ from hilserver.errors import FailedError
 from hilserver.image import ImageReader
 from hilserver.program.children import piped, python
 
-LIBRARIES = "numba, scipy.linalg, asyncua, aiohttp, pydantic, prometheus_client, structlog"
+LIBRARIES = "numba, asyncua, aiohttp, pydantic, prometheus_client, structlog"
 IMPORTS = f"import {LIBRARIES}, time; print(open('/proc/self/status').read(), time.process_time())"
 COLD_S, WARM_S = 900.0, 60.0
 TICK_AGAIN_S = 0.005
