@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.beginning import Terms, begun
+from hilserver.diagnosis.decide.delays import beginning_for, with_other_delays
 from hilserver.diagnosis.decide.promise import Step
 from hilserver.diagnosis.decide.shape_search import refined, searched
 from hilserver.diagnosis.decide.trial import (
@@ -126,15 +126,6 @@ def attempt(
     if not possible(trial):
         return None
     return Trial(c, trial, point.deviance - trial.deviance, t, p)
-
-
-def beginning_for(f: Fitted, c: Candidate) -> tuple[float, ...]:
-    """Return where a candidate begins in the place of a cause: a delay with the other's value.
-
-    Far from zero no slope leads to it.
-    """
-    late = all(traits_of(cause).whole_ticks for cause in (f.candidate.cause, c.cause))
-    return f.theta if late else c.beginning
 
 
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
@@ -282,6 +273,7 @@ def _forward(
         near = [t for t in best if t.gain > GROUP_COSINE**2 * accepted.gain]
         selected.near[accepted.candidate.cause] = near
         point = both_at_once(problem, accepted.point, library)
+        point = with_other_delays(library, point, selected.rows)
         for cause in point.model.causes:
             selected.p.setdefault(cause, min(accepted.p, SCREEN_LEVEL))
         point = with_noise_anew(problem, library, point)

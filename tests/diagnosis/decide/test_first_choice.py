@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hilserver.diagnosis.decide.delays import beginning_for
 from hilserver.diagnosis.decide.identifiability import Rival
 from hilserver.diagnosis.decide.revision import no_name
-from hilserver.diagnosis.decide.selection import Selected, _plausible, beginning_for, select
+from hilserver.diagnosis.decide.selection import Selected, _plausible, select
 from hilserver.diagnosis.decide.trial import not_alone
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model

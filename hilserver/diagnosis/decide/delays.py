@@ -1,0 +1,85 @@
+"""Delays in each other's place: late may be the whole source, or one of its channels.
+
+The first one that is taken holds on to what another would explain. Beside it the other has little
+left, and in its place would begin at zero, from where no slope leads to a long delay. So each delay
+of a model is exchanged for every other, which begins with its value; and each has to hold beside
+the others.
+"""
+
+from typing import Final
+
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.traits import traits_of
+from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.trial import holds, possible
+from hilserver.diagnosis.regression.columns import Library
+from hilserver.diagnosis.regression.fitting import fit
+from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.schema.decisions import Action, Decision
+
+MOST_MOVES: Final = 4
+"""In a row."""
+EXCHANGED: Final = "another delay in its place explains the data better"
+SUPERFLUOUS: Final = "beside another delay it does not hold on held-out blocks"
+
+
+def with_other_delays(library: Library, point: Point, rows: list[Decision]) -> Point:
+    """Return the model with the delays that explain the data best, and no superfluous one."""
+    problem = library.problem
+    if problem.stage.memoryless:  # times of the drive act each in its own way
+        return point
+    for _ in range(MOST_MOVES):
+        action: Action = "swapped"
+        other, why = _exchanged(library, point), EXCHANGED
+        if other is None:
+            action, other, why = "dropped", _without_one(problem, point), SUPERFLUOUS
+        if other is None:
+            break
+        (gone,) = (c for c in point.model.causes if c not in other.model.causes)
+        rows.append(Decision(gone, action, Step(problem, point, other).gain, why))
+        point = other
+    return point
+
+
+def beginning_for(f: Fitted, c: Candidate) -> tuple[float, ...]:
+    """Return where a candidate begins in the place of a cause: a delay with the other's value."""
+    both = traits_of(f.candidate.cause).whole_ticks and traits_of(c.cause).whole_ticks
+    return f.theta if both and c.low[0] < f.theta[0] < c.high[0] else c.beginning
+
+
+def _delays(point: Point) -> list[int]:
+    """Return the places of the delays in a model."""
+    return [i for i, cause in enumerate(point.model.causes) if traits_of(cause).whole_ticks]
+
+
+def _exchanged(library: Library, point: Point) -> Point | None:
+    """Return the best model with one delay in the place of another, if it is clearly better."""
+    problem, best, most = library.problem, None, 0.0
+    others = [
+        c
+        for c in library.candidates
+        if c.linear and traits_of(c.cause).whole_ticks and c.cause not in point.model.causes
+    ]
+    for index in _delays(point):
+        for c in others:
+            theta = beginning_for(point.model.fitted[index], c)
+            trial = fit(problem, point.model.swapped(index, c, theta), point, iterations=5)
+            if not possible(trial):
+                continue
+            saved = point.deviance - trial.deviance
+            if saved > most and holds(problem, point, trial.model, trial):
+                best, most = trial, saved
+    return best
+
+
+def _without_one(problem: Problem, point: Point) -> Point | None:
+    """Return the model without a delay that the others have made superfluous, if there is one."""
+    places = _delays(point)
+    if len(places) < 2:
+        return None
+    for index in places:
+        less = fit(problem, point.model.without(index), point, iterations=3)
+        if not holds(problem, less, point.model, point):
+            return less
+    return None
