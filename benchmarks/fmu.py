@@ -38,6 +38,7 @@ from hilserver.plant.reference.cases import cases
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
+from hilserver.program.progress import Progress
 from tests.fmu.rig import make
 
 BLOCKS, STEPS, MOST = 401, 4_000, 1.2
@@ -129,9 +130,11 @@ async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
     """Drive with every model; return what was missed, beside a drive without a model."""
     setup_logging("ERROR")
     idle = await beside(None, folder, args.seconds, args.priority)
-    results, asked = [], []
+    results, asked, progress = [], [], Progress()
     models = sorted(args.models.rglob("*.fmu")) if args.models else []
-    for path in [*models, make(folder / "lag.fmu", 3)]:
+    models.append(make(folder / "lag.fmu", 3))
+    for number, path in enumerate(models):
+        progress("driving beside FMUs", number / len(models))
         for process in (False, True):
             name = f"{'.'.join(path.parts[-2:])}_{'beside' if process else 'here'}"
             model = Model(path, process=process)
@@ -142,6 +145,7 @@ async def _drives(args: argparse.Namespace, folder: Path) -> list[Result]:
                 continue
             results.append(_missed(name, drive, idle))
             asked.append(drive.replayed)
+    progress.end()
     for words, mischief in MISCHIEF.items():
         model = Model(folder / "lag.fmu", True, {"mischief": mischief, "atStep": 1000})
         drive = await beside(model, folder, args.seconds, args.priority)
