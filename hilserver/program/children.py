@@ -60,6 +60,14 @@ async def end(process: asyncio.subprocess.Process, name: str, stop_limit_s: floa
     await process.wait()
 
 
+async def write(process: asyncio.subprocess.Process, text: bytes) -> None:
+    """Write to a child's standard input; nothing comes of it where the child has ended."""
+    if process.stdin is not None:
+        with contextlib.suppress(ConnectionError, RuntimeError):  # uvloop's word for a closed pipe
+            process.stdin.write(text)
+            await process.stdin.drain()
+
+
 async def line_of(
     process: asyncio.subprocess.Process, pattern: re.Pattern[bytes], within_s: float
 ) -> re.Match[bytes] | None:

@@ -1,11 +1,13 @@
 """Children end with the context that started them, by force if they have to."""
 
+import asyncio
 import re
 import subprocess
 
 import pytest
 
-from hilserver.program.children import line_of, piped, python, started
+from hilserver.program import event_loop
+from hilserver.program.children import line_of, piped, python, started, write
 
 OBEDIENT = "import time; print('ready', flush=True); time.sleep(600)"
 STUBBORN = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {OBEDIENT}"
@@ -50,3 +52,16 @@ def test_the_error_of_the_parent_ends_the_child_too():
     with pytest.raises(ZeroDivisionError), piped(python("-c", OBEDIENT), name="child") as process:
         1 / 0  # noqa: B018
     assert process.returncode == -15
+
+
+def test_nothing_comes_of_writing_to_a_child_that_has_ended():
+    async def late():
+        process = await asyncio.create_subprocess_exec(
+            *python("-c", ""), stdin=asyncio.subprocess.PIPE
+        )
+        await process.wait()
+        for _ in range(3):
+            await write(process, bytes(1 << 20))
+        return process.returncode
+
+    assert event_loop.run(late()) == 0

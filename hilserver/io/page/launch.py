@@ -1,7 +1,6 @@
 """Starts the page beside a daemon, starts it again when it fails, and ends it with the daemon."""
 
 import asyncio
-import contextlib
 import socket
 import sys
 from collections.abc import Callable
@@ -79,10 +78,8 @@ async def _run(setup: Setup, listener: socket.socket) -> int:
         start_new_session=True,  # Ctrl-C ends the daemon first, and the daemon ends the page
     )
     try:
-        if process.stdin is not None:  # stays open: its end tells the page that we are gone
-            process.stdin.write(setup.to_json().encode() + b"\n")
-            with contextlib.suppress(ConnectionError):
-                await process.stdin.drain()
+        # its standard input stays open: its end tells the page that we are gone
+        await children.write(process, setup.to_json().encode() + b"\n")
         return await process.wait()
     finally:
         await children.end(process, "page", PAGE_STOP_S)
