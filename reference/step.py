@@ -64,7 +64,7 @@ blocks](../how-to/own-block.md) stand in which slice.
 
 ## With a block
 
-A load cell like that of [Put your own block into the plant](../how-to/own-block.md) in the sensor
+A load cell like that of [Add your own block to the plant](../how-to/own-block.md) in the sensor
 slice adds the slots of its signals and these lines:
 
 ```python

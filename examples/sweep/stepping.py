@@ -1,6 +1,6 @@
 """The controller of this example as a program of its own: it steps the robot over OPC UA.
 
-Any OPC UA client can do this; `stepping.mjs` is the same in JavaScript.
+Any OPC UA client can do this; `stepping.js` is the same in JavaScript.
 """
 
 import asyncio
