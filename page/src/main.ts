@@ -265,6 +265,7 @@ async function start(): Promise<void> {
   live.want("frame", ["battery.voltage_v", "sim.state", "sim.time_s", "control.mode", ...SETPOINTS.flat().filter((name) => table.signals.some((signal) => signal.name === name))]);
   window.setInterval(showAge, 200);
   window.addEventListener("hashchange", () => show(context));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("themechange")));
   window.addEventListener("keydown", keys);
   showBoard(context);
   show(context);

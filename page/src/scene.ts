@@ -196,7 +196,6 @@ export class Scene implements Picture {
     this.look("orbit");
     this.stopFrames = live.onFrame(() => this.changed());
     window.addEventListener("themechange", this.retheme);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", this.retheme);
   }
 
   watch(parent: HTMLElement): void {
@@ -232,7 +231,6 @@ export class Scene implements Picture {
     this.stopFrames();
     this.observer.disconnect();
     window.removeEventListener("themechange", this.retheme);
-    matchMedia("(prefers-color-scheme: dark)").removeEventListener("change", this.retheme);
     cancelAnimationFrame(this.request);
     this.controls.dispose();
     this.scene.traverse((part) => {

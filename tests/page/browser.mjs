@@ -28,9 +28,11 @@ async function leave() {
 }
 
 /** A tab of its own, without the cookies of the one before. */
-async function fresh({ width = 1280, height = 800, scheme = "light" } = {}) {
+async function fresh({ width = 1280, height = 800, scheme = "light", touch = false } = {}) {
   await leave();
-  const context = await browser.newContext({ viewport: { width, height }, colorScheme: scheme, ignoreHTTPSErrors: true });
+  const context = await browser.newContext({
+    viewport: { width, height }, colorScheme: scheme, hasTouch: touch, isMobile: touch, ignoreHTTPSErrors: true,
+  });
   context.setDefaultTimeout(LONG);
   page = await context.newPage();
   errors = [];
@@ -123,6 +125,17 @@ const doing = {
     if (!at.matches("a, button, input, select, textarea")) return "";
     return at.getAttribute("aria-label") || at.labels?.[0]?.innerText || at.innerText || at.tagName;
   }),
+  /** Draw fingers over an element: each from one place to another, as shares of its width. */
+  fingers: async ({ selector, begin, end }) => {
+    const target = page.locator(selector).first();
+    await target.scrollIntoViewIfNeeded();
+    const { x, y, width, height } = await target.boundingBox();
+    const points = (part) => begin.map((start, id) => ({ id, x: x + width * (start + part * (end[id] - start)), y: y + height / 2 }));
+    const send = (type, touchPoints) => tools.send("Input.dispatchTouchEvent", { type, touchPoints });
+    await send("touchStart", points(0));
+    for (let part = 0.1; part < 1.05; part += 0.1) await send("touchMove", points(part));
+    await send("touchEnd", []);
+  },
   cut: () => page.evaluate(() => window.sockets.forEach((socket) => socket.close())),
   mute: () => page.evaluate(() => window.sockets.forEach((socket) => (socket.send = () => {}))),
   freeze: async () => {

@@ -235,6 +235,29 @@ def test_a_paused_plot_is_read_at_a_cursor_that_keys_move(browser, url):
     assert browser.do("errors") == []
 
 
+_STRETCHES = """[...document.querySelectorAll(".plot")].map((plot) =>
+    [...plot.getAttribute("aria-label").matchAll(/-?[\\d.]+(?= s)/g)].map(Number))"""
+
+
+def test_fingers_stop_the_plots_stretch_them_and_draw_them_along(browser, url, plant):
+    browser.do("fresh", width=390, height=844, touch=True)
+    plant.wait(lambda: plant.value("sim.tick") > 12_000)  # seconds to look back at
+    browser.do("open", url=url)
+    browser.do("view", name="Watch")
+    becomes(browser, "/[0-9]/.test(document.querySelector('.legend b').textContent)", "true")
+    browser.do("fingers", selector=".plot .u-over", begin=[0.4, 0.6], end=[0.1, 0.9])
+    browser.do("wait", selector="button", text="Run on")
+    (low, high), other = browser.do("run", script=_STRETCHES)
+    assert 0 < high - low < 10  # of 20 s
+    assert other == [low, high]
+    browser.do("fingers", selector=".plot .u-over", begin=[0.8], end=[0.3])
+    (low_then, high_then), _ = browser.do("run", script=_STRETCHES)
+    assert low_then > low
+    assert high_then - low_then == pytest.approx(high - low, abs=0.02)
+    browser.do("click", role="button", name="Run on")
+    assert browser.do("errors") == []
+
+
 def test_plots_are_as_they_were_after_a_reload_and_states_have_names(browser, url):
     browser.do("open", url=url)
     browser.do("view", name="Watch")

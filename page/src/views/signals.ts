@@ -185,7 +185,7 @@ export function signalsView(context: Context): View {
 }
 
 function makeRow(context: Context, signal: Signal): Row {
-  const value = h("td", { class: "number" }, "–");
+  const value = h("td", { class: "number", "data-unit": signal.unit === "1" ? null : signal.unit }, "–");
   const kind = h("td", {}, h("span", { class: "quality" }, "–"));
   const age = h("td", { class: "number" }, "–");
   const act = h("td", {});

@@ -3,12 +3,12 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Context, View } from "../context";
+import { fingers } from "../fingers";
 import { History } from "../history";
 import { get, live, type Signal } from "../net";
 import { bytes, h, recall, setText, signalName, store, toast, valueText } from "../ui";
 import { peerCard, sliceCard } from "./cards";
 
-const COLOURS = ["#0b6bcb", "#d9480f", "#2b8a3e", "#9c36b5", "#b08900", "#0c8599"];
 const MOST_LINES = 6;
 
 const START: string[][] = [
@@ -79,11 +79,12 @@ export function watchView(context: Context): View {
       this.chart?.destroy();
       const style = getComputedStyle(document.documentElement);
       const ink = style.getPropertyValue("--muted").trim();
+      const colours = style.getPropertyValue("--lines").trim().split(" ");
       const grid = { stroke: style.getPropertyValue("--line").trim(), width: 1 };
       const axis = { stroke: ink, grid, ticks: grid, font: "11px system-ui", labelFont: "11px system-ui" };
       this.element.firstElementChild!.replaceChildren(
         ...this.names.map((name, i) =>
-          h("span", { class: "legend" }, this.swatch(i), signalName(name), h("b", { "data-name": name }, "–"), h("i", {}, known.get(name)!.unit),
+          h("span", { class: "legend" }, this.swatch(colours[i]!), signalName(name), h("b", { "data-name": name }, "–"), h("i", {}, known.get(name)!.unit),
             h("button", { type: "button", class: "x", "aria-label": `Remove ${name}`, onclick: () => this.remove(name) }, "×")),
         ),
       );
@@ -96,12 +97,13 @@ export function watchView(context: Context): View {
           cursor: { y: false, drag: { x: true, y: false }, sync: { key: "watch" } },
           scales: { x: { time: false } },
           axes: [{ ...axis, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...axis, size: 48, ...this.named() }],
-          series: [{}, ...this.names.map((name, i) => ({ stroke: COLOURS[i], width: 1.6, points: { show: false }, spanGaps: false, ...(STEPS.has(known.get(name)!.type) && { paths: uPlot.paths.stepped!({ align: 1 }) }) }))],
-          hooks: { setCursor: [() => this.readings()] },
+          series: [{}, ...this.names.map((name, i) => ({ stroke: colours[i], width: 1.6, points: { show: false }, spanGaps: false, ...(STEPS.has(known.get(name)!.type) && { paths: uPlot.paths.stepped!({ align: 1 }) }) }))],
+          hooks: { setCursor: [() => this.readings()], setScale: [() => this.entitle()] },
         },
         this.data(),
         this.holder,
       );
+      fingers(this.chart, stand, stretch);
     }
 
     /** The axis of a single signal whose values have names: these. */
@@ -111,9 +113,9 @@ export function watchView(context: Context): View {
       return { size: 72, incrs: [1, 2, 5], values: (_, ticks) => ticks.map((tick) => labels[tick] ?? "") };
     }
 
-    private swatch(i: number): HTMLElement {
+    private swatch(colour: string): HTMLElement {
       const dot = h("span", { class: "swatch", "aria-hidden": "true" });
-      dot.style.background = COLOURS[i]!;
+      dot.style.background = colour;
       return dot;
     }
 
@@ -125,7 +127,8 @@ export function watchView(context: Context): View {
       if (!this.chart) return;
       this.chart.setData(this.data(), false);
       const end = history.times[history.times.length - 1] ?? 0;
-      if (!paused) this.chart.setScale("x", { min: end - windowS, max: end });
+      if (!paused) this.show(end - windowS, end);
+      this.entitle();
       this.readings();
     }
 
@@ -139,10 +142,21 @@ export function watchView(context: Context): View {
       }
     }
 
+    /** What stands still says from when to when it is, also to who does not see it. */
+    private entitle(): void {
+      const { min = 0, max = 0 } = this.chart?.scales["x"] ?? {};
+      const stretch = `from ${min.toFixed(2)} s to ${max.toFixed(2)} s`;
+      if (paused) this.element.setAttribute("aria-label", `Plot ${stretch}`);
+    }
+
+    show(min: number, max: number): void {
+      this.chart?.setScale("x", { min, max });
+    }
+
     /** Show a time, and what was then. */
     seek(t: number): void {
       const { min = 0, max = 0 } = this.chart!.scales["x"]!;
-      if (t < min || t > max) this.chart!.setScale("x", { min: t - windowS / 2, max: t + windowS / 2 });
+      if (t < min || t > max) this.show(t - (max - min) / 2, t + (max - min) / 2);
       queueMicrotask(() => { // a scale is set by then
         this.chart?.setCursor({ left: this.chart.valToPos(t, "x"), top: 0 });
         this.readings();
@@ -170,8 +184,9 @@ export function watchView(context: Context): View {
     const query = fresh.map((name) => `name=${encodeURIComponent(name)}`).join("&");
     get<{ times: number[]; series: Record<string, (number | null)[]> }>(`history?${query}`)
       .then(({ times, series }) => {
+        const then = history.times[at ?? -1];
         history.merge(times, series);
-        if (paused) pauseHere();
+        if (paused) stand(then);
       })
       .catch(() => {}); // the plot begins with what comes in
   }
@@ -218,22 +233,31 @@ export function watchView(context: Context): View {
 
   // --- the bar ----------------------------------------------------------------------------------
 
-  const pause = h("button", { type: "button", "aria-pressed": "false", onclick: () => {
-    paused = !paused;
-    pause.setAttribute("aria-pressed", String(paused));
-    setText(pause, paused ? "Run on" : "Pause");
-    cursor.hidden = moment.hidden = !paused;
-    if (paused) pauseHere();
-    else at = null;
-  } }, "Pause");
+  const pause = h("button", { type: "button", "aria-pressed": "false", onclick: () => (paused ? go() : stand()) }, "Pause");
   const cursor = h("input", { type: "range", min: 0, class: "cursor", "aria-label": "Cursor", hidden: true });
   const moment = h("output", { class: "moment", hidden: true });
   cursor.addEventListener("input", () => seek(Number(cursor.value)));
 
-  /** Let the cursor, which keys and fingers move as well, reach all that was seen. */
-  function pauseHere(): void {
-    cursor.max = String(Math.max(0, history.times.length - 1));
-    cursor.value = cursor.max;
+  function showPause(): void {
+    pause.setAttribute("aria-pressed", String(paused));
+    setText(pause, paused ? "Run on" : "Pause");
+    cursor.hidden = moment.hidden = !paused;
+  }
+
+  function go(): void {
+    paused = false;
+    at = null;
+    showPause();
+  }
+
+  /** Let the plots stand; the cursor, which keys and fingers move as well, reaches all that was seen. */
+  function stand(t = Infinity): void {
+    paused = true;
+    showPause();
+    const last = Math.max(0, history.times.length - 1);
+    const later = history.times.findIndex((time) => time >= t);
+    cursor.max = String(last);
+    cursor.value = String(later < 0 ? last : later);
     for (const plot of plots) plot.draw();
     seek(Number(cursor.value));
   }
@@ -245,10 +269,22 @@ export function watchView(context: Context): View {
     setText(moment, `${t.toFixed(3)} s`);
     for (const plot of plots) plot.seek(t);
   }
+
+  /** Show a stretch of what was seen, in all plots. */
+  function stretch(min: number, max: number): void {
+    const first = history.times[0] ?? 0;
+    const last = history.times[history.times.length - 1] ?? 0;
+    const span = Math.min(max - min, last - first);
+    const from = Math.max(first, Math.min(min, last - span));
+    for (const plot of plots) plot.show(from, from + span);
+  }
+
   const span = h("select", { "aria-label": "Length of the plots" }, ...SPANS_S.map((s) => h("option", { value: s, selected: s === windowS }, `${s} s`)));
   span.addEventListener("change", () => {
     windowS = Number(span.value);
     store(KEPT, { groups, windowS });
+    const t = at === null ? undefined : history.times[at];
+    if (t !== undefined) stretch(t - windowS / 2, t + windowS / 2);
   });
   const save = h("button", { type: "button", onclick: exported }, "Export CSV");
 
@@ -304,7 +340,7 @@ export function watchView(context: Context): View {
     "div",
     { class: "watch" },
     h("aside", { class: "panel chooser", "aria-label": "Choose signals" }, search, list),
-    h("div", { class: "column" }, h("div", { class: "tools" }, pause, cursor, moment, span, save, h("span", { class: "hint" }, "Drag in a plot to zoom, double-click to see all.")), board,
+    h("div", { class: "column" }, h("div", { class: "tools" }, pause, cursor, moment, span, save, h("span", { class: "hint mouse" }, "Drag in a plot to zoom, double-click to see all."), h("span", { class: "hint touch" }, "Draw a plot along with a finger, stretch it with two.")), board,
       h("h2", {}, "Time slices"), slices, h("h2", {}, "Peers"), peers),
   );
   return {
