@@ -213,6 +213,20 @@ class Hil:
         ]
         return Capture(self.tap, self.daemon.table, found, self._period_s)
 
+    @property
+    def endpoint(self) -> str:
+        """Address of the daemon's OPC UA server, for a controller that is its client.
+
+        Raises
+        ------
+        HilError
+            If the configuration has none.
+        """
+        server = self.daemon.part("opcua")
+        if server is None:
+            raise HilError("this robot has no OPC UA server: set opcua.enabled in its configuration")
+        return str(server.url)
+
     # --- faults -----------------------------------------------------------------------------------
 
     def inject(self, *faults: Mapping[str, object] | Fault | str) -> list[str]:

@@ -116,12 +116,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 # --- the fixture ----------------------------------------------------------------------------------
 
 
-async def _hil(request: pytest.FixtureRequest) -> AsyncIterator["Hil"]:
+@pytest.fixture
+def hil_config() -> None:
+    """Override it where only your fixtures know the configuration, such as a controller's port."""
+
+
+async def _hil(request: pytest.FixtureRequest, hil_config: Any) -> AsyncIterator["Hil"]:
     """Give a simulated robot: `read`, `write`, `step`, `wait_for`, `capture`, `inject`."""
     from hilserver.errors import UserError  # noqa: PLC0415 - heavy, and most projects need none
     from hilserver.testing.opening import open_hil  # noqa: PLC0415
 
-    wishes = _wishes(request)
+    wishes = _wishes(request, hil_config)
     try:
         opened = open_hil(**wishes)
         hil = await opened.__aenter__()
@@ -146,8 +151,8 @@ else:
     hil = _asynchronous(_hil, name="hil")
 
 
-def _wishes(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """Return what the markers (the nearest wins), options and ini file ask for."""
+def _wishes(request: pytest.FixtureRequest, given: Any) -> dict[str, Any]:
+    """Return what markers (the nearest wins), the fixture, options and ini file ask for."""
     config = request.config
     marked: dict[str, Any] = {}
     for mark in request.node.iter_markers("hil"):
@@ -159,7 +164,7 @@ def _wishes(request: pytest.FixtureRequest) -> dict[str, Any]:
         pytest.fail(f"the mode of hil is {' or '.join(MODES)}, not {mode!r}", pytrace=False)
     here = request.path.parent
     return {
-        "config": _config(marked, config, here),
+        "config": _config(marked.get("config") or given, config, here),
         "mode": mode,
         "faults": config.getoption("--hil-fault") or (),
         "scenario": _path(marked.get("scenario"), here)
@@ -167,11 +172,11 @@ def _wishes(request: pytest.FixtureRequest) -> dict[str, Any]:
     }
 
 
-def _config(marked: dict[str, Any], config: pytest.Config, here: Path) -> Any:
-    if isinstance(marked.get("config"), dict):
-        return marked["config"]
+def _config(asked: Any, config: pytest.Config, here: Path) -> Any:
+    if isinstance(asked, dict):
+        return asked
     return (
-        _path(marked.get("config"), here)
+        _path(asked, here)
         or _path(config.getoption("--hil-config"), config.invocation_params.dir)
         or _path(config.getini("hil_config"), config.rootpath)
     )

@@ -87,6 +87,8 @@ async def test_refusals_are_one_sentence(hil):
     ):
         with pytest.raises(HilError, match=sentence):
             action()
+    with pytest.raises(HilError, match=r"set opcua\.enabled"):
+        _ = hil.endpoint
     with pytest.raises(HilError, match="whole number of ticks"):
         await hil.step(0)
     assert len(hil.read_all("wheels.speeds_rpm")) == 4

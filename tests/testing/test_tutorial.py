@@ -49,8 +49,15 @@ def test_it_finds_the_dead_command_timeout(verdicts, mode):
     assert "it ends at 0.3 m/s" in found[STOPS].longreprtext
 
 
+def test_a_client_and_a_server_over_opcua_pass(pytester):
+    shutil.copytree(DOCS / "my-opcua-controller", pytester.path, dirs_exist_ok=True)
+    outcome = pytester.runpytest_inprocess(*LOAD, "-p", "no:cacheprovider")
+    outcome.assert_outcomes(passed=2)
+
+
 def test_the_tutorial_shows_the_files_as_they_are():
     text = (DOCS / "test-your-controller.md").read_text()
     blocks = re.findall(r"```(?:python|yaml)\n(.*?)```", text, re.DOTALL)
-    for name in ("controller.py", "test_controller.py", "robot.yaml"):
-        assert (PROJECT / name).read_text() in blocks, f"{name} differs from the tutorial"
+    files = [PROJECT / name for name in ("controller.py", "test_controller.py", "robot.yaml")]
+    for file in [*files, *(DOCS / "my-opcua-controller").glob("*.py")]:
+        assert file.read_text() in blocks, f"{file.name} differs from the tutorial"
