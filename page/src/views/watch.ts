@@ -144,9 +144,9 @@ export function watchView(context: Context): View {
 
     /** What stands still says from when to when it is, also to who does not see it. */
     private entitle(): void {
-      const { min = 0, max = 0 } = this.chart?.scales["x"] ?? {};
-      const stretch = `from ${min.toFixed(2)} s to ${max.toFixed(2)} s`;
-      if (paused) this.element.setAttribute("aria-label", `Plot ${stretch}`);
+      const { min, max } = this.chart?.scales["x"] ?? {};
+      if (!paused || min == null || max == null) return;
+      this.element.setAttribute("aria-label", `Plot from ${min.toFixed(2)} s to ${max.toFixed(2)} s`);
     }
 
     show(min: number, max: number): void {
