@@ -224,7 +224,9 @@ class Hil:
         """
         server = self.daemon.part("opcua")
         if server is None:
-            raise HilError("this robot has no OPC UA server: set opcua.enabled in its configuration")
+            raise HilError(
+                "this robot has no OPC UA server: set opcua.enabled in its configuration"
+            )
         return str(server.url)
 
     # --- faults -----------------------------------------------------------------------------------
