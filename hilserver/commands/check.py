@@ -114,7 +114,7 @@ def warnings(assembly: Assembly) -> list[str]:
         f"{why}: snapshots leave it as it is, recordings are not replayable"
         for why in assembly.not_replayable
     ]
-    return foreign + _idle_peers(assembly)
+    return foreign + assembly.remarks + _idle_peers(assembly)
 
 
 def _idle_peers(assembly: Assembly) -> list[str]:

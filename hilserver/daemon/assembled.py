@@ -16,6 +16,7 @@ from hilserver.config.patch import Patch
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
 from hilserver.kernel import Composition
+from hilserver.kernel.composition import ForeignModel
 from hilserver.plant.errors import PlantError
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
@@ -106,5 +107,13 @@ class Assembly:
     @property
     def not_replayable(self) -> list[str]:
         """Why a recording of this run cannot be replayed; empty if it can."""
-        models = [b.model for b in self.composition.blocks if b.model is not None]
-        return [model.not_replayable for model in models if model.not_replayable]
+        return [model.not_replayable for model in self._models if model.not_replayable]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What the user of models of others should know."""
+        return [model.remark for model in self._models if model.remark]
+
+    @property
+    def _models(self) -> list[ForeignModel]:
+        return [b.model for b in self.composition.blocks if b.model is not None]

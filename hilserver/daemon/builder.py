@@ -156,7 +156,8 @@ class Core:
 def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     """Build the parts of `assembly`; compiles the step, or takes it from the cache."""
     pace = Pace() if pace is None else pace
-    assembly = with_models(assembly, waits=pace.backend == "virtual")
+    plant = pace.realtime if pace.backend == "thread" else UNDEMANDING
+    assembly = with_models(assembly, plant, waits=pace.backend == "virtual")
     with ExitStack() as begun:
         begun.callback(end_models, assembly)
         image = _image(assembly, pace)

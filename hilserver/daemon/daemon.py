@@ -172,6 +172,8 @@ class Daemon:
         ending.callback(self.events.subscribe(self._on_event))
         for why in self.assembly.not_replayable:
             _log.warning("recordings of this run are not replayable", reason=why)
+        for remark in self.assembly.remarks:
+            _log.warning(remark)
         await self._start_recorder()
         ending.push_async_callback(self.desk.recordings.close)
         ending.push_async_callback(stop_all, self._begun)

@@ -17,7 +17,7 @@ from hilserver.fmu.library import Instance, Library
 from hilserver.fmu.process import Child
 from hilserver.fmu.wiring import Start, Wiring, signals, wire
 from hilserver.kernel.composition import Foreign, News, Setting
-from hilserver.plant.blocks import BlockDeclaration, BlockError
+from hilserver.plant.blocks import MOST_PER_BLOCK, BlockDeclaration, BlockError
 
 SLOW_SHARE: Final = 0.5  # a call is slow from this share of a tick on
 
@@ -43,6 +43,17 @@ class FmuModel:
         if self.fmu.stores_state:
             return ""
         return f"FMU '{self.fmu.path.name}' cannot store its state"
+
+    @property
+    def remark(self) -> str:
+        """What its user should know; empty if there is nothing."""
+        n = self.wiring.left_out
+        if n == 0:
+            return ""
+        return (
+            f"FMU '{self.fmu.path.name}': {n} tunable parameters beyond the first"
+            f" {MOST_PER_BLOCK} keep their values; those named in 'start' come first"
+        )
 
     def start(self, name: str, setting: Setting) -> Foreign:
         """Start it.

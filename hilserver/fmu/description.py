@@ -21,6 +21,7 @@ from hilserver.plant.blocks import BlockError
 
 MISSING: Final = "needs FMPy to be read; install it with: pip install 'hilserver[fmu]'"
 MOST_BYTES: Final = 1 << 30  # that an FMU may unpack to
+MOST_DESCRIPTION_BYTES: Final = 1 << 26  # of its modelDescription.xml, which is read as a whole
 _MACHINE: Final = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
     platform.machine(), platform.machine()
 )
@@ -149,8 +150,14 @@ def _read(path: Path) -> Fmu:
             entries = {info.filename: info.file_size for info in packed.infolist()}
         if "modelDescription.xml" not in entries:
             raise BlockError("holds no modelDescription.xml; export it again")
+        outside = [entry for entry in entries if ".." in entry.split("/")]
+        if outside:
+            raise BlockError(f"holds a file outside of itself, '{outside[0]:.60}'; export it again")
         if sum(entries.values()) > MOST_BYTES:
             raise BlockError(f"unpacks to more than {MOST_BYTES >> 30} GB")
+        if entries["modelDescription.xml"] > MOST_DESCRIPTION_BYTES:
+            most = MOST_DESCRIPTION_BYTES >> 20
+            raise BlockError(f"has a modelDescription.xml of more than {most} MB")
         with path.open("rb") as file:
             said = import_module("fmpy").read_model_description(file)
     except BlockError:

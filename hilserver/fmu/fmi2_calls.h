@@ -4,12 +4,9 @@ const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible,
                               fmi2Boolean logging) {
-    Robot *r = type == fmi2CoSimulation ? make(name, guid) : NULL;
-    if (r != NULL && functions != NULL) {
-        r->log = functions->logger;
-        r->environment = functions->componentEnvironment;
-    }
-    return r;
+    if (type != fmi2CoSimulation) return NULL;
+    if (functions == NULL) return make(name, guid, NULL, NULL);
+    return make(name, guid, functions->logger, functions->componentEnvironment);
 }
 Status fmi2SetupExperiment(Handle c, fmi2Boolean tolerance_defined, double tolerance, double start,
                            fmi2Boolean stop_defined, double stop) {

@@ -6,12 +6,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update) {
-    Robot *r = make(name, token);
-    if (r != NULL) {
-        r->log = log;
-        r->environment = environment;
-    }
-    return r;
+    return make(name, token, log, environment);
 }
 fmi3Instance fmi3InstantiateModelExchange(void) { return NULL; }
 fmi3Instance fmi3InstantiateScheduledExecution(void) { return NULL; }

@@ -27,6 +27,7 @@ from hilserver.program import children
 CHILD_START_S: Final = 60.0
 SILENCE_S, LEAST_SLICES = 0.1, 10
 """Without an answer for so long, and so many slices, it counts as dead."""
+_NO_ANSWER: Final = "does not answer any more and was ended"
 _STOP_S: Final = 0.2
 
 
@@ -37,7 +38,7 @@ class Order:
     fmu: Fmu
     wiring: Wiring
     name: str
-    dt_s: float
+    setting: Setting
     # file descriptors: shared words, what wakes it, where it says how it started
     memory: int
     bell: int
@@ -66,7 +67,7 @@ class Child:
     """
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, setting: Setting) -> None:
-        self._what = (fmu, wiring, name, setting.period_s)
+        self._what = (fmu, wiring, name, setting)
         self._stores = fmu.stores_state
         self._memory = os.memfd_create(f"hilserver-fmu-{name}", os.MFD_CLOEXEC)
         self._bell = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
@@ -101,7 +102,7 @@ class Child:
         running, dead = self._process.poll() is None, bool(a[at.A_DEAD])
         if dead or (running and not gives_up):
             return None
-        how = "does not answer any more and was ended" if running else _how(self._process)
+        how = _NO_ANSWER if running else _how(self._process)
         a[at.A_DEAD] = 1
         self._end()
         if self._stores and self._ready is None:
@@ -118,11 +119,8 @@ class Child:
         self._ready = None
 
     def _launch(self, *, is_first: bool) -> "subprocess.Popen[bytes]":
-        fmu, wiring, name, dt_s = self._what
         self._ready, theirs = os.pipe()
-        order = Order(
-            fmu, wiring, name, dt_s, self._memory, self._bell, theirs, os.getpid(), is_first
-        )
+        order = Order(*self._what, self._memory, self._bell, theirs, os.getpid(), is_first)
         try:
             process = subprocess.Popen(  # noqa: S603 - of ours
                 children.python("-m", "hilserver.fmu.worker"),
@@ -171,7 +169,7 @@ class Child:
         a = np.zeros(at.ROWS, dtype=np.int64)
         a[at.A_SHARED], a[at.A_SHARED_LENGTH] = self._words.ctypes.data, started.n_words
         a[at.A_BELL], a[at.A_ONE], a[at.A_WAITS] = self._bell, 1, setting.waits
-        a[at.A_LIMIT] = max(LEAST_SLICES, round(SILENCE_S / setting.period_s))
+        a[at.A_LIMIT] = slices_of_silence(setting.period_s)
         a[at.A_CAPACITY] = started.capacity
         return a
 
@@ -184,9 +182,16 @@ class Child:
                 process.wait(_STOP_S)
 
 
+def slices_of_silence(period_s: float) -> int:
+    """Return the slices without an answer after which an FMU counts as dead."""
+    return max(LEAST_SLICES, round(SILENCE_S / period_s))
+
+
 def _how(process: "subprocess.Popen[bytes]") -> str:
     """Say how a process has ended."""
     code = process.returncode
+    if code == -signal.SIGXCPU:  # the kernel was first: see `worker`
+        return _NO_ANSWER
     if code is None or code >= 0:
         return f"ended with exit code {code}"
     with contextlib.suppress(ValueError):

@@ -17,6 +17,7 @@
 #define Handle fmi2Component
 #define Reference fmi2ValueReference
 #define Saved fmi2FMUstate
+#define Logger fmi2CallbackLogger
 #define OK fmi2OK
 #define BAD fmi2Error
 #else
@@ -26,6 +27,7 @@
 #define Handle fmi3Instance
 #define Reference fmi3ValueReference
 #define Saved fmi3FMUState
+#define Logger fmi3LogMessageCallback
 #define OK fmi3OK
 #define BAD fmi3Error
 #endif
@@ -42,11 +44,7 @@ typedef struct {
 typedef struct {
     State now;
     void *environment;
-#if FMI == 2
-    fmi2CallbackLogger log;
-#else
-    fmi3LogMessageCallback log;
-#endif
+    Logger log;
     bool is_up;
     char name[64];
 } Robot;
@@ -78,10 +76,17 @@ static void begin(Robot *r) {
     r->is_up = false;
 }
 
-static Robot *make(const char *name, const char *token) {
-    Robot *r = strcmp(token, TOKEN) ? NULL : calloc(1, sizeof *r);
+static Robot *make(const char *name, const char *token, Logger log, void *environment) {
+    Robot *r = calloc(1, sizeof *r);
     if (r == NULL) return NULL;
+    r->log = log;
+    r->environment = environment;
     snprintf(r->name, sizeof r->name, "%s", name == NULL ? "" : name);
+    if (token == NULL || strcmp(token, TOKEN)) {
+        refuse(r, "this library is of the FMU " TOKEN ", not of %s", token == NULL ? "none" : token);
+        free(r);
+        return NULL;
+    }
     begin(r);
     return r;
 }
@@ -119,20 +124,26 @@ static Status step(Robot *r, double time_s, double step_s) {
     return OK;
 }
 
-static Status set(Robot *r, Reference reference, double value) {
-    State *s = &r->now;
+/* Return the number that a variable is if it can have a value, else say why not. */
+static const Number *settable(Robot *r, Reference reference, double value) {
     const Number *about;
     if (reference >= FIRST_INPUT && reference < FIRST_INPUT + N_INPUT)
         about = &INPUTS[reference - FIRST_INPUT];
     else if (reference >= FIRST_TUNABLE && reference < FIRST_TUNABLE + N_TUNABLE)
         about = &TUNABLE[reference - FIRST_TUNABLE];
-    else
-        return refuse(r, "variable %u cannot be set", (unsigned)reference);
-    if (!(value >= about->low && value <= about->high))
-        return refuse(r, "%s: %g is outside %g .. %g", about->name, value, about->low, about->high);
+    else {
+        refuse(r, "variable %u cannot be set", (unsigned)reference);
+        return NULL;
+    }
+    if (value >= about->low && value <= about->high) return about;
+    refuse(r, "%s: %g is outside %g .. %g", about->name, value, about->low, about->high);
+    return NULL;
+}
+
+static void set(State *s, const Number *about, Reference reference, double value) {
     if (reference < FIRST_TUNABLE) {
         s->u[about->place] = value;
-        return OK;
+        return;
     }
     s->values[reference - FIRST_TUNABLE] = value;
     s->next_p[about->place] = value;
@@ -142,7 +153,6 @@ static Status set(Robot *r, Reference reference, double value) {
             on |= TUNABLE[i].flag == f && s->values[i] != TUNABLE[i].null;
         s->next_p[FLAGS[f].place] = on;
     }
-    return OK;
 }
 
 static Status get(Robot *r, Reference reference, double *value) {
@@ -163,9 +173,11 @@ static Status get(Robot *r, Reference reference, double *value) {
 /* --- FMI, what both versions have --------------------------------------------------------------*/
 
 static Status set_all(Handle c, const Reference *vr, size_t n, const double *values) {
-    Status status = OK;
-    for (size_t i = 0; i < n && status == OK; i++) status = set(c, vr[i], values[i]);
-    return status;
+    for (size_t i = 0; i < n; i++)
+        if (settable(c, vr[i], values[i]) == NULL) return BAD;
+    for (size_t i = 0; i < n; i++)
+        set(&((Robot *)c)->now, settable(c, vr[i], values[i]), vr[i], values[i]);
+    return OK;
 }
 
 static Status get_all(Handle c, const Reference *vr, size_t n, double *values) {

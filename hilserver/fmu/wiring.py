@@ -21,6 +21,7 @@ class Wiring:
     outputs: Sequence[Variable]
     # variables that begin with another value than the FMU says
     start: Sequence[tuple[Variable, Start]]
+    left_out: int = 0  # tunable parameters that a block has no room for
 
     @property
     def n_inputs(self) -> int:
@@ -78,11 +79,14 @@ def wire(
     shown = [_whole(fmu, name) for name in outputs]
     if not outputs:
         shown = [v for v in fmu.variables.values() if v.causality == "output" and v.kind != _TEXT]
+    tunable = [v for v in fmu.variables.values() if _is_tunable(v)]
+    tunable.sort(key=lambda v: v.name not in start)  # those that the user cares about come first
     wiring = Wiring(
         inputs=list(dict.fromkeys(taken)),
-        parameters=[v for v in fmu.variables.values() if _is_tunable(v)][:MOST_PER_BLOCK],
+        parameters=tunable[:MOST_PER_BLOCK],
         outputs=list(dict.fromkeys(shown)),
         start=[(_startable(fmu, name, value), value) for name, value in start.items()],
+        left_out=max(0, len(tunable) - MOST_PER_BLOCK),
     )
     if not wiring.n_outputs:
         raise BlockError(f"{fmu.path.name} has no output that is a number: nothing is seen of it")

@@ -1,9 +1,11 @@
 """The process of one FMU: `python -m hilserver.fmu.worker`, started by `process`."""
 
 import contextlib
+import gc
 import mmap
 import os
 import pickle
+import resource
 import select
 import sys
 from typing import Final
@@ -13,7 +15,8 @@ import numpy as np
 import hilserver.fmu.layout as at
 from hilserver.fmu.exchange import answer
 from hilserver.fmu.library import Instance
-from hilserver.fmu.process import Order, Started
+from hilserver.fmu.process import Order, Started, slices_of_silence
+from hilserver.kernel.composition import Setting
 from hilserver.plant.blocks import BlockError
 from hilserver.program.workers import end_with_parent
 
@@ -46,12 +49,32 @@ def main() -> int:
     with ready:
         pickle.dump(Started("", x, int(a[at.A_CAPACITY]), n_words), ready)
     message = words[at.S_MESSAGE : at.N_SHARED]
+    _be_prompt(order.setting)
     while True:
         select.select([order.bell], [], [], _SELDOM_S)
         with contextlib.suppress(BlockingIOError):  # it did not ring
             os.eventfd_read(order.bell)
-        while answer(words, u, y, x, p, a, order.dt_s):
+        while answer(words, u, y, x, p, a, order.setting.period_s):
             message[:] = instance.message_words
+
+
+def _be_prompt(setting: Setting) -> None:
+    """Come right behind the plant: as an ordinary process it would wait for its turn for slices.
+
+    One that never sleeps would then keep others from its core; the kernel ends it (SIGXCPU) after
+    the silence after which the plant gives it up. What the system does not grant here it does not
+    grant to the plant's thread, either, and the audit says so.
+    """
+    gc.disable()  # nothing is left to collect
+    others = os.sched_getaffinity(0) - {setting.plant_core}
+    if others:
+        os.sched_setaffinity(0, others)
+    if setting.priority > 0:
+        limit_us = round(1e6 * setting.period_s * slices_of_silence(setting.period_s))
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_RTTIME, (limit_us, 2 * limit_us))
+            os.sched_setscheduler(0, policy, os.sched_param(setting.priority))
 
 
 if __name__ == "__main__":

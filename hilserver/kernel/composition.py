@@ -37,6 +37,8 @@ class Setting(NamedTuple):
     period_s: float
     base_period_s: float
     waits: bool
+    priority: int = 0  # SCHED_FIFO of a process beside the plant; 0: an ordinary one
+    plant_core: int | None = None  # where it does not run
 
 
 class News(NamedTuple):
@@ -73,6 +75,8 @@ class ForeignModel(Protocol):
         What two runs must share for one to continue the other.
     not_replayable : str
         Why a recording with it cannot be replayed; empty if it can.
+    remark : str
+        What its user should know; empty if there is nothing.
     """
 
     @property
@@ -80,6 +84,9 @@ class ForeignModel(Protocol):
 
     @property
     def not_replayable(self) -> str: ...  # noqa: D102
+
+    @property
+    def remark(self) -> str: ...  # noqa: D102
 
     def start(self, name: str, setting: Setting) -> Foreign:
         """Start it."""

@@ -26,7 +26,7 @@ from hilserver.scheduler import metrics as scheduler
 from hilserver.scheduler.statistics import SliceFigures, Window
 from hilserver.signals import State
 
-OF_S7 = {FaultKind.TORN_READ, FaultKind.NO_SLOT, FaultKind.NO_S7}
+OF_S7 = {FaultKind.TORN_READ, FaultKind.NO_SLOT, FaultKind.NO_S7, FaultKind.NO_ROOM}
 SLICES = ("plant", "sensors", "publish", "supervise", "own")
 
 

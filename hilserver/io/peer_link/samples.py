@@ -30,6 +30,7 @@ class FaultKind(StrEnum):
     TORN_READ = "torn_read"
     NO_SLOT = "no_slot"
     NO_S7 = "no_s7"
+    NO_ROOM = "no_room"
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,5 +105,5 @@ class S7Link(Part):
             self.status.writes += 1
         return {name: CODES.get(why, Code.DENIED) for name, why in outcome.refused.items()}
 
-    def _report(self, host: str, sentence: str) -> None:
-        self._source.faults.report(FaultKind.NO_S7, host, sentence, time.monotonic_ns())
+    def _report(self, kind: FaultKind, host: str, sentence: str) -> None:
+        self._source.faults.report(kind, host, sentence, time.monotonic_ns())

@@ -5,12 +5,14 @@ import socket
 from collections.abc import Callable, Mapping
 
 from hilserver.config.s7 import S7Server
+from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.identity import identified
 from hilserver.io.s7.wire import Code, Function, Job, WireError
 
-HANDSHAKE_S = 5.0
+HANDSHAKE_S = MESSAGE_S = 5.0
+"""How long a client may take to say who it is, to send a message to its end, to read an answer."""
 JOBS = 8  # jobs under way that are agreed on; they are answered in their order
 NO_FUNCTION, NO_ROOM = 0x8104, 0x8500
 """Errors of a whole job: a function that is not there, an answer that would be too long."""
@@ -19,6 +21,7 @@ ALIVE = {"TCP_KEEPIDLE": 10, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
 
 Contents = Callable[[], Mapping[int, bytes]]
 Write = Callable[[Mapping[str, object]], Mapping[str, Code]]
+Report = Callable[[FaultKind, str, str], None]
 
 
 class Answers:
@@ -100,12 +103,10 @@ class Server:
     answers : callable
         Makes `Answers` for a new client.
     report : callable
-        Takes address and a sentence about a client that says what is no S7.
+        Takes what is wrong with a client: the kind of it, the client's address, a sentence.
     """
 
-    def __init__(
-        self, config: S7Server, answers: Callable[[], Answers], report: Callable[[str, str], None]
-    ) -> None:
+    def __init__(self, config: S7Server, answers: Callable[[], Answers], report: Report) -> None:
         self._config, self._answers, self._report = config, answers, report
         self._server: asyncio.Server | None = None
         self.clients: set[asyncio.Task[None]] = set()  # connected now
@@ -132,18 +133,22 @@ class Server:
         await asyncio.gather(*self.clients, return_exceptions=True)
 
     async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        if task is None or len(self.clients) >= self._config.max_clients:
+        task, most = asyncio.current_task(), self._config.max_clients
+        host = str((writer.get_extra_info("peername") or ["a client"])[0])
+        if task is None or len(self.clients) >= most:
+            sentence = f"{host} is one too many: s7.server.max_clients is {most}"
+            self._report(FaultKind.NO_ROOM, host, sentence)
             writer.transport.abort()
             return
         self.clients.add(task)
-        host = str(writer.get_extra_info("peername")[0])
         try:
             _stay_alive(writer.get_extra_info("socket"))
             await self._converse(reader, writer)
         except WireError as error:
-            self._report(host, f"{host}: what it sends {error}")
-        except (OSError, EOFError, TimeoutError):
+            self._report(FaultKind.NO_S7, host, f"{host}: what it sends {error}")
+        except TimeoutError:
+            self._report(FaultKind.NO_S7, host, f"{host}: it neither asks nor reads")
+        except (OSError, EOFError):
             pass  # it is gone
         except asyncio.CancelledError:
             pass  # we are
@@ -156,9 +161,10 @@ class Server:
         async with asyncio.timeout(HANDSHAKE_S):
             writer.write(wire.confirmed(await wire.receive(reader)))
         while True:
-            message = wire.taken_apart(await wire.receive(reader))
+            message = wire.taken_apart(await wire.receive(reader, MESSAGE_S))
             writer.write(answers.to(message))
-            await writer.drain()
+            async with asyncio.timeout(MESSAGE_S):
+                await writer.drain()
             await asyncio.sleep(0)  # one that never waits must not keep the others waiting
 
 

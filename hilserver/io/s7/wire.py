@@ -108,8 +108,15 @@ def _handshake(kind: int, to: int, body: bytes) -> bytes:
     return struct.pack(">BBH", 3, 0, 4 + len(head) + len(body)) + head + body
 
 
-async def receive(reader: asyncio.StreamReader) -> tuple[int, bytes]:
+async def receive(
+    reader: asyncio.StreamReader, within_s: float | None = None
+) -> tuple[int, bytes]:
     """Return kind and payload of the next message.
+
+    Parameters
+    ----------
+    within_s : float, optional
+        How long it may take from its first byte to its last.
 
     Raises
     ------
@@ -118,24 +125,35 @@ async def receive(reader: asyncio.StreamReader) -> tuple[int, bytes]:
     EOFError
         If there will be none.
     """
+    first = await reader.readexactly(1)
+    try:
+        async with asyncio.timeout(within_s):
+            return await _rest(first, reader)
+    except TimeoutError:
+        raise WireError("ends in the middle of a message") from None
+
+
+async def _rest(head: bytes, reader: asyncio.StreamReader) -> tuple[int, bytes]:
     payload = b""
     while True:
-        version, _, length = struct.unpack(">BBH", await reader.readexactly(4))
+        head += await reader.readexactly(4 - len(head))
+        version, _, length = struct.unpack(">BBH", head)
         if version != 3 or not 7 <= length <= LONGEST_MESSAGE:
             raise WireError("is no message of ISO on TCP")
         body = await reader.readexactly(length - 4)
-        head = body[0] + 1
-        if head > len(body) or head < 3:
+        begin = body[0] + 1
+        if begin > len(body) or begin < 3:
             raise WireError("has no header of ISO 8073")
         if body[1] & 0xF0 == _HANG_UP:
             raise EOFError("the other side hung up")
         if body[1] & 0xF0 != _DATA:
             return body[1] & 0xF0, body[2:]
-        payload += body[head:]
+        payload += body[begin:]
         if len(payload) > LONGEST_MESSAGE:
             raise WireError("is too long")
         if body[2] & 0x80:
             return _DATA, payload
+        head = b""
 
 
 def confirmed(request: tuple[int, bytes]) -> bytes:

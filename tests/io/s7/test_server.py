@@ -9,11 +9,14 @@ import snap7
 from snap7.error import S7ProtocolError
 
 from hilserver.errors import ConfigError, FailedError
+from hilserver.io.s7 import server
+from hilserver.io.s7.wire import Function, Item, asks, job
 from hilserver.signals import State
 from tests.io.s7.rig import DRIVE, daemon_with, free_port
 from tests.loopback.rig import wait_until
 
 SCRIPT = "tests/s7_client/drive.cjs"
+HELLO = bytes.fromhex("0300001611e00000000100c0010ac1020100c2020101")
 
 
 async def test_a_panel_of_another_make_drives_and_reads(pytestconfig):
@@ -101,9 +104,8 @@ async def test_who_has_no_control_is_denied_and_silence_ends_in_the_safe_state()
         b"GET / HTTP/1.1\r\n\r\n",
         b"\x03\x00\x00\x04",
         b"\x03\x00\xff\xff" + bytes(100),
-        bytes.fromhex("0300001611e00000000100c0010ac1020100c2020101") + b"\x03\0\0\x07\x02\xf0\x80",
-        bytes.fromhex("0300001611e00000000100c0010ac1020100c2020101")
-        + b"\x03\0\0\x13\x02\xf0\x80\x32\x01\0\0\0\1\0\2\0\0\x04\xff",
+        HELLO + b"\x03\0\0\x07\x02\xf0\x80",
+        HELLO + b"\x03\0\0\x13\x02\xf0\x80\x32\x01\0\0\0\1\0\2\0\0\x04\xff",
     ],
 )
 async def test_what_is_no_s7_ends_its_connection_alone(sent):
@@ -119,12 +121,43 @@ async def test_what_is_no_s7_ends_its_connection_alone(sent):
         await asyncio.to_thread(client.disconnect)
 
 
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [
+        (b"", "it neither asks nor reads"),
+        (HELLO[:9], "it neither asks nor reads"),
+        (HELLO + b"\3", "ends in the middle of a message"),
+        (HELLO + b"\3\0\0\x1f\x02", "ends in the middle of a message"),
+        (HELLO + job(1, asks(Function.READ, [Item(1, 0, 400)])) * 100_000, "nor reads"),
+    ],
+    ids=["silent", "half a greeting", "a byte", "half a message", "reads nothing"],
+)
+async def test_half_open_connections_give_their_place_back(monkeypatch, sent, words):
+    monkeypatch.setattr(server, "HANDSHAKE_S", 0.3)
+    monkeypatch.setattr(server, "MESSAGE_S", 0.3)
+    far = {"signal": "sim.tick", "at": 396, "type": "UDINT"}
+    async with daemon_with({1: [*DRIVE, far]}, max_clients=1) as (daemon, port):
+        _, writer = await asyncio.open_connection("127.0.0.1", port, limit=1)
+        writer.write(sent)
+        status = daemon.part("s7").status
+        await wait_until(lambda: status.fault_counts["no_s7"] == 1)
+        assert any(words in event.message for event in daemon.events.recent)
+        await wait_until(lambda: not daemon.part("s7")._server.clients)
+        client = await asyncio.to_thread(connected, port)
+        assert len(await asyncio.to_thread(client.db_read, 1, 0, 25)) == 25
+        await asyncio.to_thread(client.disconnect)
+        writer.transport.abort()
+
+
 async def test_there_is_a_place_for_so_many_clients_and_it_comes_back():
     async with daemon_with({1: DRIVE}, max_clients=2) as (daemon, port):
         clients = [await asyncio.to_thread(connected, port) for _ in range(2)]
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         assert await reader.read() == b""
         writer.close()
+        sentence = "127.0.0.1 is one too many: s7.server.max_clients is 2"
+        assert daemon.part("s7").status.fault_counts == {"no_room": 1}
+        assert any(sentence in event.message for event in daemon.events.recent)
         await asyncio.to_thread(clients[0].disconnect)
         await wait_until(lambda: len(daemon.part("s7")._server.clients) == 1)
         clients[0] = await asyncio.to_thread(connected, port)
