@@ -18,22 +18,21 @@ from hilserver.cache import cache_folder
 from hilserver.errors import ConfigError, FailedError
 from hilserver.fmu.c_source import c_number
 from hilserver.fmu.description import MISSING
-from hilserver.fmu.machine_code import CARRY, PARTS, PORTABLE
+from hilserver.fmu.machine_code import CARRY, PACK, PARTS, PORTABLE
 from hilserver.fmu.variables import (
     BUILD,
     FIRST_INPUT,
     FIRST_OUTPUT,
     FIRST_TUNABLE,
-    FLAGS,
     Tunable,
     description,
-    flags_without,
     inputs,
     tunables,
 )
 from hilserver.kernel import Composition
 from hilserver.plant.layout import RING, Inputs, Outputs, Parameters, State
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.physical import REASONS, Physical, physical
 from hilserver.program import children
 
 COMPILERS: Final[Mapping[str, tuple[str, str]]] = {
@@ -173,24 +172,18 @@ def _header(
         for part in composition.parts
         if part.slice == name
     ]
-    flags = [
-        f"{{{Parameters.where(name).start}, {int(on)}}}"
-        for name, on in zip(FLAGS, flags_without(robot, tunable), strict=True)
-    ]
-    taken = [_row(s.name, i, s.low, s.high, s.initial) for i, s in enumerate(inputs(table))]
-    tuned = [
-        _row(t.about.name, t.place, t.about.low, t.about.high, t.start, t.about.default, t.flag)
-        for t in tunable
-    ]
+    taken = [_row(s.name, i, s.low, s.high) for i, s in enumerate(inputs(table))]
+    tuned = [_row(t.about.name, t.place, t.low, t.high) for t in tunable]
+    why = ", ".join(f'"{REASONS.get(code, "")}"' for code in range(max(REASONS) + 1))
     lines = [
         *(f"#define {name} {value}" for name, value in sizes.items()),
         f"#define STEP_S {c_number(base_period_ns * 1e-9)}",
-        "typedef struct { const char *name; int place; double low, high, start, null; int flag; }"
-        " Number;",
+        "typedef struct { const char *name; int place; double low, high; } Number;",
         f"static const Number INPUTS[] = {{{', '.join(taken)}}};",
         f"static const Number TUNABLE[] = {{{', '.join(tuned)}}};",
-        f"static const struct {{ int place, on; }} FLAGS[] = {{{', '.join(flags)}}};",
+        f"static const char *const WHY[] = {{{why}}};",
         f"static const struct {{ int which, every; }} PARTS[] = {{{', '.join(schedule)}}};",
+        _array("V_0", _numbers(robot)),
         _array("P_0", composition.parameters.numbers),
         _array("X_0", composition.state.numbers),
         _array("U_0", np.array([s.initial for s in inputs(table)])),
@@ -202,31 +195,31 @@ def _header(
 
 def _sizes(composition: Composition, tunable: Sequence[Tunable]) -> dict[str, int]:
     return {
+        "N_V": Physical.n_words,
         "N_P": Parameters.n_words,
         "N_X": State.n_words,
         "N_U": Inputs.n_words,
         "N_Y": Outputs.n_words,
         "N_INPUT": len(inputs(composition.table)),
         "N_TUNABLE": len(tunable),
-        "N_FLAG": len(FLAGS),
         "CARRY": CARRY,
+        "PACK": PACK,
         "FIRST_INPUT": FIRST_INPUT,
         "FIRST_OUTPUT": FIRST_OUTPUT,
         "FIRST_TUNABLE": FIRST_TUNABLE,
     }
 
 
-def _row(
-    name: str,
-    place: int,
-    low: float,
-    high: float,
-    start: float,
-    null: float = 0.0,
-    flag: int = -1,
-) -> str:
-    numbers = ", ".join(map(c_number, (float(low), float(high), float(start), float(null))))
-    return f'{{"{name}", {place}, {numbers}, {flag}}}'
+def _row(name: str, place: int, low: float, high: float) -> str:
+    return f'{{"{name}", {place}, {c_number(float(low))}, {c_number(float(high))}}}'
+
+
+def _numbers(robot: RobotParameters) -> NDArray[np.float64]:
+    v = Physical.zeros()
+    for name, value in vars(physical(robot)).items():
+        v[name] = value
+    numbers: NDArray[np.float64] = v.numbers
+    return numbers
 
 
 def _array(name: str, numbers: NDArray[np.float64]) -> str:

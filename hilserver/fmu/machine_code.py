@@ -20,16 +20,21 @@ from hilserver.errors import FailedError
 from hilserver.fmu.c_source import translate
 from hilserver.plant.battery import battery_step
 from hilserver.plant.carry_over import carry_over
+from hilserver.plant.constants import compute
 from hilserver.plant.imu import imu_step
 from hilserver.plant.layout import INPUTS, OUTPUTS, PARAMETERS, STATE, STATUS
 from hilserver.plant.nav import nav_step
+from hilserver.plant.physical import FITS, Physical
 from hilserver.plant.robot import robot_step
 from hilserver.plant.shield import shield_step
 from hilserver.plant.tof import tof_step
 
 PARTS: Final = ("robot", "imu", "battery", "shield", "tof", "nav")
-"""By the number with which the C code asks for them; CARRY takes the state to other parameters."""
-ROBOT, IMU, BATTERY, SHIELD, TOF, NAV, CARRY = range(len(PARTS) + 1)
+"""By the number with which the C code asks for them.
+
+PACK computes the parameters from physical ones, CARRY takes the state to other parameters.
+"""
+ROBOT, IMU, BATTERY, SHIELD, TOF, NAV, CARRY, PACK = range(len(PARTS) + 2)
 ENTRY: Final = "hil_part"
 PORTABLE: Final[Mapping[str, str]] = {
     "NUMBA_CPU_NAME": "generic",
@@ -38,7 +43,8 @@ PORTABLE: Final[Mapping[str, str]] = {
 }
 
 _F8, _I8 = types.CPointer(types.float64), types.CPointer(types.int64)
-_SIGNATURE: Any = types.void(types.int64, _F8, _F8, _F8, _F8, _I8, _F8, types.int64)
+_PHYSICAL: Final = Physical.layout
+_SIGNATURE: Any = types.int64(types.int64, _F8, _F8, _F8, _F8, _I8, _F8, types.int64)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -70,10 +76,11 @@ def record(typing_context: Any, pointer: Any, layout: Any) -> Any:
 
 def run_part(
     which: int, p_at: Any, x_at: Any, u_at: Any, y_at: Any, q_at: Any, more_at: Any, n_more: int
-) -> None:
+) -> int:
     """Run one part of the robot once, as a time slice of the daemon does.
 
-    What is `more` are the walls, or the new parameters.
+    What is `more` are the walls, the new parameters, or the physical ones. Returns `FITS`, or why
+    they do not.
     """
     p, x, u = record(p_at, PARAMETERS), record(x_at, STATE), record(u_at, INPUTS)
     y, q = record(y_at, OUTPUTS), record(q_at, STATUS)
@@ -91,6 +98,9 @@ def run_part(
         nav_step(p, x, u, y, q)
     elif which == CARRY:
         carry_over(p, record(more_at, PARAMETERS), x)
+    elif which == PACK:
+        return int(compute(record(more_at, _PHYSICAL), p))
+    return FITS
 
 
 def source() -> str:

@@ -37,7 +37,7 @@
 typedef struct {
     uint64_t layout; /* of whom a serialised state is */
     int64_t tick;
-    double start_s, values[N_TUNABLE], p[N_P], next_p[N_P], x[N_X], u[N_U], y[N_Y];
+    double start_s, v[N_V], p[N_P], next_p[N_P], x[N_X], u[N_U], y[N_Y];
     int64_t q[N_Y];
 } State;
 
@@ -72,7 +72,7 @@ static void begin(Robot *r) {
     memcpy(r->now.next_p, P_0, sizeof r->now.p);
     memcpy(r->now.x, X_0, sizeof r->now.x);
     memcpy(r->now.u, U_0, sizeof r->now.u);
-    for (int i = 0; i < N_TUNABLE; i++) r->now.values[i] = TUNABLE[i].start;
+    memcpy(r->now.v, V_0, sizeof r->now.v);
     r->is_up = false;
 }
 
@@ -91,23 +91,25 @@ static Robot *make(const char *name, const char *token, Logger log, void *enviro
     return r;
 }
 
-static void run_part(State *s, int64_t which, const double *more, int64_t n_more) {
-    char *nothing, *error;
-    hil_part((char *)&nothing, (char *)&error, which, (char *)s->p, (char *)s->x, (char *)s->u,
+static int64_t run_part(State *s, int64_t which, double *p, const double *more, int64_t n_more) {
+    int64_t answer = 0;
+    char *error;
+    hil_part((char *)&answer, (char *)&error, which, (char *)p, (char *)s->x, (char *)s->u,
              (char *)s->y, (char *)s->q, (char *)more, n_more);
+    return answer;
 }
 
 static void run_tick(State *s) {
     for (size_t i = 0; i < sizeof PARTS / sizeof *PARTS; i++)
         if (s->tick % PARTS[i].every == 0)
-            run_part(s, PARTS[i].which, HALL, sizeof HALL / sizeof *HALL);
+            run_part(s, PARTS[i].which, s->p, HALL, sizeof HALL / sizeof *HALL);
     s->tick++;
 }
 
 /* All that was tuned since the last step acts from now on, with the state carried over. */
 static void take_parameters(State *s) {
     if (memcmp(s->p, s->next_p, sizeof s->p) == 0) return;
-    run_part(s, CARRY, s->next_p, N_P);
+    run_part(s, CARRY, s->p, s->next_p, N_P);
     memcpy(s->p, s->next_p, sizeof s->p);
 }
 
@@ -140,21 +142,6 @@ static const Number *settable(Robot *r, Reference reference, double value) {
     return NULL;
 }
 
-static void set(State *s, const Number *about, Reference reference, double value) {
-    if (reference < FIRST_TUNABLE) {
-        s->u[about->place] = value;
-        return;
-    }
-    s->values[reference - FIRST_TUNABLE] = value;
-    s->next_p[about->place] = value;
-    for (int f = 0; f < N_FLAG; f++) {
-        bool on = FLAGS[f].on;
-        for (int i = 0; i < N_TUNABLE; i++)
-            on |= TUNABLE[i].flag == f && s->values[i] != TUNABLE[i].null;
-        s->next_p[FLAGS[f].place] = on;
-    }
-}
-
 static Status get(Robot *r, Reference reference, double *value) {
     State *s = &r->now;
     if (reference == 0)
@@ -164,7 +151,7 @@ static Status get(Robot *r, Reference reference, double *value) {
     else if (reference >= FIRST_OUTPUT && reference < FIRST_OUTPUT + N_Y)
         *value = s->y[reference - FIRST_OUTPUT];
     else if (reference >= FIRST_TUNABLE && reference < FIRST_TUNABLE + N_TUNABLE)
-        *value = s->values[reference - FIRST_TUNABLE];
+        *value = s->v[TUNABLE[reference - FIRST_TUNABLE].place];
     else
         return refuse(r, "there is no variable %u", (unsigned)reference);
     return OK;
@@ -172,11 +159,25 @@ static Status get(Robot *r, Reference reference, double *value) {
 
 /* --- FMI, what both versions have --------------------------------------------------------------*/
 
+/* All or nothing: parameters that fit each other only together come in one call. */
 static Status set_all(Handle c, const Reference *vr, size_t n, const double *values) {
-    for (size_t i = 0; i < n; i++)
-        if (settable(c, vr[i], values[i]) == NULL) return BAD;
-    for (size_t i = 0; i < n; i++)
-        set(&((Robot *)c)->now, settable(c, vr[i], values[i]), vr[i], values[i]);
+    State *s = &((Robot *)c)->now;
+    double v[N_V], u[N_U], p[N_P];
+    memcpy(v, s->v, sizeof v);
+    memcpy(u, s->u, sizeof u);
+    memcpy(p, s->next_p, sizeof p);
+    for (size_t i = 0; i < n; i++) {
+        const Number *about = settable(c, vr[i], values[i]);
+        if (about == NULL) return BAD;
+        (vr[i] < FIRST_TUNABLE ? u : v)[about->place] = values[i];
+    }
+    if (memcmp(v, s->v, sizeof v)) {
+        int64_t why = run_part(s, PACK, p, v, N_V);
+        if (why) return refuse(c, "%s", WHY[why]);
+    }
+    memcpy(s->v, v, sizeof v);
+    memcpy(s->u, u, sizeof u);
+    memcpy(s->next_p, p, sizeof p);
     return OK;
 }
 

@@ -1,35 +1,34 @@
 """The variables of the robot's FMU: signals by their names, parameters that can be tuned."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import isnan
+from dataclasses import dataclass, fields
+from math import inf, isnan, nextafter
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
-
 from hilserver import __version__
-from hilserver.parameters import PLANT, Parameter, read, with_values
-from hilserver.plant.errors import PlantError
-from hilserver.plant.layout import Inputs, Outputs, Parameters
-from hilserver.plant.packing import initial_state, pack
+from hilserver.parameters import PLANT, Parameter, read
+from hilserver.parameters.table import SECTIONS, TERM
+from hilserver.plant.layout import Inputs, Outputs
 from hilserver.plant.parameters import RobotParameters
+from hilserver.plant.physical import TERM_NAMES, Physical, physical
+from hilserver.plant.terms import TERMS
 from hilserver.signals import Signal, SignalTable
 
-FLAGS: Final = ("command_terms", "drive_terms", "kinematic_terms")
-"""Numbers of the packed parameters that say whether any term of a kind is on."""
 N_U, N_Y = Inputs.n_words, Outputs.n_words
 FIRST_INPUT, FIRST_OUTPUT, FIRST_TUNABLE = 1, 1000, 2000  # value references; the time has 0
 
 
 @dataclass(frozen=True)
 class Tunable:
-    """A parameter that is one number of the packed ones, as it stands."""
+    """A parameter: one number of the physical ones."""
 
     about: Parameter
     place: int  # of the number
     start: float  # what the robot has
-    flag: int  # which of `FLAGS` is 1 while it is not null; -1: none
+    # range, ends included
+    low: float
+    high: float
 
 
 def inputs(table: SignalTable) -> list[Signal]:
@@ -44,56 +43,45 @@ def outputs(table: SignalTable) -> list[Signal]:
 
 
 def tunables(robot: RobotParameters) -> list[Tunable]:
-    """Return the parameters that the FMU can take over without packing the robot anew.
-
-    Whether one can is found out by packing the robot with both ends of its range: exactly one
-    number has to change, and to become the value itself. The rest would need checks and constants
-    that are computed when the FMU is made.
-    """
-    values = read(robot)
-    found: dict[int, Tunable] = {}
-    for name, value in values.items():
-        tunable = _tunable(robot, PLANT[name], value)
-        if tunable is not None:
-            found.setdefault(tunable.place, tunable)  # two that add up to one number: the first
+    """Return the parameters that are numbers of this robot and act at a tick."""
+    fixed = _fixed(robot)
+    found = [
+        Tunable(PLANT[name], _place(name), value, *_range(PLANT[name]))
+        for name, value in read(robot).items()
+        if PLANT[name].when == "tick" and not isnan(value) and name not in fixed
+    ]
     seed = Parameter("seed", "1", 0, 2.0**53 - 1, 0, nullable=False, meaning="seed of all noise")
-    place = Parameters.where("seed").start
-    return [*found.values(), Tunable(seed, place, float(robot.seed), -1)]
+    return [*found, Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high)]
 
 
-def _tunable(robot: RobotParameters, about: Parameter, start: float) -> Tunable | None:
-    if about.nullable or isnan(start) or about.when != "tick":
-        return None
-    now, flags = pack(robot).numbers, [Parameters.where(name).start for name in FLAGS]
-    places: set[int] = set()
-    switched: set[int] = set()
-    for value in (about.low, 0.5 * (about.low + about.high), about.high):
-        try:
-            other = with_values(robot, {about.name: value})
-            then = pack(other).numbers
-        except (PlantError, OverflowError, ValueError):
-            return None
-        if (
-            other.loop != robot.loop
-            or (initial_state(other).numbers != initial_state(robot).numbers).any()
-        ):
-            return None
-        changed = set(np.flatnonzero(now != then).tolist())
-        switched |= changed & set(flags)
-        places |= changed - set(flags)
-        if len(places) > 1 or any(then[place] != value for place in places):
-            return None
-    if len(places) != 1 or len(switched) > 1:
-        return None
-    flag = flags.index(switched.pop()) if switched else -1
-    return Tunable(about, places.pop(), start, flag)
+def _fixed(robot: RobotParameters) -> set[str]:
+    """Return what is computed when the FMU is made, or means nothing to the robot."""
+    causes = {"friction_anisotropy", *robot.meaningless}
+    fixed = {f"{TERM}{name}" for name, term in TERMS.items() if term.cause in causes}
+    fixed.add("sensors.battery.initial_charge")  # of the state at the start
+    if robot.is_mecanum:
+        fixed.add("plant.icr_offset_m")
+    if (made := physical(robot)).anisotropy_factor != 1.0 or made.anisotropy_shift_m != 0.0:
+        fixed |= {"plant.wheelbase_m", "plant.track_m"}
+    return fixed
 
 
-def flags_without(robot: RobotParameters, tunable: Sequence[Tunable]) -> list[bool]:
-    """Return each of `FLAGS` as the terms have it that cannot be tuned."""
-    null = {t.about.name: t.about.default for t in tunable if t.flag >= 0}
-    bare = pack(with_values(robot, null)).numbers
-    return [bool(bare[Parameters.where(name).start]) for name in FLAGS]
+def _place(name: str) -> int:
+    known = TERM_NAMES.get(name.removeprefix(TERM))
+    for section in ("plant.", "sensors.", "kinematics."):
+        name = name.removeprefix(section)
+    place: slice = Physical.where(known or name.replace(".", "_"))
+    return int(place.start)
+
+
+def _range(about: Parameter) -> tuple[float, float]:
+    """Return the lowest and the highest value: an end that is none gives way to the next number."""
+    section, _, key = about.name.rpartition(".")
+    part = SECTIONS.get(section)
+    own = {} if part is None else {item.name: item for item in fields(part)}
+    bounds = own[key].metadata["bounds"] if key in own else {}
+    low = nextafter(about.low, inf) if "gt" in bounds else about.low
+    return low, nextafter(about.high, -inf) if "lt" in bounds else about.high
 
 
 def description(

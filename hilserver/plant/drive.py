@@ -7,7 +7,7 @@ acceleration at t_k.
 
 import math
 
-from hilserver.plant.kernels import inlined, part
+from hilserver.plant.kernels import inlined, part, plain
 from hilserver.plant.layout import N_WHEELS, Outputs, Parameters, State
 from hilserver.plant.units import NOMINAL_V, RAD_S_PER_RPM
 
@@ -113,7 +113,7 @@ def load(p: Parameters, i: int, duty_pct: float, speed_rpm: float) -> float:
     return float(duty_pct - math.copysign(friction, duty_pct))
 
 
-@part
+@plain
 def process_matrices(
     gain: float, viscous: float, t1_s: float, t2_s: float, dt_s: float
 ) -> Matrices:

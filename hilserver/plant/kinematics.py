@@ -7,11 +7,25 @@ derivatives, v, vy, om and dv, dvy, dom, in m/s, rad/s and their rates.
 
 import math
 
-from hilserver.plant.kernels import inlined, part
+from hilserver.plant.kernels import inlined, part, plain
 from hilserver.plant.layout import Parameters, State, Wheels
 from hilserver.plant.units import RAD_S_PER_RPM
 
 Velocity = tuple[float, float, float, float, float, float]
+
+
+@plain
+def nominal_gain(
+    given: float, geometric_diff: float, mecanum: float, wheelbase_m: float, track_m: float
+) -> float:
+    """Return K_om [1/m]: `given`, or if that is NaN what the geometry says, (5.8) or (5.9)."""
+    if not math.isnan(given):
+        return given
+    if mecanum != 0.0:
+        return 1.0 / (wheelbase_m + track_m)
+    if geometric_diff != 0.0 or math.isnan(wheelbase_m):
+        return 1.0 / track_m
+    return track_m / (wheelbase_m * wheelbase_m + track_m * track_m)
 
 
 @inlined

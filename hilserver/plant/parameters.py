@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import nan
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from hilserver.plant.errors import PlantError
 from hilserver.plant.hall import Solid, default_hall, default_solids
+from hilserver.plant.kinematics import nominal_gain
 from hilserver.plant.parts import Battery, Controller, Imu, Navigation, Process, RangeFinders
 from hilserver.plant.quantity import quantity, refused
 from hilserver.plant.stability import Loop
@@ -162,15 +164,10 @@ class RobotParameters:
     def k_om(self) -> float:
         """Nominal K_om [1/m] as a number: (5.8), (5.9) or the value of the name."""
         gain = self.rotation_gain
-        if not isinstance(gain, str):
-            return float(gain)
-        if gain in ROTATION_GAINS:
-            return ROTATION_GAINS[gain]
-        if self.is_mecanum:
-            return 1.0 / ((self.wheelbase_m or 0.0) + self.track_m)
-        if gain == "geometric_diff" or self.wheelbase_m is None:
-            return 1.0 / self.track_m
-        return self.track_m / (self.wheelbase_m**2 + self.track_m**2)
+        given = ROTATION_GAINS.get(gain, nan) if isinstance(gain, str) else float(gain)
+        wheelbase_m = nan if self.wheelbase_m is None else self.wheelbase_m
+        is_diff = gain == "geometric_diff"
+        return float(nominal_gain(given, is_diff, self.is_mecanum, wheelbase_m, self.track_m))
 
     @property
     def is_mecanum(self) -> bool:
@@ -275,7 +272,7 @@ def _check_loop(robot: RobotParameters) -> None:
             f"{where}, but discretization euler needs less than 2 T2 = {loop.t2_s * 2e3:g} ms: "
             "choose a shorter period or discretization exact."
         )
-    if loop.spectral_radius(period_s) >= 1.0:
+    if not loop.is_stable(period_s):
         limit_s = loop.largest_period_s(period_s)
         remedy = "choose a shorter period or smaller controller gains"
         if limit_s < 1e-6:

@@ -1,5 +1,7 @@
 """A daemon with an FMU that fails: it is named, the robot is safe, the plant goes on."""
 
+import os
+
 import pytest
 
 from hilserver.commands import main
@@ -10,15 +12,15 @@ from hilserver.fmu.layout import A_DEAD
 from hilserver.logs import read_log
 from hilserver.signals import State
 from tests.fmu.conftest import BLOCK
-from tests.loopback.rig import configuration, wait_until
+from tests.loopback.rig import LIGHT, configuration, wait_until
 
 QUIET = {"opcua": {"enabled": False}, "metrics": {"enabled": False}}
 SLEEPS, DIVIDES, CRASHES, LOOPS, FAILS, EXITS = range(1, 7)
 
 
-def daemon_with(fmu, **more):
-    block = BLOCK | {"fmu": str(fmu)} | more
-    return Daemon(assemble_config(configuration(blocks=[block], **QUIET)))
+def daemon_with(fmu, realtime=LIGHT, **more):
+    block, scheduler = BLOCK | {"fmu": str(fmu)} | more, {"realtime": realtime}
+    return Daemon(assemble_config(configuration(blocks=[block], scheduler=scheduler, **QUIET)))
 
 
 @pytest.mark.parametrize(
@@ -26,7 +28,6 @@ def daemon_with(fmu, **more):
     [
         (DIVIDES, "was ended by SIGFPE"),
         (CRASHES, "was ended by SIGSEGV"),
-        (LOOPS, "does not answer any more and was ended"),
         (EXITS, "ended with exit code 7"),
     ],
 )
@@ -43,6 +44,26 @@ async def test_beside_the_daemon_nothing_that_it_does_stops_the_plant(fmus, misc
         assert daemon.image.latest().status[daemon.table.slot("motor.y")] >> 31 == 1
         if mischief == CRASHES:
             await begins_anew(daemon)
+
+
+async def test_beside_the_plant_it_comes_right_behind_the_plants_thread(fmus):
+    """As an ordinary process it would wait for its turn behind whatever else computes."""
+    realtime = LIGHT | {"priority": 20}
+    async with daemon_with(fmus / "lag3.fmu", realtime, process=True) as daemon:
+        (thread,) = [g for g in daemon.scheduler.grants if g.name == "thread_priority"]
+        ((model, _),) = daemon.supervision._models.values()
+        child = model._child._process.pid
+        await wait_until(lambda: (os.sched_getscheduler(child) != os.SCHED_OTHER) == thread.ok)
+        if thread.ok:
+            assert os.sched_getparam(child).sched_priority == 19
+
+
+@pytest.mark.parametrize("priority", [0, 20])
+async def test_one_that_loops_for_ever_is_ended_whatever_its_priority(fmus, priority):
+    start, realtime = {"mischief": LOOPS, "atStep": 300}, LIGHT | {"priority": priority}
+    async with daemon_with(fmus / "lag3.fmu", realtime, process=True, start=start) as daemon:
+        await wait_until(lambda: daemon.control.state is State.SAFE)
+        assert "does not answer any more and was ended" in daemon.control.reason
 
 
 async def begins_anew(daemon):

@@ -15,6 +15,7 @@ from hilserver.daemon.builder import build
 from hilserver.fmu.description import read_fmu
 from hilserver.fmu.variables import N_U, N_Y
 from hilserver.image import Row
+from hilserver.parameters import PLANT
 from tests.fmu import importing
 from tests.fmu.rig import configured
 
@@ -103,6 +104,16 @@ async def test_what_is_tuned_while_it_drives_gives_the_bits_of_the_daemon(fmu, t
         (800, {"terms.body_lag": 0.0, "terms.floor_slope.x": 0.2}),
         (900, {"terms.body_lag": 0.2, "terms.wheel_runout.amplitude": 0.0}),
         (1700, {"terms.encoder_quantization": 0.0, "sensors.nav.white_noise_m": 0.1}),
+        (1800, {"plant.controller.k_p": 6.0, "plant.controller.k_i": 60.0}),
+        (1900, {"plant.controller.k_d": 0.02, "terms.controller_gains.p": 0.3}),
+        (
+            2000,
+            {"plant.process.t1_s": 0.09, "terms.time_constant": 0.1, "terms.encoder_filter": 0.01},
+        ),
+        (2300, {"plant.wheel_radius_m": 0.07, "plant.track_m": 0.4, "plant.icr_offset_m": -0.05}),
+        (2500, {"terms.actuation_delay": 0.03, "terms.imu_latency": 0.005}),
+        (2700, {"sensors.nav.rate_hz": 50.0, "sensors.nav.latency_s": 0.04}),
+        (2900, {"kinematics.yaw_sign": 1.0, "sensors.battery.capacity_ah": 1.0}),
     ]
     ours, copy = await both(tmp_path, fmu[version], drives(), tuned=tuned)
     assert np.array_equal(ours, copy, equal_nan=True)
@@ -130,7 +141,16 @@ def test_signals_and_parameters_have_their_names_units_and_ranges(fmu):
     assert said["drive.enable"].start == "1"
     assert said["seed"].variability == "tunable"
     assert said["terms.dead_zone"].start == "3"
-    assert "plant.controller.k_p" not in said, "it needs the check of the loop"
+    gain = said["plant.controller.k_p"]
+    assert (gain.causality, gain.variability, gain.unit) == ("parameter", "tunable", "%/rpm")
+    at_a_tick = {name for name, about in PLANT.items() if about.when == "tick"}
+    left_out = {
+        name for name in at_a_tick - said.keys() if not name.startswith("terms.friction_anisotropy")
+    }
+    assert left_out == {
+        "kinematics.rotation_gain", "terms.setpoint_rate_limit", "terms.control_period",
+        "terms.roller_slip", "sensors.battery.initial_charge",
+    }  # fmt: skip
     assert read_fmu(str(fmu[3]), fmu[3].parent).stores_state
 
 
@@ -255,6 +275,11 @@ for wrong, words in (
     (lambda: a.setFloat64([vr["wheel.fl.setpoint_rpm"]], [float("nan")]), "nan"),
     (lambda: a.setFloat64([vr["terms.dead_zone"]], [1e300]), "range"),
     (lambda: a.setFloat64([vr["pose.x_m"]], [0.0]), "output"),
+    (lambda: a.setFloat64([vr["plant.controller.k_p"]], [1e4]), "unstable"),
+    (lambda: a.setFloat64([vr["plant.max_rpm"]], [0.0]), "above 0"),
+    (lambda: a.setFloat64([vr["plant.icr_offset_m"]], [0.2]), "centre"),
+    (lambda: a.setFloat64([vr["kinematics.yaw_sign"]], [0.5]), "sign"),
+    (lambda: a.setFloat64([vr["terms.dead_zone"], vr["seed"]], [7.0, -1.0]), "half a group"),
     (lambda: a.deserializeFMUState(packed[:-8]), "short"),
     (lambda: a.deserializeFMUState(bytes(8) + packed[8:]), "layout"),
 ):
@@ -263,6 +288,14 @@ for wrong, words in (
     except Exception:
         continue
     raise SystemExit(f"{words} was not refused")
+assert a.getFloat64([vr["terms.dead_zone"], vr["plant.controller.k_p"]]) == [3.0, 13.513]
+try:
+    FMU3Slave(
+        guid="{other}", unzipDirectory=folder, modelIdentifier="robot", instanceName="r"
+    ).instantiate()
+    raise SystemExit("a token was not looked at")
+except Exception:
+    pass
 many = [make() for _ in range(100)]
 assert all(run(m, 2.0, 600) == first for m in many)
 print("done")
@@ -279,6 +312,9 @@ def test_states_instances_reset_and_refusals_in_a_foreign_importer(fmu):
         "a step begins at 9 s",
         "wheel.fl.setpoint_rpm: nan is outside -90 .. 90",
         "the serialised state is of another robot or damaged",
+        "the wheel speed loop would be unstable",
+        "plant.icr_offset_m must be below half the wheelbase",
+        "this library is of the FMU {",
     ):
         assert sentence in done.stdout + done.stderr
 

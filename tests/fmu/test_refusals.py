@@ -1,10 +1,12 @@
 """What cannot run as an FMU is refused at the start: one sentence with file, line and remedy."""
 
 import re
+import tempfile
 import zipfile
 
 import pytest
 
+from hilserver.commands import main
 from hilserver.daemon.builder import build
 from hilserver.errors import ConfigError
 from tests.fmu.rig import configured, description, make
@@ -52,6 +54,53 @@ def test_what_it_says_of_itself_does_not_fit(tmp_path, text, words):
     assert words in refused(tmp_path, "lag.fmu")
 
 
+@pytest.mark.parametrize(
+    ("name", "size", "words"),
+    [
+        ("../../etc/passwd", 1, "holds a file outside of itself, '../../etc/passwd'"),
+        ("/etc/passwd", 1, "cannot be unpacked: Illegal path /etc/passwd"),
+        ("resources/zeros", 1 << 30, "unpacks to more than 1 GB"),
+        ("modelDescription.xml", (1 << 26) + 1, "has a modelDescription.xml of more than 64 MB"),
+    ],
+)
+def test_what_it_packs_is_looked_at_before_anything_is_unpacked(
+    fmus, tmp_path, monkeypatch, name, size, words
+):
+    unpacked = tmp_path / "unpacked"
+    unpacked.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(unpacked))
+    with zipfile.ZipFile(fmus / "lag3.fmu") as lag:
+        entries = {entry: lag.read(entry) for entry in lag.namelist()}
+    with zipfile.ZipFile(
+        tmp_path / "lag.fmu", "w", zipfile.ZIP_DEFLATED, compresslevel=1
+    ) as packed:
+        for entry, content in entries.items():
+            if entry != name:
+                packed.writestr(entry, content)
+        with packed.open(name, "w") as entry:
+            for _ in range(size >> 20):
+                entry.write(bytes(1 << 20))
+            entry.write(bytes(size % (1 << 20)))
+    assert words in refused(tmp_path, "lag.fmu")
+    assert not any(unpacked.iterdir())
+
+
+def test_a_thousand_tunable_parameters_are_said_to_be_too_many(tmp_path, capsys):
+    rows = "".join(
+        f'<Float64 name="p{i}" valueReference="{i}" causality="parameter" variability="tunable"'
+        ' start="1"/>'
+        for i in range(100, 1100)
+    )
+    make(tmp_path / "lag.fmu", 3, text=description(3, variables=rows))
+    start = {"p900": 2}
+    assembly = configured(tmp_path, {"name": "motor", "fmu": "lag.fmu", "start": start})
+    (block,) = assembly.composition.blocks
+    assert next(iter(block.declaration.parameters.items())) == ("p900", 2.0)
+    assert main(["check", "-c", str(tmp_path / "config.yaml")]) == 0
+    said = capsys.readouterr().out
+    assert "745 tunable parameters beyond the first 256 keep their values" in said
+
+
 def test_another_platform_is_named(tmp_path):
     make(tmp_path / "lag.fmu", 2, folder="win64")
     text = refused(tmp_path, "lag.fmu")
@@ -67,6 +116,13 @@ def test_a_missing_function_is_named(tmp_path, version, process):
     text = refused(tmp_path, "lag.fmu", process=process)
     assert "lacks the function" in text
     assert "state" in text.lower()
+
+
+@pytest.mark.parametrize("process", [False, True], ids=["here", "beside"])
+def test_a_token_that_is_not_the_librarys_is_named(tmp_path, process):
+    make(tmp_path / "lag.fmu", 3, text=description(3).replace("{lag}", "{other}"))
+    text = refused(tmp_path, "lag.fmu", process=process)
+    assert "FMU 'motor' (lag.fmu) does not start: wrong token." in text
 
 
 @pytest.mark.parametrize("process", [False, True], ids=["here", "beside"])

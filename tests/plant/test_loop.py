@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from hilserver.plant.parameters import Controller, Process, RobotParameters
+from hilserver.plant.stability import Loop
 from tests.plant.rig import Rig
 
 KP, KI, LIMIT = 13.513, 195.84, 100.0
@@ -167,9 +170,48 @@ def test_derivative_part_of_the_controller():
         state = (over @ np.append(state, u))[:2]
 
 
-def test_spectral_radius_reaches_one_at_14_6_ms():
+def spectral_radius(loop, dt_s):
+    """By eigenvalues, over (motor, speed, integral, derivative, last error)."""
+    a00, a01, a10, a11, b0, b1 = loop.process(dt_s)
+    keep, gain = loop.derivative(dt_s)
+    motor, speed, integral, derivative, last = np.eye(5)
+    error = -speed
+    derivative_next = keep * derivative + gain * (error - last)
+    duty = loop.k_p * error + integral + derivative_next
+    rows = [
+        a00 * motor + a01 * speed + b0 * duty,
+        a10 * motor + a11 * speed + b1 * duty,
+        integral + dt_s * loop.k_i * error,
+        derivative_next,
+        error,
+    ]
+    keeps = [0, 1, 3, 4] if loop.k_i == 0.0 else range(5)  # the integral then stands still
+    return float(np.max(np.abs(np.linalg.eigvals(np.array(rows)[np.ix_(keeps, keeps)]))))
+
+
+@given(
+    loop=st.builds(
+        Loop,
+        gain=st.floats(0.05, 20),
+        t1_s=st.floats(0.005, 2),
+        t2_s=st.floats(0.0005, 0.05),
+        k_p=st.floats(0.01, 100),
+        k_i=st.one_of(st.just(0.0), st.floats(0.01, 2000)),
+        k_d=st.one_of(st.just(0.0), st.floats(1e-4, 1)),
+        derivative_n=st.floats(2, 50),
+        euler=st.booleans(),
+    ),
+    dt_s=st.floats(0.0002, 0.05),
+)
+def test_it_is_stable_where_all_eigenvalues_are_inside_the_circle(loop, dt_s):
+    radius = spectral_radius(loop, dt_s)
+    assume(abs(radius - 1.0) > 1e-7)
+    assert loop.is_stable(dt_s) == (radius < 1.0)
+
+
+def test_the_loop_becomes_unstable_at_14_6_ms():
     loop = RobotParameters().loop
-    assert loop.spectral_radius(0.0145) < 1.0 <= loop.spectral_radius(0.0147)
+    assert spectral_radius(loop, 0.0145) < 1.0 <= spectral_radius(loop, 0.0147)
     limit_s = loop.largest_period_s(0.1)
     assert limit_s == pytest.approx(0.0146, abs=5e-5)
 

@@ -108,9 +108,7 @@ def _handshake(kind: int, to: int, body: bytes) -> bytes:
     return struct.pack(">BBH", 3, 0, 4 + len(head) + len(body)) + head + body
 
 
-async def receive(
-    reader: asyncio.StreamReader, within_s: float | None = None
-) -> tuple[int, bytes]:
+async def receive(reader: asyncio.StreamReader, within_s: float | None = None) -> tuple[int, bytes]:
     """Return kind and payload of the next message.
 
     Parameters

@@ -28,7 +28,7 @@ class Gains:
         k_p = self._loop.k_p if math.isnan(k_p) else k_p
         k_i = self._loop.k_i if math.isnan(k_i) else k_i
         loop = dataclasses.replace(self._loop, k_p=k_p, k_i=k_i)
-        if k_p < 0.0 or k_i < 0.0 or not loop.spectral_radius(self._period_s) < 1.0:
+        if k_p < 0.0 or k_i < 0.0 or not loop.is_stable(self._period_s):
             raise ValueError(f"gains are not taken over: kp {k_p:g}, ki {k_i:g} are not stable")
         values = {"internal.gains": 1.0, "internal.k_p": k_p, "internal.k_i": k_i}
         self._image.push([Row(self._table.slot(name), value) for name, value in values.items()])
